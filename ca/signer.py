@@ -1,0 +1,44 @@
+"""The one thing a private key does here: sign. Files today, tokens and TPMs behind the same shape.
+
+A `Signer` never gives the key away; whoever holds one can sign and nothing else.
+"""
+
+from typing import Final, Protocol
+
+from cryptography.hazmat.primitives import hashes
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.hazmat.primitives.asymmetric.utils import decode_dss_signature
+
+_COORDINATE: Final = 32
+
+
+class Signer(Protocol):
+    """A P-256 private key, wherever it lives."""
+
+    @property
+    def public_key(self) -> ec.EllipticCurvePublicKey:
+        """The public half."""
+        ...
+
+    def sign(self, message: bytes) -> bytes:
+        """ES256 over `message`: 64 bytes, r || s (RFC 9053 section 2.1)."""
+        ...
+
+
+class KeySigner:
+    """A `Signer` over a P-256 key held in this process."""
+
+    __slots__ = ("_key",)
+
+    def __init__(self, key: ec.EllipticCurvePrivateKey) -> None:
+        self._key = key
+
+    @property
+    def public_key(self) -> ec.EllipticCurvePublicKey:
+        """The public half."""
+        return self._key.public_key()
+
+    def sign(self, message: bytes) -> bytes:
+        """ES256 over `message`: 64 bytes, r || s (RFC 9053 section 2.1)."""
+        r, s = decode_dss_signature(self._key.sign(message, ec.ECDSA(hashes.SHA256())))
+        return r.to_bytes(_COORDINATE) + s.to_bytes(_COORDINATE)
