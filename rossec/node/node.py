@@ -1,0 +1,261 @@
+"""A ROS node without ROS: topics over the secure channel, in asyncio.
+
+A shell that wires the parts together: the master session, the slave API, the TCPROS server, the
+publishers and subscribers, and the watch over their links. Judgement is elsewhere: `access` says
+who may do what, `topics` checks headers, `links` says what must end.
+"""
+
+import asyncio
+import logging
+import os
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Final, Self
+
+from ca.certificates import Identity
+from ca.errors import CAError, HintedError
+from ca.revocation import Revocations
+from grants import layout
+from grants.errors import GrantError
+from rossec.errors import ConfigurationError, NodeShutdown, RossecError, TopicRefused
+from rossec.home import NodeHome, rossec_home
+from rossec.net.rpc import RpcClient, serve_calls
+from rossec.net.stream import Opening, SecureServer, SecureStream, connect, serve
+from rossec.net.tasks import Tasks
+from rossec.node.access import Access
+from rossec.node.messages import message_type
+from rossec.node.publisher import Publisher
+from rossec.node.session import MasterSession
+from rossec.node.slave import SlaveApi
+from rossec.node.subscriber import Subscriber
+from rossec.node.topics import (
+    Endpoint,
+    admit_subscriber,
+    check_type,
+    publisher_header,
+    requested_topic,
+)
+from rossec.ros import header, settings
+
+HEADER_DEADLINE: Final = 5.0
+_WATCH: Final = 1.0  # seconds between looks at staleness; expiries are met to the second
+
+_log = logging.getLogger("rossec.node")
+
+
+class Node:
+    """One node: `async with Node("/camera") as node: ...`.
+
+    Args:
+        name: the node's name; `__name:=` and `__ns:=` in `argv` change it as in ROS.
+        argv: ROS arguments of the program (remappings and the like), without its path.
+        environ: where ROS_MASTER_URI, ROS_IP and so on, and ROSSEC_HOME are read from.
+        home: the node's directory, when it is not the one below ROSSEC_HOME.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        *,
+        argv: Sequence[str] = (),
+        environ: Mapping[str, str] = os.environ,
+        home: Path | None = None,
+    ) -> None:
+        self.settings = settings.read(argv, environ, default_name=name)
+        self.name = self.settings.name
+        self.home = NodeHome(home) if home else NodeHome.of(rossec_home(environ), self.name)
+        self.anchor = self.home.anchor()
+        self.credentials = self.home.credentials()
+        self.revocations = self._load_revocations()
+        self.access = Access(self.anchor, self.revocations, self.home.grants())
+        self._publishers: dict[str, Publisher] = {}
+        self._subscribers: dict[str, list[Subscriber]] = {}
+        self._tasks = Tasks(on_crash=self._crashed)
+        self._session = MasterSession(
+            self.name, self._dial_master, self.revocations_arrived, self._restore
+        )
+        self._servers: list[SecureServer] = []
+        self._host = ""
+        self._ended: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+
+    async def __aenter__(self) -> Self:
+        try:
+            await self._start()
+        except BaseException:
+            await self.close()
+            raise
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        await self.close()
+
+    async def publisher(
+        self, topic: str, type_name: str, *, latch: bool = False, queue_size: int = 10
+    ) -> Publisher:
+        """Publish messages of `type_name` on `topic`.
+
+        Raises:
+            MessageError, RossecError: unknown type, a second publisher of the topic, or the
+                master refuses.
+        """
+        endpoint = Endpoint(self.settings.resolve(topic), message_type(type_name))
+        if endpoint.topic in self._publishers:
+            raise ConfigurationError(f"{endpoint.topic} is published by this node already")
+        shape = layout.parse(type_name, endpoint.type.definition)
+        publisher = Publisher(endpoint, shape, latch=latch, queue_size=queue_size)
+        await self._register_publisher(self._session, publisher)
+        self._publishers[endpoint.topic] = publisher
+        return publisher
+
+    async def subscriber(
+        self, topic: str, type_name: str, *, queue_size: int = 10
+    ) -> Subscriber:
+        """Receive messages of `type_name` on `topic`: `async for message in subscriber`.
+
+        Raises:
+            MessageError, RossecError: unknown type, or the master refuses.
+        """
+        endpoint = Endpoint(self.settings.resolve(topic), message_type(type_name))
+        subscriber = Subscriber(
+            self.name, endpoint, self.access, self._dial_topic, queue_size=queue_size
+        )
+        await self._register_subscriber(self._session, subscriber)
+        self._subscribers.setdefault(endpoint.topic, []).append(subscriber)
+        return subscriber
+
+    async def wait_ended(self) -> None:
+        """Wait until the node ends by itself.
+
+        Raises:
+            NodeShutdown: the master ended it.
+        """
+        await asyncio.shield(self._ended)
+
+    async def close(self) -> None:
+        """Unregister, cut every connection, stop every task. Safe to call twice."""
+        await self._unregister()
+        await self._tasks.close()
+        for subscriber in self._all_subscribers():
+            await subscriber.close()
+        for server in self._servers:
+            await server.close()
+        await self._session.close()
+        self._ended.cancel()
+
+    # --- what the slave API reports (SlaveEvents) ---
+
+    def publishers_changed(self, topic: str, uris: list[str]) -> None:
+        """Follow the master's list of publishers."""
+        for subscriber in self._subscribers.get(topic, []):
+            subscriber.update([uri for uri in uris if uri != self.uri])
+
+    def revocations_arrived(self, revocations: bytes, timestamp: bytes) -> None:
+        """Take over a newer list and a fresh timestamp, then cut what they end."""
+        now = int(time.time())
+        self.revocations.update(revocations, now)
+        self.revocations.confirm(timestamp, now)
+        for link in self._links():
+            try:
+                for entry in (link.thumbprint, *link.decision.grant_ids):
+                    self.revocations.check(entry, now)
+            except CAError as error:
+                link.stream.abort(str(error))
+
+    def shutdown_requested(self, reason: str) -> None:
+        """End the node: another one took its name, or an administrator wants it so."""
+        if not self._ended.done():
+            self._ended.set_exception(NodeShutdown(f"the master ended this node: {reason}"))
+
+    def topic_endpoint(self) -> tuple[str, int]:
+        """Where TCPROS connections are accepted."""
+        return self._host, self._servers[1].port
+
+    def describe(self) -> dict[str, object]:
+        """What the informational slave methods tell the master."""
+        publications = [[item.topic, item.endpoint.type.name] for item in self._publishers.values()]
+        subscriptions = [[item.topic, item.endpoint.type.name] for item in self._all_subscribers()]
+        return {
+            "getMasterUri": self.settings.master_uri,
+            "getPid": os.getpid(),
+            "getBusStats": [[], [], []],
+            "getBusInfo": [],
+            "getSubscriptions": subscriptions,
+            "getPublications": publications,
+        }
+
+    @property
+    def uri(self) -> str:
+        """This node's API URI, as registered with the master."""
+        return _uri(self._host, self._servers[0].port)
+
+    # --- start ---
+
+    async def _start(self) -> None:
+        stream = await self._session.open()
+        self._host = self.settings.address or stream.local_host
+        bind = self._host if _is_loopback(self._host) else None
+        for handler in (self._serve_slave, self._serve_topic):
+            server = await serve(
+                handler, bind, 0, credentials=self.credentials, verify=self.anchor.verify
+            )
+            self._servers.append(server)
+        self._tasks.spawn(self._session.keep(), f"{self.name} master session")
+        self._tasks.spawn(self._watch(), f"{self.name} watch")
+
+    def _load_revocations(self) -> Revocations:
+        revocations = Revocations(self.anchor.public_key, persist=self.home.save_revocations)
+        saved = self.home.load_revocations()
+        if saved is not None:
+            revocations.restore(saved)
+        return revocations
+
+    async def _restore(self, session: MasterSession) -> None:
+        await session.call("rossec.presentGrants", self.access.held)
+        for publisher in self._publishers.values():
+            await self._register_publisher(session, publisher)
+        for subscriber in self._all_subscribers():
+            await self._register_subscriber(session, subscriber)
+
+    async def _register_publisher(self, session: MasterSession, publisher: Publisher) -> None:
+        endpoint = publisher.endpoint
+        await session.call("registerPublisher", endpoint.topic, endpoint.type.name, self.uri)
+
+    async def _register_subscriber(self, session: MasterSession, subscriber: Subscriber) -> None:
+        endpoint = subscriber.endpoint
+        uris = await session.call(
+            "registerSubscriber", endpoint.topic, endpoint.type.name, self.uri
+        )
+        if isinstance(uris, list):
+            subscriber.update([uri for uri in uris if isinstance(uri, str) and uri != self.uri])
+
+    async def _unregister(self) -> None:
+        try:
+            for topic in self._publishers:
+                await self._session.call("unregisterPublisher", topic, self.uri)
+            for topic in self._subscribers:
+                await self._session.call("unregisterSubscriber", topic, self.uri)
+        except (HintedError, OSError) as error:
+            _log.info("%s: left without unregistering: %s", self.name, error)
+
+    # --- connections of others ---
+
+    async def _serve_slave(self, stream: SecureStream[Identity]) -> None:
+        self.revocations.check(stream.peer.thumbprint, int(time.time()))
+        await serve_calls(stream, SlaveApi(self))
+
+    async def _serve_topic(self, stream: SecureStream[Identity]) -> None:
+        try:
+            async with asyncio.timeout(HEADER_DEADLINE):
+                fields = header.decode(await _first_frame(stream))
+            publisher, decision = self._admit(fields, stream.peer)
+        except (GrantError, CAError, RossecError) as error:
+            _log.warning("refused %s: %s", stream.peer.name, error)
+            await stream.send(header.error_header(f"rossec: {error}"))
+            await stream.close()
+            return
+        answer = publisher_header(
+            self.name, publisher.endpoint, self.access, latching=publisher.latch
+        )
+        await stream.send(header.encode(answer))
+        await publisher.serve(stream, decision)
