@@ -29,3 +29,7 @@ class CallerMismatch(TopicRefused):
 
 class NodeShutdown(RossecError):
     """The node is closed, or the master told it to shut down."""
+
+
+class NotDelivered(RossecError):
+    """Done here, but the master could not be told."""

@@ -5,18 +5,20 @@ one's own is added from its `.msg` text. ROS 2's spelling (`pkg/msg/Type`), whic
 inside, never leaves this module.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from dataclasses import fields as fields_of
 from functools import cache
 from typing import Any, Final
 
 import numpy as np
 from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-from rosbags.typesys.msg import TypesysError
+from rosbags.typesys.base import TypesysError
 from rosbags.typesys.store import Typestore
 
 from rossec.errors import MessageError
+
+_CHECK_TEXT: Final = "check the text of the .msg file, and register the types it uses first"
 
 Message = Any  # a dataclass made by rosbags; its fields are those of the definition
 
@@ -37,8 +39,8 @@ class MessageType:
         """
         message = _zero(_inner(self.name))
         for field, value in fields.items():
-            if not hasattr(message, field):
-                known = ", ".join(field.name for field in fields_of(message))
+            if field not in _field_names(_inner(self.name)):
+                known = ", ".join(_field_names(_inner(self.name)))
                 raise MessageError(f"no field {field!r} in {self.name}", f"it has {known}")
             setattr(message, field, value)
         return message
@@ -57,7 +59,7 @@ class MessageType:
             ) from error
         return data
 
-    def deserialize(self, data: bytes | bytearray | memoryview) -> Message:
+    def deserialize(self, data: bytes | memoryview) -> Message:
         """Message from its ROS 1 wire bytes.
 
         Raises:
@@ -93,10 +95,27 @@ def register_type(name: str, definition: str) -> MessageType:
         MessageError: text that is no message definition, or a name already taken by another one.
     """
     try:
-        _store().register(get_types_from_msg(definition, _inner(name)))
+        types = get_types_from_msg(definition, _inner(name))
+        _check_nested(name, types)
+        _store().register(types)
     except TypesysError as error:
-        raise MessageError(f"cannot register {name}: {error}", "check the text of the .msg file") from error
+        raise MessageError(f"cannot register {name}: {error}", _CHECK_TEXT) from error
     return message_type(name)
+
+
+def _check_nested(name: str, types: Mapping[str, Any]) -> None:
+    """Refuse before anything is registered: a type with an unknown part would be half made."""
+    for _, fields in types.values():
+        for kind in (kind for _, kind in fields):
+            while kind[0] in (Nodetype.ARRAY, Nodetype.SEQUENCE):
+                kind = kind[1][0]  # noqa: PLW2901 - walk down to the element
+            if kind[0] is Nodetype.NAME and kind[1] not in _store().fielddefs.keys() | types.keys():
+                unknown = kind[1].replace("/msg/", "/")
+                raise MessageError(f"cannot register {name}: unknown type {unknown}", _CHECK_TEXT)
+
+
+def _field_names(inner: str) -> list[str]:
+    return [name for name, _ in _store().fielddefs[inner][1]]
 
 
 @cache
@@ -117,7 +136,8 @@ _NUMPY: Final = {"octet": "uint8", "byte": "int8", "char": "uint8"}
 
 def _zero(inner: str) -> Message:
     _, fields = _store().fielddefs[inner]
-    return _store().types[inner](**{name: _zero_field(kind) for name, kind in fields})
+    values: dict[str, Any] = {name: _zero_field(kind) for name, kind in fields}
+    return _store().types[inner](**values)
 
 
 def _zero_field(kind: Any) -> object:

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Final, Protocol
 
 from ca.certificates import Identity
+from ca.errors import HintedError
 
 Answer = list[object]
 MASTER: Final = "/master"
@@ -74,7 +75,10 @@ class SlaveApi:
             return [_ERROR, "Error: bad call arity or types", entry.default]
         if params[0] != peer.name:
             return [_ERROR, f"rossec: caller_id is not {peer.name}", entry.default]
-        return entry.run(*params[1:])
+        try:
+            return entry.run(*params[1:])
+        except HintedError as error:
+            return [_ERROR, f"rossec: {error}", entry.default]
 
     def _publisher_update(self, topic: str, uris: list[object]) -> Answer:
         self._events.publishers_changed(topic, [uri for uri in uris if isinstance(uri, str)])
