@@ -74,3 +74,57 @@ class AnswerRefused(RossecError):
 
 class SettingsRefused(RossecError):
     """The command line or the environment of this program says something that cannot be meant."""
+class ChannelError(RossecError):
+    """The secure connection cannot be made, or has ended."""
+
+
+class ChannelClosed(ChannelError):
+    """The connection was closed in order, by this side or by the peer's authenticated close."""
+
+
+class PeerUnreachable(ChannelError):
+    """No TCP connection could be made to the peer."""
+
+
+class HandshakeFailed(ChannelError):
+    """The peer's handshake is malformed, or its proof does not hold."""
+
+
+class HandshakeTimeout(HandshakeFailed):
+    """The peer did not finish the handshake in time."""
+
+
+class IdentityRefused(HandshakeFailed):
+    """The peer speaks the protocol, but its certificate was not accepted."""
+
+
+class PeerRefused(ChannelError):
+    """The peer ended the handshake with an error. Unauthenticated, so only a hint."""
+
+
+class PlainPeer(ChannelError):
+    """The peer speaks ROS, but not through rossec."""
+
+
+class ProtocolViolation(ChannelError):
+    """A frame or message which the state machine does not allow here."""
+
+
+class RecordForged(ChannelError):
+    """A record did not verify: altered, replayed, reordered or left out."""
+
+
+class ConnectionTruncated(ChannelError):
+    """The connection ended without the peer's authenticated close."""
+
+
+class LimitExceeded(ChannelError):
+    """A size, rate or lifetime limit of the channel was reached."""
+
+
+class IdentityExpired(LimitExceeded):
+    """The peer's certificate ran out while the connection was open."""
+
+
+class SendQueueFull(LimitExceeded):
+    """The peer reads slower than this side queues; nothing was queued."""

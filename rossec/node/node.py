@@ -22,7 +22,7 @@ from rossec.errors import ConfigurationError, NodeShutdown, RossecError, TopicRe
 from rossec.home import NodeHome, rossec_home
 from rossec.net.rpc import RpcClient, serve_calls
 from rossec.net.stream import Opening, SecureServer, SecureStream, connect, serve
-from rossec.net.tasks import Tasks
+from rossec.net.tasks import TaskSet
 from rossec.node.access import Access
 from rossec.node.messages import message_type
 from rossec.node.publisher import Publisher
@@ -71,7 +71,7 @@ class Node:
         self.access = Access(self.anchor, self.revocations, self.home.grants())
         self._publishers: dict[str, Publisher] = {}
         self._subscribers: dict[str, list[Subscriber]] = {}
-        self._tasks = Tasks(on_crash=self._crashed)
+        self._tasks = TaskSet(on_crash=self._crashed)
         self._session = MasterSession(
             self.name, self._dial_master, self.revocations_arrived, self._restore
         )

@@ -2,11 +2,11 @@ import asyncio
 
 import pytest
 
-from rossec.net.tasks import Tasks
+from rossec.net.tasks import TaskSet
 
 
 async def test_close_ends_every_task() -> None:
-    tasks = Tasks()
+    tasks = TaskSet()
     running = [tasks.spawn(asyncio.sleep(60), f"sleeper {i}") for i in range(3)]
     await asyncio.sleep(0)
     await tasks.close()
@@ -15,7 +15,7 @@ async def test_close_ends_every_task() -> None:
 
 async def test_a_crash_is_logged_and_reported(caplog: pytest.LogCaptureFixture) -> None:
     crashes: list[BaseException] = []
-    tasks = Tasks(on_crash=crashes.append)
+    tasks = TaskSet(on_crash=crashes.append)
 
     async def crash() -> None:
         raise ValueError("boom")
@@ -28,14 +28,14 @@ async def test_a_crash_is_logged_and_reported(caplog: pytest.LogCaptureFixture) 
 
 
 async def test_a_task_may_close_its_owner() -> None:
-    tasks = Tasks()
+    tasks = TaskSet()
     other = tasks.spawn(asyncio.sleep(60), "other")
     await tasks.spawn(tasks.close(), "closer")
     assert other.cancelled()
 
 
 async def test_ends_are_silent_without_a_listener(caplog: pytest.LogCaptureFixture) -> None:
-    tasks = Tasks()
+    tasks = TaskSet()
     await tasks.spawn(asyncio.sleep(0), "quick")
     await tasks.close()
     assert not caplog.text
