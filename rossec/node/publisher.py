@@ -20,7 +20,6 @@ from grants.guard import Guard
 from grants.layout import Layout
 from rossec.errors import RossecError
 from rossec.net.stream import SecureStream
-from rossec.node.links import Links
 from rossec.node.messages import Message
 from rossec.node.topics import Endpoint
 
@@ -46,7 +45,6 @@ class SubscriberLink:
         self.stream = stream
         self.decision = decision
         self.guard = guard
-        self.thumbprint = stream.peer.thumbprint
         self.ends = min(decision.expires, stream.peer.not_after)
         self.withheld = 0
         self.dropped = 0
@@ -96,7 +94,7 @@ class Publisher:
     ) -> None:
         self.endpoint = endpoint
         self.latch = latch
-        self.links: Links[SubscriberLink] = Links()
+        self.links: set[SubscriberLink] = set()
         self._layout = layout
         self._queue_size = queue_size
         self._latched: memoryview | None = None
@@ -126,7 +124,7 @@ class Publisher:
             self._latched = view
         treated: dict[Hashable, Pieces | None] = {}
         now = time.time()
-        for link in self.links:
+        for link in tuple(self.links):
             if link.ends <= now:  # its timer is about to cut it
                 continue
             key = link.guard.key
