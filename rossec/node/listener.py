@@ -12,7 +12,7 @@ from typing import Final
 
 from ca.certificates import Identity, TrustAnchor
 from ca.errors import HintedError
-from grants.decision import Decision
+from grants.guard import Guard
 from rossec.channel.credentials import Credentials
 from rossec.errors import TopicRefused
 from rossec.net.rpc import serve_calls
@@ -83,7 +83,10 @@ class Listener:
         try:
             async with asyncio.timeout(HEADER_DEADLINE):
                 fields = header.decode(await first_frame(stream))
-            publisher, decision = self._admit(fields, stream.peer)
+            publisher, guard = self._admit(fields, stream.peer)
+        except TimeoutError:
+            _log.info("%s sent no connection header", stream.peer.name)
+            return
         except HintedError as error:
             _log.warning("refused %s: %s (%s)", stream.peer.name, error, error.hint)
             await stream.send(header.error_header(f"rossec: {error}"))
@@ -92,15 +95,15 @@ class Listener:
             self._name, publisher.endpoint, self._access, latching=publisher.latch
         )
         await stream.send(header.encode(answer))
-        await publisher.serve(stream, decision)
+        await publisher.serve(stream, guard)
 
-    def _admit(self, fields: Mapping[str, bytes], peer: Identity) -> tuple[Publisher, Decision]:
+    def _admit(self, fields: Mapping[str, bytes], peer: Identity) -> tuple[Publisher, Guard]:
         decision = admit_subscriber(fields, peer, self._access, int(time.time()))
         publisher = self._publishers.get(requested_topic(fields))
         if publisher is None:
             raise TopicRefused(f"{self._name} does not publish {requested_topic(fields)}")
         check_type(fields, publisher.endpoint)
-        return publisher, decision
+        return publisher, publisher.guard(decision)
 
 
 async def first_frame(stream: SecureStream[Identity]) -> bytes:

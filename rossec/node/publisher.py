@@ -38,14 +38,13 @@ class SubscriberLink:
     def __init__(
         self,
         stream: SecureStream[Identity],
-        decision: Decision,
         guard: Guard,
         queue_size: int,
     ) -> None:
         self.stream = stream
-        self.decision = decision
         self.guard = guard
-        self.ends = min(decision.expires, stream.peer.not_after)
+        self.decision = guard.decision
+        self.ends = min(guard.decision.expires, stream.peer.not_after)
         self.withheld = 0
         self.dropped = 0
         self._queue: deque[Pieces] = deque()
@@ -142,13 +141,17 @@ class Publisher:
             self._changed.clear()
             await self._changed.wait()
 
-    async def serve(self, stream: SecureStream[Identity], decision: Decision) -> None:
-        """Feed one admitted subscriber until its stream ends.
+    def guard(self, decision: Decision) -> Guard:
+        """What `decision` means for the messages of this topic.
 
         Raises:
-            GrantError: its grant was written for another message type.
+            GrantError: its restrictions were written for another message type.
         """
-        link = SubscriberLink(stream, decision, Guard(self._layout, decision), self._queue_size)
+        return Guard(self._layout, decision)
+
+    async def serve(self, stream: SecureStream[Identity], guard: Guard) -> None:
+        """Feed one admitted subscriber until its stream ends."""
+        link = SubscriberLink(stream, guard, self._queue_size)
         self.links.add(link)
         self._changed.set()
         try:
