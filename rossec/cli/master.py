@@ -7,7 +7,7 @@ import click
 
 from rossec.cli.context import Environment, pass_environment
 from rossec.cli.voice import say, say_json
-from rossec.home import AuthorityHome, NodeHome
+from rossec.home import NodeHome
 from rossec.master.server import MasterServer
 from rossec.node.slave import MASTER
 from rossec.ros import settings
