@@ -175,7 +175,7 @@ class Publisher:
 
     def _treat(self, link: SubscriberLink, message: memoryview, now: int) -> Pieces | None:
         try:
-            return link.guard(message, now)
+            return link.guard.treat(message, now)
         except GrantError as error:
             _log.warning("%s: withheld from %s: %s", self.topic, link.stream.peer.name, error)
             return None
