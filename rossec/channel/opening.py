@@ -31,9 +31,9 @@ _METHODS: Final = (b"GET ", b"POST", b"HEAD", b"PUT ", b"OPTI")
 
 REFUSAL: Final = (
     "rossec: this node accepts only connections secured by rossec; "
-    "start your program with `rossec run`"
+    "enroll your program as a node (see the README of rossec)"
 )
-_HINT_PLAIN: Final = "start the peer with `rossec run`, or call `rossec.secure()` in it"
+_HINT_PLAIN: Final = "the peer is a plain ROS node: give it an identity, or use another address"
 
 
 class Flavour(Enum):

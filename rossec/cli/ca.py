@@ -13,7 +13,7 @@ from rossec.cli.context import Duration, Environment, confirm, moment, now, pass
 from rossec.cli.publish import deliver
 from rossec.cli.voice import printable, say, say_json
 from rossec.errors import ConfigurationError
-from rossec.home import AuthorityHome
+from rossec.authority import AuthorityHome, fingerprint
 
 _MAX_REQUEST = 16 * 1024
 
@@ -32,7 +32,7 @@ def init(environment: Environment, domain: str, passphrase_file: Path | None) ->
     secret = passphrase.choose(passphrase_file, environment.variables)
     home = AuthorityHome.create(environment.home, domain, secret, now())
     say(f"authority of {domain} in {home.path}")
-    say(f"fingerprint {home.fingerprint()}")
+    say(f"fingerprint {fingerprint(home.anchor())}")
 
 
 @ca.command()
@@ -82,10 +82,10 @@ def show(environment: Environment, as_json: bool) -> None:
     rows = home.store().certificates()
     if as_json:
         nodes = [{"name": row.name, "expires": row.not_after, "key": row.thumbprint.hex()} for row in rows]
-        say_json({"domain": home.domain, "fingerprint": home.fingerprint(), "identities": nodes})
+        say_json({"domain": home.domain, "fingerprint": fingerprint(home.anchor()), "identities": nodes})
         return
     say(f"authority of {home.domain} in {home.path}")
-    say(f"fingerprint {home.fingerprint()}")
+    say(f"fingerprint {fingerprint(home.anchor())}")
     for row in rows:
         say(f"{row.name}  until {moment(row.not_after)}  key {row.thumbprint.hex()[:16]}")
 

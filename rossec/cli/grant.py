@@ -16,7 +16,8 @@ from rossec.cli.context import Duration, Environment, confirm, moment, now, pass
 from rossec.cli.publish import deliver
 from rossec.cli.voice import note, say, say_json
 from rossec.errors import ConfigurationError
-from rossec.home import AuthorityHome, NodeHome
+from rossec.authority import AuthorityHome
+from rossec.home import NodeHome
 from rossec.node.messages import message_type
 
 
@@ -59,7 +60,7 @@ def sign(  # noqa: PLR0917 - one parameter per option of the command
     restriction = _restriction(type_name, clear, rounds, when)
     permissions = _permissions(publish, subscribe, graph, restriction)
     home = AuthorityHome.at(environment.home)
-    holder = home.holder(node)
+    holder = home.store().live_certificate(node, now()).thumbprint
     authority = home.unlock(passphrase.read(passphrase_file, environment.variables))
     begin = now()
     draft = Draft(
@@ -112,7 +113,7 @@ def install(environment: Environment, file: Path) -> None:
     content = document.peek(data)
     home = NodeHome.of(environment.home, content.subject)
     document.open_grant(data, home.anchor().public_key, now())
-    home.add_grant(data)
+    home.add_grant(document.grant_id(data), data)
     say(f"{content.subject} holds grant {content.id.hex()}")
 
 
@@ -197,7 +198,7 @@ def _hand_over(environment: Environment, node: str, data: bytes, out: Path | Non
         say(f"written to {out}")
     home = NodeHome.of(environment.home, node)
     if home.path.is_dir():
-        home.add_grant(data)
+        home.add_grant(document.grant_id(data), data)
         say(f"given to {node} in {home.path}")
     elif out is None:
         note(f"{node} lives elsewhere: sign again with --out FILE, then `rossec grant install FILE` there")

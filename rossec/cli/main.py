@@ -1,46 +1,30 @@
 """The `rossec` command: nouns with verbs. Every refusal leaves as error and hint, never a traceback."""
 
 import logging
+import os
 import sys
+from collections.abc import Mapping, Sequence
 from importlib.metadata import version
-from typing import Annotated
+from typing import NoReturn
 
 import click
-import typer
 
 from ca.errors import HintedError
-from rossec.cli import ca, demo, grant, master, node, topic
-from rossec.cli.voice import INTERRUPTED, REFUSED, USAGE, fail, say
-
-app = typer.Typer(
-    name="rossec",
-    help="Security and access grants for ROS 1.",
-    no_args_is_help=True,
-    add_completion=False,
-    pretty_exceptions_enable=False,
-    rich_markup_mode=None,
-)
-app.add_typer(ca.app, name="ca")
-app.add_typer(node.app, name="node")
-app.add_typer(grant.app, name="grant")
-app.add_typer(topic.app, name="topic")
-app.command("master")(master.run)
-app.command("demo")(demo.run)
+from rossec.cli.ca import ca
+from rossec.cli.context import Environment
+from rossec.cli.demo import demo
+from rossec.cli.grant import grant
+from rossec.cli.master import master
+from rossec.cli.node import node
+from rossec.cli.topic import topic
+from rossec.cli.voice import INTERRUPTED, REFUSED, UNDELIVERED, USAGE, fail
+from rossec.errors import NotDelivered
 
 
-def _version(wanted: bool) -> None:
-    if wanted:
-        say(f"rossec {version('rossec')}")
-        raise typer.Exit
-
-
-@app.callback()
-def options(
-    _version: Annotated[
-        bool, typer.Option("--version", callback=_version, is_eager=True, help="show the version")
-    ] = False,
-    verbose: Annotated[bool, typer.Option("--verbose", "-v", help="log what happens")] = False,
-) -> None:
+@click.group(context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(version("rossec"), prog_name="rossec", message="%(prog)s %(version)s")
+@click.option("--verbose", "-v", is_flag=True, help="log what happens")
+def rossec(verbose: bool) -> None:
     """Security and access grants for ROS 1."""
     logging.basicConfig(
         level=logging.INFO if verbose else logging.WARNING,
@@ -49,18 +33,27 @@ def options(
     )
 
 
-def main() -> None:
-    """Entry point: run the command and turn every refusal into an exit code."""
-    sys.exit(run(sys.argv[1:]))
+for command in (ca, node, grant, master, topic, demo):
+    rossec.add_command(command)
 
 
-def run(arguments: list[str]) -> int:
-    """Run one command line and return its exit code."""
+def main() -> NoReturn:
+    """Entry point of the `rossec` program."""
+    sys.exit(run(sys.argv[1:], os.environ))
+
+
+def run(arguments: Sequence[str], environ: Mapping[str, str]) -> int:
+    """Run one command line and return its exit code (see `rossec.cli.voice`)."""
     try:
-        result = app(arguments, prog_name="rossec", standalone_mode=False)
+        rossec.main(
+            list(arguments), prog_name="rossec", standalone_mode=False, obj=Environment(environ)
+        )
     except HintedError as error:
         fail(str(error), error.hint)
-        return REFUSED
+        return UNDELIVERED if isinstance(error, NotDelivered) else REFUSED
+    except click.exceptions.NoArgsIsHelpError as error:
+        click.echo(error.format_message())
+        return USAGE
     except click.UsageError as error:
         fail(_plain(error.format_message()), _usage_hint(error))
         return USAGE
@@ -69,16 +62,15 @@ def run(arguments: list[str]) -> int:
         return REFUSED
     except (KeyboardInterrupt, click.Abort, EOFError):
         return INTERRUPTED
-    except BrokenPipeError:
-        return REFUSED
     except OSError as error:
         fail(f"{error.filename or 'the system'}: {(error.strerror or str(error)).lower()}")
         return REFUSED
-    return result if isinstance(result, int) else 0
+    return 0
 
 
 def _plain(message: str) -> str:
-    return (message[:1].lower() + message[1:]).rstrip(".")
+    first = message.splitlines()[0]
+    return (first[:1].lower() + first[1:]).rstrip(".")
 
 
 def _usage_hint(error: click.UsageError) -> str:

@@ -7,6 +7,7 @@ import click
 from ca import qr
 from rossec.cli.context import Environment, confirm, moment, now, pass_environment
 from rossec.cli.voice import say
+from rossec.authority import fingerprint
 from rossec.home import NodeHome
 
 _MAX_BUNDLE = 64 * 1024
@@ -24,9 +25,9 @@ def node() -> None:
 def request(environment: Environment, name: str, domain: str) -> None:
     """Make the key of the node NAME and a request for its identity. The key stays here."""
     home = NodeHome.of(environment.home, name)
-    home.create_request(domain, name)
+    made = home.create_request(domain)
     say(f"request of {name}: {home.request_path}")
-    say(f"key {home.request().thumbprint.hex()}")
+    say(f"key {made.thumbprint.hex()}")
     say(f"next, at the authority: rossec ca sign {home.request_path}")
 
 
@@ -37,7 +38,7 @@ def request(environment: Environment, name: str, domain: str) -> None:
 @pass_environment
 def code(environment: Environment, name: str, text: bool, svg: Path | None) -> None:
     """Show the QR code of NAME's request, for the authority to scan."""
-    payload = qr.label_code(NodeHome.of(environment.home, name).request_bytes())
+    payload = qr.label_code(NodeHome.of(environment.home, name).request())
     if svg is not None:
         svg.write_bytes(qr.svg(payload))
     if not text:
@@ -53,11 +54,11 @@ def install(environment: Environment, bundle: Path, yes: bool) -> None:
     """Install the signed identity in BUNDLE, and trust the authority that signed it."""
     with bundle.open("rb") as stream:
         data = stream.read(_MAX_BUNDLE)
-    home, offered = NodeHome.for_bundle(environment.home, data, now())
-    say(f"authority of {offered.domain}, fingerprint {offered.fingerprint}")
+    home, anchor = NodeHome.for_bundle(environment.home, data, now())
+    say(f"authority of {anchor.domain}, fingerprint {fingerprint(anchor)}")
     confirm("does the authority show the same fingerprint (rossec ca show)?", yes=yes)
     home.install(data, now())
-    say(f"{offered.name} is enrolled in {offered.domain}")
+    say(f"{home.name} is enrolled in {anchor.domain}")
 
 
 @node.command()

@@ -14,7 +14,8 @@ from typing import Final
 
 from rossec.demo.robot import CAMERA, FRAME, POSE, SCAN
 from rossec.demo.stage import Actor, DemoFailed, Report, Stage
-from rossec.home import NodeHome, write_secret
+from rossec.files import create
+from rossec.home import NodeHome
 
 COARSE: Final = 2.0
 NODES: Final = ("/master", "/robot", "/doctor", "/heating")
@@ -49,7 +50,7 @@ async def tell(stage: Stage) -> None:
 
 async def found_authority(stage: Stage) -> None:
     """A passphrase in a file stands for the one a person would type."""
-    write_secret(stage.root / "passphrase", secrets.token_urlsafe(18).encode())
+    create(stage.root / "passphrase", secrets.token_urlsafe(18).encode())
     await stage.command("ca", "init", "home", *_passphrase(stage))
 
 
@@ -119,7 +120,7 @@ async def knock(stage: Stage, door: int) -> None:
     """The stranger takes the doctor's very name, certified by an authority of its own."""
     other = Stage(stage.root / "stranger", stage.narrator, {})
     other.root.mkdir(mode=0o700)
-    write_secret(other.root / "passphrase", secrets.token_urlsafe(18).encode())
+    create(other.root / "passphrase", secrets.token_urlsafe(18).encode())
     quiet = {"quiet": True}
     await other.command("ca", "init", "home", *_passphrase(other), **quiet)
     await other.command("node", "request", "/doctor", "--domain", "home", **quiet)

@@ -58,6 +58,7 @@ class Driver(asyncio.BufferedProtocol, Generic[PeerT]):
         self.authenticated = False
         self.error: ChannelError | None = None
         self.address = ""
+        self.local_address = ""
 
     # -- called by the loop
 
@@ -69,9 +70,11 @@ class Driver(asyncio.BufferedProtocol, Generic[PeerT]):
         self._arm()
 
     def learn_address(self, transport: asyncio.BaseTransport) -> None:
-        """Note the peer's IP address."""
+        """Note the IP addresses of both ends."""
         peername = transport.get_extra_info("peername")
         self.address = peername[0] if peername else ""
+        sockname = transport.get_extra_info("sockname")
+        self.local_address = sockname[0] if sockname else ""
 
     def refuse(self, transport: asyncio.BaseTransport) -> None:
         """Drop a connection before anything was spent on it."""

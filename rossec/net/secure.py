@@ -37,6 +37,11 @@ class SecureStream(Generic[PeerT]):
         return self._driver.address
 
     @property
+    def local_address(self) -> str:
+        """This side's IP address, as the peer sees it unless there is NAT between."""
+        return self._driver.local_address
+
+    @property
     def opening(self) -> Flavour:
         """How the connection introduced itself: TCPROS or HTTP."""
         return self._driver.connection.flavour

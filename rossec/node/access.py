@@ -49,6 +49,10 @@ class Access:
         """Header field that proves `right` on `name`: the CBOR array of the grants that cover it."""
         return encode([data for grant, data in self._held if _concerns(grant, right, name)])
 
+    def check_peer(self, peer: Identity, now: int) -> None:
+        """Raise a `CAError` when the identity of `peer` is revoked, or that is not known."""
+        self._revocations.check(peer.thumbprint, now)
+
     def authorize(
         self, peer: Identity, presented: bytes | None, right: Right, name: str, now: int
     ) -> Decision:
@@ -58,7 +62,7 @@ class Access:
             GrantError: the leaf that says what is missing or wrong.
             CAError: the peer or one of its grants is revoked, or revocations are stale.
         """
-        self._revocations.check(peer.thumbprint, now)
+        self.check_peer(peer, now)
         if presented is None:
             raise GrantMissing(
                 f"{peer.name} shows no grant to {_verb(right)} {name}",

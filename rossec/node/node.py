@@ -9,37 +9,32 @@ import asyncio
 import logging
 import os
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from types import TracebackType
 from typing import Final, Self
 
 from ca.certificates import Identity
 from ca.errors import CAError, HintedError
 from ca.revocation import Revocations
 from grants import layout
-from grants.errors import GrantError
-from rossec.errors import ConfigurationError, NodeShutdown, RossecError, TopicRefused
+from rossec.errors import ConfigurationError, NodeShutdown, TopicRefused
 from rossec.home import NodeHome, rossec_home
-from rossec.net.rpc import RpcClient, serve_calls
-from rossec.net.stream import Opening, SecureServer, SecureStream, connect, serve
+from rossec.net.rpc import RpcClient
+from rossec.net.stream import Flavour, SecureStream, connect
 from rossec.net.tasks import TaskSet
 from rossec.node.access import Access
+from rossec.node.links import Link, why_cut
+from rossec.node.listener import Listener
 from rossec.node.messages import message_type
 from rossec.node.publisher import Publisher
 from rossec.node.session import MasterSession
 from rossec.node.slave import SlaveApi
 from rossec.node.subscriber import Subscriber
-from rossec.node.topics import (
-    Endpoint,
-    admit_subscriber,
-    check_type,
-    publisher_header,
-    requested_topic,
-)
-from rossec.ros import header, settings
+from rossec.node.topics import Endpoint
+from rossec.ros import settings
 
-HEADER_DEADLINE: Final = 5.0
-_WATCH: Final = 1.0  # seconds between looks at staleness; expiries are met to the second
+_WATCH: Final = 1.0  # seconds between looks at what has expired or gone stale
 
 _log = logging.getLogger("rossec.node")
 
@@ -75,7 +70,9 @@ class Node:
         self._session = MasterSession(
             self.name, self._dial_master, self.revocations_arrived, self._restore
         )
-        self._servers: list[SecureServer] = []
+        self._listener = Listener(
+            self.name, self.credentials, self.anchor, self.access, self._publishers, SlaveApi(self)
+        )
         self._host = ""
         self._ended: asyncio.Future[None] = asyncio.get_running_loop().create_future()
 
@@ -87,7 +84,12 @@ class Node:
             raise
         return self
 
-    async def __aexit__(self, *_: object) -> None:
+    async def __aexit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
         await self.close()
 
     async def publisher(
@@ -138,8 +140,7 @@ class Node:
         await self._tasks.close()
         for subscriber in self._all_subscribers():
             await subscriber.close()
-        for server in self._servers:
-            await server.close()
+        await self._listener.close()
         await self._session.close()
         self._ended.cancel()
 
@@ -155,12 +156,7 @@ class Node:
         now = int(time.time())
         self.revocations.update(revocations, now)
         self.revocations.confirm(timestamp, now)
-        for link in self._links():
-            try:
-                for entry in (link.thumbprint, *link.decision.grant_ids):
-                    self.revocations.check(entry, now)
-            except CAError as error:
-                link.stream.abort(str(error))
+        self._cut(now)
 
     def shutdown_requested(self, reason: str) -> None:
         """End the node: another one took its name, or an administrator wants it so."""
@@ -169,7 +165,7 @@ class Node:
 
     def topic_endpoint(self) -> tuple[str, int]:
         """Where TCPROS connections are accepted."""
-        return self._host, self._servers[1].port
+        return self._host, self._listener.topic_port
 
     def describe(self) -> dict[str, object]:
         """What the informational slave methods tell the master."""
@@ -187,28 +183,40 @@ class Node:
     @property
     def uri(self) -> str:
         """This node's API URI, as registered with the master."""
-        return _uri(self._host, self._servers[0].port)
+        return _uri(self._host, self._listener.slave_port)
 
     # --- start ---
 
     async def _start(self) -> None:
         stream = await self._session.open()
-        self._host = self.settings.address or stream.local_host
-        bind = self._host if _is_loopback(self._host) else None
-        for handler in (self._serve_slave, self._serve_topic):
-            server = await serve(
-                handler, bind, 0, credentials=self.credentials, verify=self.anchor.verify
-            )
-            self._servers.append(server)
-        self._tasks.spawn(self._session.keep(), f"{self.name} master session")
-        self._tasks.spawn(self._watch(), f"{self.name} watch")
+        self._host = self.settings.address or stream.local_address
+        await self._listener.start(self._host)
+        self._tasks.spawn(self._session.keep(), f"{self.name}: master session")
+        self._tasks.spawn(self._watch(), f"{self.name}: watch")
 
-    def _load_revocations(self) -> Revocations:
-        revocations = Revocations(self.anchor.public_key, persist=self.home.save_revocations)
-        saved = self.home.load_revocations()
-        if saved is not None:
-            revocations.restore(saved)
-        return revocations
+    async def _dial_master(self) -> SecureStream[Identity]:
+        where = self.settings.master_host, self.settings.master_port
+        return await connect(
+            *where, self.credentials, self.anchor.verify, opening=Flavour.HTTP
+        )
+
+    async def _dial_topic(self, uri: str, topic: str) -> SecureStream[Identity]:
+        """Ask the node at `uri` where its topics are, then connect there."""
+        host, port = settings.parse_uri(uri, "a publisher's URI")
+        stream = await connect(
+            host, port, self.credentials, self.anchor.verify, opening=Flavour.HTTP
+        )
+        try:
+            answer = await RpcClient(stream).ask(
+                "requestTopic", self.name, topic, [["TCPROS"]]
+            )
+        finally:
+            await stream.close()
+        match answer:
+            case ["TCPROS", str() as host, int() as port]:
+                return await connect(host, port, self.credentials, self.anchor.verify)
+            case _:
+                raise TopicRefused(f"{stream.peer.name} offers no connection for {topic}")
 
     async def _restore(self, session: MasterSession) -> None:
         await session.call("rossec.presentGrants", self.access.held)
@@ -235,27 +243,42 @@ class Node:
                 await self._session.call("unregisterPublisher", topic, self.uri)
             for topic in self._subscribers:
                 await self._session.call("unregisterSubscriber", topic, self.uri)
-        except (HintedError, OSError) as error:
+        except (HintedError, OSError, TimeoutError) as error:
             _log.info("%s: left without unregistering: %s", self.name, error)
 
-    # --- connections of others ---
+    # --- what must end ---
 
-    async def _serve_slave(self, stream: SecureStream[Identity]) -> None:
-        self.revocations.check(stream.peer.thumbprint, int(time.time()))
-        await serve_calls(stream, SlaveApi(self))
+    def _links(self) -> Iterator[Link]:
+        for publisher in self._publishers.values():
+            yield from publisher.links
+        for subscriber in self._all_subscribers():
+            yield from subscriber.links
 
-    async def _serve_topic(self, stream: SecureStream[Identity]) -> None:
-        try:
-            async with asyncio.timeout(HEADER_DEADLINE):
-                fields = header.decode(await _first_frame(stream))
-            publisher, decision = self._admit(fields, stream.peer)
-        except (GrantError, CAError, RossecError) as error:
-            _log.warning("refused %s: %s", stream.peer.name, error)
-            await stream.send(header.error_header(f"rossec: {error}"))
-            await stream.close()
-            return
-        answer = publisher_header(
-            self.name, publisher.endpoint, self.access, latching=publisher.latch
-        )
-        await stream.send(header.encode(answer))
-        await publisher.serve(stream, decision)
+    def _all_subscribers(self) -> list[Subscriber]:
+        return [item for items in self._subscribers.values() for item in items]
+
+    async def _watch(self) -> None:
+        """Cut links when they expire, and all of them when revocations stay unknown."""
+        while True:
+            now = time.time()
+            soonest = min((link.ends for link in self._links()), default=now + _WATCH)
+            await asyncio.sleep(max(0.0, min(_WATCH, soonest - now)))
+            self._cut(int(time.time()))
+
+    def _cut(self, now: int) -> None:
+        for link in self._links():
+            reason = why_cut(link, self.revocations, now)
+            if reason is not None:
+                _log.warning("cut %s: %s", link.stream.peer.name, reason)
+                link.stream.abort(reason)
+
+    def _crashed(self, error: BaseException) -> None:
+        """A node whose watch has died must not go on: it would no longer cut anything."""
+        if not self._ended.done():
+            self._ended.set_exception(error)
+        for link in self._links():
+            link.stream.abort("this node failed")
+
+
+def _uri(host: str, port: int) -> str:
+    return f"http://[{host}]:{port}/" if ":" in host else f"http://{host}:{port}/"

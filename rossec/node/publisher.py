@@ -20,7 +20,6 @@ from grants.guard import Guard
 from grants.layout import Layout
 from rossec.errors import RossecError
 from rossec.net.stream import SecureStream
-from rossec.node.links import Links
 from rossec.node.messages import Message
 from rossec.node.topics import Endpoint
 
@@ -39,15 +38,13 @@ class SubscriberLink:
     def __init__(
         self,
         stream: SecureStream[Identity],
-        decision: Decision,
         guard: Guard,
         queue_size: int,
     ) -> None:
         self.stream = stream
-        self.decision = decision
         self.guard = guard
-        self.thumbprint = stream.peer.thumbprint
-        self.ends = min(decision.expires, stream.peer.not_after)
+        self.decision = guard.decision
+        self.ends = min(guard.decision.expires, stream.peer.not_after)
         self.withheld = 0
         self.dropped = 0
         self._queue: deque[Pieces] = deque()
@@ -96,7 +93,7 @@ class Publisher:
     ) -> None:
         self.endpoint = endpoint
         self.latch = latch
-        self.links: Links[SubscriberLink] = Links()
+        self.links: set[SubscriberLink] = set()
         self._layout = layout
         self._queue_size = queue_size
         self._latched: memoryview | None = None
@@ -126,7 +123,7 @@ class Publisher:
             self._latched = view
         treated: dict[Hashable, Pieces | None] = {}
         now = time.time()
-        for link in self.links:
+        for link in tuple(self.links):
             if link.ends <= now:  # its timer is about to cut it
                 continue
             key = link.guard.key
@@ -144,13 +141,17 @@ class Publisher:
             self._changed.clear()
             await self._changed.wait()
 
-    async def serve(self, stream: SecureStream[Identity], decision: Decision) -> None:
-        """Feed one admitted subscriber until its stream ends.
+    def guard(self, decision: Decision) -> Guard:
+        """What `decision` means for the messages of this topic.
 
         Raises:
-            GrantError: its grant was written for another message type.
+            GrantError: its restrictions were written for another message type.
         """
-        link = SubscriberLink(stream, decision, Guard(self._layout, decision), self._queue_size)
+        return Guard(self._layout, decision)
+
+    async def serve(self, stream: SecureStream[Identity], guard: Guard) -> None:
+        """Feed one admitted subscriber until its stream ends."""
+        link = SubscriberLink(stream, guard, self._queue_size)
         self.links.add(link)
         self._changed.set()
         try:

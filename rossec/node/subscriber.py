@@ -17,7 +17,6 @@ from ca.errors import HintedError
 from grants.decision import Decision
 from rossec.errors import TopicRefused
 from rossec.net.stream import SecureStream
-from rossec.node.links import Links
 from rossec.node.messages import Message
 from rossec.node.topics import Endpoint, admit_publisher, subscriber_header
 from rossec.node.access import Access
@@ -39,7 +38,6 @@ class PublisherLink:
     def __init__(self, stream: SecureStream[Identity], decision: Decision) -> None:
         self.stream = stream
         self.decision = decision
-        self.thumbprint = stream.peer.thumbprint
         self.ends = min(decision.expires, stream.peer.not_after)
 
 
@@ -56,7 +54,7 @@ class Subscriber:
         queue_size: int = QUEUE_SIZE,
     ) -> None:
         self.endpoint = endpoint
-        self.links: Links[PublisherLink] = Links()
+        self.links: set[PublisherLink] = set()
         self.refusals: deque[HintedError] = deque(maxlen=16)
         self.received = 0
         self._caller = caller
