@@ -35,14 +35,21 @@ MULTICALL_QUERIES: Final = 16  # answers over the whole graph; more in one call 
 PRESENT_LIMIT: Final = 64
 
 
+class Presented(NamedTuple):
+    """How many grants of the caller are held now, and why others are not."""
+
+    held: int
+    refused: tuple[str, ...]
+
+
 class Statements(Protocol):
     """What the master holds of the authority's statements; `rossec.master.trust` is it."""
 
     def caller_of(self, name: str, now: int) -> Caller | None:
         """What the node last seen under this name may do now."""
 
-    def present(self, caller: Caller, tokens: Sequence[bytes], now: int) -> int:
-        """Keep a caller's grants; returns how many it holds. Raises `HintedError`."""
+    def present(self, caller: Caller, tokens: Sequence[bytes], now: int) -> Presented:
+        """Keep a caller's grants."""
 
     def current(self, now: int) -> tuple[bytes, bytes]:
         """The revocation list and a timestamp of it; empty while there is none."""
@@ -163,11 +170,12 @@ class MasterApi:
 
     def _present(self, request: Request) -> Reply:
         tokens = [token for token in _items(request.arguments[1]) if isinstance(token, bytes)]
-        try:
-            held = self._statements.present(request.caller, tokens, request.now)
-        except HintedError as error:
-            raise Refused(_one_line(error)) from error
-        return Reply(held, "grants accepted", events=(GrantsPresented(request.caller.name),))
+        presented = self._statements.present(request.caller, tokens, request.now)
+        refused = "; ".join(presented.refused)
+        if tokens and len(presented.refused) == len(tokens):
+            raise Refused(refused)
+        status = f"grants accepted, but refused: {refused}" if refused else "grants accepted"
+        return Reply(presented.held, status, events=(GrantsPresented(request.caller.name),))
 
     def _revocations(self, request: Request) -> Reply:
         return Reply(list(self._statements.current(request.now)), "revocations")

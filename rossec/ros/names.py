@@ -5,27 +5,14 @@ The syntax of a complete name is `ca.names`'s; here is only the arithmetic, equa
 read in `rossec.ros.settings`.
 """
 
-import re
 from collections.abc import Mapping
 from typing import Final
 
-from rossec.errors import RossecError
+from ca.names import check_name
 
 SEPARATOR: Final = "/"
 PRIVATE: Final = "~"
 ANY_TYPE: Final = "*"
-_NAME: Final = re.compile(r"(?:/[A-Za-z][A-Za-z0-9_]*)+")
-
-
-class NameRefused(RossecError):
-    """Stands in until `ca.names` is merged."""
-
-
-def check_name(text: str) -> str:
-    """Stands in until `ca.names` is merged."""
-    if len(text) > 255 or _NAME.fullmatch(text) is None:
-        raise NameRefused(f"{text[:255]!r} is not a ROS name", "it looks like /robot1/camera")
-    return text
 
 
 def canonical(name: str) -> str:

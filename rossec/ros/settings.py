@@ -11,7 +11,8 @@ from dataclasses import dataclass, field
 from typing import Final
 from urllib.parse import urlsplit
 
-from ca.errors import HintedError
+from ca.errors import NameRefused
+from ca.names import check_name
 from rossec.errors import SettingsRefused
 from rossec.ros import names
 
@@ -195,6 +196,6 @@ def _parameters(assignments: Sequence[tuple[str, str]], node: str) -> dict[str, 
 
 def _checked(name: str, what: str) -> str:
     try:
-        return names.check_name(name)
-    except HintedError as error:
+        return check_name(name)
+    except NameRefused as error:
         raise SettingsRefused(f"{what} {name!r} is not a ROS name", error.hint) from error

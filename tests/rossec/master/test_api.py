@@ -84,9 +84,10 @@ def test_presenting_grants(api: MasterApi, statements: FakeStatements) -> None:
     assert outcome.answer == [1, "grants accepted", 2]
     assert outcome.events == (GrantsPresented("/a"),)
     assert statements.presented == [b"one", b"two"]
-    code, status, _ = ask(api, caller("/a"), "rossec.presentGrants", "/a", [b"forged"])
-    assert code == -1
-    assert status == "rossec: the signature is not the authority's (sign it again)"
+    good_and_bad = ask(api, caller("/a"), "rossec.presentGrants", "/a", [b"forged", b"three"])
+    assert good_and_bad == [1, "grants accepted, but refused: forged", 3]
+    bad = ask(api, caller("/a"), "rossec.presentGrants", "/a", [b"forged"])
+    assert bad == [-1, "rossec: forged", 0]
 
 
 @pytest.mark.parametrize("value", [5, b"x", ["text"], [b"x"] * (PRESENT_LIMIT + 1)])

@@ -4,6 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from ca.errors import NameRefused
 from rossec.ros import names
 
 
@@ -34,7 +35,7 @@ def test_resolve_checked_refuses(name: str) -> None:
     if name == "~":  # a node's own name is well-formed
         assert names.resolve_checked(name, "/n") == "/n"
         return
-    with pytest.raises(names.NameRefused):
+    with pytest.raises(NameRefused):
         names.resolve_checked(name, "/n")
 
 
