@@ -16,8 +16,10 @@ from grants.model import Draft, Permission, Restriction, Right, filter_rules
 from rossec.authority import OpenAuthority
 from rossec.home import NodeHome
 from rossec.master.server import MasterServer
+from rossec.master.start import master_of
 from rossec.node import Node
 from rossec.node.slave import MASTER
+from rossec.ros.settings import parse_uri
 
 DAY = 86400
 
@@ -82,7 +84,7 @@ class Site:
             serial=secrets.token_bytes(16),
             permissions=(Permission(pattern, right, restriction),),
         )  # fmt: skip
-        data = document.sign(self.authority.signer, draft)
+        data = self.authority.grant(draft, int(time.time()))
         home.add_grant(document.grant_id(data), data)
         return data
 
@@ -110,12 +112,7 @@ class Site:
     @contextlib.asynccontextmanager
     async def running(self) -> AsyncIterator["Site"]:
         """With a master, on a free port of loopback."""
-        home = self.enroll(MASTER)
-        listed = self.authority.store.newest_list()
-        assert listed is not None
-        home.save_revocations(listed)
-        self.master = MasterServer.from_home(home, "127.0.0.1", 0)
-        await self.master.start()
+        await self.start_master(0)
         try:
             yield self
         finally:
@@ -125,9 +122,16 @@ class Site:
     async def restart_master(self) -> None:
         """Stop the master and start a new one on the same port."""
         assert self.master is not None
-        port = self.master.port
+        _, port = parse_uri(self.master.uri)
         await self.master.close()
-        self.master = MasterServer.from_home(self.enroll(MASTER), "127.0.0.1", port)
+        await self.start_master(port)
+
+    async def start_master(self, port: int) -> None:
+        """Start a master on `port` of loopback."""
+        self.master = master_of(
+            self.enroll(MASTER), host="127.0.0.1", port=port,
+            newest=self.authority.store.newest_list(), now=int(time.time()),
+        )  # fmt: skip
         await self.master.start()
 
     def node(self, name: str, *argv: str) -> Node:
