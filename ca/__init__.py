@@ -1,1 +1,1 @@
-"""Who a node is: keys, identities, enrollment, revocation statements, the authority and its store."""
+"""Who a node is: keys, identities, enrollment, revocation, the authority and its store."""

@@ -90,5 +90,3 @@ def _verify(key: ec.EllipticCurvePublicKey, signature: bytes, message: bytes) ->
         key.verify(encode_dss_signature(r, s), message, ec.ECDSA(hashes.SHA256()))
     except InvalidSignature:
         raise SignatureError("the signature does not verify") from None
-
-

@@ -29,3 +29,71 @@ class EncodingError(CAError):
 
 class SignatureError(CAError):
     """A signed statement whose frame is wrong or whose signature does not verify."""
+
+
+class NameRefused(CAError):
+    """A text that is not an absolute ROS name, a trust domain or a SPIFFE ID."""
+
+
+class KeyRefused(CAError):
+    """A key, or the file it lives in, that may not be used."""
+
+
+class PassphraseRefused(KeyRefused):
+    """The passphrase is missing, wrong, or given for a key that has none."""
+
+
+class RequestRefused(CAError):
+    """A certificate request that asks for anything but one name for one proven key."""
+
+
+class IssueRefused(CAError):
+    """The authority may not issue this: its own time, the serial or the lifetime forbids it."""
+
+
+class CertificateRefused(CAError):
+    """A certificate that is malformed or not of the one form rossec accepts."""
+
+
+class CertificateExpired(CertificateRefused):
+    """A certificate, or the authority's, whose time is over."""
+
+
+class CertificateNotYetValid(CertificateRefused):
+    """A certificate, or the authority's, whose time has not come."""
+
+
+class ForeignCertificate(CertificateRefused):
+    """A certificate not signed by the authority this node trusts: a stranger's."""
+
+
+class RevocationRefused(CAError):
+    """A revocation list or timestamp that is malformed or does not belong to what is held."""
+
+
+class RollbackRefused(RevocationRefused):
+    """A revocation list older than one already seen, or a second one under the same number."""
+
+
+class Revoked(CAError):
+    """The grant or key is on the revocation list."""
+
+
+class RevocationsStale(CAError):
+    """Nobody entitled has confirmed lately that the revocation list held is the newest."""
+
+
+class CodeRefused(CAError):
+    """A text that is not an enrollment code."""
+
+
+class CodeExpired(CodeRefused):
+    """An enrollment code whose time is over."""
+
+
+class StoreError(CAError):
+    """The authority's database is missing, foreign, damaged, or refuses the entry."""
+
+
+class KeyChanged(StoreError):
+    """A name that is alive with one key asks for a certificate with another."""

@@ -9,3 +9,122 @@ from ca.errors import HintedError
 
 class RossecError(HintedError):
     """Root of everything `rossec` refuses."""
+
+
+class MessageError(RossecError):
+    """A message type that is unknown, or a message that does not fit its type."""
+
+
+class ConfigurationError(RossecError):
+    """Something the operator has to set right: a name, a file, an environment variable."""
+
+
+class TopicRefused(RossecError):
+    """A peer's TCPROS header that does not fit what this node publishes or subscribes."""
+
+
+class CallerMismatch(TopicRefused):
+    """A peer that calls itself by another name than its certificate says."""
+
+
+class NodeShutdown(RossecError):
+    """The node is closed, or the master told it to shut down."""
+
+
+class NotDelivered(RossecError):
+    """Done here, but the master could not be told."""
+class WireError(RossecError):
+    """The peer sent bytes that are not the ROS protocol."""
+
+
+class HeaderRefused(WireError):
+    """A TCPROS connection header that is malformed, ambiguous or too long."""
+
+
+class FrameRefused(WireError):
+    """A TCPROS message longer than allowed."""
+
+
+class HttpRefused(WireError):
+    """HTTP that is malformed, too long, or not a plain XML-RPC exchange.
+
+    `status` is the HTTP status code a server answers with.
+    """
+
+    def __init__(self, message: str, hint: str = "", *, status: int = 400) -> None:
+        super().__init__(message, hint)
+        self.status = status
+
+
+class XmlRpcRefused(WireError):
+    """XML that is not one bounded XML-RPC call or response, or a value XML-RPC cannot carry."""
+
+
+class AnswerMalformed(WireError):
+    """An answer that is not ROS's `[code, status, value]`."""
+
+
+class AnswerRefused(RossecError):
+    """The other side understood the call and said no."""
+
+    def __init__(self, message: str, hint: str = "", *, code: int = -1) -> None:
+        super().__init__(message, hint)
+        self.code = code
+
+
+class SettingsRefused(RossecError):
+    """The command line or the environment of this program says something that cannot be meant."""
+class ChannelError(RossecError):
+    """The secure connection cannot be made, or has ended."""
+
+
+class ChannelClosed(ChannelError):
+    """The connection was closed in order, by this side or by the peer's authenticated close."""
+
+
+class PeerUnreachable(ChannelError):
+    """No TCP connection could be made to the peer."""
+
+
+class HandshakeFailed(ChannelError):
+    """The peer's handshake is malformed, or its proof does not hold."""
+
+
+class HandshakeTimeout(HandshakeFailed):
+    """The peer did not finish the handshake in time."""
+
+
+class IdentityRefused(HandshakeFailed):
+    """The peer speaks the protocol, but its certificate was not accepted."""
+
+
+class PeerRefused(ChannelError):
+    """The peer ended the handshake with an error. Unauthenticated, so only a hint."""
+
+
+class PlainPeer(ChannelError):
+    """The peer speaks ROS, but not through rossec."""
+
+
+class ProtocolViolation(ChannelError):
+    """A frame or message which the state machine does not allow here."""
+
+
+class RecordForged(ChannelError):
+    """A record did not verify: altered, replayed, reordered or left out."""
+
+
+class ConnectionTruncated(ChannelError):
+    """The connection ended without the peer's authenticated close."""
+
+
+class LimitExceeded(ChannelError):
+    """A size, rate or lifetime limit of the channel was reached."""
+
+
+class IdentityExpired(LimitExceeded):
+    """The peer's certificate ran out while the connection was open."""
+
+
+class SendQueueFull(LimitExceeded):
+    """The peer reads slower than this side queues; nothing was queued."""

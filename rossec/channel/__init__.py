@@ -1,0 +1,1 @@
+"""The secure channel, sans-IO: EDHOC (RFC 9528) and AEAD records."""

@@ -1,0 +1,1 @@
+"""The ROS master, reached only through the channel: every call bound to an identity."""

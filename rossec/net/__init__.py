@@ -1,0 +1,1 @@
+"""The loops: asyncio around the sans-IO channel."""

@@ -1,0 +1,1 @@
+"""The ROS wire: TCPROS headers and frames, XML-RPC over HTTP, names, settings. Sans-IO."""

@@ -1,0 +1,54 @@
+# Two commands matter: `make demo` (the main job, needs no ROS) and `make test` (everything).
+# Each prepares .venv by itself; nothing has to be installed by hand.
+.DEFAULT_GOAL := help
+SHELL := /bin/bash
+BIN := .venv/bin
+READY := .venv/.ready
+
+.PHONY: help demo test check cover bench ros format clean
+help:
+	@echo "make demo    the main job, end to end, in under 30 s (no ROS needed)"
+	@echo "make test    the whole suite (installs Debian's ROS packages when it can)"
+	@echo "make check   formatting, lint, types, import contracts, wheel contents, coverage gates"
+	@echo "make cover   the unit tests with their coverage gates"
+	@echo "make bench   measurements beside plain TCPROS and TLS (BENCH=name for one)"
+
+$(READY): pyproject.toml constraints.txt tools/venv.sh
+	@tools/venv.sh
+
+# ROS packages first: they decide which Python the venv is made from.
+ros:
+	@tools/ros-packages.sh
+
+demo: $(READY)
+	@$(BIN)/rossec demo
+
+test: ros
+	@$(MAKE) --no-print-directory $(READY)
+	@tools/venv.sh
+	$(BIN)/python -m pytest $(ARGS)
+
+check: $(READY)
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports --no-cache
+	tools/wheel.sh
+	@$(MAKE) --no-print-directory cover
+
+# Unit tests alone must cover the packages; integration tests only add confidence.
+cover: $(READY)
+	$(BIN)/coverage erase
+	$(BIN)/coverage run -m pytest -q tests/ca tests/grants tests/rossec
+	$(BIN)/coverage combine -q
+	$(BIN)/coverage report
+
+bench: $(READY)
+	$(BIN)/python -m bench $(BENCH)
+
+format: $(READY)
+	$(BIN)/ruff format .
+	$(BIN)/ruff check --fix .
+
+clean:
+	rm -rf .venv build dist .mypy_cache .pytest_cache .ruff_cache .hypothesis .coverage*

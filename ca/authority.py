@@ -1,0 +1,166 @@
+"""The authority: makes a trust domain's root, and certificates for the nodes in it.
+
+It issues exactly what a request shows (name and key) and nothing the approver did not see. Clock
+and dice come from outside: `now`, and serials of 128 random bits. What is issued, to whom and
+whether it may be, is the store's and the operator's business.
+"""
+
+from datetime import UTC, datetime
+from typing import Final
+
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.hazmat.primitives.serialization import Encoding
+from cryptography.x509.oid import NameOID
+
+from ca.certificates import TrustAnchor
+from ca.errors import IssueRefused
+from ca.names import check_domain, spiffe_id
+from ca.publickey import require_p256, thumbprint
+from ca.requests import check_request
+from ca.signer import Signer
+from ca.x509signer import X509Signer
+
+DAY: Final = 86_400
+LIFETIME: Final = 30 * DAY
+MAX_LIFETIME: Final = 366 * DAY
+ROOT_LIFETIME: Final = 3650 * DAY
+# Robots without a battery-backed clock start a little in the past.
+BACKDATE: Final = 3600
+_SERIAL_LIMIT: Final = 1 << 128
+
+
+class Authority:
+    """A trust domain's root in action: the signer of its key and its certificate."""
+
+    def __init__(self, signer: Signer, certificate: bytes) -> None:
+        """Join key and certificate (DER).
+
+        Raises:
+            CertificateRefused: not an authority's certificate.
+            IssueRefused: it belongs to another key.
+        """
+        self.anchor = TrustAnchor.load(certificate)
+        if thumbprint(signer.public_key) != self.anchor.thumbprint:
+            raise IssueRefused(
+                "the authority's certificate belongs to another key",
+                "restore ca.key and ca.pem from the same backup",
+            )
+        self.signer = signer
+
+    def issue(self, csr: bytes, *, now: int, serial: int, lifetime: int = LIFETIME) -> bytes:
+        """Return the certificate (DER) for what `csr` asks for, valid for `lifetime` seconds.
+
+        It begins an hour early and ends with the authority's own certificate at the latest.
+        `serial` is 128 random bits.
+
+        Raises:
+            RequestRefused: the request is not in order.
+            IssueRefused: serial or lifetime out of range, or the authority's own time is over.
+        """
+        request = check_request(csr, self.anchor.domain)
+        _check_serial(serial)
+        start, end = self._period(now, lifetime)
+        uri = spiffe_id(self.anchor.domain, request.name)
+        builder = (
+            _builder(request.public_key, serial, start, end)
+            .subject_name(x509.Name([]))
+            .issuer_name(self.anchor.subject)
+            .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
+            .add_extension(_usage(authority=False), critical=True)
+            # Critical because the subject is empty (RFC 5280 section 4.1.2.6).
+            .add_extension(_name(uri), critical=True)
+            .add_extension(_issuer_key(self.anchor.public_key), critical=False)
+        )
+        return _sign(builder, self.signer)
+
+    def _period(self, now: int, lifetime: int) -> tuple[int, int]:
+        if not 0 < lifetime <= MAX_LIFETIME:
+            raise IssueRefused(
+                f"a lifetime of {lifetime} s where 1 to {MAX_LIFETIME} are allowed",
+                "certificates are renewed, not made to last: the default is 30 days",
+            )
+        if not self.anchor.not_before <= now <= self.anchor.not_after:
+            raise IssueRefused(
+                "the authority's own certificate is not valid now",
+                "check this computer's clock; an expired authority must be made anew",
+            )
+        start = max(now - BACKDATE, self.anchor.not_before)
+        return start, min(now + lifetime, self.anchor.not_after)
+
+
+def create_root(signer: Signer, domain: str, *, now: int, serial: int) -> bytes:
+    """Return a new root certificate (DER) for `domain`, valid for ten years.
+
+    Raises:
+        NameRefused: `domain` is not a trust domain.
+        IssueRefused: the serial is out of range.
+    """
+    check_domain(domain)
+    _check_serial(serial)
+    key = require_p256(signer.public_key)
+    # The name differs for every key, so that a stranger's certificate shows itself as such.
+    title = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, f"rossec {_short(key)}")])
+    builder = (
+        _builder(key, serial, now - BACKDATE, now + ROOT_LIFETIME)
+        .subject_name(title)
+        .issuer_name(title)
+        .add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
+        .add_extension(_usage(authority=True), critical=True)
+        .add_extension(_name(f"spiffe://{domain}"), critical=False)
+        .add_extension(x509.SubjectKeyIdentifier(_key_identifier(key)), critical=False)
+    )
+    return _sign(builder, signer)
+
+
+def _short(key: ec.EllipticCurvePublicKey) -> str:
+    return thumbprint(key)[:8].hex()
+
+
+def _key_identifier(key: ec.EllipticCurvePublicKey) -> bytes:
+    """RFC 7093 allows any short digest of the key; ours is the name the key has elsewhere."""
+    return thumbprint(key)[:20]
+
+
+def _issuer_key(key: ec.EllipticCurvePublicKey) -> x509.AuthorityKeyIdentifier:
+    return x509.AuthorityKeyIdentifier(_key_identifier(key), None, None)
+
+
+def _check_serial(serial: int) -> None:
+    if not 0 < serial < _SERIAL_LIMIT:
+        raise IssueRefused("a serial is a positive number of 128 bits", "use secrets.randbits(128)")
+
+
+def _builder(
+    key: ec.EllipticCurvePublicKey, serial: int, start: int, end: int
+) -> x509.CertificateBuilder:
+    return (
+        x509.CertificateBuilder()
+        .serial_number(serial)
+        .public_key(key)
+        .not_valid_before(datetime.fromtimestamp(start, UTC))
+        .not_valid_after(datetime.fromtimestamp(end, UTC))
+    )
+
+
+def _sign(builder: x509.CertificateBuilder, signer: Signer) -> bytes:
+    return builder.sign(X509Signer(signer), hashes.SHA256()).public_bytes(Encoding.DER)
+
+
+def _name(uri: str) -> x509.SubjectAlternativeName:
+    return x509.SubjectAlternativeName([x509.UniformResourceIdentifier(uri)])
+
+
+def _usage(*, authority: bool) -> x509.KeyUsage:
+    return x509.KeyUsage(
+        digital_signature=not authority,
+        content_commitment=False,
+        key_encipherment=False,
+        data_encipherment=False,
+        key_agreement=False,
+        key_cert_sign=authority,
+        crl_sign=authority,
+        encipher_only=False,
+        decipher_only=False,
+    )

@@ -1,0 +1,40 @@
+"""P-256 public keys: the one curve accepted, and the name a key goes by.
+
+Keys are named by their COSE thumbprint (RFC 9679), so that grants, lists and logs name the key
+and not one of its certificates: a renewed certificate keeps its grants, a revoked key loses all.
+"""
+
+import hashlib
+from typing import Final
+
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
+
+from ca.errors import KeyRefused
+
+THUMBPRINT_SIZE: Final = 32
+
+# The deterministic COSE_Key {1: 2 (EC2), -1: 1 (P-256), -2: x, -3: y} has a fixed shape.
+_HEAD: Final = bytes.fromhex("a40102200121 5820")
+_BETWEEN: Final = bytes.fromhex("225820")
+
+
+def require_p256(key: object) -> ec.EllipticCurvePublicKey:
+    """Return `key` if it is a P-256 public key.
+
+    Raises:
+        KeyRefused: another curve or another algorithm.
+    """
+    if not isinstance(key, ec.EllipticCurvePublicKey) or not isinstance(key.curve, ec.SECP256R1):
+        raise KeyRefused("the key is not a P-256 key", "create the key with `rossec node create`")
+    return key
+
+
+def thumbprint(key: ec.EllipticCurvePublicKey) -> bytes:
+    """Return the 32-byte COSE key thumbprint of a P-256 key (RFC 9679, SHA-256).
+
+    Raises:
+        KeyRefused: not a P-256 key.
+    """
+    point = require_p256(key).public_bytes(Encoding.X962, PublicFormat.UncompressedPoint)
+    return hashlib.sha256(_HEAD + point[1:33] + _BETWEEN + point[33:]).digest()

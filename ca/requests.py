@@ -1,0 +1,131 @@
+"""Certificate requests: one name for one key, the key proven, and nothing else asked for.
+
+A request is a PKCS#10 CSR (so every CA tool can read it) in the one form `build_request` writes:
+empty subject, one extension, in it one URI. What the approver is shown is therefore all there is;
+anything more (CA:TRUE, a second name, a key usage) is refused, never silently dropped.
+"""
+
+import hashlib
+from dataclasses import dataclass
+from typing import Final
+
+from cryptography import x509
+from cryptography.exceptions import UnsupportedAlgorithm
+from cryptography.hazmat.primitives import hashes
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.hazmat.primitives.serialization import Encoding
+from cryptography.x509.oid import ExtensionOID, SignatureAlgorithmOID
+
+from ca.errors import KeyRefused, NameRefused, RequestRefused
+from ca.names import parse_spiffe_id, spiffe_id
+from ca.publickey import require_p256, thumbprint
+from ca.signer import Signer
+from ca.x509signer import X509Signer
+
+MAX_REQUEST: Final = 2048  # a request for the longest name has about 800 bytes
+_EXTENSION_REQUEST: Final = x509.ObjectIdentifier("1.2.840.113549.1.9.14")
+_HINT: Final = "make the request on the node with `rossec node create`"
+
+
+@dataclass(frozen=True)
+class Request:
+    """A checked request.
+
+    `digest` is the SHA-256 of the DER bytes, as in the enrollment code.
+    """
+
+    domain: str
+    name: str
+    public_key: ec.EllipticCurvePublicKey
+    thumbprint: bytes
+    digest: bytes
+
+
+def build_request(signer: Signer, domain: str, name: str) -> bytes:
+    """Return a CSR (DER) that asks for `name` in `domain` for the signer's key.
+
+    Raises:
+        NameRefused: `domain` or `name` is not one.
+    """
+    uri = x509.UniformResourceIdentifier(spiffe_id(domain, name))
+    builder = x509.CertificateSigningRequestBuilder(x509.Name([])).add_extension(
+        x509.SubjectAlternativeName([uri]), critical=True
+    )
+    return builder.sign(X509Signer(signer), hashes.SHA256()).public_bytes(Encoding.DER)
+
+
+def check_request(csr: bytes, domain: str) -> Request:
+    """Return what the CSR asks for, if it is one name in `domain` for one proven P-256 key.
+
+    Raises:
+        RequestRefused: malformed, unproven, or asking for anything else; the message says which.
+    """
+    if len(csr) > MAX_REQUEST:
+        raise RequestRefused(
+            f"a request of {len(csr)} bytes where at most {MAX_REQUEST} are allowed", _HINT
+        )
+    try:
+        request = x509.load_der_x509_csr(csr)
+        key = _check_key(request)
+        name = _check_name(_only_uri(request), domain)
+    except (ValueError, TypeError, UnsupportedAlgorithm) as error:
+        raise RequestRefused("this is not a certificate request", _HINT) from error
+    return Request(domain, name, key, thumbprint(key), hashlib.sha256(csr).digest())
+
+
+def _check_key(request: x509.CertificateSigningRequest) -> ec.EllipticCurvePublicKey:
+    try:
+        key = require_p256(request.public_key())
+    except KeyRefused as error:
+        raise RequestRefused("the request is for a key that is not P-256", _HINT) from error
+    if request.signature_algorithm_oid != SignatureAlgorithmOID.ECDSA_WITH_SHA256:
+        raise RequestRefused("the request is not signed with ECDSA and SHA-256", _HINT)
+    if not request.is_signature_valid:
+        raise RequestRefused(
+            "the request does not prove that the node has the key", "transfer the file again"
+        )
+    return key
+
+
+def _only_uri(request: x509.CertificateSigningRequest) -> str:
+    """The one thing a request may contain besides its key."""
+    if len(request.subject.rdns) > 0:
+        raise RequestRefused("the request asks for a subject", _HINT)
+    if [attribute.oid for attribute in request.attributes] != [_EXTENSION_REQUEST]:
+        raise RequestRefused("the request has other attributes than its extensions", _HINT)
+    names: list[x509.GeneralName] = []
+    for extension in request.extensions:
+        match extension.value:
+            case x509.SubjectAlternativeName() as alternative:
+                names = list(alternative)
+            case x509.BasicConstraints(ca=True):
+                raise RequestRefused(
+                    "the request asks to be an authority", "do not sign it: find out who made it"
+                )
+            case _:
+                raise RequestRefused(f"the request asks for extension {_title(extension)}", _HINT)
+    match names:
+        case [x509.UniformResourceIdentifier(value=uri)]:
+            return uri
+        case _:
+            raise RequestRefused(
+                f"the request asks for {len(names)} names where exactly one URI is allowed", _HINT
+            )
+
+
+def _check_name(uri: str, domain: str) -> str:
+    try:
+        asked_domain, name = parse_spiffe_id(uri)
+    except NameRefused as error:
+        raise RequestRefused(f"the request asks for a name that is none: {error}", _HINT) from error
+    if asked_domain != domain:
+        raise RequestRefused(
+            f"the request is for trust domain {asked_domain!r}, this authority is {domain!r}",
+            f"make the request on the node for {domain!r}",
+        )
+    return name
+
+
+def _title(extension: x509.Extension[x509.ExtensionType]) -> str:
+    known = {oid: name for name, oid in vars(ExtensionOID).items() if not name.startswith("_")}
+    return known.get(extension.oid, extension.oid.dotted_string)

@@ -1,0 +1,187 @@
+"""What this node knows about revocations, and whether it may rely on it.
+
+The state fails closed: without a list, without a confirmation, after its maximum age, after the
+list's own expiry, or on a clock that runs backwards, `check` refuses. It only moves forward: a
+list older than the newest ever seen is refused, also after a restart, because the caller persists
+the list *before* it takes effect (CVE-2025-2888 in tough was that order reversed) and hands its
+number back as `floor`. Clock and disk are the caller's: `now` and `persist` are arguments.
+"""
+
+from collections.abc import Callable
+from typing import Final
+
+from cryptography.hazmat.primitives.asymmetric import ec
+
+from ca.errors import RevocationRefused, RevocationsStale, Revoked, RollbackRefused
+from ca.statements import (
+    MAX_AGE,
+    MAX_ENTRIES,
+    MAX_LIST,
+    RevocationList,
+    Timestamp,
+    check_entry,
+    digest,
+    open_list,
+    open_timestamp,
+    sign_list,
+    sign_timestamp,
+)
+
+__all__ = [
+    "MAX_AGE", "MAX_ENTRIES", "MAX_LIST", "NO_FLOOR", "SKEW", "RevocationList", "Revocations",
+    "Timestamp", "check_entry", "digest", "open_list", "open_timestamp", "sign_list",
+    "sign_timestamp",
+]  # fmt: skip
+
+NO_FLOOR: Final = (0, 0)
+SKEW: Final = 5  # seconds two synchronised clocks may differ
+_HINT_STALE: Final = "check that the master is running and reachable, and both clocks"
+
+
+class Revocations:
+    """The newest list of one authority, and the last confirmation that it is the newest."""
+
+    def __init__(
+        self, anchor_key: ec.EllipticCurvePublicKey, floor: tuple[int, int] = NO_FLOOR
+    ) -> None:
+        """Start without a list; nothing below `floor` = (epoch, seq) will be accepted."""
+        self._key = anchor_key
+        self._floor = floor
+        self._list: RevocationList | None = None
+        self._data = b""
+        self._confirmed: Timestamp | None = None
+
+    @property
+    def floor(self) -> tuple[int, int]:
+        """The (epoch, seq) below which no list is accepted: what must survive a restart."""
+        return self._floor
+
+    @property
+    def data(self) -> bytes:
+        """The signed list held, as received; empty if there is none."""
+        return self._data
+
+    @property
+    def held(self) -> RevocationList | None:
+        """The list held, if any."""
+        return self._list
+
+    @property
+    def entries(self) -> frozenset[bytes]:
+        """Everything known to be revoked, whether or not the knowledge is fresh."""
+        return frozenset() if self._list is None else self._list.entries
+
+    @property
+    def fresh_until(self) -> int:
+        """The last second at which `check` may say yes; 0 if there is none."""
+        if self._list is None or self._confirmed is None:
+            return 0
+        return min(self._confirmed.issued + self._confirmed.max_age, self._list.expires - 1)
+
+    def update(
+        self,
+        data: bytes,
+        now: int,  # noqa: ARG002  (not judged: a clock that lags must not keep revocations out)
+        persist: Callable[[bytes], None] | None = None,
+    ) -> frozenset[bytes]:
+        """Take a signed list and return the entries it adds, whose connections are to be cut.
+
+        `persist(data)` is called after all checks and before the list takes effect; if it raises,
+        nothing changes. A list that has expired is taken too: what it revokes stays revoked, and
+        `check` refuses everything else. A new list needs a new confirmation.
+
+        Raises:
+            RevocationRefused: not a list signed by the authority.
+            RollbackRefused: older than one seen, or different under the same number.
+        """
+        revocations = open_list(data, self._key)
+        self._check_number(revocations)
+        if data == self._data:
+            return frozenset()
+        if persist is not None:
+            persist(data)
+        added = revocations.entries - self.entries
+        self._list, self._data, self._floor = revocations, data, revocations.number
+        self._confirmed = None
+        return added
+
+    def confirm(self, timestamp: Timestamp, now: int) -> None:
+        """Take the master's word, opened with `open_timestamp`, that the list held is the newest.
+
+        Raises:
+            RevocationRefused: for another list, too old, or from the future.
+        """
+        if self._list is None:
+            raise RevocationRefused("a timestamp came before any revocation list", _HINT_STALE)
+        if timestamp.seq != self._list.seq or timestamp.digest != digest(self._data):
+            raise RevocationRefused(
+                f"the timestamp is for another list than number {self._list.seq} held here",
+                "fetch the newest list from the master",
+            )
+        if timestamp.max_age > MAX_AGE:
+            raise RevocationRefused("the timestamp claims to be valid for too long")
+        if timestamp.issued > now + SKEW:
+            raise RevocationRefused("the timestamp is from the future", "check both clocks")
+        if timestamp.issued + timestamp.max_age < now:
+            raise RevocationRefused("the timestamp is too old", "check both clocks")
+        if self._confirmed is None or not self._newer_held(self._confirmed, timestamp, now):
+            self._confirmed = timestamp
+
+    def check(self, entry: bytes, now: int) -> None:
+        """Return if `entry` (a grant id or key thumbprint) is known not to be revoked.
+
+        Raises:
+            Revoked: it is on the list, fresh or not.
+            RevocationsStale: nobody can tell.
+            RevocationRefused: `entry` is neither grant id nor thumbprint.
+        """
+        if check_entry(entry) in self.entries:
+            raise Revoked(
+                f"{entry.hex()} is revoked", "ask the authority's operator for the reason"
+            )
+        self.check_fresh(now)
+
+    def check_fresh(self, now: int) -> None:
+        """Return if the list held is confirmed and valid at `now`.
+
+        Raises:
+            RevocationsStale: no list, an expired list, no confirmation, or an outdated one.
+        """
+        if self._list is None:
+            raise RevocationsStale("no revocation list has arrived yet", _HINT_STALE)
+        if now >= self._list.expires:
+            raise RevocationsStale(
+                f"the revocation list expired {now - self._list.expires} s ago",
+                "have the authority sign a new one: `rossec revoke refresh`",
+            )
+        if self._confirmed is None:
+            raise RevocationsStale(
+                "the revocation list is not confirmed by the master", _HINT_STALE
+            )
+        if now > self.fresh_until:
+            raise RevocationsStale(
+                f"the last confirmation ran out {now - self.fresh_until} s ago", _HINT_STALE
+            )
+        if now < max(self._list.issued, self._confirmed.issued) - SKEW:
+            raise RevocationsStale("the clock is behind the revocation list", "set the clock")
+
+    def _check_number(self, new: RevocationList) -> None:
+        if new.number < self._floor:
+            raise RollbackRefused(
+                f"revocation list {_text(new.number)} is older than {_text(self._floor)}",
+                "somebody is replaying an old list: find out who sent it",
+            )
+        if self._list is not None and new.number == self._list.number and new != self._list:
+            raise RollbackRefused(
+                f"there are two different revocation lists {_text(new.number)}",
+                "the authority's database was restored or copied: begin a new epoch",
+            )
+
+    @staticmethod
+    def _newer_held(held: Timestamp, new: Timestamp, now: int) -> bool:
+        """A replayed older timestamp must not shorten the time; a corrected clock must heal."""
+        return new.issued <= held.issued <= now + SKEW
+
+
+def _text(number: tuple[int, int]) -> str:
+    return f"{number[0]}.{number[1]}"

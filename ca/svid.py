@@ -1,0 +1,154 @@
+"""The form of rossec's certificates: X.509-SVIDs of SPIFFE with every freedom removed.
+
+Each function looks at one thing in a parsed certificate and refuses what is not of the form;
+whom to trust and what time it is, `ca.certificates` decides. `cryptography` parses lazily, so a
+malformed part may show itself at any access: each access turns its exceptions into ours.
+"""
+
+from typing import Final, NoReturn
+
+from cryptography import x509
+from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm
+from cryptography.hazmat.primitives import hashes
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.x509.oid import ExtensionOID, SignatureAlgorithmOID
+
+from ca.errors import CertificateRefused, KeyRefused
+from ca.publickey import require_p256
+
+MAX_CERTIFICATE: Final = 2048  # a leaf with the longest name has about 900 bytes
+_ECDSA: Final = ec.ECDSA(hashes.SHA256())
+_USAGES: Final = (
+    "digital_signature", "content_commitment", "key_encipherment", "data_encipherment",
+    "key_agreement", "key_cert_sign", "crl_sign",
+)  # fmt: skip
+_UNDERSTOOD: Final = frozenset(
+    {
+        ExtensionOID.BASIC_CONSTRAINTS,
+        ExtensionOID.KEY_USAGE,
+        ExtensionOID.SUBJECT_ALTERNATIVE_NAME,
+    }
+)
+
+
+def parse(der: bytes) -> x509.Certificate:
+    """Parse DER; the size is judged first."""
+    if len(der) > MAX_CERTIFICATE:
+        raise CertificateRefused(
+            f"a certificate of {len(der)} bytes where at most {MAX_CERTIFICATE} are allowed"
+        )
+    try:
+        return x509.load_der_x509_certificate(der)
+    except ValueError as error:
+        _malformed(error)
+
+
+def is_signed_by(
+    certificate: x509.Certificate, issuer: x509.Name, key: ec.EllipticCurvePublicKey
+) -> bool:
+    """Issuer's name, algorithm, signature. `key` is ours: its curve is known to be P-256."""
+    try:
+        if certificate.issuer != issuer:
+            return False
+        if certificate.signature_algorithm_oid != SignatureAlgorithmOID.ECDSA_WITH_SHA256:
+            return False
+        key.verify(certificate.signature, certificate.tbs_certificate_bytes, _ECDSA)
+    except InvalidSignature:
+        return False
+    except ValueError as error:
+        _malformed(error)
+    return True
+
+
+def key_of(certificate: x509.Certificate) -> ec.EllipticCurvePublicKey:
+    """The certified key, which must be P-256."""
+    try:
+        return require_p256(certificate.public_key())
+    except KeyRefused as error:
+        raise CertificateRefused("the certificate's key is not a P-256 key") from error
+    except (ValueError, UnsupportedAlgorithm) as error:
+        _malformed(error)
+
+
+def validity(certificate: x509.Certificate) -> tuple[int, int]:
+    """First and last second of validity."""
+    try:
+        start, end = certificate.not_valid_before_utc, certificate.not_valid_after_utc
+    except ValueError as error:
+        _malformed(error)
+    return int(start.timestamp()), int(end.timestamp())
+
+
+def extensions(certificate: x509.Certificate) -> x509.Extensions:
+    """RFC 5280 section 4.2: an unknown extension may be ignored unless it is critical."""
+    if certificate.version is not x509.Version.v3:
+        raise CertificateRefused("the certificate is not of version 3")
+    try:
+        extensions = certificate.extensions
+    except (ValueError, TypeError, x509.DuplicateExtension) as error:
+        _malformed(error)
+    for extension in extensions:
+        if extension.critical and extension.oid not in _UNDERSTOOD:
+            raise CertificateRefused(
+                f"the certificate has an unknown critical extension {extension.oid.dotted_string}"
+            )
+    return extensions
+
+
+def check_leaf(extensions: x509.Extensions) -> None:
+    """A node: critically no authority, key usage digital signature alone."""
+    match _critical(extensions, x509.BasicConstraints):
+        case x509.BasicConstraints(ca=False):
+            pass
+        case _:
+            raise CertificateRefused("the certificate does not say, critically, that it is no CA")
+    if _usages(extensions) != {"digital_signature"}:
+        raise CertificateRefused("the certificate's key usage is not digital signature alone")
+
+
+def check_authority(extensions: x509.Extensions) -> None:
+    """An authority: critically one, and allowed to sign certificates."""
+    match _critical(extensions, x509.BasicConstraints):
+        case x509.BasicConstraints(ca=True):
+            pass
+        case _:
+            raise CertificateRefused(
+                "this is not an authority's certificate", "name the ca.pem of the authority"
+            )
+    if "key_cert_sign" not in _usages(extensions):
+        raise CertificateRefused("the authority's certificate may not sign certificates")
+
+
+def _usages(extensions: x509.Extensions) -> set[str]:
+    usage = _critical(extensions, x509.KeyUsage)
+    return {name for name in _USAGES if getattr(usage, name, False)}
+
+
+def _critical(
+    extensions: x509.Extensions, kind: type[x509.ExtensionType]
+) -> x509.ExtensionType | None:
+    for extension in extensions:
+        if isinstance(extension.value, kind) and extension.critical:
+            return extension.value
+    return None
+
+
+def only_uri(extensions: x509.Extensions) -> str:
+    """The one name, a URI; what it says is not judged here."""
+    names = [
+        name
+        for extension in extensions
+        if isinstance(extension.value, x509.SubjectAlternativeName)
+        for name in extension.value
+    ]
+    match names:
+        case [x509.UniformResourceIdentifier(value=uri)]:
+            return uri
+        case _:
+            raise CertificateRefused(
+                f"the certificate has {len(names)} names where exactly one URI is allowed"
+            )
+
+
+def _malformed(error: Exception) -> NoReturn:
+    raise CertificateRefused("this is not a well-formed certificate") from error

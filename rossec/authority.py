@@ -1,0 +1,174 @@
+"""The authority in action: its directory, its key unlocked, its record of what it signed.
+
+A shell around `ca.authority` (what is signed) and `ca.store` (what was signed): nothing is handed out
+that is not recorded first.
+"""
+
+import secrets
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, Self
+
+from ca import keys
+from ca.authority import LIFETIME, Authority, create_root
+from ca.certificates import TrustAnchor, from_pem, to_pem
+from ca.revocation import RevocationList, sign_list
+from ca.signer import KeySigner, Signer
+from ca.store import CertificateRow, GrantRow, Store
+from grants import document
+from grants.model import Draft
+from rossec import files
+from rossec.errors import ConfigurationError
+from rossec.home import NodeHome
+
+OWN_NODE: Final = "/ca"  # as which the authority's tools speak to the master
+_SIZE_LIMIT: Final = 256 * 1024
+_LIST_LIFETIME: Final = 30 * 86400
+_OWN_LIFETIME: Final = 366 * 86400
+
+
+@dataclass
+class OpenAuthority:
+    """The authority with its key unlocked: it can sign."""
+
+    authority: Authority
+    store: Store
+    path: Path
+
+    @property
+    def domain(self) -> str:
+        """Its trust domain."""
+        return self.authority.anchor.domain
+
+    @property
+    def signer(self) -> Signer:
+        """Its key."""
+        return self.authority.signer
+
+    def issue(
+        self, request: bytes, now: int, lifetime: int = LIFETIME, *, allow_new_key: bool = False
+    ) -> bytes:
+        """Sign and record an identity; returns the bundle for the node (PEM, leaf and authority)."""
+        der = self.authority.issue(
+            request, now=now, serial=secrets.randbits(127) + 1, lifetime=lifetime
+        )
+        identity = self.authority.anchor.verify([der], now)
+        row = CertificateRow(
+            identity.serial, identity.name, identity.thumbprint, der,
+            identity.not_before, identity.not_after,
+        )  # fmt: skip
+        self.store.add_certificate(row, now, allow_new_key=allow_new_key)
+        return to_pem(der, self.authority.anchor.certificate)
+
+    def grant(self, draft: Draft, now: int) -> bytes:
+        """Sign and record a grant."""
+        data = document.sign(self.signer, draft)
+        row = GrantRow(document.grant_id(data), draft.subject, data, draft.not_before, draft.expires)
+        self.store.add_grant(row, now)
+        return data
+
+    def revoke(self, entry: bytes, reason: str, now: int) -> RevocationList:
+        """Add a grant id or key thumbprint to the list of revocations, and sign that anew."""
+        self.store.revoke(entry, reason, now)
+        return self.sign_list(now)
+
+    def sign_list(self, now: int) -> RevocationList:
+        """Sign the list of everything revoked, with the next number."""
+        epoch, seq = self.store.next_number()
+        listed = RevocationList(
+            epoch, seq, now, now + _LIST_LIFETIME, self.store.revoked_entries()
+        )
+        self.store.save_list(listed.number, sign_list(self.signer, listed), now)
+        return listed
+
+
+class AuthorityHome:
+    """The directory of the authority: its key, its certificate, its record of what it signed."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    @classmethod
+    def at(cls, home: Path) -> Self:
+        """The authority below ROSSEC_HOME.
+
+        Raises:
+            ConfigurationError: there is none.
+        """
+        path = home / "ca"
+        if not (path / "ca.pem").exists():
+            raise ConfigurationError(f"there is no authority in {home}", "next: rossec ca init DOMAIN")
+        return cls(path)
+
+    @classmethod
+    def create(cls, home: Path, domain: str, passphrase: str, now: int) -> Self:
+        """Make a new authority with its own node `/ca` and an empty revocation list.
+
+        Raises:
+            ConfigurationError: there is one already; it is not touched.
+        """
+        path = home / "ca"
+        if path.exists():
+            raise ConfigurationError(
+                f"there is an authority in {path}", "give another ROSSEC_HOME for a second one"
+            )
+        key = keys.generate()
+        root = create_root(KeySigner(key), domain, now=now, serial=secrets.randbits(127) + 1)
+        files.make_private_directory(path)
+        keys.write_private(path / "ca.key", key, passphrase)
+        store = Store.create(path / "ca.db")
+        unlocked = OpenAuthority(Authority(KeySigner(key), root), store, path)
+        unlocked.sign_list(now)
+        own = NodeHome(path / "node", OWN_NODE)
+        own.create_request(domain)
+        own.install(unlocked.issue(own.request(), now, _OWN_LIFETIME), now)
+        store.close()
+        # Last: an authority without it does not count as one.
+        files.create(path / "ca.pem", to_pem(root), 0o644)
+        return cls(path)
+
+    @property
+    def domain(self) -> str:
+        """Its trust domain."""
+        return self.anchor().domain
+
+    def anchor(self) -> TrustAnchor:
+        """Its certificate, as nodes trust it."""
+        data = files.read(self.path / "ca.pem", _SIZE_LIMIT, ConfigurationError("no ca.pem"))
+        (der,) = from_pem(data)
+        return TrustAnchor.load(der)
+
+    def store(self) -> Store:
+        """Its record."""
+        return Store.open(self.path / "ca.db")
+
+    def node(self) -> NodeHome:
+        """The node as which its tools speak to the master."""
+        return NodeHome(self.path / "node", OWN_NODE)
+
+    def unlock(self, passphrase: str) -> OpenAuthority:
+        """Load the key.
+
+        Raises:
+            PassphraseRefused: the passphrase is wrong.
+        """
+        key = keys.load_private(self.path / "ca.key", passphrase)
+        authority = Authority(KeySigner(key), self.anchor().certificate)
+        return OpenAuthority(authority, self.store(), self.path)
+
+    def revocation_list(self) -> bytes:
+        """The newest signed list.
+
+        Raises:
+            ConfigurationError: none was signed yet.
+        """
+        data = self.store().newest_list()
+        if data is None:
+            raise ConfigurationError("no revocation list was signed yet", "next: rossec ca publish")
+        return data
+
+
+def fingerprint(anchor: TrustAnchor) -> str:
+    """What two people compare to be sure of an authority: its key's thumbprint in groups of four."""
+    digits = anchor.thumbprint.hex()
+    return " ".join(digits[start : start + 4] for start in range(0, 32, 4))

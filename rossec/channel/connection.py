@@ -1,0 +1,461 @@
+"""One secure connection without its socket: bytes and `now` in, events and bytes out.
+
+`states.TABLE` is its life. The first flaw of any kind ends it: nothing is delivered or sent after
+that, except one last flight that tells a peer which is not authenticated yet that it was refused,
+in one generic text (no oracle). Verified units of the same call are dropped with the connection.
+A caller writes every byte it is handed, in order and at once, or drops the connection.
+"""
+
+from collections.abc import Collection, Iterator, Sequence
+from typing import Final, Generic, Self, cast
+
+from rossec.channel.buffers import SMALL, ReceiveBuffer
+from rossec.channel.credentials import OwnCredential, PeerT, Verify
+from rossec.channel.handshake import Initiator, Party, Responder, WrongSuite
+from rossec.channel.messages import (
+    UNSPECIFIED,
+    WRONG_SUITE,
+    decode_error,
+    encode_error,
+    suites_item,
+)
+from rossec.channel.opening import (
+    MAX_OPENING,
+    Flavour,
+    Plain,
+    Verdict,
+    first_bytes,
+    judge_answer,
+    judge_caller,
+    refusal,
+)
+from rossec.channel.records import (
+    HEADER,
+    MAX_PLAINTEXT,
+    TAG,
+    Bytes,
+    Epochs,
+    Frame,
+    Limits,
+    check_header,
+    frame,
+)
+from rossec.channel.session import Session
+from rossec.channel.states import (
+    DEAD,
+    PREAMBLE,
+    SENDING,
+    TABLE,
+    UNPROVEN,
+    Authenticated,
+    Closed,
+    Event,
+    State,
+    UnitReceived,
+)
+from rossec.channel.suites import PRODUCTION, Random
+from rossec.errors import (
+    ChannelClosed,
+    ChannelError,
+    ConnectionTruncated,
+    HandshakeFailed,
+    HandshakeTimeout,
+    IdentityExpired,
+    LimitExceeded,
+    PeerRefused,
+    PlainPeer,
+    ProtocolViolation,
+)
+
+_OPEN_BUFFER: Final = 64 * 1024
+_FULL_BUFFER: Final = 2 * (HEADER + MAX_PLAINTEXT + TAG)  # two whole records stay aligned
+_REFUSED: Final = frame(Frame.ERROR, encode_error(UNSPECIFIED, "handshake refused"))
+_DEFAULTS: Final = Limits()
+_HINT_REFUSED: Final = "see the peer's log: it does not say why to one it does not trust"
+_BOTH: Final = frozenset(Flavour)
+
+
+class Connection(Generic[PeerT]):
+    """A connection of either role: make one with `initiator` or `responder`."""
+
+    def __init__(
+        self,
+        party: Party[PeerT],
+        side: Initiator[PeerT] | Responder[PeerT],
+        now: int,
+        limits: Limits,
+    ) -> None:
+        self._party = party
+        self._side = side
+        self._limits = limits
+        self._now = now
+        self._give_up_at = now + limits.handshake_seconds
+        self._inbox = ReceiveBuffer(SMALL)
+        self._drain = 0
+        self._out: list[bytes | bytearray] = []
+        self._events: list[Event[PeerT]] = []
+        self._retried = False
+        self._mute = False  # an error is never answered with an error
+        self._peer: PeerT | None = None
+        self._session: Session | None = None
+        self._accept: Collection[Flavour] = _BOTH
+        self.flavour = Flavour.TCPROS
+        self.state = State.OPENING
+
+    @classmethod
+    def initiator(
+        cls,
+        credentials: OwnCredential,
+        verify: Verify[PeerT],
+        *,
+        random: Random,
+        now: int,
+        opening: Flavour = Flavour.TCPROS,
+        suites: tuple[int, ...] = PRODUCTION,
+        limits: Limits = _DEFAULTS,
+    ) -> Self:
+        """The side that connected; its first flight is ready to send."""
+        party = Party(credentials, verify, random, suites)
+        side = Initiator(party)
+        connection = cls(party, side, now, limits)
+        connection.flavour = opening
+        connection._out += [first_bytes(opening), frame(Frame.HANDSHAKE, side.message_1())]
+        return connection
+
+    @classmethod
+    def responder(
+        cls,
+        credentials: OwnCredential,
+        verify: Verify[PeerT],
+        *,
+        random: Random,
+        now: int,
+        accept: Collection[Flavour] = _BOTH,
+        suites: tuple[int, ...] = PRODUCTION,
+        limits: Limits = _DEFAULTS,
+    ) -> Self:
+        """The side that was connected to; `accept` says which openings may lead on."""
+        party = Party(credentials, verify, random, suites)
+        connection = cls(party, Responder(party), now, limits)
+        connection._accept = accept
+        return connection
+
+    # -- receiving
+
+    def get_buffer(self) -> memoryview:
+        """Where the next bytes from the socket go; valid until the next call of any method."""
+        return self._inbox.free()
+
+    def receive_data(self, data: Bytes, now: int) -> list[Event[PeerT]]:
+        """Take bytes from the peer. `get_buffer` and `buffer_updated` save the copy.
+
+        Raises:
+            ChannelError: the connection is at its end; `data_to_send` may hold a last flight.
+        """
+        events: list[Event[PeerT]] = []
+        rest = memoryview(data)
+        while len(rest) > 0:
+            room = self._inbox.free()
+            count = min(len(room), len(rest))
+            room[:count] = rest[:count]
+            rest = rest[count:]
+            events += self.buffer_updated(count, now)
+        return events
+
+    def buffer_updated(self, count: int, now: int) -> list[Event[PeerT]]:
+        """Take the `count` bytes that were written into `get_buffer`.
+
+        Raises:
+            ChannelError: as for `receive_data`.
+        """
+        self._now = now
+        self._inbox.filled(count)
+        events = self._events = []
+        try:
+            self._run()
+        except ChannelError as error:
+            self._last_flight(error)
+            raise
+        except BaseException:
+            self._die()  # a bug is a flaw like any other
+            raise
+        return events
+
+    def receive_eof(self) -> None:
+        """The peer ended the TCP stream.
+
+        Raises:
+            ConnectionTruncated: without its authenticated close.
+            HandshakeFailed: before the handshake was done.
+        """
+        if self.state in DEAD:
+            self.state = State.CLOSED
+            return
+        opened = self.state is State.OPEN
+        self._die()
+        if opened:
+            raise ConnectionTruncated(
+                "the connection ended without the peer's close",
+                "data may be missing: the peer crashed, or somebody cut the connection",
+            )
+        raise HandshakeFailed(
+            "the peer ended the connection during the handshake",
+            "it may be a plain ROS node (start it with `rossec run`), or overloaded",
+        )
+
+    def _run(self) -> None:
+        if self.state in PREAMBLE:
+            self._preamble()
+        inbox = self._inbox
+        while self.state not in DEAD and self.state not in PREAMBLE:
+            view = inbox.unread()
+            if len(view) < HEADER:
+                return
+            head = bytes(view[:HEADER])
+            size = HEADER + int.from_bytes(head[1:])
+            step = _ROWS[self.state].get(head[0] >> 4)
+            if step is None:
+                raise ProtocolViolation(
+                    f"frame of type {head[0] >> 4} in state: {self.state.value}"
+                )
+            check_header(head, 0 if self._session is None else self._session.receive_epoch)
+            if len(view) < size:
+                inbox.reserve(size, _OPEN_BUFFER if size < _OPEN_BUFFER else _FULL_BUFFER)
+                return
+            name, following = step
+            state: State = getattr(self, name)(head, view[HEADER:size])
+            assert state in following  # noqa: S101 - the table is the truth, tests run with it
+            self.state = state
+            inbox.consume(size)
+        if self.state in DEAD:
+            inbox.consume(len(inbox))
+
+    # -- the first bytes
+
+    def _preamble(self) -> None:
+        if self.state is State.OPENING:
+            prefix = bytes(self._inbox.unread()[:MAX_OPENING])
+            if isinstance(self._side, Initiator):
+                self._preamble_answer(judge_answer(prefix, self.flavour))
+            else:
+                self._preamble_call(judge_caller(prefix))
+        if self.state is State.DRAINING:
+            count = min(self._drain, len(self._inbox))
+            self._inbox.consume(count)
+            self._drain -= count
+            if self._drain == 0:
+                self._refuse_plain()
+
+    def _preamble_answer(self, length: int | None) -> None:
+        if length is not None:
+            self._inbox.consume(length)
+            self.state = State.WAIT_2
+
+    def _preamble_call(self, verdict: Verdict) -> None:
+        if verdict is None:
+            return
+        self.flavour = verdict.flavour
+        if isinstance(verdict, Plain):
+            self._drain = verdict.drain
+            self.state = State.DRAINING
+        elif verdict.flavour not in self._accept:
+            self._refuse_plain()
+        else:
+            self._inbox.consume(verdict.consumed)
+            self._out.append(verdict.reply)
+            self.state = State.WAIT_1
+
+    def _refuse_plain(self) -> None:
+        self._out.append(refusal(self.flavour))
+        raise PlainPeer(
+            f"a plain {self.flavour.name} peer called and was refused",
+            "start the peer with `rossec run`, or call `rossec.secure()` in it",
+        )
+
+    # -- the handshake
+
+    def _on_message_1(self, _: bytes, body: memoryview) -> State:
+        side = cast("Responder[PeerT]", self._side)
+        try:
+            message_2 = side.message_1(bytes(body))
+        except WrongSuite as error:
+            if self._retried:
+                raise
+            self._retried = True
+            self._out.append(
+                frame(Frame.ERROR, encode_error(WRONG_SUITE, suites_item(error.suites)))
+            )
+            return State.WAIT_1
+        self._out.append(frame(Frame.HANDSHAKE, message_2))
+        return State.WAIT_3
+
+    def _on_message_2(self, _: bytes, body: memoryview) -> State:
+        side = cast("Initiator[PeerT]", self._side)
+        message_3, peer = side.message_2(bytes(body), self._now)
+        self._out.append(frame(Frame.HANDSHAKE, message_3))
+        self._authenticated(peer)
+        return State.WAIT_4
+
+    def _on_message_3(self, _: bytes, body: memoryview) -> State:
+        side = cast("Responder[PeerT]", self._side)
+        message_4, peer = side.message_3(bytes(body), self._now)
+        self._out.append(frame(Frame.HANDSHAKE, message_4))
+        self._authenticated(peer)
+        return State.OPEN
+
+    def _on_message_4(self, _: bytes, body: memoryview) -> State:
+        side = cast("Initiator[PeerT]", self._side)
+        side.message_4(bytes(body))
+        return State.OPEN
+
+    def _on_error(self, _: bytes, body: memoryview) -> State:
+        self._mute = True
+        code, reason, suites = decode_error(bytes(body))
+        if code != WRONG_SUITE or self.state is not State.WAIT_2 or self._retried:
+            raise PeerRefused(f"the peer refused the handshake: {reason}", _HINT_REFUSED)
+        side = cast("Initiator[PeerT]", self._side)
+        self._retried = True
+        self._side = side = side.after_wrong_suite(suites)
+        self._mute = False
+        self._out.append(frame(Frame.HANDSHAKE, side.message_1()))
+        return State.WAIT_2
+
+    def _authenticated(self, peer: PeerT) -> None:
+        side = self._side
+        epochs = Epochs(side.suite, side.exporter, initiator=isinstance(side, Initiator))
+        self._session = Session(epochs, self._limits, self._now)
+        self._peer = peer
+        self._events.append(Authenticated(peer))
+
+    # -- records
+
+    def _open_session(self) -> Session:
+        if self._session is None:
+            raise ChannelClosed("the connection is closed")
+        return self._session
+
+    def _on_data(self, head: bytes, body: memoryview) -> State:
+        self._open_session().data(head, body)
+        return State.OPEN
+
+    def _on_data_end(self, head: bytes, body: memoryview) -> State:
+        self._events.append(UnitReceived(self._open_session().data_end(head, body)))
+        return State.OPEN
+
+    def _on_rekey(self, head: bytes, body: memoryview) -> State:
+        self._out.append(self._open_session().rekey(head, body))
+        return State.OPEN
+
+    def _on_close(self, head: bytes, body: memoryview) -> State:
+        session = self._open_session()
+        session.close(head, body)
+        self._out.append(session.close_record())
+        self._session = None
+        self._events.append(Closed())
+        return State.CLOSED
+
+    # -- sending
+
+    def seal_unit(self, *pieces: Bytes) -> Iterator[bytes | bytearray]:
+        """Yield what to send for a unit, record by record; write each before taking the next.
+
+        A unit that has begun must be finished: if that is not possible, drop the connection.
+
+        Raises:
+            LimitExceeded: too long, at once, and nothing has happened.
+            ChannelClosed: there is no open connection (any more).
+        """
+        self._sendable().check_unit(pieces)
+        return self._sealed(pieces)
+
+    def _sealed(self, pieces: Sequence[Bytes]) -> Iterator[bytes | bytearray]:
+        try:
+            for record in self._sendable().seal_unit(pieces):
+                # Whatever was sealed meanwhile has the smaller counter: it goes first.
+                yield self.data_to_send() + record if self._out else record
+                self._sendable()
+        except LimitExceeded:
+            self._die()
+            raise
+
+    def _sendable(self) -> Session:
+        if self.state not in SENDING:
+            raise ChannelClosed("the connection is closed")
+        return self._open_session()
+
+    def send_unit(self, *pieces: Bytes) -> None:
+        """Seal a unit and queue it for `data_to_send`; an empty one sends nothing.
+
+        Raises:
+            LimitExceeded, ChannelClosed: as for `seal_unit`.
+        """
+        self._out += list(self.seal_unit(*pieces))
+
+    def data_to_send(self) -> bytes | bytearray:
+        """Return, once, everything queued for the peer."""
+        out, self._out = self._out, []
+        return out[0] if len(out) == 1 else b"".join(out)
+
+    def close(self) -> None:
+        """Queue the authenticated close; what the peer still sends is thrown away."""
+        if self.state in SENDING:
+            self._out.append(self._sendable().close_record())
+            self._session = None
+            self.state = State.CLOSING
+        elif self.state is not State.CLOSING:
+            self.state = State.CLOSED
+
+    # -- time and ends
+
+    def deadline(self) -> int | None:
+        """When `tick` has to be called at the latest."""
+        if self.state in DEAD:
+            return None
+        if self.state is not State.OPEN or self._session is None or self._peer is None:
+            return self._give_up_at
+        return min(self._session.renew_at, self._peer.not_after)
+
+    def tick(self, now: int) -> None:
+        """Act on the time: renew keys, or end a connection that has outlived its right.
+
+        Raises:
+            HandshakeTimeout, IdentityExpired, LimitExceeded: the connection is at its end.
+        """
+        self._now = now
+        deadline = self.deadline()
+        if deadline is None or now < deadline:
+            return
+        try:
+            self._act(now)
+        except ChannelError:
+            self._die()
+            raise
+
+    def _act(self, now: int) -> None:
+        if self.state is not State.OPEN or self._session is None or self._peer is None:
+            raise HandshakeTimeout(
+                "the peer did not finish the handshake in time",
+                "it may be a plain ROS node (start it with `rossec run`), or overloaded",
+            )
+        if now >= self._peer.not_after:
+            raise IdentityExpired("the peer's certificate ran out", "renew it")
+        self._out.append(self._session.renew(now))
+
+    def _last_flight(self, error: ChannelError) -> None:
+        """Die; tell a peer that is still unproven, unless it told us first."""
+        tell = self.state in UNPROVEN and not self._mute
+        out = self._out if self.state in UNPROVEN or isinstance(error, PlainPeer) else []
+        self._die()
+        self._out = [*out, _REFUSED] if tell else out
+
+    def _die(self) -> None:
+        self.state = State.CLOSED
+        self._session = None
+        self._side.forget()
+        self._out = []
+
+
+_ROWS: Final = {
+    state: {kind.value: row for (there, kind), row in TABLE.items() if there is state}
+    for state in State
+}

@@ -1,0 +1,87 @@
+"""The key schedule of EDHOC (RFC 9528 sections 4 and 5) with SHA-256, method 0.
+
+With method 0 both sides authenticate by signature, so PRK_2e = PRK_3e2m = PRK_4e3m. Functions over
+bytes only; who knows which secret when is the handshake's business. Python cannot wipe bytes:
+secrets are dropped as early as possible, no more is promised.
+"""
+
+import hashlib
+import hmac
+from dataclasses import dataclass
+from enum import IntEnum
+
+from cryptography.hazmat.primitives import hashes
+from cryptography.hazmat.primitives.kdf.hkdf import HKDFExpand
+
+from ca.encoding import encode
+from rossec.channel.suites import HASH_LENGTH
+
+
+class Label(IntEnum):
+    """Labels of EDHOC_KDF (RFC 9528, figure 6)."""
+
+    KEYSTREAM_2 = 0
+    MAC_2 = 2
+    K_3 = 3
+    IV_3 = 4
+    MAC_3 = 6
+    PRK_OUT = 7
+    K_4 = 8
+    IV_4 = 9
+    PRK_EXPORTER = 10
+    KEY_UPDATE = 11
+
+
+def extract(salt: bytes, secret: bytes) -> bytes:
+    """EDHOC_Extract: HKDF-Extract (RFC 5869)."""
+    return hmac.digest(salt, secret, "sha256")
+
+
+def expand(prk: bytes, info: bytes, length: int) -> bytes:
+    """EDHOC_Expand: HKDF-Expand, at most 8160 bytes."""
+    return HKDFExpand(hashes.SHA256(), length, info).derive(prk)
+
+
+def kdf(prk: bytes, label: int, context: bytes, length: int) -> bytes:
+    """EDHOC_KDF (RFC 9528 section 4.1.2)."""
+    return expand(prk, encode(label) + encode(context) + encode(length), length)
+
+
+def transcript_2(g_y: bytes, message_1: bytes) -> bytes:
+    """TH_2 = H( G_Y, H(message_1) ), over the bytes as they travelled."""
+    digest = hashlib.sha256(message_1).digest()
+    return hashlib.sha256(encode(g_y) + encode(digest)).digest()
+
+
+def transcript_next(previous: bytes, plaintext: bytes, credential: bytes) -> bytes:
+    """TH_3 and TH_4 = H( TH, PLAINTEXT, CRED ); `credential` is the encoded CRED_x."""
+    return hashlib.sha256(encode(previous) + plaintext + credential).digest()
+
+
+def keystream_2(prk_2e: bytes, th_2: bytes, length: int) -> bytes:
+    """The one-time pad over PLAINTEXT_2."""
+    return kdf(prk_2e, Label.KEYSTREAM_2, th_2, length)
+
+
+@dataclass(frozen=True)
+class Exporter:
+    """What a finished handshake leaves behind: PRK_out, and nothing older."""
+
+    prk_out: bytes
+
+    @classmethod
+    def derive(cls, prk_4e3m: bytes, th_4: bytes) -> "Exporter":
+        """PRK_out = EDHOC_KDF( PRK_4e3m, 7, TH_4, hash_length )."""
+        return cls(kdf(prk_4e3m, Label.PRK_OUT, th_4, HASH_LENGTH))
+
+    def export(self, label: int, context: bytes, length: int) -> bytes:
+        """EDHOC_Exporter (RFC 9528 section 4.2.1)."""
+        prk_exporter = kdf(self.prk_out, Label.PRK_EXPORTER, b"", HASH_LENGTH)
+        return kdf(prk_exporter, label, context, length)
+
+    def update(self, context: bytes) -> "Exporter":
+        """EDHOC_KeyUpdate (RFC 9528 section 4.2.2): forward secrecy, not healing."""
+        return Exporter(kdf(self.prk_out, Label.KEY_UPDATE, context, HASH_LENGTH))
+
+    def __repr__(self) -> str:
+        return "Exporter(...)"  # secrets never reach a log

@@ -1,0 +1,190 @@
+"""The messages of EDHOC (RFC 9528 section 5 and 6) to bytes and back.
+
+Structure only: no keys, no policy, no state. Decoding is strict, and since `ca.encoding` accepts
+only the one deterministic form, encoding a decoded item gives the bytes that were received: that
+is what makes hashing `encode(item)` the same as hashing the received bytes.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+from ca.encoding import Value, decode_sequence, encode
+from ca.errors import EncodingError
+from rossec.channel.suites import SIGNATURE_LENGTH
+from rossec.errors import HandshakeFailed
+
+MAX_MESSAGE_1: Final = 1024 + 1216  # leaves room for a hybrid G_X
+MAX_MESSAGE: Final = 16 * 1024
+MAX_PLAINTEXT_2: Final = 255 * 32  # what HKDF-Expand can pad (RFC 9528 section 5.3.2)
+MAX_SUITES: Final = 16
+MAX_REASON: Final = 200
+
+UNSPECIFIED: Final = 1  # ERR_CODE, RFC 9528 section 6
+WRONG_SUITE: Final = 2
+UNKNOWN_CREDENTIAL: Final = 3
+
+
+@dataclass(frozen=True)
+class Message1:
+    """The fields of message_1; the selected suite is the last of `suites`."""
+
+    method: int
+    suites: tuple[int, ...]
+    g_x: bytes
+    c_i: bytes
+
+    def encode(self) -> bytes:
+        """Encode as a CBOR sequence."""
+        head = encode(self.method) + encode(suites_item(self.suites)) + encode(self.g_x)
+        return head + encode_identifier(self.c_i)
+
+
+@dataclass(frozen=True)
+class Plaintext:
+    """PLAINTEXT_2 and PLAINTEXT_3; `c_r` is None in the latter."""
+
+    c_r: bytes | None
+    id_cred: Value
+    signature: bytes
+    ead: bytes = b""
+
+    def encode(self) -> bytes:
+        """Encode as a CBOR sequence."""
+        c_r = b"" if self.c_r is None else encode_identifier(self.c_r)
+        return c_r + encode(self.id_cred) + encode(self.signature) + self.ead
+
+
+def suites_item(suites: tuple[int, ...]) -> Value:
+    """One suite alone is an integer, never an array."""
+    return list(suites) if len(suites) > 1 else suites[0]
+
+
+def encode_identifier(value: bytes) -> bytes:
+    """bstr_identifier (RFC 9528 section 3.3.2): a small CBOR integer stands alone."""
+    return value if _is_small_int(value) else encode(value)
+
+
+def decode_message_1(data: bytes) -> Message1:
+    """Decode message_1; an EAD_1 is parsed and must hold nothing critical.
+
+    Raises:
+        HandshakeFailed: wrong structure. Lengths of G_X belong to the suite and are checked there.
+    """
+    match _sequence(data, MAX_MESSAGE_1):
+        case [int() as method, suites, bytes() as g_x, c_i, *ead] if not isinstance(method, bool):
+            _check_ead(ead)
+            return Message1(method, _decode_suites(suites), g_x, _decode_identifier(c_i))
+        case _:
+            raise HandshakeFailed("malformed message_1")
+
+
+def decode_bytes(data: bytes) -> bytes:
+    """Decode message_2, message_3 or message_4: one byte string.
+
+    Raises:
+        HandshakeFailed: anything else.
+    """
+    match _sequence(data, MAX_MESSAGE):
+        case [bytes() as body]:
+            return body
+        case _:
+            raise HandshakeFailed("a handshake message is not one byte string")
+
+
+def decode_plaintext(data: bytes, *, with_c_r: bool) -> Plaintext:
+    """Decode PLAINTEXT_2 (`with_c_r`) or PLAINTEXT_3.
+
+    Raises:
+        HandshakeFailed: wrong structure, a `kid` in any form, a critical EAD, a wrong length.
+    """
+    items = _sequence(data, MAX_MESSAGE)
+    c_r = _decode_identifier(items.pop(0)) if with_c_r and items else None
+    match items:
+        case [dict() as id_cred, bytes() as signature, *ead] if len(signature) == SIGNATURE_LENGTH:
+            # `kid` (label 4) and its compact forms name raw keys, which are no identity here.
+            return Plaintext(c_r, id_cred, signature, _check_ead(ead))
+        case _:
+            raise HandshakeFailed("malformed plaintext in a handshake message")
+
+
+def decode_plaintext_4(data: bytes) -> None:
+    """Check PLAINTEXT_4, which is at most an EAD.
+
+    Raises:
+        HandshakeFailed: wrong structure or a critical EAD.
+    """
+    _check_ead(_sequence(data, MAX_MESSAGE))
+
+
+def encode_error(code: int, info: Value) -> bytes:
+    """Encode an EDHOC error message."""
+    return encode(code) + encode(info)
+
+
+def decode_error(data: bytes) -> tuple[int, str, tuple[int, ...]]:
+    """Decode an error message: its code, a printable reason, and SUITES_R (for code 2).
+
+    Raises:
+        HandshakeFailed: not an error message.
+    """
+    match _sequence(data, 1024):
+        case [2, suites]:
+            return WRONG_SUITE, "no common cipher suite", _decode_suites(suites)
+        case [3, True]:
+            return UNKNOWN_CREDENTIAL, "it does not know the credential this node named", ()
+        case [1, str() as text]:
+            return UNSPECIFIED, printable(text), ()
+        case _:
+            raise HandshakeFailed("malformed error message")
+
+
+def printable(text: str) -> str:
+    """A stranger's text made fit for a log: one line, printable, bounded."""
+    kept = "".join(c if c.isprintable() else " " for c in text[:MAX_REASON])
+    return " ".join(kept.split())
+
+
+def _sequence(data: bytes, limit: int) -> list[Value]:
+    try:
+        return decode_sequence(data, limit=limit)
+    except EncodingError as error:
+        raise HandshakeFailed(f"malformed handshake message: {error}") from error
+
+
+def _decode_suites(value: Value) -> tuple[int, ...]:
+    """Suites = [2* int] / int (RFC 9528 section 5.2.1)."""
+    items = value if isinstance(value, list) else [value]
+    ints = [item for item in items if isinstance(item, int) and not isinstance(item, bool)]
+    if len(ints) != len(items) or len(items) > MAX_SUITES:
+        raise HandshakeFailed("malformed list of cipher suites")
+    if isinstance(value, list) and len(items) < 2:
+        raise HandshakeFailed("a single cipher suite in an array")
+    return tuple(ints)
+
+
+def _decode_identifier(value: Value) -> bytes:
+    if isinstance(value, bytes) and not _is_small_int(value):
+        return value
+    if isinstance(value, int) and not isinstance(value, bool) and -24 <= value <= 23:
+        return encode(value)
+    raise HandshakeFailed("malformed connection identifier")
+
+
+def _is_small_int(value: bytes) -> bool:
+    """Whether this one byte is the CBOR encoding of an integer from -24 to 23."""
+    return len(value) == 1 and (value[0] <= 0x17 or 0x20 <= value[0] <= 0x37)
+
+
+def _check_ead(items: list[Value]) -> bytes:
+    """Parse 1*(label, ? value); refuse critical ones, none is known; return the bytes."""
+    previous_was_label = False
+    for item in items:
+        if isinstance(item, bytes) and previous_was_label:
+            previous_was_label = False
+        elif isinstance(item, int) and not isinstance(item, bool):
+            if item < 0:  # critical: RFC 9528 section 3.8
+                raise HandshakeFailed("a critical extension this release does not know")
+            previous_was_label = True
+        else:
+            raise HandshakeFailed("malformed external authorization data")
+    return b"".join(map(encode, items))

@@ -1,0 +1,205 @@
+"""The first bytes of a connection, valid for a plain ROS peer, and what to tell such a peer.
+
+The initiator's opening is a TCPROS connection header with the one field `rossec=1`, or an HTTP
+request that asks to upgrade; neither holds anything private. A plain peer answers either readably
+instead of hanging on a bogus length. The other way round, a plain caller gets the refusal in its
+own protocol. No state of the channel is here: functions from a prefix of the stream to a verdict,
+which is `None` while the prefix is too short.
+"""
+
+from dataclasses import dataclass
+from enum import Enum
+from typing import Final, TypeAlias
+
+from rossec.channel.messages import printable
+from rossec.errors import PlainPeer, ProtocolViolation
+
+MAX_OPENING: Final = 4 * 1024
+MAX_DRAIN: Final = 1024 * 1024
+"""How much of a plain caller's request is read, and thrown away, so that it hears the answer."""
+
+_VERSION: Final = b"rossec=1"
+_FIELD: Final = len(_VERSION).to_bytes(4, "little") + _VERSION
+_TCPROS: Final = len(_FIELD).to_bytes(4, "little") + _FIELD
+_REQUEST: Final = (
+    b"GET /rossec HTTP/1.1\r\nHost: rossec\r\nConnection: Upgrade\r\nUpgrade: rossec/1\r\n\r\n"
+)
+_SWITCH: Final = (
+    b"HTTP/1.1 101 Switching Protocols\r\nConnection: Upgrade\r\nUpgrade: rossec/1\r\n\r\n"
+)
+_METHODS: Final = (b"GET ", b"POST", b"HEAD", b"PUT ", b"OPTI")
+
+REFUSAL: Final = (
+    "rossec: this node accepts only connections secured by rossec; "
+    "enroll your program as a node (see the README of rossec)"
+)
+_HINT_PLAIN: Final = "the peer is a plain ROS node: give it an identity, or use another address"
+
+
+class Flavour(Enum):
+    """In which protocol the connection introduces itself."""
+
+    TCPROS = "tcpros"
+    HTTP = "http"
+
+
+@dataclass(frozen=True)
+class Accepted:
+    """The peer speaks rossec: drop `consumed` bytes, send `reply`, begin the handshake."""
+
+    flavour: Flavour
+    consumed: int
+    reply: bytes
+
+
+@dataclass(frozen=True)
+class Plain:
+    """The peer is a plain one: drop `drain` bytes, send `refusal(flavour)`, close."""
+
+    flavour: Flavour
+    drain: int
+
+
+Verdict: TypeAlias = Accepted | Plain | None
+
+
+def first_bytes(flavour: Flavour) -> bytes:
+    """What the initiator sends before message_1, in the same flight."""
+    return _TCPROS if flavour is Flavour.TCPROS else _REQUEST
+
+
+def judge_caller(data: bytes) -> Verdict:
+    """Judge what a caller sent so far (at least its first bytes, at most `MAX_OPENING` matter).
+
+    Raises:
+        ProtocolViolation: neither ROS nor rossec; nobody to answer to.
+    """
+    if len(data) < 4:
+        return None
+    if data[:4] in _METHODS:
+        return _judge_http(data)
+    return _judge_tcpros(data)
+
+
+def _judge_tcpros(data: bytes) -> Verdict:
+    length = int.from_bytes(data[:4], "little")
+    if length == len(_FIELD):
+        if len(data) < len(_TCPROS):
+            return None
+        if data[: len(_TCPROS)] == _TCPROS:
+            return Accepted(Flavour.TCPROS, len(_TCPROS), b"")
+    # A real header holds the message definition, some kilobytes; a field needs 5 bytes (N7).
+    if not 5 <= length <= MAX_DRAIN:
+        raise ProtocolViolation("the first bytes are neither ROS nor rossec")
+    return Plain(Flavour.TCPROS, 4 + length)
+
+
+def _judge_http(data: bytes) -> Verdict:
+    end = data.find(b"\r\n\r\n", 0, MAX_OPENING)
+    if end < 0:
+        if len(data) >= MAX_OPENING:
+            raise ProtocolViolation("an HTTP request head beyond the limit")
+        return None
+    lines = data[:end].split(b"\r\n")
+    fields = _http_fields(lines[1:])
+    upgrade = fields.get(b"upgrade")
+    if lines[0] == b"GET /rossec HTTP/1.1" and upgrade == b"rossec/1":
+        return Accepted(Flavour.HTTP, end + 4, _SWITCH)
+    return Plain(Flavour.HTTP, end + 4 + _body_length(fields))
+
+
+def _http_fields(lines: list[bytes]) -> dict[bytes, bytes]:
+    fields: dict[bytes, bytes] = {}
+    for line in lines:
+        name, colon, value = line.partition(b":")
+        if not colon or name.lower() in fields:
+            raise ProtocolViolation("a malformed HTTP request head")
+        fields[name.lower()] = value.strip()
+    return fields
+
+
+def _body_length(fields: dict[bytes, bytes]) -> int:
+    """How much body to drain; an absurd or chunked length is not worth an exact answer (M10)."""
+    text = fields.get(b"content-length", b"0")
+    if not text.isdigit() or len(text) > 9:
+        return 0
+    return min(int(text), MAX_DRAIN)
+
+
+def refusal(flavour: Flavour) -> bytes:
+    """What a plain caller is told, in its own protocol; names nothing of this node."""
+    return tcpros_refusal(REFUSAL) if flavour is Flavour.TCPROS else http_refusal(REFUSAL)
+
+
+def tcpros_refusal(text: str) -> bytes:
+    """A TCPROS connection header with the one field `error`."""
+    field = b"error=" + text.encode()
+    body = len(field).to_bytes(4, "little") + field
+    return len(body).to_bytes(4, "little") + body
+
+
+def http_refusal(text: str) -> bytes:
+    """An XML-RPC reply `[-1, text, 0]`, in the HTTP which roscpp's XmlRpc++ reads as well."""
+    escaped = text.replace("&", "&amp;").replace("<", "&lt;")
+    body = (
+        "<?xml version='1.0'?>\n<methodResponse><params><param><value><array><data>"
+        "<value><int>-1</int></value>"
+        f"<value><string>{escaped}</string></value>"
+        "<value><int>0</int></value>"
+        "</data></array></value></param></params></methodResponse>\n"
+    ).encode()
+    head = (
+        "HTTP/1.1 200 OK\r\nServer: rossec\r\nContent-Type: text/xml\r\n"
+        f"Content-length: {len(body)}\r\nConnection: close\r\n\r\n"
+    )
+    return head.encode() + body
+
+
+def judge_answer(data: bytes, flavour: Flavour) -> int | None:
+    """Judge what the peer answered to `first_bytes`: how many bytes precede its first frame.
+
+    A TCPROS answer has no preamble. A frame of the handshake cannot be taken for a TCPROS header:
+    the low half of its length is never zero, while that half of a header's (little endian) is.
+
+    Raises:
+        PlainPeer: a plain ROS peer answered; the message quotes it.
+    """
+    if len(data) < 4:
+        return None
+    if data[:4] == b"HTTP":
+        return _judge_http_answer(data, flavour)
+    if data[2:4] == b"\0\0":
+        return _plain_tcpros_answer(data)
+    if flavour is Flavour.HTTP:
+        raise PlainPeer("the peer does not answer in HTTP", _HINT_PLAIN)
+    return 0
+
+
+def _judge_http_answer(data: bytes, flavour: Flavour) -> int | None:
+    end = data.find(b"\r\n\r\n", 0, MAX_OPENING)
+    if end < 0 and len(data) < MAX_OPENING:
+        return None
+    if flavour is Flavour.HTTP and data[: len(_SWITCH)] == _SWITCH:
+        return len(_SWITCH)
+    status = printable(data.split(b"\r\n", 1)[0].decode("latin-1"))
+    raise PlainPeer(f"the peer is a plain HTTP server and says: {status}", _HINT_PLAIN)
+
+
+def _plain_tcpros_answer(data: bytes) -> int | None:
+    length = 4 + int.from_bytes(data[:4], "little")
+    wanted = min(length, MAX_OPENING)
+    if len(data) < wanted:
+        return None
+    text = _error_field(data[4:wanted])
+    said = "answers without an error" if text is None else f"says: {text}"
+    raise PlainPeer(f"the peer is a plain ROS node and {said}", _HINT_PLAIN)
+
+
+def _error_field(body: bytes) -> str | None:
+    while len(body) >= 4:
+        length = int.from_bytes(body[:4], "little")
+        name, _, value = body[4 : 4 + length].partition(b"=")
+        if name == b"error":
+            return printable(value.decode(errors="replace"))
+        body = body[4 + length :]
+    return None

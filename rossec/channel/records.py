@@ -1,0 +1,283 @@
+"""Frames, and the records of an open connection: AEAD with counters that are never sent.
+
+A frame is a 4-byte header, big endian: type (4 bits), epoch mod 16 (4 bits), length of the body
+(24 bits). A record is a frame whose body is sealed; its header is the associated data, its nonce
+is IV xor a 64-bit counter, one counter per direction and epoch. TCP delivers in order, so there is
+no window: whatever is replayed, reordered or left out fails the tag. When to send which record, and
+what to do about a failure, is the connection's business.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+from io import BytesIO
+from typing import Final, TypeAlias
+
+from cryptography.exceptions import InvalidTag
+from cryptography.hazmat.primitives.ciphers.aead import AESGCM, ChaCha20Poly1305
+
+from rossec.channel.keyschedule import Exporter
+from rossec.channel.messages import MAX_MESSAGE
+from rossec.channel.suites import Suite
+from rossec.errors import LimitExceeded, ProtocolViolation, RecordForged
+
+HEADER: Final = 4
+TAG: Final = 16
+MAX_PLAINTEXT: Final = 256 * 1024  # the measured optimum, and the bound on what waits for its tag
+_JOIN_BELOW: Final = 16 * 1024
+_INTO_FROM: Final = 4 * 1024  # from here on encrypting in place beats one more copy
+
+Bytes: TypeAlias = bytes | bytearray | memoryview
+
+
+class Frame(IntEnum):
+    """What a frame is."""
+
+    HANDSHAKE = 1
+    ERROR = 2
+    DATA = 3  # more of this unit follows
+    DATA_END = 4  # the last of a unit
+    REKEY = 5  # the last record of this direction's epoch
+    CLOSE = 6  # the last record of this direction
+
+
+# Empty data records would be work without progress.
+_LENGTHS: Final[dict[int, tuple[int, int]]] = {
+    Frame.HANDSHAKE: (1, MAX_MESSAGE),
+    Frame.ERROR: (1, 1024),
+    Frame.DATA: (TAG + 1, TAG + MAX_PLAINTEXT),
+    Frame.DATA_END: (TAG + 1, TAG + MAX_PLAINTEXT),
+    Frame.REKEY: (TAG, TAG),
+    Frame.CLOSE: (TAG, TAG),
+}
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Where the channel stops or renews its keys; the defaults are the notes' (AEAD limits)."""
+
+    records: int = 1 << 23
+    octets: int = 1 << 36
+    seconds: int = 3600
+    unit: int = 256 * 1024 * 1024
+    handshake_seconds: int = 5
+
+
+def frame(kind: Frame, body: bytes, epoch: int = 0) -> bytes:
+    """A frame in clear: handshake and error messages."""
+    return header(kind, epoch, len(body)) + body
+
+
+def header(kind: Frame, epoch: int, length: int) -> bytes:
+    """The 4 bytes before every body."""
+    return (kind << 28 | (epoch & 15) << 24 | length).to_bytes(4)
+
+
+def check_header(head: bytes, epoch: int) -> None:
+    """Check a header before anything is buffered for its body; `epoch` is the peer's current one.
+
+    Raises:
+        ProtocolViolation: another epoch, or a length which this type cannot have.
+    """
+    shortest, longest = _LENGTHS[head[0] >> 4]
+    if head[0] & 15 != epoch & 15:
+        raise ProtocolViolation("a frame of another epoch")
+    if not shortest <= int.from_bytes(head[1:]) <= longest:
+        raise ProtocolViolation("a frame of a forbidden length")
+
+
+class Direction:
+    """One direction in one epoch: a key, a nonce base, what was used up."""
+
+    __slots__ = ("_aead", "_iv", "epoch", "octets", "records")
+
+    def __init__(self, suite: Suite, exporter: Exporter, label: int, epoch: int) -> None:
+        # The version and the epoch are the context; the role is in the label.
+        context = b"rossec/1" + epoch.to_bytes(8)
+        aead = suite.aead(exporter.export(label, context, suite.key_length))
+        if not isinstance(aead, AESGCM | ChaCha20Poly1305):
+            raise ProtocolViolation("this cipher suite has no record layer")
+        self._aead = aead
+        self._iv = int.from_bytes(exporter.export(label + 1, context, suite.nonce_length))
+        self.epoch = epoch
+        self.records = 0  # the counter: consumed before use, so a failure never reuses it
+        self.octets = 0
+
+    def _nonce(self, length: int) -> bytes:
+        counter = self.records
+        if counter >= 1 << 48:  # far above any limit; a nonce must not repeat, whatever happens
+            raise LimitExceeded("the record counter is used up")
+        self.records = counter + 1
+        self.octets += length
+        return (self._iv ^ counter).to_bytes(12)
+
+    def seal(self, kind: Frame, plaintext: Bytes) -> bytes | bytearray:
+        """Return the whole record."""
+        length = len(plaintext)
+        head = (kind << 28 | (self.epoch & 15) << 24 | (length + TAG)).to_bytes(4)
+        nonce = self._nonce(length)
+        if length < _INTO_FROM:
+            return head + self._aead.encrypt(nonce, plaintext, head)
+        record = bytearray(HEADER + length + TAG)
+        record[:HEADER] = head
+        self._aead.encrypt_into(nonce, plaintext, head, memoryview(record)[HEADER:])
+        return record
+
+    def open(self, head: bytes, body: memoryview) -> bytes:
+        """Return the plaintext.
+
+        Raises:
+            RecordForged: the tag does not verify.
+        """
+        try:
+            return self._aead.decrypt(self._nonce(len(body) - TAG), body, head)
+        except InvalidTag:
+            raise RecordForged("a record does not verify") from None
+
+    def open_into(self, head: bytes, body: memoryview, target: memoryview) -> None:
+        """Decrypt into `target`, whose content counts only if this returns.
+
+        Raises:
+            RecordForged: the tag does not verify.
+        """
+        try:
+            self._aead.decrypt_into(self._nonce(len(body) - TAG), body, head, target)
+        except InvalidTag:
+            raise RecordForged("a record does not verify") from None
+
+
+class Epochs:
+    """The keys of both directions, epoch after epoch (EDHOC_KeyUpdate).
+
+    When the first direction moves on, the keys of *both* for the new epoch are derived and PRK_out
+    of the old one is dropped at once: a silent direction keeps only its own traffic key alive.
+    """
+
+    _INITIATOR_SENDS: Final = 32768  # exporter labels for private use, key and IV each
+    _RESPONDER_SENDS: Final = 32770
+
+    def __init__(self, suite: Suite, exporter: Exporter, *, initiator: bool) -> None:
+        labels = (self._INITIATOR_SENDS, self._RESPONDER_SENDS)
+        self._labels = labels if initiator else labels[::-1]
+        self._suite = suite
+        self._exporter = exporter
+        self.sender, self.receiver = self._derive(0)
+        self._waiting: Direction | None = None
+
+    def _derive(self, epoch: int) -> tuple[Direction, Direction]:
+        own, peer = self._labels
+        return (
+            Direction(self._suite, self._exporter, own, epoch),
+            Direction(self._suite, self._exporter, peer, epoch),
+        )
+
+    def _advance(self) -> tuple[Direction, Direction]:
+        epoch = max(self.sender.epoch, self.receiver.epoch) + 1
+        self._exporter = self._exporter.update(epoch.to_bytes(8))
+        return self._derive(epoch)
+
+    def next_sender(self) -> None:
+        """Move this side's direction on; at most one epoch ahead of the other."""
+        if self.sender.epoch > self.receiver.epoch:
+            raise ProtocolViolation("a second rekey before the peer followed the first")
+        if self._waiting is not None:
+            self.sender, self._waiting = self._waiting, None
+        else:
+            self.sender, self._waiting = self._advance()
+
+    def next_receiver(self) -> None:
+        """Move the peer's direction on.
+
+        Raises:
+            ProtocolViolation: it is ahead already, or it renews keys that it has not used.
+        """
+        if self.receiver.epoch > self.sender.epoch:
+            raise ProtocolViolation("the peer renewed its keys twice in a row")
+        if self._waiting is not None:
+            self.receiver, self._waiting = self._waiting, None
+        elif self.receiver.records < 2:  # the REKEY record itself is one
+            raise ProtocolViolation("the peer renews keys that it has not used")
+        else:
+            self._waiting, self.receiver = self._advance()
+
+
+class UnitAssembly:
+    """The unit being received, handed out only when its last record has verified.
+
+    `BytesIO` because it gives a writable view to decrypt into, and then the very same memory as
+    `bytes`, without a copy. It grows only as authenticated bytes arrive.
+    """
+
+    __slots__ = ("_buffer", "_last", "_limit", "_room", "length")
+
+    def __init__(self, limit: int) -> None:
+        self._limit = limit
+        self._buffer = BytesIO()
+        self._room = 0
+        self._last = 0  # a peer that sent so much once, verified, will do so again
+        self.length = 0
+
+    def add(self, direction: Direction, head: bytes, body: memoryview) -> None:
+        """Verify a record and append it.
+
+        Raises:
+            RecordForged: it does not verify.
+            LimitExceeded: the unit is longer than allowed.
+        """
+        end = self._end(body)
+        if end > self._room:
+            self._grow(end)
+        with self._buffer.getbuffer() as view, view[self.length : end] as target:
+            direction.open_into(head, body, target)
+        self.length = end
+
+    def finish(self, direction: Direction, head: bytes, body: memoryview) -> bytes:
+        """Verify the last record of the unit, return the unit and begin the next.
+
+        Raises:
+            RecordForged, LimitExceeded: as for `add`.
+        """
+        if self.length == 0:
+            self._end(body)
+            return direction.open(head, body)
+        self.add(direction, head, body)
+        self._buffer.truncate(self.length)
+        unit = self._buffer.getvalue()
+        self._buffer, self._last = BytesIO(), self.length
+        self._room = self.length = 0
+        return unit
+
+    def _end(self, body: memoryview) -> int:
+        end = self.length + len(body) - TAG
+        if end > self._limit:
+            raise LimitExceeded(f"the peer sends a unit of more than {self._limit} bytes")
+        return end
+
+    def _grow(self, needed: int) -> None:
+        self._room = min(self._limit, max(needed, 2 * self.length, self._last))
+        self._buffer.seek(self._room - 1)
+        self._buffer.write(b"\0")
+
+
+def fragments(pieces: Sequence[Bytes]) -> Iterator[Bytes]:
+    """Cut the pieces of a unit into the plaintexts of its records.
+
+    Small pieces are joined; a large one is cut into views, never copied.
+    """
+    joined: list[Bytes] = []
+    size = 0
+    for piece in pieces:
+        view = piece if isinstance(piece, bytes) else memoryview(piece).cast("B")
+        length = len(view)
+        if joined and (length >= _JOIN_BELOW or size + length > MAX_PLAINTEXT):
+            yield b"".join(joined)
+            joined, size = [], 0
+        if length >= _JOIN_BELOW:
+            whole = memoryview(view)
+            for start in range(0, length, MAX_PLAINTEXT):
+                yield whole[start : start + MAX_PLAINTEXT]
+        elif length:
+            joined.append(view)
+            size += length
+    if joined:
+        yield b"".join(joined)

@@ -1,0 +1,132 @@
+"""The open half of a connection: units to records and back, and when keys are renewed.
+
+A direction renews its keys after so many records, bytes or seconds, and stops hard at twice that.
+The two directions are never more than one epoch apart: whoever receives REKEY follows at once,
+even if it has nothing to say, so that a one-way flow can be renewed again.
+"""
+
+from collections.abc import Iterator, Sequence
+
+from rossec.channel.records import (
+    MAX_PLAINTEXT,
+    Bytes,
+    Direction,
+    Epochs,
+    Frame,
+    Limits,
+    UnitAssembly,
+    fragments,
+)
+from rossec.errors import ConnectionTruncated, LimitExceeded
+
+
+class Session:
+    """Both directions of an open connection; `now` is when it opened."""
+
+    def __init__(self, epochs: Epochs, limits: Limits, now: int) -> None:
+        self._epochs = epochs
+        self._limits = limits
+        self._unit = UnitAssembly(limits.unit)
+        self.renew_at = now + limits.seconds
+
+    @property
+    def receive_epoch(self) -> int:
+        """The epoch the peer's next record must be of."""
+        return self._epochs.receiver.epoch
+
+    def check_unit(self, pieces: Sequence[Bytes]) -> None:
+        """Refuse a unit that the peer would not take; nothing has happened to the connection.
+
+        Raises:
+            LimitExceeded: longer than `Limits.unit`.
+        """
+        size = sum(p.nbytes if isinstance(p, memoryview) else len(p) for p in pieces)
+        if size > self._limits.unit:
+            raise LimitExceeded(
+                f"a message of {size} bytes where at most {self._limits.unit} are allowed",
+                "send it in parts",
+            )
+
+    def seal_unit(self, pieces: Sequence[Bytes]) -> Iterator[bytes | bytearray]:
+        """Yield the records of a unit, and REKEY records where they are due.
+
+        Raises:
+            LimitExceeded: the peer did not follow a rekey in time.
+        """
+        held: Bytes | None = None
+        for plaintext in fragments(pieces):
+            if held is not None:
+                yield from self._record(Frame.DATA, held)
+            held = plaintext
+        if held is not None:
+            yield from self._record(Frame.DATA_END, held)
+
+    def _record(self, kind: Frame, plaintext: Bytes) -> Iterator[bytes | bytearray]:
+        limits, sender = self._limits, self._epochs.sender
+        if sender.records >= limits.records or sender.octets >= limits.octets:
+            if sender.epoch <= self._epochs.receiver.epoch:
+                yield self._rekey()
+            elif _beyond(sender, limits):
+                raise LimitExceeded("the peer does not follow the renewal of the keys")
+        yield self._epochs.sender.seal(kind, plaintext)
+
+    def _rekey(self) -> bytes | bytearray:
+        record = self._epochs.sender.seal(Frame.REKEY, b"")
+        self._epochs.next_sender()
+        return record
+
+    def close_record(self) -> bytes | bytearray:
+        """The authenticated end of this direction."""
+        return self._epochs.sender.seal(Frame.CLOSE, b"")
+
+    def renew(self, now: int) -> bytes | bytearray:
+        """Renew this direction's keys if it is time and they were used; return what to send.
+
+        Raises:
+            LimitExceeded: the peer did not follow the last renewal for a whole period.
+        """
+        if now < self.renew_at:
+            return b""
+        self.renew_at = now + self._limits.seconds
+        sender = self._epochs.sender
+        if sender.epoch > self._epochs.receiver.epoch:
+            raise LimitExceeded("the peer does not follow the renewal of the keys")
+        return self._rekey() if sender.records > 0 else b""
+
+    def data(self, head: bytes, body: memoryview) -> None:
+        """Take a record that does not end its unit."""
+        self._unit.add(self._receiver(), head, body)
+
+    def data_end(self, head: bytes, body: memoryview) -> bytes:
+        """Take the last record of a unit and return the unit."""
+        return self._unit.finish(self._receiver(), head, body)
+
+    def _receiver(self) -> Direction:
+        receiver = self._epochs.receiver
+        if _beyond(receiver, self._limits):
+            raise LimitExceeded("the peer uses its keys for too long")
+        return receiver
+
+    def rekey(self, head: bytes, body: memoryview) -> bytes | bytearray:
+        """Take the peer's REKEY; return this side's own if it has to follow."""
+        self._epochs.receiver.open(head, body)
+        self._epochs.next_receiver()
+        behind = self._epochs.sender.epoch < self._epochs.receiver.epoch
+        return self._rekey() if behind else b""
+
+    def close(self, head: bytes, body: memoryview) -> None:
+        """Take the peer's CLOSE.
+
+        Raises:
+            ConnectionTruncated: it comes in the middle of a unit.
+        """
+        self._epochs.receiver.open(head, body)
+        if self._unit.length > 0:
+            raise ConnectionTruncated("the peer closed the connection in the middle of a message")
+
+
+def _beyond(direction: Direction, limits: Limits) -> bool:
+    return (
+        direction.records >= 2 * limits.records
+        or direction.octets >= 2 * limits.octets + MAX_PLAINTEXT
+    )

@@ -1,0 +1,73 @@
+"""The life of a connection as one table, and the events it hands out.
+
+`TABLE` says what a frame does in a state (the name of a method of `Connection`) and which states
+may follow. A frame that is not in the table ends the connection. The diagram in
+docs/spec/channel.md is drawn from it.
+"""
+
+from dataclasses import dataclass
+from enum import Enum
+from typing import Final, Generic, TypeAlias
+
+from rossec.channel.credentials import PeerT
+from rossec.channel.records import Frame
+
+
+class State(Enum):
+    """Where a connection is in its life."""
+
+    OPENING = "opening"
+    DRAINING = "draining"
+    WAIT_1 = "wait for message_1"
+    WAIT_2 = "wait for message_2"
+    WAIT_3 = "wait for message_3"
+    WAIT_4 = "wait for message_4"
+    OPEN = "open"
+    CLOSING = "closing"
+    CLOSED = "closed"
+
+
+TABLE: Final[dict[tuple[State, Frame], tuple[str, tuple[State, ...]]]] = {
+    (State.WAIT_1, Frame.HANDSHAKE): ("_on_message_1", (State.WAIT_3, State.WAIT_1)),
+    (State.WAIT_2, Frame.HANDSHAKE): ("_on_message_2", (State.WAIT_4,)),
+    (State.WAIT_2, Frame.ERROR): ("_on_error", (State.WAIT_2,)),
+    (State.WAIT_3, Frame.HANDSHAKE): ("_on_message_3", (State.OPEN,)),
+    (State.WAIT_3, Frame.ERROR): ("_on_error", ()),
+    (State.WAIT_4, Frame.HANDSHAKE): ("_on_message_4", (State.OPEN,)),
+    (State.WAIT_4, Frame.ERROR): ("_on_error", ()),
+    (State.OPEN, Frame.DATA): ("_on_data", (State.OPEN,)),
+    (State.OPEN, Frame.DATA_END): ("_on_data_end", (State.OPEN,)),
+    (State.OPEN, Frame.REKEY): ("_on_rekey", (State.OPEN,)),
+    (State.OPEN, Frame.CLOSE): ("_on_close", (State.CLOSED,)),
+}
+"""Errors are unauthenticated, so none is listened to once the handshake is done."""
+
+PREAMBLE: Final = frozenset({State.OPENING, State.DRAINING})
+UNPROVEN: Final = frozenset({State.WAIT_1, State.WAIT_2, State.WAIT_3})
+SENDING: Final = frozenset({State.WAIT_4, State.OPEN})
+DEAD: Final = frozenset({State.CLOSING, State.CLOSED})
+
+
+@dataclass(frozen=True, slots=True)
+class Authenticated(Generic[PeerT]):
+    """The peer proved that it holds the certified key; from here on this side may send.
+
+    For an initiator the responder's acceptance is still to come: until then it can be refused.
+    """
+
+    identity: PeerT
+
+
+@dataclass(frozen=True, slots=True)
+class UnitReceived:
+    """A unit, whole and verified."""
+
+    data: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class Closed:
+    """The peer closed in order: it sends nothing more and reads nothing more."""
+
+
+Event: TypeAlias = Authenticated[PeerT] | UnitReceived | Closed

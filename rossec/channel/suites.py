@@ -1,0 +1,128 @@
+"""The cipher suites of EDHOC (RFC 9528 section 3.6) as one table.
+
+Nothing here decides which suite to use: `PRODUCTION` is the policy, the rest of the table is what
+the code can speak. A suite names its key exchange in the shape of a KEM (RFC 9528 section 9.4), so
+a hybrid one fits without a change to the handshake.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final, Protocol, TypeAlias
+
+from cryptography.exceptions import InvalidSignature
+from cryptography.hazmat.primitives import hashes
+from cryptography.hazmat.primitives.asymmetric import ec, ed25519, x25519
+from cryptography.hazmat.primitives.asymmetric.utils import encode_dss_signature
+from cryptography.hazmat.primitives.ciphers.aead import AESCCM, AESGCM, ChaCha20Poly1305
+
+from rossec.errors import HandshakeFailed
+
+PublicKey: TypeAlias = ec.EllipticCurvePublicKey | ed25519.Ed25519PublicKey
+Aead: TypeAlias = AESGCM | AESCCM | ChaCha20Poly1305
+Random: TypeAlias = Callable[[int], bytes]
+
+HASH_LENGTH: Final = 32  # SHA-256 in every suite of the table
+SIGNATURE_LENGTH: Final = 64  # EdDSA and ES256 alike
+
+
+class KeyExchange(Protocol):
+    """An ephemeral exchange in three steps; the first and last belong to the initiator."""
+
+    initiator_length: int
+    responder_length: int
+
+    def start(self, random: Random) -> tuple[bytes, bytes]:
+        """Return the secret to keep and G_X to send."""
+        ...
+
+    def answer(self, random: Random, g_x: bytes) -> tuple[bytes, bytes]:
+        """Return G_Y to send and the shared secret."""
+        ...
+
+    def finish(self, secret: bytes, g_y: bytes) -> bytes:
+        """Return the shared secret."""
+        ...
+
+
+class X25519Exchange:
+    """RFC 7748; an all-zero result is refused (RFC 9528 section 9.2), by the library and here."""
+
+    initiator_length = 32
+    responder_length = 32
+
+    def start(self, random: Random) -> tuple[bytes, bytes]:
+        """Return the private key and G_X."""
+        secret = random(32)
+        key = x25519.X25519PrivateKey.from_private_bytes(secret)
+        return secret, key.public_key().public_bytes_raw()
+
+    def answer(self, random: Random, g_x: bytes) -> tuple[bytes, bytes]:
+        """Return G_Y and the shared secret."""
+        secret, g_y = self.start(random)
+        return g_y, self.finish(secret, g_x)
+
+    def finish(self, secret: bytes, g_y: bytes) -> bytes:
+        """Return the shared secret.
+
+        Raises:
+            HandshakeFailed: the peer's key is of low order.
+        """
+        own = x25519.X25519PrivateKey.from_private_bytes(secret)
+        try:
+            return own.exchange(x25519.X25519PublicKey.from_public_bytes(g_y))
+        except ValueError:
+            raise HandshakeFailed("the peer's ephemeral key is not a usable point") from None
+
+
+def verify_es256(key: PublicKey, signature: bytes, message: bytes) -> None:
+    """Verify r || s (RFC 9053 section 2.1); raise `HandshakeFailed`."""
+    if not isinstance(key, ec.EllipticCurvePublicKey) or not isinstance(key.curve, ec.SECP256R1):
+        raise HandshakeFailed("the peer's key is not a P-256 key")
+    r, s = int.from_bytes(signature[:32]), int.from_bytes(signature[32:])
+    try:
+        key.verify(encode_dss_signature(r, s), message, ec.ECDSA(hashes.SHA256()))
+    except InvalidSignature:
+        raise HandshakeFailed("the peer's signature does not verify") from None
+
+
+def verify_eddsa(key: PublicKey, signature: bytes, message: bytes) -> None:
+    """Verify Ed25519 (RFC 8032); raise `HandshakeFailed`."""
+    if not isinstance(key, ed25519.Ed25519PublicKey):
+        raise HandshakeFailed("the peer's key is not an Ed25519 key")
+    try:
+        key.verify(signature, message)
+    except InvalidSignature:
+        raise HandshakeFailed("the peer's signature does not verify") from None
+
+
+@dataclass(frozen=True)
+class Suite:
+    """One row. The EDHOC AEAD and the application AEAD are the same in every row we have."""
+
+    number: int
+    aead: Callable[[bytes], Aead]
+    key_length: int
+    nonce_length: int
+    tag_length: int
+    exchange: KeyExchange
+    verify: Callable[[PublicKey, bytes, bytes], None]
+
+
+def _ccm_64(key: bytes) -> AESCCM:
+    return AESCCM(key, tag_length=8)
+
+
+_X25519: Final = X25519Exchange()
+
+SUITES: Final = {
+    suite.number: suite
+    for suite in (
+        # AES-CCM-16-64-128: for the vectors of RFC 9529; 64-bit tags are no production choice.
+        Suite(0, _ccm_64, 16, 13, 8, _X25519, verify_eddsa),
+        Suite(4, ChaCha20Poly1305, 32, 12, 16, _X25519, verify_eddsa),
+        Suite(6, AESGCM, 16, 12, 16, _X25519, verify_es256),
+    )
+}
+
+PRODUCTION: Final = (6,)
+"""What this release offers and accepts, in order of preference."""

@@ -1,0 +1,126 @@
+"""`rossec ca`: create the authority, sign identities, look at what was signed."""
+
+import asyncio
+from pathlib import Path
+
+import click
+
+from ca import qr
+from ca.certificates import Request, check_request
+from ca.names import spiffe_id
+from rossec.cli import passphrase
+from rossec.cli.context import Duration, Environment, confirm, moment, now, pass_environment
+from rossec.cli.publish import deliver
+from rossec.cli.voice import printable, say, say_json
+from rossec.errors import ConfigurationError
+from rossec.authority import AuthorityHome, fingerprint
+
+_MAX_REQUEST = 16 * 1024
+
+
+@click.group()
+def ca() -> None:
+    """Run the authority: it says who is who."""
+
+
+@ca.command()
+@click.argument("domain")
+@passphrase.option
+@pass_environment
+def init(environment: Environment, domain: str, passphrase_file: Path | None) -> None:
+    """Create the authority of the trust domain DOMAIN, for example home."""
+    secret = passphrase.choose(passphrase_file, environment.variables)
+    home = AuthorityHome.create(environment.home, domain, secret, now())
+    say(f"authority of {domain} in {home.path}")
+    say(f"fingerprint {fingerprint(home.anchor())}")
+
+
+@ca.command()
+@click.argument("requests", nargs=-1, required=True, type=click.Path(path_type=Path, exists=True, dir_okay=False))
+@click.option("--code", "codes", multiple=True, help="text of the QR code the node shows; one per request")
+@click.option("--for", "lifetime", type=Duration(), default="30d", show_default=True, help="how long the identity lasts")
+@click.option("--new-key", is_flag=True, help="allow a known name to come with another key")
+@click.option("--yes", is_flag=True, help="do not ask")
+@passphrase.option
+@pass_environment
+def sign(
+    environment: Environment,
+    requests: tuple[Path, ...],
+    codes: tuple[str, ...],
+    lifetime: int,
+    new_key: bool,
+    yes: bool,
+    passphrase_file: Path | None,
+) -> None:
+    """Sign the identity requests in REQUESTS, after showing who asks.
+
+    Each certificate is written beside its request, as node.pem. With --code the request must be the
+    one the code was made for: scan or paste it from the node's own screen.
+    """
+    home = AuthorityHome.at(environment.home)
+    read = [(path, _read(path)) for path in requests]
+    checked = [(path, data, check_request(data, home.domain)) for path, data in read]
+    if codes:
+        _check_codes(codes, [data for _, data, _ in checked])
+    for path, _, request in checked:
+        _introduce(path, request, home, vouched=bool(codes))
+    confirm(f"sign {_count(len(checked))}?", yes=yes)
+    authority = home.unlock(passphrase.read(passphrase_file, environment.variables))
+    for path, data, request in checked:
+        bundle = authority.issue(data, now(), lifetime, allow_new_key=new_key)
+        target = path.with_name("node.pem" if path.name == "node.csr" else f"{path.stem}.pem")
+        target.write_bytes(bundle)
+        say(f"signed {request.name}: {target}")
+
+
+@ca.command()
+@click.option("--json", "as_json", is_flag=True, help="one line of JSON")
+@pass_environment
+def show(environment: Environment, as_json: bool) -> None:
+    """Show the authority and the identities it signed."""
+    home = AuthorityHome.at(environment.home)
+    rows = home.store().certificates()
+    if as_json:
+        nodes = [{"name": row.name, "expires": row.not_after, "key": row.thumbprint.hex()} for row in rows]
+        say_json({"domain": home.domain, "fingerprint": fingerprint(home.anchor()), "identities": nodes})
+        return
+    say(f"authority of {home.domain} in {home.path}")
+    say(f"fingerprint {fingerprint(home.anchor())}")
+    for row in rows:
+        say(f"{row.name}  until {moment(row.not_after)}  key {row.thumbprint.hex()[:16]}")
+
+
+@ca.command()
+@click.option("--master", "master_uri", help="master to tell, instead of ROS_MASTER_URI")
+@pass_environment
+def publish(environment: Environment, master_uri: str | None) -> None:
+    """Give the newest revocation list to the master."""
+    asyncio.run(deliver(environment, master_uri))
+    say("the master has the newest list")
+
+
+def _check_codes(codes: tuple[str, ...], requests: list[bytes]) -> None:
+    """Every request needs its code, and every code its request."""
+    parsed = [qr.parse(text) for text in codes]
+    unmatched = [data for data in requests if not any(code.matches(data) for code in parsed)]
+    if unmatched or len(parsed) != len(requests):
+        raise ConfigurationError(
+            "a request does not fit the codes: it was changed on its way, or is another node's",
+            "scan the code again from the screen of the node itself",
+        )
+
+
+def _introduce(path: Path, request: Request, home: AuthorityHome, *, vouched: bool) -> None:
+    how = "its code fits" if vouched else "no code was checked: compare the fingerprint with the node's"
+    say(f"{printable(spiffe_id(home.domain, request.name))} asks for an identity ({path})")
+    say(f"  key {request.thumbprint.hex()}")
+    say(f"  {how}")
+
+
+def _read(path: Path) -> bytes:
+    with path.open("rb") as stream:
+        return stream.read(_MAX_REQUEST + 1)
+
+
+def _count(number: int) -> str:
+    return "this identity" if number == 1 else f"these {number} identities"

@@ -1,0 +1,68 @@
+"""What every command shares: the environment it was called with, and what follows from it."""
+
+import re
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import click
+
+from rossec.errors import ConfigurationError
+from rossec.home import rossec_home
+
+_UNITS: Final = {"s": 1, "m": 60, "h": 3600, "d": 86400, "w": 7 * 86400}
+_DURATION: Final = re.compile(r"([1-9][0-9]{0,5})([smhdw])", re.ASCII)
+
+
+@dataclass(frozen=True)
+class Environment:
+    """The process environment of one command line."""
+
+    variables: Mapping[str, str]
+
+    @property
+    def home(self) -> Path:
+        """ROSSEC_HOME."""
+        return rossec_home(self.variables)
+
+
+pass_environment = click.make_pass_decorator(Environment)
+
+
+def now() -> int:
+    """Seconds since the epoch, host clock."""
+    return int(time.time())
+
+
+class Duration(click.ParamType[int]):
+    """A duration such as 30s, 15m, 8h, 7d or 4w, as seconds."""
+
+    name = "duration"
+
+    def convert(
+        self, value: object, param: click.Parameter | None, ctx: click.Context | None
+    ) -> int:
+        """Seconds of the duration `value`."""
+        if isinstance(value, int):
+            return value
+        match = _DURATION.fullmatch(str(value))
+        if match is None:
+            self.fail(f"{value!r} is no duration; write 30s, 15m, 8h, 7d or 4w", param, ctx)
+        return int(match[1]) * _UNITS[match[2]]
+
+
+def moment(seconds: int) -> str:
+    """A point in time for people, UTC."""
+    return time.strftime("%Y-%m-%d %H:%M:%S UTC", time.gmtime(seconds))
+
+
+def confirm(question: str, *, yes: bool) -> None:
+    """Ask, unless `--yes` was given.
+
+    Raises:
+        ConfigurationError: the answer was no, or there is nobody to ask.
+    """
+    if not yes and not click.confirm(question, default=False, err=True):
+        raise ConfigurationError("nothing was done", "answer y, or give --yes")

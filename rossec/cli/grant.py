@@ -1,0 +1,242 @@
+"""`rossec grant`: sign, look at and revoke what nodes may do."""
+
+import asyncio
+import secrets
+from pathlib import Path
+
+import click
+
+from grants import document
+from grants.conditions import compile_condition
+from grants.filters import compile_filter
+from grants.layout import parse
+from grants.model import Draft, Permission, Restriction, Right, filter_rules
+from rossec.cli import passphrase
+from rossec.cli.context import Duration, Environment, confirm, moment, now, pass_environment
+from rossec.cli.publish import deliver
+from rossec.cli.voice import note, say, say_json
+from rossec.errors import ConfigurationError
+from rossec.authority import AuthorityHome
+from rossec.home import NodeHome
+from rossec.node.messages import message_type
+
+
+@click.group()
+def grant() -> None:
+    """Sign, show and revoke grants."""
+
+
+@grant.command()
+@click.argument("node")
+@click.option("--publish", multiple=True, metavar="PATTERN", help="may publish these topics")
+@click.option("--subscribe", multiple=True, metavar="PATTERN", help="may subscribe to these topics")
+@click.option("--graph", is_flag=True, help="may see the whole ROS graph")
+@click.option("--type", "type_name", metavar="PKG/TYPE", help="message type of the restrictions")
+@click.option("--clear", multiple=True, metavar="FIELD", help="clear this field")
+@click.option("--round", "rounds", multiple=True, metavar="FIELD=STEP", help="round this field")
+@click.option("--when", multiple=True, metavar="CONDITION", help="only messages and times for which this holds")
+@click.option("--for", "lifetime", type=Duration(), default="7d", show_default=True, help="how long it holds")
+@click.option("--out", type=click.Path(path_type=Path), help="also write the grant to this new file")
+@passphrase.option
+@pass_environment
+def sign(  # noqa: PLR0917 - one parameter per option of the command
+    environment: Environment,
+    node: str,
+    publish: tuple[str, ...],
+    subscribe: tuple[str, ...],
+    graph: bool,
+    type_name: str | None,
+    clear: tuple[str, ...],
+    rounds: tuple[str, ...],
+    when: tuple[str, ...],
+    lifetime: int,
+    out: Path | None,
+    passphrase_file: Path | None,
+) -> None:
+    """Let NODE publish or subscribe, under conditions and through filters.
+
+    PATTERN is a topic name; * stands for one segment, ** for any depth.
+    """
+    restriction = _restriction(type_name, clear, rounds, when)
+    permissions = _permissions(publish, subscribe, graph, restriction)
+    home = AuthorityHome.at(environment.home)
+    holder = home.store().live_certificate(node, now()).thumbprint
+    authority = home.unlock(passphrase.read(passphrase_file, environment.variables))
+    begin = now()
+    draft = Draft(
+        domain=authority.domain, subject=node, holder=holder, not_before=begin,
+        expires=begin + lifetime, cap=begin + lifetime,
+        serial=secrets.token_bytes(16), permissions=permissions,
+    )  # fmt: skip
+    data = authority.grant(draft, begin)
+    say(f"grant {document.grant_id(data).hex()} for {node} until {moment(draft.expires)}")
+    _hand_over(environment, node, data, out)
+
+
+@grant.command("list")
+@click.argument("node", required=False)
+@click.option("--json", "as_json", is_flag=True, help="one line of JSON")
+@pass_environment
+def list_(environment: Environment, node: str | None, as_json: bool) -> None:
+    """List the grants signed here, of one NODE or of all."""
+    store = AuthorityHome.at(environment.home).store()
+    rows = [row for row in store.grants() if node in (None, row.name)]
+    revoked = store.revoked_entries()
+    if as_json:
+        say_json([_summary(row.data, revoked) for row in rows])
+        return
+    for row in rows:
+        say(_line(row.data, revoked))
+
+
+@grant.command()
+@click.argument("file", type=click.Path(path_type=Path, exists=True, dir_okay=False))
+def show(file: Path) -> None:
+    """Say in words what the grant in FILE allows; its signature is not checked."""
+    content = document.peek(_read(file))
+    say(f"grant {content.id.hex()} of {content.domain} for {content.subject}")
+    say(f"holds from {moment(content.not_before)} until {moment(content.expires)}")
+    for permission in content.permissions:
+        say(f"may {permission.rights.label} {permission.pattern}")
+        for line in permission.restriction.lines() if permission.restriction else []:
+            say(f"  {line}")
+
+
+@grant.command()
+@click.argument("file", type=click.Path(path_type=Path, exists=True, dir_okay=False))
+@pass_environment
+def install(environment: Environment, file: Path) -> None:
+    """Give the grant in FILE to its node, on the node's machine."""
+    data = _read(file)
+    content = document.peek(data)
+    home = NodeHome.of(environment.home, content.subject)
+    document.open_grant(data, home.anchor().public_key, now())
+    home.add_grant(document.grant_id(data), data)
+    say(f"{content.subject} holds grant {content.id.hex()}")
+
+
+@grant.command()
+@click.argument("grant_id")
+@click.option("--reason", default="", help="why, for the record")
+@click.option("--master", "master_uri", help="master to tell, instead of ROS_MASTER_URI")
+@passphrase.option
+@pass_environment
+def revoke(
+    environment: Environment,
+    grant_id: str,
+    reason: str,
+    master_uri: str | None,
+    passphrase_file: Path | None,
+) -> None:
+    """Revoke the grant GRANT_ID (or the beginning of it) and tell the master at once."""
+    home = AuthorityHome.at(environment.home)
+    entry = _full_id(home, grant_id)
+    authority = home.unlock(passphrase.read(passphrase_file, environment.variables))
+    listed = authority.revoke(entry, reason, now())
+    say(f"revoked {entry.hex()} (list {listed.seq})")
+    asyncio.run(deliver(environment, master_uri))
+    say("the master has the new list")
+
+
+def _restriction(
+    type_name: str | None, clear: tuple[str, ...], rounds: tuple[str, ...], when: tuple[str, ...]
+) -> Restriction | None:
+    """Build the restriction and try it on the message type: mistakes show here, not on the wire."""
+    rules: dict[str, dict[str, object]] = {path: {"clear": True} for path in clear}
+    rules |= {path: {"round": {"step": step}} for path, step in map(_rounding, rounds)}
+    if not rules and not when:
+        return None
+    if type_name is None:
+        raise ConfigurationError(
+            "restrictions need the message type they are for", "add --type PKG/TYPE"
+        )
+    restriction = Restriction(type=type_name, conditions=when, filters=filter_rules(rules))
+    shape = parse(type_name, message_type(type_name).definition)
+    compile_filter(shape, restriction.filters)
+    for text in when:
+        compile_condition(shape, text)
+    return restriction
+
+
+def _permissions(
+    publish: tuple[str, ...],
+    subscribe: tuple[str, ...],
+    graph: bool,
+    restriction: Restriction | None,
+) -> tuple[Permission, ...]:
+    made = [Permission(pattern, Right.PUBLISH) for pattern in publish]
+    made += [Permission(pattern, Right.SUBSCRIBE, restriction) for pattern in subscribe]
+    if graph:
+        made.append(Permission("/**", Right.GRAPH))
+    if not made:
+        raise ConfigurationError(
+            "a grant that allows nothing", "add --publish, --subscribe or --graph"
+        )
+    if restriction is not None and not subscribe:
+        raise ConfigurationError(
+            "conditions and filters restrict what a subscriber sees", "add --subscribe"
+        )
+    return tuple(made)
+
+
+def _rounding(text: str) -> tuple[str, float]:
+    path, _, step = text.partition("=")
+    try:
+        return path, float(step)
+    except ValueError:
+        raise ConfigurationError(
+            f"--round {text} has no step", "for example --round pose.position=2.0"
+        ) from None
+
+
+def _hand_over(environment: Environment, node: str, data: bytes, out: Path | None) -> None:
+    if out is not None:
+        with out.open("xb") as file:
+            file.write(data)
+        say(f"written to {out}")
+    home = NodeHome.of(environment.home, node)
+    if home.path.is_dir():
+        home.add_grant(document.grant_id(data), data)
+        say(f"given to {node} in {home.path}")
+    elif out is None:
+        note(f"{node} lives elsewhere: sign again with --out FILE, then `rossec grant install FILE` there")
+
+
+def _full_id(home: AuthorityHome, beginning: str) -> bytes:
+    known = [row.id for row in home.store().grants()]
+    found = [entry for entry in known if beginning and entry.hex().startswith(beginning.lower())]
+    if len(found) != 1:
+        count = "several grants begin" if found else "no grant begins"
+        raise ConfigurationError(f"{count} with {beginning!r}", "see: rossec grant list")
+    return found[0]
+
+
+def _read(file: Path) -> bytes:
+    with file.open("rb") as stream:
+        return stream.read(64 * 1024)
+
+
+def _summary(data: bytes, revoked: frozenset[bytes]) -> dict[str, object]:
+    content = document.peek(data)
+    return {
+        "id": content.id.hex(),
+        "node": content.subject,
+        "not_before": content.not_before,
+        "expires": content.expires,
+        "revoked": content.id in revoked,
+        "permissions": [
+            {
+                "rights": item.rights.label,
+                "pattern": item.pattern,
+                "restrictions": item.restriction.lines() if item.restriction else [],
+            }
+            for item in content.permissions
+        ],
+    }
+
+
+def _line(data: bytes, revoked: frozenset[bytes]) -> str:
+    content = document.peek(data)
+    rights = "; ".join(f"{item.rights.label} {item.pattern}" for item in content.permissions)
+    state = "revoked" if content.id in revoked else f"until {moment(content.expires)}"
+    return f"{content.id.hex()}  {content.subject}  {rights}  {state}"

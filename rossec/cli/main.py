@@ -1,0 +1,78 @@
+"""The `rossec` command: nouns with verbs. Every refusal leaves as error and hint, never a traceback."""
+
+import logging
+import os
+import sys
+from collections.abc import Mapping, Sequence
+from importlib.metadata import version
+from typing import NoReturn
+
+import click
+
+from ca.errors import HintedError
+from rossec.cli.ca import ca
+from rossec.cli.context import Environment
+from rossec.cli.demo import demo
+from rossec.cli.grant import grant
+from rossec.cli.master import master
+from rossec.cli.node import node
+from rossec.cli.topic import topic
+from rossec.cli.voice import INTERRUPTED, REFUSED, UNDELIVERED, USAGE, fail
+from rossec.errors import NotDelivered
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(version("rossec"), prog_name="rossec", message="%(prog)s %(version)s")
+@click.option("--verbose", "-v", is_flag=True, help="log what happens")
+def rossec(verbose: bool) -> None:
+    """Security and access grants for ROS 1."""
+    logging.basicConfig(
+        level=logging.INFO if verbose else logging.WARNING,
+        format="rossec: %(levelname)s: %(message)s",
+        stream=sys.stderr,
+    )
+
+
+for command in (ca, node, grant, master, topic, demo):
+    rossec.add_command(command)
+
+
+def main() -> NoReturn:
+    """Entry point of the `rossec` program."""
+    sys.exit(run(sys.argv[1:], os.environ))
+
+
+def run(arguments: Sequence[str], environ: Mapping[str, str]) -> int:
+    """Run one command line and return its exit code (see `rossec.cli.voice`)."""
+    try:
+        rossec.main(
+            list(arguments), prog_name="rossec", standalone_mode=False, obj=Environment(environ)
+        )
+    except HintedError as error:
+        fail(str(error), error.hint)
+        return UNDELIVERED if isinstance(error, NotDelivered) else REFUSED
+    except click.exceptions.NoArgsIsHelpError as error:
+        click.echo(error.format_message())
+        return USAGE
+    except click.UsageError as error:
+        fail(_plain(error.format_message()), _usage_hint(error))
+        return USAGE
+    except click.ClickException as error:
+        fail(_plain(error.format_message()))
+        return REFUSED
+    except (KeyboardInterrupt, click.Abort, EOFError):
+        return INTERRUPTED
+    except OSError as error:
+        fail(f"{error.filename or 'the system'}: {(error.strerror or str(error)).lower()}")
+        return REFUSED
+    return 0
+
+
+def _plain(message: str) -> str:
+    first = message.splitlines()[0]
+    return (first[:1].lower() + first[1:]).rstrip(".")
+
+
+def _usage_hint(error: click.UsageError) -> str:
+    path = error.ctx.command_path if error.ctx is not None else "rossec"
+    return f"see: {path} --help"

@@ -1,0 +1,58 @@
+"""`rossec master`: run the ROS master of a trust domain."""
+
+import asyncio
+import signal
+
+import click
+
+from rossec.authority import AuthorityHome
+from rossec.cli.context import Environment, now, pass_environment
+from rossec.cli.voice import say, say_json
+from rossec.home import NodeHome
+from rossec.master.start import master_of
+from rossec.node.slave import MASTER
+from rossec.ros import settings
+
+
+@click.command()
+@click.option("--port", "-p", type=click.IntRange(0, 65535), help="instead of the one in ROS_MASTER_URI; 0 for any")
+@click.option("--json", "as_json", is_flag=True, help="say the address as a line of JSON")
+@pass_environment
+def master(environment: Environment, port: int | None, as_json: bool) -> None:
+    """Run the master, as the node /master. Ends with Ctrl-C."""
+    asyncio.run(_serve(environment, port, as_json))
+
+
+async def _serve(environment: Environment, port: int | None, as_json: bool) -> None:
+    own = settings.read((), environment.variables, default_name=MASTER)
+    stop = asyncio.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        asyncio.get_running_loop().add_signal_handler(number, stop.set)
+    home = NodeHome.of(environment.home, MASTER)
+    server = master_of(
+        home,
+        host=own.address,
+        port=own.master_port if port is None else port,
+        newest=_newest_list(environment),
+        now=now(),
+    )
+    await server.start()
+    try:
+        if as_json:
+            say_json({"ready": server.uri})
+        else:
+            say(f"master of {home.anchor().domain} at {server.uri}")
+        asked = asyncio.ensure_future(server.stopped())
+        signalled = asyncio.ensure_future(stop.wait())
+        await asyncio.wait({asked, signalled}, return_when=asyncio.FIRST_COMPLETED)
+        asked.cancel()
+        signalled.cancel()
+    finally:
+        await server.close()
+
+
+def _newest_list(environment: Environment) -> bytes | None:
+    """The authority's own record, when it lives on this host."""
+    if not (environment.home / "ca" / "ca.pem").exists():
+        return None
+    return AuthorityHome.at(environment.home).revocation_list()

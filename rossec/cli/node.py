@@ -1,0 +1,73 @@
+"""`rossec node`: what is done on the machine of a node: its key, its request, its identity."""
+
+from pathlib import Path
+
+import click
+
+from ca import qr
+from rossec.cli.context import Environment, confirm, moment, now, pass_environment
+from rossec.cli.voice import say
+from rossec.authority import fingerprint
+from rossec.home import NodeHome
+
+_MAX_BUNDLE = 64 * 1024
+
+
+@click.group()
+def node() -> None:
+    """Prepare a node on its own machine."""
+
+
+@node.command()
+@click.argument("name")
+@click.option("--domain", default="home", show_default=True, help="trust domain of the authority")
+@pass_environment
+def request(environment: Environment, name: str, domain: str) -> None:
+    """Make the key of the node NAME and a request for its identity. The key stays here."""
+    home = NodeHome.of(environment.home, name)
+    made = home.create_request(domain)
+    say(f"request of {name}: {home.request_path}")
+    say(f"key {made.thumbprint.hex()}")
+    say(f"next, at the authority: rossec ca sign {home.request_path}")
+
+
+@node.command()
+@click.argument("name")
+@click.option("--text", is_flag=True, help="only the text in the code, to paste")
+@click.option("--svg", type=click.Path(path_type=Path), help="write the code to this SVG file")
+@pass_environment
+def code(environment: Environment, name: str, text: bool, svg: Path | None) -> None:
+    """Show the QR code of NAME's request, for the authority to scan."""
+    payload = qr.label_code(NodeHome.of(environment.home, name).request())
+    if svg is not None:
+        svg.write_bytes(qr.svg(payload))
+    if not text:
+        say(qr.terminal(payload))
+    say(payload)
+
+
+@node.command()
+@click.argument("bundle", type=click.Path(path_type=Path, exists=True, dir_okay=False))
+@click.option("--yes", is_flag=True, help="do not ask")
+@pass_environment
+def install(environment: Environment, bundle: Path, yes: bool) -> None:
+    """Install the signed identity in BUNDLE, and trust the authority that signed it."""
+    with bundle.open("rb") as stream:
+        data = stream.read(_MAX_BUNDLE)
+    home, anchor = NodeHome.for_bundle(environment.home, data, now())
+    say(f"authority of {anchor.domain}, fingerprint {fingerprint(anchor)}")
+    confirm("does the authority show the same fingerprint (rossec ca show)?", yes=yes)
+    home.install(data, now())
+    say(f"{home.name} is enrolled in {anchor.domain}")
+
+
+@node.command()
+@click.argument("name")
+@pass_environment
+def show(environment: Environment, name: str) -> None:
+    """Show the identity of NAME and how many grants it holds."""
+    home = NodeHome.of(environment.home, name)
+    identity = home.identity(now())
+    say(f"{identity.name} of {identity.domain} until {moment(identity.not_after)}")
+    say(f"key {identity.thumbprint.hex()}")
+    say(f"{len(home.grants())} grants in {home.path}")

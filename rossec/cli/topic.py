@@ -1,0 +1,130 @@
+"""`rossec topic`: publish and listen from the command line, with an identity."""
+
+import asyncio
+from typing import Any
+
+import click
+from ruamel.yaml import YAML
+from ruamel.yaml.error import YAMLError
+
+from rossec.cli.context import Environment, pass_environment
+from rossec.cli.voice import say
+from rossec.errors import ConfigurationError
+from rossec.node import Node
+from rossec.node.messages import Message, message_type
+
+
+@click.group()
+def topic() -> None:
+    """Publish and listen."""
+
+
+@topic.command()
+@click.argument("name")
+@click.argument("type_name", metavar="TYPE")
+@click.option("--as", "node", required=True, metavar="NODE", help="identity to use")
+@click.option("--count", "-n", type=click.IntRange(min=1), help="end after this many messages")
+@pass_environment
+def echo(environment: Environment, name: str, type_name: str, node: str, count: int | None) -> None:
+    """Print the messages of the topic NAME, as NODE may see them."""
+    asyncio.run(_echo(environment, name, type_name, node, count))
+
+
+@topic.command()
+@click.argument("name")
+@click.argument("type_name", metavar="TYPE")
+@click.argument("content", default="{}")
+@click.option("--as", "node", required=True, metavar="NODE", help="identity to use")
+@click.option("--rate", type=click.FloatRange(min=0, min_open=True), default=1.0, show_default=True, help="messages per second")
+@click.option("--count", "-n", type=click.IntRange(min=1), help="end after this many messages")
+@pass_environment
+def pub(
+    environment: Environment, name: str, type_name: str, content: str, node: str, rate: float, count: int | None
+) -> None:
+    """Publish CONTENT (YAML, as in rostopic) on the topic NAME."""
+    message = message_type(type_name).create()
+    fill(message, _parse(content))
+    asyncio.run(_pub(environment, name, type_name, node, message, 1 / rate, count))
+
+
+async def _echo(
+    environment: Environment, name: str, type_name: str, node: str, count: int | None
+) -> None:
+    async with Node(node, environ=environment.variables) as running:
+        subscriber = await running.subscriber(name, type_name)
+        ended = asyncio.ensure_future(running.wait_ended())
+        reader = asyncio.ensure_future(_print(subscriber, count))
+        done, _ = await asyncio.wait({ended, reader}, return_when=asyncio.FIRST_COMPLETED)
+        ended.cancel()
+        for task in done:
+            await task
+
+
+async def _print(subscriber: Any, count: int | None) -> None:
+    seen = 0
+    async for message in subscriber:
+        say(render(message))
+        say("---")
+        seen += 1
+        if seen == count:
+            return
+
+
+async def _pub(
+    environment: Environment, name: str, type_name: str, node: str, message: Message, period: float, count: int | None
+) -> None:  # fmt: skip
+    async with Node(node, environ=environment.variables) as running:
+        publisher = await running.publisher(name, type_name)
+        await publisher.wait_for_subscribers()
+        sent = 0
+        while count is None or sent < count:
+            publisher.publish(message)
+            sent += 1
+            await asyncio.sleep(period)
+
+
+def fill(message: Message, content: object) -> None:
+    """Set the fields of `message` that the mapping `content` names, nested ones too.
+
+    Raises:
+        ConfigurationError: a field that is not there, or a value where a mapping is needed.
+    """
+    if not isinstance(content, dict):
+        raise ConfigurationError("a message is a mapping of fields", "for example '{data: hello}'")
+    for field, value in content.items():
+        if field not in message.__dataclass_fields__:
+            raise ConfigurationError(f"no field {field!r} in {message.__msgtype__}")
+        current = getattr(message, field)
+        if hasattr(current, "__msgtype__"):
+            fill(current, value)
+        else:
+            setattr(message, field, _like(current, value))
+
+
+def _like(current: Any, value: object) -> object:
+    dtype = getattr(current, "dtype", None)
+    if dtype is None:
+        return type(current)(value) if isinstance(value, int | float) else value
+    return current.__class__.__array_wrap__(current, __import__("numpy").asarray(value, dtype))
+
+
+def render(message: Message, indent: int = 0) -> str:
+    """The message as rostopic prints it: one `field: value` a line, nested by two spaces."""
+    lines = []
+    for field in message.__dataclass_fields__:
+        if field.startswith("__"):
+            continue
+        value = getattr(message, field)
+        if hasattr(value, "__msgtype__"):
+            lines.append(" " * indent + f"{field}:")
+            lines.append(render(value, indent + 2))
+        else:
+            lines.append(" " * indent + f"{field}: {value}")
+    return "\n".join(lines)
+
+
+def _parse(text: str) -> object:
+    try:
+        return YAML(typ="safe").load(text)
+    except YAMLError as error:
+        raise ConfigurationError(f"this is no YAML: {text}", "for example '{data: hello}'") from error

@@ -1,0 +1,50 @@
+"""The one voice of the command line: lower case, no full stop, an error and then its hint.
+
+Results go to stdout, everything else to stderr. Exit codes: 0 done, 1 refused, 2 wrong usage,
+3 done here but not delivered (the master was out of reach), 130 interrupted.
+"""
+
+import json
+import sys
+import unicodedata
+from typing import Any
+
+REFUSED = 1
+USAGE = 2
+UNDELIVERED = 3
+INTERRUPTED = 130
+
+
+def say(text: str) -> None:
+    """One line of result."""
+    sys.stdout.write(f"{text}\n")
+    sys.stdout.flush()  # a pipe must see each line when it is said
+
+
+def say_json(value: Any) -> None:
+    """A result for programs: one line of JSON."""
+    say(json.dumps(value, sort_keys=True))
+
+
+def note(text: str) -> None:
+    """Something the reader should know that is no result."""
+    sys.stderr.write(f"rossec: {text}\n")
+
+
+def fail(message: str, hint: str = "") -> None:
+    """An error and what to do about it."""
+    sys.stderr.write(f"rossec: error: {printable(message)}\n")
+    if hint:
+        sys.stderr.write(f"rossec: hint: {printable(hint)}\n")
+
+
+def printable(text: str) -> str:
+    """`text` with control and direction characters escaped: names of strangers reach terminals.
+
+    Tabs and newlines are kept out as well: one error is one line.
+    """
+    return "".join(char if _harmless(char) else f"\\u{ord(char):04x}" for char in text)
+
+
+def _harmless(char: str) -> bool:
+    return unicodedata.category(char) not in {"Cc", "Cf", "Cs", "Co", "Zl", "Zp"}

@@ -1,0 +1,1 @@
+"""The main job as a story one can watch: `rossec demo`. Every step is the real thing."""

@@ -1,0 +1,174 @@
+"""What the story needs to be told: a narrator, commands as a user would type them, and actors.
+
+An actor is a real process; what it reports on stdout is kept, what it logs goes to a file. Every
+wait has a deadline, and everything that was started is stopped.
+"""
+
+import asyncio
+import contextlib
+import io
+import json
+import os
+import shlex
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, Final
+
+from rossec.errors import RossecError
+
+DEADLINE: Final = 15.0
+Report = dict[str, Any]
+
+
+class DemoFailed(RossecError):
+    """A step of the demo did not do what it says."""
+
+
+class Narrator:
+    """Prints numbered steps with their timings, readable on dark and light terminals."""
+
+    def __init__(self, write: Callable[[str], object]) -> None:
+        self._write = write
+        self._step = 0
+
+    @contextlib.contextmanager
+    def step(self, title: str) -> Iterator[None]:
+        """One step; its time is printed when it succeeded."""
+        self._step += 1
+        self._write(f"\n{self._step:2}. {title}\n")
+        begin = time.perf_counter()
+        yield
+        self._write(f"    done in {time.perf_counter() - begin:.2f} s\n")
+
+    def tell(self, text: str) -> None:
+        """One or more indented lines."""
+        for line in text.splitlines():
+            self._write(f"    {line}\n")
+
+
+class Stage:
+    """One ROSSEC_HOME, the commands run in it, and the processes that live in it."""
+
+    def __init__(self, root: Path, narrator: Narrator, environment: dict[str, str]) -> None:
+        self.root = root
+        self.narrator = narrator
+        self._environment = {**os.environ, **environment, "ROSSEC_HOME": str(root)}
+        self._actors: list[Actor] = []
+
+    async def command(self, *arguments: str, quiet: bool = False) -> str:
+        """Run `rossec ARGUMENTS` here, print what it says, and return that.
+
+        Raises:
+            DemoFailed: the command did not succeed.
+        """
+        self.narrator.tell(f"$ rossec {self._relative(shlex.join(arguments))}")
+        code, said = await asyncio.to_thread(self._run, arguments)
+        if code:
+            raise DemoFailed(f"rossec {' '.join(arguments[:2])} failed: {said}")
+        if not quiet:
+            self.narrator.tell(self._relative(said))
+        return said
+
+    def _run(self, arguments: tuple[str, ...]) -> tuple[int, str]:
+        from rossec.cli.main import run  # noqa: PLC0415 - the command line imports this package
+
+        out = io.StringIO()
+        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(out):
+            code = run(list(arguments), self._environment)
+        return code, out.getvalue()
+
+    def set(self, variable: str, value: str) -> None:
+        """Set an environment variable for what is run from now on."""
+        self._environment[variable] = value
+
+    async def actor(self, module: str, *arguments: str, name: str) -> "Actor":
+        """Start `python -I -m MODULE ARGUMENTS` as a process of its own."""
+        log = self.root / "logs" / f"{name}.log"
+        log.parent.mkdir(mode=0o700, exist_ok=True)
+        with log.open("ab") as errors:
+            process = await asyncio.create_subprocess_exec(
+                sys.executable, "-I", "-m", module, *arguments,
+                env=self._environment, stdin=asyncio.subprocess.DEVNULL,
+                stdout=asyncio.subprocess.PIPE, stderr=errors,
+            )  # fmt: skip
+        actor = Actor(name, process, log)
+        self._actors.append(actor)
+        return actor
+
+    async def clear(self) -> None:
+        """Stop every process, last first."""
+        for actor in reversed(self._actors):
+            await actor.stop()
+
+    def _relative(self, text: str) -> str:
+        return text.replace(str(self.root), "$ROSSEC_HOME")
+
+
+class Actor:
+    """A running process and what it reported so far."""
+
+    def __init__(self, name: str, process: asyncio.subprocess.Process, log: Path) -> None:
+        self.name = name
+        self.reports: list[Report] = []
+        self._process = process
+        self._log = log
+        self._ended = False
+        self._news = asyncio.Condition()
+        self._reader = asyncio.get_running_loop().create_task(self._read())
+
+    async def expect(
+        self, what: str, wanted: Callable[[Report], bool], *, after: int = 0, within: float = DEADLINE
+    ) -> Report:
+        """Return the first report past number `after` that is `wanted`.
+
+        Raises:
+            DemoFailed: none came in time, or the process ended first.
+        """
+        try:
+            async with asyncio.timeout(within), self._news:
+                await self._news.wait_for(lambda: self._find(wanted, after) or self._ended)
+        except TimeoutError:
+            pass
+        found = self._find(wanted, after)
+        if found is None:
+            raise DemoFailed(f"{self.name}: {what} did not happen; it said: {self._last_words()}")
+        return found
+
+    @property
+    def ended(self) -> bool:
+        """The process has ended."""
+        return self._ended
+
+    def about(self, topic: str) -> list[Report]:
+        """The reports on one topic."""
+        return [report for report in self.reports if report.get("topic") == topic]
+
+    async def stop(self) -> None:
+        """Terminate the process; kill it when it does not end."""
+        if self._process.returncode is None:
+            self._process.terminate()
+            try:
+                await asyncio.wait_for(self._process.wait(), 3)
+            except TimeoutError:
+                self._process.kill()
+                await self._process.wait()
+        await self._reader
+
+    async def _read(self) -> None:
+        stdout = self._process.stdout
+        while stdout is not None and (line := await stdout.readline()):
+            async with self._news:
+                self.reports.append(json.loads(line))
+                self._news.notify_all()
+        async with self._news:
+            self._ended = True
+            self._news.notify_all()
+
+    def _find(self, wanted: Callable[[Report], bool], after: int) -> Report | None:
+        return next((report for report in self.reports[after:] if wanted(report)), None)
+
+    def _last_words(self) -> str:
+        lines = self._log.read_text(errors="replace").strip().splitlines()
+        return " / ".join(lines[-3:]) or "nothing"

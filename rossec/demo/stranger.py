@@ -1,0 +1,52 @@
+"""The demo's intruder: an identity of another authority, knocking at the robot's own door.
+
+It does not check who answers (an attacker would not); the refusal is the robot's.
+Run as `python -I -m rossec.demo.stranger NAME PORT`; reports `{"refused": TEXT}` or `{"admitted": ...}`.
+"""
+
+import asyncio
+import os
+import sys
+from dataclasses import dataclass
+
+from cryptography import x509
+from cryptography.hazmat.primitives.asymmetric import ec
+
+from rossec.cli.voice import say_json
+from rossec.errors import RossecError
+from rossec.home import NodeHome, rossec_home
+from rossec.net.stream import connect
+
+
+@dataclass(frozen=True)
+class Whoever:
+    """A peer as its certificate describes it, unverified."""
+
+    public_key: ec.EllipticCurvePublicKey
+    not_after: int
+
+
+def believe_anyone(chain: tuple[bytes, ...], _now: int) -> Whoever:
+    """Take the certificate for granted."""
+    certificate = x509.load_der_x509_certificate(chain[0])
+    key = certificate.public_key()
+    if not isinstance(key, ec.EllipticCurvePublicKey):
+        raise RossecError("the robot has another kind of key")
+    return Whoever(key, int(certificate.not_valid_after_utc.timestamp()))
+
+
+async def main(name: str, port: int) -> None:
+    """Try to get a secure connection to the node listening on `port`."""
+    home = NodeHome.of(rossec_home(os.environ), name)
+    try:
+        stream = await connect("127.0.0.1", port, home.credentials(), believe_anyone)
+        await stream.send(b"let me in")
+        await stream.receive()
+    except RossecError as error:
+        say_json({"refused": str(error)})
+    else:
+        say_json({"admitted": name})
+
+
+if __name__ == "__main__":
+    asyncio.run(main(sys.argv[1], int(sys.argv[2])))

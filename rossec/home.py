@@ -1,0 +1,179 @@
+"""The directory of a node below ROSSEC_HOME: which file is what.
+
+A shell. Keys are written by `ca.keys`, everything else by `rossec.files`; what is read is checked by
+the module that knows the format. Errors say which command comes next.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Final, Self
+
+from ca import keys
+from ca.certificates import (
+    Identity,
+    Request,
+    TrustAnchor,
+    build_request,
+    check_request,
+    from_pem,
+    to_pem,
+)
+from ca.names import check_name
+from ca.signer import KeySigner
+from rossec import files
+from rossec.channel.credentials import Credentials
+from rossec.errors import ConfigurationError
+
+_SIZE_LIMIT: Final = 256 * 1024
+
+
+def rossec_home(environ: Mapping[str, str]) -> Path:
+    """ROSSEC_HOME, by default `~/.local/share/rossec`.
+
+    Raises:
+        ConfigurationError: set to something that is no absolute path.
+    """
+    value = environ.get("ROSSEC_HOME")
+    if value is None:
+        return Path.home() / ".local" / "share" / "rossec"
+    path = Path(value).expanduser()
+    if not path.is_absolute():
+        raise ConfigurationError(f"ROSSEC_HOME is {value!r}", "give it an absolute path")
+    return path
+
+
+class NodeHome:
+    """The directory of one node: its key, its identity, whom it trusts, what it may do."""
+
+    def __init__(self, path: Path, name: str) -> None:
+        self.path = path
+        self.name = name
+
+    @classmethod
+    def of(cls, home: Path, name: str) -> Self:
+        """The directory of the node `name` below ROSSEC_HOME; it need not exist."""
+        return cls(home / "nodes" / check_name(name).lstrip("/").replace("/", "."), name)
+
+    @classmethod
+    def for_bundle(cls, home: Path, bundle: bytes, now: int) -> tuple[Self, TrustAnchor]:
+        """The directory of the node a signed identity is for, and the authority that signed it.
+
+        Raises:
+            CertificateRefused: not a valid identity.
+        """
+        leaf, root = _split(bundle)
+        anchor = TrustAnchor.load(root)
+        return cls.of(home, anchor.verify([leaf], now).name), anchor
+
+    @property
+    def request_path(self) -> Path:
+        """The request for an identity, to carry to the authority."""
+        return self.path / "node.csr"
+
+    def create_request(self, domain: str) -> Request:
+        """Make the key and the request for an identity.
+
+        Raises:
+            KeyRefused: the node has a key already.
+        """
+        files.make_private_directory(self.path)
+        key = keys.generate()
+        request = build_request(KeySigner(key), domain, self.name)
+        keys.write_private(self.path / "node.key", key)
+        files.replace(self.request_path, request, 0o644)
+        return check_request(request, domain)
+
+    def request(self) -> bytes:
+        """The request (DER)."""
+        return self._read("node.csr", f"rossec node request {self.name}")
+
+    def install(self, bundle: bytes, now: int) -> Identity:
+        """Take over a signed identity and trust its authority.
+
+        Raises:
+            CertificateRefused: not a valid identity.
+            ConfigurationError: of another node, for another key, or of another authority than
+                this node trusts already.
+        """
+        leaf, root = _split(bundle)
+        anchor = TrustAnchor.load(root)
+        identity = anchor.verify([leaf], now)
+        self._check_is_ours(identity)
+        self._check_same_authority(anchor)
+        files.replace(self.path / "ca.pem", to_pem(root), 0o644)
+        files.replace(self.path / "node.pem", bundle, 0o644)
+        files.make_private_directory(self.path / "grants")
+        return identity
+
+    def anchor(self) -> TrustAnchor:
+        """The authority this node trusts."""
+        (der,) = from_pem(self._read("ca.pem", self._enroll))
+        return TrustAnchor.load(der)
+
+    def identity(self, now: int) -> Identity:
+        """This node's own identity, verified."""
+        return self.anchor().verify(self.credentials().chain, now)
+
+    def credentials(self) -> Credentials:
+        """This node's key and certificate."""
+        leaf, _ = _split(self._read("node.pem", self._enroll))
+        return Credentials(KeySigner(keys.load_private(self.path / "node.key")), (leaf,))
+
+    def grants(self) -> list[bytes]:
+        """The grants this node holds, as signed; unverified."""
+        found = sorted((self.path / "grants").glob("*.grant"))
+        return [files.read(path, _SIZE_LIMIT, self._missing(path, "")) for path in found]
+
+    def add_grant(self, grant_id: bytes, data: bytes) -> None:
+        """Keep one more grant; adding it twice changes nothing."""
+        files.make_private_directory(self.path / "grants")
+        files.replace(self.path / "grants" / f"{grant_id.hex()}.grant", data)
+
+    def load_revocations(self) -> bytes | None:
+        """The newest revocation list this node has seen, if any."""
+        path = self.path / "revocations.cose"
+        return files.read(path, _SIZE_LIMIT, self._missing(path, "")) if path.exists() else None
+
+    def save_revocations(self, data: bytes) -> None:
+        """Keep a revocation list; durable on return."""
+        files.replace(self.path / "revocations.cose", data)
+
+    @property
+    def _enroll(self) -> str:
+        if not (self.path / "node.key").exists():
+            return f"rossec node request {self.name}"
+        return f"rossec ca sign {self.request_path}, then rossec node install FILE"
+
+    def _read(self, name: str, command: str) -> bytes:
+        path = self.path / name
+        return files.read(path, _SIZE_LIMIT, self._missing(path, command))
+
+    def _missing(self, path: Path, command: str) -> ConfigurationError:
+        hint = f"next: {command}" if command else ""
+        return ConfigurationError(f"{self.name} has no {path.name} in {path.parent}", hint)
+
+    def _check_is_ours(self, identity: Identity) -> None:
+        own = keys.thumbprint(keys.load_private(self.path / "node.key").public_key())
+        if identity.name != self.name or identity.thumbprint != own:
+            raise ConfigurationError(
+                f"this identity is for {identity.name} with another key than {self.name} has here",
+                f"sign the request in {self.request_path}",
+            )
+
+    def _check_same_authority(self, anchor: TrustAnchor) -> None:
+        if (self.path / "ca.pem").exists() and self.anchor().thumbprint != anchor.thumbprint:
+            raise ConfigurationError(
+                f"{self.name} trusts another authority already",
+                f"to change it, move {self.path} away and enroll the node anew",
+            )
+
+
+def _split(bundle: bytes) -> tuple[bytes, bytes]:
+    match from_pem(bundle):
+        case (leaf, root):
+            return leaf, root
+        case found:
+            raise ConfigurationError(
+                f"a bundle of {len(found)} certificates where two are expected",
+                "take the file `rossec ca sign` wrote",
+            )

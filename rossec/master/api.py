@@ -1,0 +1,205 @@
+"""The Master API as one pure dispatch: arguments in, answer and events out.
+
+The order of every call: arity, caller_id, identity, arguments (names resolved), right, handler.
+Texts and defaults for what stock rosmaster refuses are stock's; what only rossec refuses answers
+`[-1, "rossec: ...", <the method's default>]`, which rospy and roscpp log.
+"""
+
+import xmlrpc.client
+from collections.abc import Sequence
+from typing import Final, NamedTuple, Protocol
+
+from ca.errors import HintedError
+from rossec.master import arguments as arg
+from rossec.master.arguments import ArgumentRefused
+from rossec.master.calls import (
+    GrantsPresented,
+    MasterEvent,
+    Method,
+    Methods,
+    Reply,
+    Request,
+    RevocationsChanged,
+    StopMaster,
+)
+from rossec.master.gatekeeper import RULES, Caller, Gatekeeper, Refused, Scope
+from rossec.master.graph import GraphCalls
+from rossec.master.paramcalls import ParameterCalls
+from rossec.master.params import Parameters
+from rossec.master.registry import Registry
+
+Fault = xmlrpc.client.Fault
+MULTICALL: Final = "system.multicall"
+MULTICALL_LIMIT: Final = 4096  # roslaunch sets every parameter of a launch file in one
+MULTICALL_QUERIES: Final = 16  # answers over the whole graph; more in one call only amplifies
+PRESENT_LIMIT: Final = 64
+
+
+class Presented(NamedTuple):
+    """How many grants of the caller are held now, and why others are not."""
+
+    held: int
+    refused: tuple[str, ...]
+
+
+class Statements(Protocol):
+    """What the master holds of the authority's statements; `rossec.master.trust` is it."""
+
+    def caller_of(self, name: str, now: int) -> Caller | None:
+        """What the node last seen under this name may do now."""
+
+    def present(self, caller: Caller, tokens: Sequence[bytes], now: int) -> Presented:
+        """Keep a caller's grants."""
+
+    def current(self, now: int) -> tuple[bytes, bytes]:
+        """The revocation list and a timestamp of it; empty while there is none."""
+
+    def update(self, data: bytes, now: int) -> bool:
+        """Take a list; returns whether it is newer. Raises `HintedError`."""
+
+
+class Outcome(NamedTuple):
+    """What to answer and what to deliver."""
+
+    answer: object
+    events: tuple[MasterEvent, ...] = ()
+
+
+class MasterApi:
+    """Every method of the master.
+
+    Args:
+        name: the master's own certified name.
+        uri, pid: what `getUri` and `getPid` answer.
+    """
+
+    def __init__(
+        self, registry: Registry, statements: Statements, *, name: str, uri: str, pid: int
+    ) -> None:
+        self._statements = statements
+        self._uri = uri
+        self._pid = pid
+        self._gatekeeper = Gatekeeper(registry, name)
+        parameters = ParameterCalls(Parameters(), registry, statements.caller_of)
+        self.methods: Methods = {
+            **GraphCalls(registry, self._gatekeeper).methods(),
+            **parameters.methods(),
+            **self._own_methods(),
+        }
+
+    def call(self, method: str, params: Sequence[object], caller: Caller, now: int) -> Outcome:
+        """Answer one call.
+
+        Raises:
+            Fault: no such method, or a multicall that is none.
+        """
+        if method == MULTICALL:
+            return self._multicall(params, caller, now)
+        row = self.methods.get(method)
+        if row is None:
+            raise Fault(1, f"<class 'Exception'>:method \"{method}\" is not supported")
+        try:
+            request = self._request(method, row, params, caller, now)
+            reply = row.handler(request)
+        except ArgumentRefused as refused:
+            return Outcome([-1, str(refused), row.default])
+        except Refused as refused:
+            return Outcome([-1, f"rossec: {refused}", row.default])
+        return Outcome([reply.code, reply.status, reply.value], reply.events)
+
+    def _request(
+        self, method: str, row: Method, params: Sequence[object], caller: Caller, now: int
+    ) -> Request:
+        if not params:
+            raise ArgumentRefused("missing required caller_id parameter")
+        if len(params) != 1 + len(row.checks):
+            raise ArgumentRefused("Error: bad call arity")
+        caller_id = params[0]
+        if not isinstance(caller_id, str):
+            raise ArgumentRefused("caller_id must be a string")
+        self._gatekeeper.check_identity(caller, caller_id)
+        checked = (
+            check(value, caller_id) for check, value in zip(row.checks, params[1:], strict=True)
+        )
+        request = Request(caller, (caller_id, *checked), now)
+        self._gatekeeper.check(method, caller, request.arguments)
+        return request
+
+    def _multicall(self, params: Sequence[object], caller: Caller, now: int) -> Outcome:
+        """Each element is a call of its own, with its own rights; nesting is refused."""
+        calls = params[0] if len(params) == 1 else None
+        if not isinstance(calls, list) or len(calls) > MULTICALL_LIMIT:
+            raise Fault(1, f"rossec: a multicall is one list of at most {MULTICALL_LIMIT} calls")
+        if sum(map(_is_query, calls)) > MULTICALL_QUERIES:
+            raise Fault(1, f"rossec: more than {MULTICALL_QUERIES} state queries in a multicall")
+        answers: list[object] = []
+        events: list[MasterEvent] = []
+        for element in calls:
+            try:
+                outcome = self._element(element, caller, now)
+            except Fault as fault:
+                answers.append({"faultCode": fault.faultCode, "faultString": fault.faultString})
+            else:
+                answers.append([outcome.answer])
+                events += outcome.events
+        return Outcome(answers, tuple(events))
+
+    def _element(self, element: object, caller: Caller, now: int) -> Outcome:
+        method = element.get("methodName") if isinstance(element, dict) else None
+        params = element.get("params") if isinstance(element, dict) else None
+        if not isinstance(method, str) or not isinstance(params, list):
+            raise Fault(1, "rossec: a multicall element needs methodName and params")
+        if method == MULTICALL:
+            raise Fault(1, "rossec: a multicall inside a multicall")
+        return self.call(method, params, caller, now)
+
+    def _own_methods(self) -> Methods:
+        grants = arg.binaries("grants", PRESENT_LIMIT)
+        return {
+            "getUri": Method((), "", lambda _: Reply(self._uri)),
+            "getPid": Method((), -1, lambda _: Reply(self._pid)),
+            "shutdown": Method((arg.anything,), 0, self._shutdown),
+            "rossec.presentGrants": Method((grants,), 0, self._present),
+            "rossec.revocations": Method((), [], self._revocations),
+            "rossec.updateRevocations": Method((arg.binary("list"),), 0, self._update),
+        }
+
+    def _shutdown(self, request: Request) -> Reply:
+        reason = f"{request.caller.name}: {request.arguments[1]}"
+        return Reply(0, "shutdown", events=(StopMaster(reason),))
+
+    def _present(self, request: Request) -> Reply:
+        tokens = [token for token in _items(request.arguments[1]) if isinstance(token, bytes)]
+        presented = self._statements.present(request.caller, tokens, request.now)
+        refused = "; ".join(presented.refused)
+        if tokens and len(presented.refused) == len(tokens):
+            raise Refused(refused)
+        status = f"grants accepted, but refused: {refused}" if refused else "grants accepted"
+        return Reply(presented.held, status, events=(GrantsPresented(request.caller.name),))
+
+    def _revocations(self, request: Request) -> Reply:
+        return Reply(list(self._statements.current(request.now)), "revocations")
+
+    def _update(self, request: Request) -> Reply:
+        data = request.arguments[1]
+        try:
+            newer = isinstance(data, bytes) and self._statements.update(data, request.now)
+        except HintedError as error:
+            raise Refused(_one_line(error)) from error
+        if not newer:
+            return Reply(0, "not newer than the list in force")
+        return Reply(1, "revocations updated", events=(RevocationsChanged(),))
+
+
+def _is_query(element: object) -> bool:
+    method = element.get("methodName") if isinstance(element, dict) else None
+    rule = RULES.get(method) if isinstance(method, str) else None
+    return rule is not None and rule.scope is Scope.FILTERED
+
+
+def _items(value: object) -> Sequence[object]:
+    return value if isinstance(value, list) else ()
+
+
+def _one_line(error: HintedError) -> str:
+    return f"{error} ({error.hint})" if error.hint else str(error)

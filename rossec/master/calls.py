@@ -1,0 +1,80 @@
+"""What a master method is: its arguments, its default, its handler, and what a handler returns."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from rossec.master.arguments import Check
+from rossec.master.gatekeeper import Caller
+from rossec.master.registry import Event, NodeRef
+
+
+@dataclass(frozen=True)
+class ParameterChanged:
+    """Tell one subscriber that a parameter has this value now ({}: unset)."""
+
+    node: NodeRef
+    key: str
+    value: object
+
+
+@dataclass(frozen=True)
+class StopMaster:
+    """An administrator asked the master to end."""
+
+    reason: str
+
+
+@dataclass(frozen=True)
+class GrantsPresented:
+    """A caller has handed in grants; what it may do has changed."""
+
+    name: str
+
+
+@dataclass(frozen=True)
+class RevocationsChanged:
+    """A newer revocation list is in force: enforce it and pass it on."""
+
+
+MasterEvent = Event | ParameterChanged | StopMaster | GrantsPresented | RevocationsChanged
+
+
+class Reply(NamedTuple):
+    """ROS's code, status and value, and the events to deliver."""
+
+    value: object
+    status: str = ""
+    code: int = 1
+    events: tuple[MasterEvent, ...] = ()
+
+
+@dataclass(frozen=True)
+class Request:
+    """One call whose arguments are checked and resolved; `arguments[0]` is the caller_id."""
+
+    caller: Caller
+    arguments: tuple[object, ...]
+    now: int
+
+    def text(self, index: int) -> str:
+        """An argument whose check returned text."""
+        value = self.arguments[index]
+        if not isinstance(value, str):
+            raise TypeError(f"argument {index} is not text")
+        return value
+
+
+Handler = Callable[[Request], Reply]
+
+
+@dataclass(frozen=True)
+class Method:
+    """One row of the method table: checks of the arguments after caller_id, default, handler."""
+
+    checks: tuple[Check, ...]
+    default: object
+    handler: Handler
+
+
+Methods = Mapping[str, Method]

@@ -1,0 +1,186 @@
+"""Which right each master call needs, and what a caller may see. Pure, default deny.
+
+The table is the whole policy of the master: a method that is not in it is refused whatever it
+does. Rights come from grants; whether a grant is valid now is decided behind `Access`. A refusal
+tells the caller which right is missing, never whether the thing exists: what a caller may not see
+answers as if it were absent.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import Enum
+from typing import Final, Protocol
+
+from ca.errors import HintedError
+from grants.model import Right
+from rossec.master.registry import Kind, Registry
+
+SEES_TOPICS: Final = (Right.PUBLISH, Right.SUBSCRIBE, Right.CALL, Right.PROVIDE, Right.GRAPH)
+
+
+class Refused(Exception):
+    """The status text to answer with, after `rossec: `."""
+
+
+class Access(Protocol):
+    """What one identity may do at one moment, from the grants it presented."""
+
+    def require(self, right: Right, name: str) -> None:
+        """Raise a `HintedError` unless some valid grant covers `right` on `name`."""
+
+
+@dataclass(frozen=True)
+class Caller:
+    """Who calls: the certified name, the thumbprint of its key, and what it may do."""
+
+    name: str
+    thumbprint: bytes
+    access: Access
+
+    def may(self, right: Right, name: str) -> bool:
+        """Whether a grant covers `right` on `name`."""
+        try:
+            self.access.require(right, name)
+        except HintedError:
+            return False
+        return True
+
+    def may_see(self, name: str) -> bool:
+        """Whether a topic, service or node name may appear in an answer to this caller."""
+        return any(self.may(right, name) for right in SEES_TOPICS)
+
+
+class Scope(Enum):
+    """What a call reaches beyond the right in its rule."""
+
+    NAMED = "one name, an argument"
+    TREE = "a parameter and all its descendants"
+    OWN = "only what the caller itself registered"
+    FILTERED = "the whole graph, of which the caller is shown its part"
+    MASTER = "the master itself"
+    OPEN = "nothing that needs a right"
+
+
+@dataclass(frozen=True)
+class Rule:
+    """What a method needs.
+
+    Attributes:
+        scope: what the call reaches.
+        right: the right needed on the argument at `name` (or, for MASTER, on the master's name).
+        name: index of that argument, counted from the caller_id.
+        api: index of the caller's slave API URI, which must not be another node's.
+    """
+
+    scope: Scope
+    right: Right | None = None
+    name: int = 1
+    api: int | None = None
+
+
+RULES: Final[Mapping[str, Rule]] = {
+    "registerPublisher": Rule(Scope.NAMED, Right.PUBLISH, api=3),
+    "registerSubscriber": Rule(Scope.NAMED, Right.SUBSCRIBE, api=3),
+    "registerService": Rule(Scope.NAMED, Right.PROVIDE, api=3),
+    "unregisterPublisher": Rule(Scope.OWN),
+    "unregisterSubscriber": Rule(Scope.OWN),
+    "unregisterService": Rule(Scope.OWN),
+    "lookupService": Rule(Scope.NAMED, Right.CALL),
+    "lookupNode": Rule(Scope.FILTERED),
+    "getSystemState": Rule(Scope.FILTERED),
+    "getTopicTypes": Rule(Scope.FILTERED),
+    "getPublishedTopics": Rule(Scope.FILTERED),
+    "getUri": Rule(Scope.OPEN),
+    "getPid": Rule(Scope.OPEN),  # roscpp asks for it to learn whether the master lives
+    "shutdown": Rule(Scope.MASTER, Right.ADMIN),
+    "getParam": Rule(Scope.TREE, Right.PARAM_GET),
+    "hasParam": Rule(Scope.TREE, Right.PARAM_GET),
+    "subscribeParam": Rule(Scope.TREE, Right.PARAM_GET, name=2, api=1),
+    "unsubscribeParam": Rule(Scope.OWN),
+    "searchParam": Rule(Scope.FILTERED),
+    "getParamNames": Rule(Scope.FILTERED),
+    "setParam": Rule(Scope.TREE, Right.PARAM_SET),
+    "deleteParam": Rule(Scope.TREE, Right.PARAM_SET),
+    "rossec.presentGrants": Rule(Scope.OPEN),
+    "rossec.revocations": Rule(Scope.OPEN),
+    "rossec.updateRevocations": Rule(Scope.OPEN),  # the list carries the authority's signature
+}
+
+
+class Gatekeeper:
+    """Decides on calls whose arguments are already resolved.
+
+    Args:
+        registry: to know which slave API belongs to whom.
+        master: the master's own certified name; ADMIN is a right on this name.
+    """
+
+    def __init__(self, registry: Registry, master: str) -> None:
+        self._registry = registry
+        self._master = master
+
+    def check_identity(self, caller: Caller, caller_id: str) -> None:
+        """A node speaks only for itself: the certificate's name, not the argument's, counts.
+
+        Raises:
+            Refused: `caller_id` is another name.
+        """
+        if caller_id != caller.name:
+            raise Refused(f"this connection belongs to {caller.name}, it cannot act as another")
+
+    def check(self, method: str, caller: Caller, arguments: tuple[object, ...]) -> None:
+        """The rule of `method`, except for TREE, where the reach is known to the parameters.
+
+        Raises:
+            Refused: no rule, a right is missing, or the slave API is another node's.
+        """
+        rule = RULES.get(method)
+        if rule is None:
+            raise Refused("no rule allows this method")
+        if rule.api is not None:
+            self._check_api(caller, str(arguments[rule.api]))
+        if rule.scope is Scope.NAMED and rule.right is not None:
+            require(caller, rule.right, str(arguments[rule.name]))
+        if rule.scope is Scope.MASTER and rule.right is not None:
+            require(caller, rule.right, self._master)
+
+    def nodes_shown(self, caller: Caller, key: str, nodes: tuple[str, ...]) -> list[str]:
+        """Which of the nodes registered for `key` the caller is shown."""
+        if caller.may_see(key):
+            return list(nodes)
+        return [name for name in nodes if name == caller.name]
+
+    def node_shown(self, caller: Caller, name: str) -> bool:
+        """A node is shown to itself, with a right to see it, and to those who share a topic."""
+        if name == caller.name or caller.may(Right.GRAPH, name):
+            return True
+        kinds = (Kind.PUBLISHER, Kind.SUBSCRIBER, Kind.SERVICE)
+        keys = (key for kind in kinds for key in self._registry.keys_of(name, kind))
+        return any(caller.may_see(key) for key in keys)
+
+    def _check_api(self, caller: Caller, uri: str) -> None:
+        owner = self._registry.owner(uri)
+        if owner is not None and owner != caller.name:
+            raise Refused("this slave API URI is registered by another node")
+
+
+def require(caller: Caller, right: Right, name: str) -> None:
+    """Raise `Refused`, with what is missing, unless `caller` has `right` on `name`."""
+    try:
+        caller.access.require(right, name)
+    except HintedError as error:
+        hint = f" ({error.hint})" if error.hint else ""
+        wanted = f"{caller.name} needs the right {_label(right)} on {name}"
+        raise Refused(f"{wanted}: {error}{hint}") from error
+
+
+def require_tree(caller: Caller, right: Right, leaves: list[str]) -> None:
+    """Raise `Refused` unless `caller` has `right` on every one of `leaves`; none means no."""
+    if not leaves:
+        raise Refused(f"{caller.name} needs the right {_label(right)} on this parameter")
+    for leaf in leaves:
+        require(caller, right, leaf)
+
+
+def _label(right: Right) -> str:
+    return (right.name or str(int(right))).lower().replace("_", "-")

@@ -1,0 +1,113 @@
+"""The calls about the graph: registering, looking up, listing. Pure; texts are stock's.
+
+State queries are filtered by the gatekeeper: a caller sees its own entries and the names its
+grants cover.
+"""
+
+from rossec.master import arguments as arg
+from rossec.master.calls import Method, Methods, Reply, Request
+from rossec.master.gatekeeper import Caller, Gatekeeper
+from rossec.master.registry import Kind, NodeRef, Registry
+
+
+class GraphCalls:
+    """Handlers over one registry."""
+
+    def __init__(self, registry: Registry, gatekeeper: Gatekeeper) -> None:
+        self._registry = registry
+        self._gatekeeper = gatekeeper
+
+    def methods(self) -> Methods:
+        """The rows of the method table."""
+        topic, type_name = arg.topic("topic"), arg.type_name("topic_type")
+        service, api = arg.topic("service"), arg.uri("caller_api", "http")
+        service_api = arg.uri("service_api", "rosrpc")
+        return {
+            "registerPublisher": Method((topic, type_name, api), [], self._register_publisher),
+            "registerSubscriber": Method((topic, type_name, api), [], self._register_subscriber),
+            "registerService": Method((service, service_api, api), 0, self._register_service),
+            "unregisterPublisher": Method((topic, api), 0, self._unregister_publisher),
+            "unregisterSubscriber": Method((topic, api), 0, self._unregister_subscriber),
+            "unregisterService": Method((service, service_api), 0, self._unregister_service),
+            "lookupNode": Method((arg.node("node"),), "", self._lookup_node),
+            "lookupService": Method((service,), "", self._lookup_service),
+            "getSystemState": Method((), [[], [], []], self._system_state),
+            "getTopicTypes": Method((), [], self._topic_types),
+            "getPublishedTopics": Method((arg.subgraph("subgraph"),), 0, self._published_topics),
+        }
+
+    def _register_publisher(self, request: Request) -> Reply:
+        name, topic, type_name, uri = (request.text(i) for i in range(4))
+        events = self._registry.register_publisher(topic, type_name, NodeRef(name, uri))
+        status = f"Registered [{name}] as publisher of [{topic}]"
+        return Reply(self._registry.uris(Kind.SUBSCRIBER, topic), status, events=tuple(events))
+
+    def _register_subscriber(self, request: Request) -> Reply:
+        name, topic, type_name, uri = (request.text(i) for i in range(4))
+        events = self._registry.register_subscriber(topic, type_name, NodeRef(name, uri))
+        publishers = self._registry.uris(Kind.PUBLISHER, topic)
+        return Reply(publishers, f"Subscribed to [{topic}]", events=tuple(events))
+
+    def _register_service(self, request: Request) -> Reply:
+        name, service, service_uri, uri = (request.text(i) for i in range(4))
+        events = self._registry.register_service(service, service_uri, NodeRef(name, uri))
+        return Reply(1, f"Registered [{name}] as provider of [{service}]", events=tuple(events))
+
+    def _unregister_publisher(self, request: Request) -> Reply:
+        return self._unregister(Kind.PUBLISHER, request)
+
+    def _unregister_subscriber(self, request: Request) -> Reply:
+        return self._unregister(Kind.SUBSCRIBER, request)
+
+    def _unregister(self, kind: Kind, request: Request) -> Reply:
+        name, topic, uri = (request.text(i) for i in range(3))
+        done, events = self._registry.unregister(kind, topic, NodeRef(name, uri))
+        return Reply(done.removed, done.status, events=tuple(events))
+
+    def _unregister_service(self, request: Request) -> Reply:
+        name, service, service_uri = (request.text(i) for i in range(3))
+        done = self._registry.unregister_service(service, name, service_uri)
+        return Reply(done.removed, done.status)
+
+    def _lookup_node(self, request: Request) -> Reply:
+        name = request.text(1)
+        uri = self._registry.node_uri(name)
+        if uri is None or not self._gatekeeper.node_shown(request.caller, name):
+            return Reply("", f"unknown node [{name}]", -1)
+        return Reply(uri, "node api")
+
+    def _lookup_service(self, request: Request) -> Reply:
+        uri = self._registry.service_uri(request.text(1))
+        if uri is None:
+            return Reply("", "no provider", -1)
+        return Reply(uri, f"rosrpc URI: [{uri}]")
+
+    def _system_state(self, request: Request) -> Reply:
+        kinds = (Kind.PUBLISHER, Kind.SUBSCRIBER, Kind.SERVICE)
+        return Reply([self._shown(kind, request.caller) for kind in kinds], "current system state")
+
+    def _shown(self, kind: Kind, caller: Caller) -> list[list[object]]:
+        entries = (
+            (key, self._gatekeeper.nodes_shown(caller, key, names))
+            for key, names in self._registry.entries(kind)
+        )
+        return [[key, names] for key, names in entries if names]
+
+    def _topic_types(self, request: Request) -> Reply:
+        types = self._registry.topic_types()
+        shown = [[key, name] for key, name in types if self._topic_shown(request.caller, key)]
+        return Reply(shown, "current system state")
+
+    def _published_topics(self, request: Request) -> Reply:
+        space = request.text(1)
+        if space and not space.endswith("/"):
+            space += "/"
+        topics = (key for key, _ in self._registry.entries(Kind.PUBLISHER) if key.startswith(space))
+        shown = [key for key in topics if self._topic_shown(request.caller, key)]
+        return Reply([[key, self._registry.topic_type(key)] for key in shown], "current topics")
+
+    def _topic_shown(self, caller: Caller, topic: str) -> bool:
+        own = (Kind.PUBLISHER, Kind.SUBSCRIBER)
+        if any(self._registry.is_registered(kind, topic, caller.name) for kind in own):
+            return True
+        return caller.may_see(topic)

@@ -1,0 +1,204 @@
+"""The parameter tree, pure; semantics of stock rosmaster's paramserver.py.
+
+Values are XML-RPC values, a dict is a namespace. Keys arrive resolved. Rights are not decided
+here, but what a call reaches is said here: `leaves` of what is, `leaves_of` what would be.
+Stricter than stock: a name inside a tree is one segment (stock stores `{"a/b": 1}` where nobody
+finds it again), and the depth is bounded by what can be sent back.
+"""
+
+from collections.abc import Callable, Iterable, Iterator
+from copy import deepcopy
+from typing import Final, NamedTuple
+
+from rossec.ros import names
+
+DEPTH_LIMIT: Final = 32
+Tree = dict[str, object]
+
+
+class ParameterMissing(KeyError):
+    """Nothing is set under this key."""
+
+
+class Update(NamedTuple):
+    """What subscribers of `subscription` must be told: `key` now has this value ({}: unset)."""
+
+    subscription: str
+    key: str
+    value: object
+    to_setter: bool  # stock tells the setter itself only about exact keys inside a tree
+
+
+class Parameters:
+    """All parameters."""
+
+    def __init__(self) -> None:
+        self._root: Tree = {}
+
+    def get(self, key: str) -> object:
+        """The value, or the tree, at `key`; a live reference.
+
+        Raises:
+            ParameterMissing: not set.
+        """
+        value: object = self._root
+        for segment in _segments(key):
+            if not isinstance(value, dict) or segment not in value:
+                raise ParameterMissing(key)
+            value = value[segment]
+        return value
+
+    def has(self, key: str) -> bool:
+        """Whether `key` is set."""
+        try:
+            self.get(key)
+        except ParameterMissing:
+            return False
+        return True
+
+    def set(self, key: str, value: object) -> None:
+        """Set a value, or replace a whole tree; values on the way become namespaces.
+
+        Raises:
+            TypeError: the root must stay a tree.
+            ValueError: a name inside `value` is not one segment, or it is too deep.
+        """
+        segments = _segments(key)
+        _check_tree(value, DEPTH_LIMIT - len(segments))
+        if not segments:
+            if not isinstance(value, dict):
+                raise TypeError("cannot set root of parameter tree to non-dictionary")
+            self._root = value
+            return
+        node = self._root
+        for segment in segments[:-1]:
+            below = node.get(segment)
+            if not isinstance(below, dict):
+                below = node[segment] = {}
+            node = below
+        node[segments[-1]] = value
+
+    def delete(self, key: str) -> None:
+        """Unset a value or a tree.
+
+        Raises:
+            ParameterMissing: not set, or the root.
+        """
+        head, _, last = names.canonical(key).rpartition(names.SEPARATOR)
+        parent = self.get(head)
+        if not isinstance(parent, dict) or last not in parent:
+            raise ParameterMissing(key)
+        del parent[last]
+
+    def names(self) -> Iterator[str]:
+        """Every parameter with a value, in stock's order."""
+        return (name for name, value in _walk(names.SEPARATOR, self._root) if value != {})
+
+    def leaves(self, key: str) -> list[str]:
+        """What a call on `key` reaches: the parameters below it, or itself if there are none."""
+        try:
+            return leaves_of(key, self.get(key))
+        except ParameterMissing:
+            return [key]
+
+    def reach(self, key: str) -> list[str]:
+        """What setting `key` changes: `leaves`, or a value on the way, which becomes a tree."""
+        segments = _segments(key)
+        for length in range(1, len(segments)):
+            above = names.SEPARATOR + names.SEPARATOR.join(segments[:length])
+            if self.has(above) and not isinstance(self.get(above), dict):
+                return [above, key]
+        return self.leaves(key)
+
+    def search(self, space: str, key: str, visible: Callable[[str], bool]) -> str | None:
+        """Climb from `space` to the first namespace that has the first segment of `key`.
+
+        Raises:
+            ValueError: `key` is empty or private.
+        """
+        if not key or key.startswith(names.PRIVATE):
+            raise ValueError("invalid key")
+        if key.startswith(names.SEPARATOR):
+            return key if self._shown(key, visible) else None
+        first = _segments(key)[0]
+        above = _segments(space)
+        for length in range(len(above), -1, -1):
+            prefix = names.SEPARATOR + names.SEPARATOR.join(above[:length])
+            if self._shown(names.join(prefix, first), visible):
+                return names.join(prefix, key)
+        return None
+
+    def _shown(self, key: str, visible: Callable[[str], bool]) -> bool:
+        return self.has(key) and any(visible(leaf) for leaf in self.leaves(key))
+
+
+def leaves_of(key: str, value: object) -> list[str]:
+    """The parameters that `value` set at `key` consists of; an empty tree is one itself."""
+    return [name for name, _ in _walk(key, value)]
+
+
+def updates(subscriptions: Iterable[str], key: str, value: object) -> list[Update]:
+    """Which subscriptions a change of `key` to `value` concerns (keys of both end with '/').
+
+    A subscriber hears of anything at, above or below what it subscribed to; what a replaced tree
+    no longer holds is reported as unset.
+    """
+    changed = _slashed(key)
+    value = deepcopy(value)  # the event is delivered later, when the tree may have changed
+    inside = dict(_inside(changed, value)) if isinstance(value, dict) else None
+    found = list(subscriptions)
+    result: list[Update] = []
+    for subscription in found:
+        if changed.startswith(_slashed(subscription)):
+            result.append(Update(subscription, changed, value, to_setter=False))
+        elif inside is not None and subscription.startswith(changed) and subscription not in inside:
+            result.append(Update(subscription, subscription, {}, to_setter=True))
+    if inside is not None:
+        exact = (name for name in found if name in inside)
+        result += [Update(name, name, inside[name], to_setter=True) for name in exact]
+    return result
+
+
+def subscription_key(key: str) -> str:
+    """The form under which subscriptions to `key` are kept."""
+    return _slashed(names.canonical(key))
+
+
+def _slashed(key: str) -> str:
+    return key if key.endswith(names.SEPARATOR) else key + names.SEPARATOR
+
+
+def _segments(key: str) -> list[str]:
+    return [segment for segment in key.split(names.SEPARATOR) if segment]
+
+
+def _walk(key: str, value: object) -> Iterator[tuple[str, object]]:
+    if not isinstance(value, dict) or not value:
+        yield key, value
+        return
+    for name, below in value.items():
+        yield from _walk(names.join(key, name), below)
+
+
+def _inside(key: str, value: Tree) -> Iterator[tuple[str, object]]:
+    for name, below in value.items():
+        inner = _slashed(key + name)
+        yield inner, below
+        if isinstance(below, dict):
+            yield from _inside(inner, below)
+
+
+def _check_tree(value: object, depth: int) -> None:
+    if depth < 0:
+        raise ValueError(f"parameters nested deeper than {DEPTH_LIMIT}")
+    match value:
+        case dict():
+            for name, below in value.items():
+                if not name or names.SEPARATOR in name or name.startswith(names.PRIVATE):
+                    raise ValueError(f"{name!r} cannot be the name of a parameter in a tree")
+                _check_tree(below, depth - 1)
+        case list():
+            for item in value:
+                _check_tree(item, depth - 1)
+        case _:
+            pass

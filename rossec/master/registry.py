@@ -1,0 +1,249 @@
+"""Who publishes, subscribes, provides and listens: the master's state, pure.
+
+Answers as stock `rosmaster` (registrations.py) gives them, in its order. Nothing here decides who
+may ask: that is the gatekeeper's. Every change that somebody must hear of is an event; the shell
+delivers it. `version` grows with every change of state, so two equal versions mean equal state.
+
+Beyond stock: when a node is replaced or removed, the subscribers of its topics are told (stock
+leaves them with a dead publisher), and lookups by node are indexed.
+"""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Final, NamedTuple
+from urllib.parse import urlsplit
+
+ANY_TYPE: Final = "*"
+REPLACED: Final = "new node registered with same name"
+
+
+class Kind(Enum):
+    """What a node can be registered as, for a name."""
+
+    PUBLISHER = "publisher"
+    SUBSCRIBER = "subscriber"
+    SERVICE = "service"
+    PARAMETER = "parameter subscriber"
+
+
+class NodeRef(NamedTuple):
+    """A registered node: its name and the URI of its slave API."""
+
+    name: str
+    uri: str
+
+
+@dataclass(frozen=True)
+class PublishersChanged:
+    """Tell `subscribers` that `topic` now has exactly these publishers."""
+
+    topic: str
+    subscribers: tuple[NodeRef, ...]
+    publisher_uris: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class ShutdownNode:
+    """Tell the slave API at `node.uri` to stop: another node has taken its name."""
+
+    node: NodeRef
+    reason: str
+
+
+Event = PublishersChanged | ShutdownNode
+
+
+class Unregistered(NamedTuple):
+    """Stock's answer to unregistering: it always succeeds, `removed` is 0 or 1."""
+
+    status: str
+    removed: int
+
+
+@dataclass
+class _Node:
+    uri: str
+    keys: dict[Kind, dict[str, None]] = field(default_factory=lambda: {kind: {} for kind in Kind})
+
+    def is_empty(self) -> bool:
+        return not any(self.keys.values())
+
+
+class Registry:
+    """All registrations. Methods that change it return the events to deliver."""
+
+    def __init__(self) -> None:
+        self.version = 0
+        self._nodes: dict[str, _Node] = {}
+        self._names: dict[Kind, dict[str, dict[str, None]]] = {kind: {} for kind in Kind}
+        self._service_uris: dict[str, str] = {}
+        self._types: dict[str, str] = {}
+        self._owners: dict[str, str] = {}
+        self._had_service = False
+
+    def register_publisher(self, topic: str, type_name: str, node: NodeRef) -> list[Event]:
+        """A publisher; its real type replaces `*` and what subscribers guessed."""
+        events = self._register(Kind.PUBLISHER, topic, node)
+        if type_name != ANY_TYPE or topic not in self._types:
+            self._set_type(topic, type_name)
+        return [*events, self._publishers_changed(topic)]
+
+    def register_subscriber(self, topic: str, type_name: str, node: NodeRef) -> list[Event]:
+        """A subscriber; its type counts only while there is none."""
+        events = self._register(Kind.SUBSCRIBER, topic, node)
+        if type_name != ANY_TYPE and topic not in self._types:
+            self._set_type(topic, type_name)
+        return events
+
+    def register_service(self, service: str, service_uri: str, node: NodeRef) -> list[Event]:
+        """A provider; the last one to register a service has it."""
+        for other in [
+            name for name in self._names[Kind.SERVICE].get(service, ()) if name != node.name
+        ]:
+            self._discard(Kind.SERVICE, service, other)
+        events = self._register(Kind.SERVICE, service, node)
+        if self._service_uris.get(service) != service_uri:
+            self.version += 1
+        self._service_uris[service] = service_uri
+        self._had_service = True
+        return events
+
+    def register_parameter(self, key: str, node: NodeRef) -> list[Event]:
+        """A node that wants to hear of changes under a parameter."""
+        return self._register(Kind.PARAMETER, key, node)
+
+    def unregister(self, kind: Kind, key: str, node: NodeRef) -> tuple[Unregistered, list[Event]]:
+        """Forget a publisher, subscriber or parameter subscriber, if name and URI match."""
+        known = self._nodes.get(node.name)
+        if known is None:
+            return Unregistered(f"[{node.name}] is not a registered node", 0), []
+        if key not in known.keys[kind] or known.uri != node.uri:
+            return Unregistered(f"[{node.name}] is not a known provider of [{key}]", 0), []
+        self._discard(kind, key, node.name)
+        done = Unregistered(f"Unregistered [{node.name}] as provider of [{key}]", 1)
+        return done, [self._publishers_changed(key)] if kind is Kind.PUBLISHER else []
+
+    def unregister_service(self, service: str, name: str, service_uri: str) -> Unregistered:
+        """Forget a provider; name and service URI must both match."""
+        if name not in self._nodes:
+            return Unregistered(f"[{name}] is not a registered node", 0)
+        if not self._had_service:
+            return Unregistered(f"[{name}] is not a provider of [{service}]", 0)
+        provided = name in self._names[Kind.SERVICE].get(service, ())
+        if not provided or self._service_uris[service] != service_uri:
+            text = f"[{service_uri}] is no longer the current service api handle for [{service}]"
+            return Unregistered(text, 0)
+        self._discard(Kind.SERVICE, service, name)
+        return Unregistered(f"Unregistered [{name}] as provider of [{service}]", 1)
+
+    def remove_node(self, name: str) -> list[Event]:
+        """Forget everything a node registered; its subscribers hear of it."""
+        node = self._nodes.get(name)
+        if node is None:
+            return []
+        topics = list(node.keys[Kind.PUBLISHER])
+        registered = [(kind, key) for kind, keys in node.keys.items() for key in keys]
+        for kind, key in registered:
+            self._discard(kind, key, name)
+        return [self._publishers_changed(topic) for topic in topics]
+
+    def remove(self, kind: Kind, key: str, name: str) -> list[Event]:
+        """Forget one registration of a node, whatever its URI (a right was revoked)."""
+        if not self.is_registered(kind, key, name):
+            return []
+        self._discard(kind, key, name)
+        return [self._publishers_changed(key)] if kind is Kind.PUBLISHER else []
+
+    def node_uri(self, name: str) -> str | None:
+        """The slave API of a node that has registered something."""
+        node = self._nodes.get(name)
+        return None if node is None else node.uri
+
+    def owner(self, uri: str) -> str | None:
+        """The node that registered a slave API at this host and port, however spelt."""
+        return self._owners.get(_endpoint(uri))
+
+    def nodes(self) -> Iterator[NodeRef]:
+        """All nodes that have registered something."""
+        return (NodeRef(name, node.uri) for name, node in self._nodes.items())
+
+    def keys_of(self, name: str, kind: Kind) -> tuple[str, ...]:
+        """The names a node is registered for."""
+        node = self._nodes.get(name)
+        return () if node is None else tuple(node.keys[kind])
+
+    def is_registered(self, kind: Kind, key: str, name: str) -> bool:
+        """Whether a node is registered for a name."""
+        return name in self._names[kind].get(key, ())
+
+    def members(self, kind: Kind, key: str) -> tuple[NodeRef, ...]:
+        """The nodes registered for a name, first come first."""
+        names = self._names[kind].get(key, ())
+        return tuple(NodeRef(name, self._nodes[name].uri) for name in names)
+
+    def uris(self, kind: Kind, key: str) -> list[str]:
+        """The slave APIs of the nodes registered for a name."""
+        return [node.uri for node in self.members(kind, key)]
+
+    def entries(self, kind: Kind) -> Iterator[tuple[str, tuple[str, ...]]]:
+        """All names of one kind, each with its nodes."""
+        return ((key, tuple(names)) for key, names in self._names[kind].items())
+
+    def service_uri(self, service: str) -> str | None:
+        """The rosrpc URI of a service."""
+        return self._service_uris.get(service)
+
+    def topic_types(self) -> Iterable[tuple[str, str]]:
+        """Every topic ever registered with its type, as stock keeps them."""
+        return self._types.items()
+
+    def topic_type(self, topic: str) -> str:
+        """The type of a topic, `*` while nobody said."""
+        return self._types.get(topic, ANY_TYPE)
+
+    def _register(self, kind: Kind, key: str, ref: NodeRef) -> list[Event]:
+        events: list[Event] = []
+        old = self._nodes.get(ref.name)
+        if old is not None and old.uri != ref.uri:
+            events = self.remove_node(ref.name)
+            events.append(ShutdownNode(NodeRef(ref.name, old.uri), REPLACED))
+            old = None
+        node = old or self._add_node(ref)
+        if key not in node.keys[kind]:
+            node.keys[kind][key] = None
+            self._names[kind].setdefault(key, {})[ref.name] = None
+            self.version += 1
+        return events
+
+    def _add_node(self, ref: NodeRef) -> _Node:
+        node = self._nodes[ref.name] = _Node(ref.uri)
+        self._owners[_endpoint(ref.uri)] = ref.name
+        return node
+
+    def _discard(self, kind: Kind, key: str, name: str) -> None:
+        self.version += 1
+        node = self._nodes[name]
+        del node.keys[kind][key]
+        del self._names[kind][key][name]
+        if not self._names[kind][key]:
+            del self._names[kind][key]
+            if kind is Kind.SERVICE:
+                del self._service_uris[key]
+        if node.is_empty():
+            del self._nodes[name]
+            if self.owner(node.uri) == name:
+                del self._owners[_endpoint(node.uri)]
+
+    def _set_type(self, topic: str, type_name: str) -> None:
+        self.version += self._types.get(topic) != type_name
+        self._types[topic] = type_name
+
+    def _publishers_changed(self, topic: str) -> PublishersChanged:
+        return PublishersChanged(
+            topic, self.members(Kind.SUBSCRIBER, topic), tuple(self.uris(Kind.PUBLISHER, topic))
+        )
+
+
+def _endpoint(uri: str) -> str:
+    return urlsplit(uri).netloc.lower()

@@ -1,0 +1,243 @@
+"""The running master: secure connections in, calls dispatched, changes passed on. A shell.
+
+Judgement is elsewhere: the gatekeeper says who may do what, `Standing` which grants hold, the
+registry what follows. One loop owns all state, and a call is answered without waiting for anybody,
+so there is nothing to lock. What other nodes must hear goes to `Updates`, which never waits either.
+"""
+
+import asyncio
+import logging
+import os
+import time
+from collections import Counter
+from collections.abc import Callable
+from typing import Final, Protocol
+
+from ca.errors import HintedError
+from rossec.channel.credentials import OwnCredential, PeerIdentity, Verify
+from rossec.errors import CallerMismatch
+from rossec.master.api import MasterApi, Statements
+from rossec.master.calls import (
+    GrantsPresented,
+    MasterEvent,
+    ParameterChanged,
+    RevocationsChanged,
+    StopMaster,
+)
+from rossec.master.enforce import enforce
+from rossec.master.gatekeeper import Caller
+from rossec.master.registry import NodeRef, PublishersChanged, Registry, ShutdownNode
+from rossec.master.updates import Updates
+from rossec.net.rpc import RpcClient, serve_calls
+from rossec.net.stream import Flavour, SecureServer, SecureStream, connect, serve
+from rossec.net.tasks import TaskSet
+from rossec.ros.settings import parse_uri
+from rossec.ros.xmlrpc import Fault
+
+DEFAULT_NAME: Final = "/master"
+TIMESTAMP_EVERY: Final = 10.0  # seconds; a timestamp holds for 30
+PEER_CONNECTIONS: Final = 16  # open connections of one identity
+
+_log = logging.getLogger(__name__)
+_audit = logging.getLogger("rossec.audit")
+
+
+class Peer(PeerIdentity, Protocol):
+    """What is used of `ca.certificates.Identity`."""
+
+    @property
+    def name(self) -> str:
+        """The certified name."""
+
+    @property
+    def thumbprint(self) -> bytes:
+        """The certified key's thumbprint."""
+
+
+class Standing(Statements, Protocol):
+    """What the authority has said and the nodes have shown; `rossec.master.trust` is it."""
+
+    def caller(self, peer: Peer, now: int) -> Caller:
+        """Who calls and what it may do now; remembers the peer. Raises `HintedError`: revoked."""
+
+    def keep_only(self, thumbprints: frozenset[bytes], now: int) -> None:
+        """Forget what identities presented that are neither connected nor registered."""
+
+
+class MasterServer:
+    """`async with`-less on purpose: `start`, then `closed` or `close`.
+
+    Args:
+        credentials, verify: the master's own identity, and who may connect.
+        standing: grants and revocations.
+        name: the master's certified name.
+        host: address to listen on (None: all). port: 0 for any free one.
+        advertise: host name in `uri`; what nodes are told.
+        clock: seconds since the epoch.
+    """
+
+    def __init__(
+        self,
+        credentials: OwnCredential,
+        verify: Verify[Peer],
+        standing: Standing,
+        *,
+        name: str = DEFAULT_NAME,
+        host: str | None = None,
+        port: int = 11311,
+        advertise: str = "localhost",
+        clock: Callable[[], float] = time.time,
+        timestamp_every: float = TIMESTAMP_EVERY,
+    ) -> None:
+        self._credentials = credentials
+        self._verify = verify
+        self._standing = standing
+        self._name = name
+        self._listen = (host, port)
+        self._advertise = advertise
+        self._clock = clock
+        self._timestamp_every = timestamp_every
+        self._registry = Registry()
+        self._api: MasterApi | None = None
+        self._server: SecureServer[Peer] | None = None
+        self._streams: set[SecureStream[Peer]] = set()
+        self._updates = Updates(self._dial)
+        self._tasks = TaskSet()
+        self._stopping = asyncio.Event()
+
+    @property
+    def uri(self) -> str:
+        """What ROS_MASTER_URI must be set to."""
+        port = self._listen[1] if self._server is None else self._server.port
+        host = f"[{self._advertise}]" if ":" in self._advertise else self._advertise
+        return f"http://{host}:{port}/"
+
+    async def start(self) -> None:
+        """Listen.
+
+        Raises:
+            OSError: the address is not ours or the port is taken.
+        """
+        host, port = self._listen
+        self._server = await serve(
+            self._handle, host, port, self._credentials, self._verify, accept={Flavour.HTTP}
+        )
+        self._api = MasterApi(
+            self._registry, self._standing, name=self._name, uri=self.uri, pid=os.getpid()
+        )
+        self._tasks.spawn(self._beat(), name="rossec master timestamps")
+
+    async def stopped(self) -> None:
+        """Wait until an administrator asks the master to end."""
+        await self._stopping.wait()
+
+    async def close(self) -> None:
+        """Stop listening, cut all connections, stop telling."""
+        await self._tasks.close()
+        await self._updates.close()
+        if self._server is not None:
+            await self._server.close()
+
+    async def _handle(self, stream: SecureStream[Peer]) -> None:
+        held = Counter(other.peer.thumbprint for other in self._streams)
+        if held[stream.peer.thumbprint] >= PEER_CONNECTIONS:
+            _audit.warning("%s has too many connections", stream.peer.name)
+            stream.abort("too many connections of one identity")
+            return
+        self._streams.add(stream)
+        try:
+            self._standing.caller(stream.peer, self._now())
+            await serve_calls(stream, self._dispatch)
+        except HintedError as error:
+            _audit.warning("%s is cut off: %s", stream.peer.name, error)
+            stream.abort(str(error))
+        finally:
+            self._streams.discard(stream)
+
+    async def _dispatch(self, method: str, params: tuple[object, ...], peer: Peer) -> object:
+        if self._api is None:
+            raise RuntimeError("a call before the master was started")
+        now = self._now()
+        try:
+            caller = self._standing.caller(peer, now)
+        except HintedError as error:  # revoked a moment ago: the connection is being cut
+            raise Fault(1, f"rossec: {error}") from error
+        outcome = self._api.call(method, params, caller, now)
+        match outcome.answer:
+            case [-1, str(status), _] if status.startswith("rossec: "):
+                _audit.warning("%s may not %s: %s", peer.name, method, status)
+            case _:
+                pass
+        for event in outcome.events:
+            self._deliver(event)
+        return outcome.answer
+
+    def _deliver(self, event: MasterEvent) -> None:
+        match event:
+            case PublishersChanged(topic, subscribers, uris):
+                for node in subscribers:
+                    self._tell(node, "publisherUpdate", topic, list(uris))
+            case ParameterChanged(node, key, value):
+                self._tell(node, "paramUpdate", key, value)
+            case ShutdownNode(node, reason):
+                self._tell(node, "shutdown", f"[{node.name}] Reason: {reason}")
+            case RevocationsChanged():
+                self._enforce()
+                self._push_revocations()
+            case GrantsPresented():
+                pass
+            case StopMaster(reason):
+                _audit.warning("stopping: %s", reason)
+                self._stopping.set()
+
+    def _tell(self, node: NodeRef, method: str, subject: object, *rest: object) -> None:
+        about = subject if isinstance(subject, str) and rest else ""
+        self._updates.post(node, (method, about), self._name, subject, *rest)
+
+    async def _beat(self) -> None:
+        while True:
+            self._enforce()
+            self._push_revocations()
+            self._forget_the_gone()
+            await asyncio.sleep(self._timestamp_every)
+
+    def _enforce(self) -> None:
+        """Cut revoked identities, drop what is no longer allowed, tell those concerned."""
+        now = self._now()
+        for stream in tuple(self._streams):
+            try:
+                self._standing.caller(stream.peer, now)
+            except HintedError as error:
+                _audit.warning("%s is cut off: %s", stream.peer.name, error)
+                stream.abort(str(error))
+        for event in enforce(self._registry, self._standing, now):
+            self._deliver(event)
+
+    def _forget_the_gone(self) -> None:
+        nodes = frozenset(self._registry.nodes())
+        self._updates.prune(nodes)
+        now = self._now()
+        callers = (self._standing.caller_of(node.name, now) for node in nodes)
+        registered = {caller.thumbprint for caller in callers if caller is not None}
+        connected = {stream.peer.thumbprint for stream in self._streams}
+        self._standing.keep_only(frozenset(registered | connected), now)
+
+    def _push_revocations(self) -> None:
+        revocations, timestamp = self._standing.current(self._now())
+        if not revocations:
+            return
+        for node in self._registry.nodes():
+            key = ("rossec.revocationUpdate", "")
+            self._updates.post(node, key, self._name, revocations, timestamp)
+
+    async def _dial(self, node: NodeRef) -> RpcClient:
+        """Connect to a slave API; whoever answers must be certified as the registered node."""
+        host, port = parse_uri(node.uri, "the slave API")
+        stream = await connect(host, port, self._credentials, self._verify, opening=Flavour.HTTP)
+        if stream.peer.name != node.name:
+            stream.abort("not the node that was registered")
+            raise CallerMismatch(f"{stream.peer.name} answers at the slave API of {node.name}")
+        return RpcClient(stream)
+
+    def _now(self) -> int:
+        return int(self._clock())

@@ -1,0 +1,190 @@
+"""What the authority has said and what the nodes have shown: revocations and grants. Pure.
+
+The master is its own source of freshness: it holds the list, so it confirms it to itself and signs
+the timestamps by which nodes know that nothing newer is being held back. Without a list, or with
+an expired one, identities may still connect (somebody must be able to bring a list), but no grant
+holds. Grants are kept per key, verified once, bounded in number and size.
+"""
+
+import hashlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Final, Protocol
+
+from cryptography.hazmat.primitives.asymmetric import ec
+
+from ca.errors import HintedError, Revoked
+from ca.revocation import MAX_AGE, Revocations, Timestamp, digest, sign_timestamp
+from ca.signer import Signer
+from grants.decision import Check, authorize
+from grants.document import open_grant
+from grants.errors import GrantError, GrantNotHeld
+from grants.model import MESSAGE_RIGHTS, Grant, Right
+from rossec.master.api import Presented
+from rossec.master.gatekeeper import Caller
+
+MAX_HELD: Final = 64
+MAX_HELD_BYTES: Final = 256 * 1024
+
+
+class Peer(Protocol):
+    """What is used of `ca.certificates.Identity`."""
+
+    @property
+    def name(self) -> str:
+        """The certified name."""
+
+    @property
+    def thumbprint(self) -> bytes:
+        """The certified key's thumbprint."""
+
+
+@dataclass(frozen=True)
+class GrantAccess:
+    """What one key may do at one moment."""
+
+    grants: tuple[Grant, ...]
+    holder: bytes
+    now: int
+    check: Check
+
+    def require(self, right: Right, name: str) -> None:
+        """Raise the `GrantError` that says what is missing."""
+        decision = authorize(
+            self.grants, right, name, holder=self.holder, now=self.now, check=self.check
+        )
+        if (
+            right not in MESSAGE_RIGHTS
+        ):  # filters and conditions are for messages: others apply none
+            decision.require_unrestricted()
+
+
+@dataclass
+class _Held:
+    """Verified grants of one key by the digest of their bytes, and their size."""
+
+    grants: dict[bytes, Grant] = field(default_factory=dict)
+    sizes: dict[bytes, int] = field(default_factory=dict)
+
+    def drop_expired(self, now: int) -> None:
+        for key in [key for key, grant in self.grants.items() if grant.expires <= now]:
+            del self.grants[key], self.sizes[key]
+
+    def is_full_for(self, size: int) -> bool:
+        return len(self.grants) >= MAX_HELD or sum(self.sizes.values()) + size > MAX_HELD_BYTES
+
+
+class Trust:
+    """The master's `Standing`.
+
+    Args:
+        anchor_key: the authority's key.
+        signer: the master's own identity key; signs timestamps.
+        revocations: loaded with what was persisted, if anything.
+        persist: makes a list durable; called before the list takes effect.
+    """
+
+    def __init__(
+        self,
+        anchor_key: ec.EllipticCurvePublicKey,
+        signer: Signer,
+        revocations: Revocations,
+        persist: Callable[[bytes], None],
+    ) -> None:
+        self._anchor_key = anchor_key
+        self._signer = signer
+        self._revocations = revocations
+        self._persist = persist
+        self._held: dict[bytes, _Held] = {}
+        self._keys: dict[str, bytes] = {}
+        self._stamp: tuple[int, bytes] = (-1, b"")
+        self._confirmed_at = -1
+
+    def caller(self, peer: Peer, now: int) -> Caller:
+        """Who calls and what it may do now.
+
+        Raises:
+            Revoked: the key is revoked.
+        """
+        if peer.thumbprint in self._revocations.entries:
+            raise Revoked(f"the key of {peer.name} is revoked", "enroll the node with a new key")
+        self._keys[peer.name] = peer.thumbprint
+        return self._caller(peer.name, peer.thumbprint, now)
+
+    def caller_of(self, name: str, now: int) -> Caller | None:
+        """What the node last seen under `name` may do now; None: unknown or revoked."""
+        thumbprint = self._keys.get(name)
+        if thumbprint is None or thumbprint in self._revocations.entries:
+            return None
+        return self._caller(name, thumbprint, now)
+
+    def present(self, caller: Caller, tokens: Sequence[bytes], now: int) -> Presented:
+        """Verify and keep grants; one that is refused does not spoil the others.
+
+        Nothing is kept for a key that the tokens are not bound to.
+        """
+        held = self._held.setdefault(caller.thumbprint, _Held())
+        held.drop_expired(now)
+        refused: list[str] = []
+        for token in tokens:
+            try:
+                self._keep(held, caller, token, now)
+            except HintedError as error:
+                refused.append(str(error))
+        return Presented(len(held.grants), tuple(refused))
+
+    def current(self, now: int) -> tuple[bytes, bytes]:
+        """The list and a timestamp of this second; empty while there is no list."""
+        revocations = self._revocations.held
+        if revocations is None:
+            return b"", b""
+        if self._stamp[0] != now:
+            self._stamp = now, sign_timestamp(self._signer, self._timestamp(now))
+        return self._revocations.data, self._stamp[1]
+
+    def update(self, data: bytes, now: int) -> bool:
+        """Take a list signed by the authority; returns whether it differs from the one held.
+
+        Raises:
+            RevocationRefused: forged, malformed, or older than one seen.
+        """
+        before = self._revocations.data
+        self._revocations.update(data, now, self._persist)
+        self._stamp, self._confirmed_at = (-1, b""), -1
+        return self._revocations.data != before
+
+    def keep_only(self, thumbprints: frozenset[bytes], now: int) -> None:
+        """Forget the grants of all other keys, and what has expired of these."""
+        self._held = {key: held for key, held in self._held.items() if key in thumbprints}
+        self._keys = {name: key for name, key in self._keys.items() if key in thumbprints}
+        for held in self._held.values():
+            held.drop_expired(now)
+
+    def _caller(self, name: str, thumbprint: bytes, now: int) -> Caller:
+        self._confirm(now)
+        held = self._held.get(thumbprint)
+        grants = () if held is None else tuple(held.grants.values())
+        return Caller(
+            name, thumbprint, GrantAccess(grants, thumbprint, now, self._revocations.check)
+        )
+
+    def _keep(self, held: _Held, caller: Caller, token: bytes, now: int) -> None:
+        key = hashlib.sha256(token).digest()
+        if key in held.grants:
+            return
+        if held.is_full_for(len(token)):
+            raise GrantError(f"the master holds at most {MAX_HELD} grants of one node")
+        grant = open_grant(token, self._anchor_key, now)
+        if grant.holder != caller.thumbprint:
+            raise GrantNotHeld("a grant bound to another key", f"it was given to {grant.subject}")
+        held.grants[key], held.sizes[key] = grant, len(token)
+
+    def _confirm(self, now: int) -> None:
+        if self._revocations.held is not None and self._confirmed_at != now:
+            self._revocations.confirm(self._timestamp(now), now)
+            self._confirmed_at = now
+
+    def _timestamp(self, now: int) -> Timestamp:
+        revocations = self._revocations.held
+        seq = 0 if revocations is None else revocations.seq
+        return Timestamp(seq, digest(self._revocations.data), now, MAX_AGE)

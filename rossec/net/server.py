@@ -1,0 +1,241 @@
+"""Listening for secure connections: sockets, half-open caps, one task per connection.
+
+A stranger costs a bounded amount: at most so many unfinished handshakes from one address and in
+total, each with one deadline. What a handler does ends with its connection: a crash is logged and
+closes that connection only.
+"""
+
+import asyncio
+import ipaddress
+import logging
+import secrets
+import socket
+from collections import Counter
+from collections.abc import Awaitable, Callable, Collection
+from contextlib import suppress
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Final, Generic, Self, TypeAlias
+
+from rossec.channel.connection import Connection
+from rossec.channel.credentials import OwnCredential, PeerT, Verify
+from rossec.channel.opening import Flavour
+from rossec.channel.records import Limits
+from rossec.errors import ChannelClosed, ChannelError, PlainPeer
+from rossec.net.driver import Driver, wall_clock
+from rossec.net.secure import SecureStream
+from rossec.net.tasks import TaskSet
+
+_log = logging.getLogger(__name__)
+_DEFAULTS: Final = Limits()
+_BACKLOG: Final = 128
+
+Handler: TypeAlias = Callable[[SecureStream[PeerT]], Awaitable[None]]
+
+
+@dataclass(frozen=True)
+class HalfOpen:
+    """How many handshakes may be unfinished at a time (attacks N8, M11)."""
+
+    per_address: int = 128
+    total: int = 512
+
+
+_CAPS: Final = HalfOpen()
+
+
+class SecureServer(Generic[PeerT]):
+    """A listening port and its connections; made by `serve`."""
+
+    def __init__(
+        self,
+        handler: Handler[PeerT],
+        make_core: Callable[[], Connection[PeerT]],
+        caps: HalfOpen,
+    ) -> None:
+        self._handler = handler
+        self._make_core = make_core
+        self._caps = caps
+        self._half_open: Counter[str] = Counter()
+        self._drivers: set[Driver[PeerT]] = set()
+        self._tasks = TaskSet()
+        self._servers: list[asyncio.Server] = []
+        self.addresses: list[tuple[str, int]] = []
+
+    @property
+    def port(self) -> int:
+        """The port, the same on every address."""
+        return self.addresses[0][1]
+
+    @property
+    def connections(self) -> int:
+        """How many connections are open or half open."""
+        return len(self._drivers)
+
+    async def listen(self, host: str | None, port: int) -> None:
+        """Bind and start to accept."""
+        loop = asyncio.get_running_loop()
+        for sock in bind(host, port):
+            self.addresses.append(sock.getsockname()[:2])
+            server = await loop.create_server(self._make_driver, sock=sock, backlog=_BACKLOG)
+            self._servers.append(server)
+
+    def _make_driver(self) -> Driver[PeerT]:
+        return _Accepted(self)
+
+    def admit(self, driver: Driver[PeerT]) -> bool:
+        """Count a new connection as half open, or refuse it."""
+        source = source_of(driver.address)
+        caps = self._caps
+        full = self._half_open.total() >= caps.total
+        if full or self._half_open[source] >= caps.per_address:
+            return False
+        self._half_open[source] += 1
+        self._drivers.add(driver)
+        return True
+
+    def _settle(self, driver: Driver[PeerT]) -> None:
+        """The handshake of `driver` is over, one way or the other."""
+        source = source_of(driver.address)
+        self._half_open[source] -= 1
+        if self._half_open[source] <= 0:
+            del self._half_open[source]
+
+    def on_authenticated(self, driver: Driver[PeerT], peer: PeerT) -> None:
+        """Start the handler."""
+        self._settle(driver)
+        stream = SecureStream(driver, peer)
+        self._tasks.spawn(self._handle(stream), name=f"rossec connection from {driver.address}")
+
+    def on_end(self, driver: Driver[PeerT], error: ChannelError) -> None:
+        """Forget the connection; a failed handshake is worth a line in the log."""
+        if driver not in self._drivers:
+            return
+        self._drivers.discard(driver)
+        if not driver.authenticated:
+            self._settle(driver)
+            level = logging.WARNING if isinstance(error, PlainPeer) else logging.INFO
+            _log.log(level, "connection from %s refused: %s", driver.address, error)
+
+    async def _handle(self, stream: SecureStream[PeerT]) -> None:
+        try:
+            await self._handler(stream)
+        except ChannelError as error:
+            _log.info("connection from %s ended: %s", stream.address, error)
+        except BaseException:
+            stream.abort("the handler did not finish")
+            raise  # a crash is logged by the task's owner
+        await stream.close()
+
+    async def close(self) -> None:
+        """Stop listening, cut every connection, wait until the handlers are gone."""
+        for server in self._servers:
+            server.close()
+        await self._tasks.close()
+        for driver in list(self._drivers):
+            driver.abort(ChannelClosed("the server was closed"))
+        for server in self._servers:
+            await server.wait_closed()
+
+    async def __aenter__(self) -> Self:
+        return self
+
+    async def __aexit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        await self.close()
+
+    def make_core(self) -> Connection[PeerT]:
+        """A fresh responder."""
+        return self._make_core()
+
+
+class _Accepted(Driver[PeerT]):
+    """A driver that asks its server before it spends anything on the peer."""
+
+    def __init__(self, server: SecureServer[PeerT]) -> None:
+        super().__init__(server.make_core(), server.on_authenticated, server.on_end)
+        self._server = server
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        self.learn_address(transport)
+        if self._server.admit(self):
+            super().connection_made(transport)
+        else:
+            _log.warning("too many unfinished handshakes: refused %s", self.address)
+            self.refuse(transport)
+
+
+async def serve(
+    handler: Handler[PeerT],
+    host: str | None,
+    port: int,
+    credentials: OwnCredential,
+    verify: Verify[PeerT],
+    *,
+    accept: Collection[Flavour] = frozenset(Flavour),
+    limits: Limits = _DEFAULTS,
+    half_open: HalfOpen = _CAPS,
+) -> SecureServer[PeerT]:
+    """Listen on `host` (None or "": every address, IPv4 and IPv6) and `port` (0: any free one).
+
+    `handler` runs once per authenticated connection, which is closed when it returns. `accept`
+    says which openings may lead on; the others hear the refusal meant for plain peers.
+
+    Raises:
+        OSError: the address is not ours or the port is taken.
+    """
+
+    def make_core() -> Connection[PeerT]:
+        return Connection[PeerT].responder(
+            credentials,
+            verify,
+            random=secrets.token_bytes,
+            now=wall_clock(),
+            accept=accept,
+            limits=limits,
+        )
+
+    server = SecureServer(handler, make_core, half_open)
+    await server.listen(host, port)
+    return server
+
+
+def bind(host: str | None, port: int) -> list[socket.socket]:
+    """Bind every address `host` stands for, all with one port."""
+    if not host or host in {"0.0.0.0", "::"}:  # noqa: S104 - ROS nodes listen everywhere
+        with suppress(OSError):  # a host without IPv6 is left with IPv4
+            return [_bind_one(socket.AF_INET6, "::", port, dual=True)]
+        return [_bind_one(socket.AF_INET, "", port)]
+    found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
+    addresses = dict.fromkeys((family, str(where[0])) for family, _, _, _, where in found)
+    sockets: list[socket.socket] = []
+    try:
+        for family, address in addresses:
+            chosen = sockets[0].getsockname()[1] if sockets else port
+            sockets.append(_bind_one(family, address, chosen))
+    except OSError:
+        for sock in sockets:
+            sock.close()
+        raise
+    return sockets
+
+
+def _bind_one(family: int, address: str, port: int, *, dual: bool = False) -> socket.socket:
+    return socket.create_server((address, port), family=family, dualstack_ipv6=dual)
+
+
+def source_of(address: str) -> str:
+    """What counts as one source: an IPv4 address, or the /64 of an IPv6 address."""
+    try:
+        parsed = ipaddress.ip_address(address.partition("%")[0])
+    except ValueError:
+        return address
+    if isinstance(parsed, ipaddress.IPv4Address):
+        return str(parsed)
+    if parsed.ipv4_mapped is not None:
+        return str(parsed.ipv4_mapped)
+    return str(ipaddress.ip_network((parsed, 64), strict=False))

@@ -1,0 +1,8 @@
+"""Secure streams for asyncio: `connect`, `serve`, and the `SecureStream` both hand out."""
+
+from rossec.channel.opening import Flavour
+from rossec.net.client import connect
+from rossec.net.secure import SecureStream
+from rossec.net.server import HalfOpen, SecureServer, serve
+
+__all__ = ["Flavour", "HalfOpen", "SecureServer", "SecureStream", "connect", "serve"]

@@ -1,0 +1,104 @@
+"""What this node can prove, and what it lets others do: the one place where a peer is authorized.
+
+Pure: grants, revocations and `now` in; a `Decision` or a refusal out. Least disclosure: of the
+grants this node holds, a peer is shown only those that cover what is being asked of it.
+"""
+
+from collections import OrderedDict
+from collections.abc import Iterable
+from hashlib import sha256
+from typing import Final
+
+from ca.certificates import Identity, TrustAnchor
+from ca.encoding import decode, encode
+from ca.errors import EncodingError
+from ca.revocation import Revocations
+from grants.decision import Decision, authorize
+from grants.document import open_grant, peek
+from grants.errors import GrantMalformed, GrantMissing
+from grants.model import Grant, Right
+
+FIELD: Final = "rossec_grants"
+MAX_PRESENTED: Final = 64 * 1024
+MAX_GRANTS: Final = 16
+_CACHE_SIZE: Final = 1024
+
+
+class Access:
+    """The grants a node holds and the judgement it passes on those of its peers."""
+
+    def __init__(
+        self, anchor: TrustAnchor, revocations: Revocations, held: Iterable[bytes] = ()
+    ) -> None:
+        self._anchor = anchor
+        self._revocations = revocations
+        self._held: list[tuple[Grant, bytes]] = [(peek(data), data) for data in held]
+        self._opened: OrderedDict[bytes, Grant] = OrderedDict()
+
+    def hold(self, data: bytes) -> None:
+        """Add a grant to those this node can present."""
+        self._held.append((peek(data), data))
+
+    @property
+    def held(self) -> list[bytes]:
+        """Every grant this node holds, as signed."""
+        return [data for _, data in self._held]
+
+    def present(self, right: Right, name: str) -> bytes:
+        """Header field that proves `right` on `name`: the CBOR array of the grants that cover it."""
+        return encode([data for grant, data in self._held if _concerns(grant, right, name)])
+
+    def check_peer(self, peer: Identity, now: int) -> None:
+        """Raise a `CAError` when the identity of `peer` is revoked, or that is not known."""
+        self._revocations.check(peer.thumbprint, now)
+
+    def authorize(
+        self, peer: Identity, presented: bytes | None, right: Right, name: str, now: int
+    ) -> Decision:
+        """Decide whether `peer`, showing `presented`, may use `right` on `name` now.
+
+        Raises:
+            GrantError: the leaf that says what is missing or wrong.
+            CAError: the peer or one of its grants is revoked, or revocations are stale.
+        """
+        self.check_peer(peer, now)
+        if presented is None:
+            raise GrantMissing(
+                f"{peer.name} shows no grant to {right.label} {name}",
+                (f"sign one: rossec grant sign {peer.name} --{right.label} {name}",),
+            )
+        grants = [self._open(data, now) for data in _unpack(presented)]
+        return authorize(
+            grants, right, name, holder=peer.thumbprint, now=now, check=self._revocations.check
+        )
+
+    def _open(self, data: bytes, now: int) -> Grant:
+        """Verify a grant once; the signature of one seen before is not checked again."""
+        digest = sha256(data).digest()
+        known = self._opened.get(digest)
+        if known is not None and known.not_before <= now < known.expires:
+            self._opened.move_to_end(digest)
+            return known
+        grant = open_grant(data, self._anchor.public_key, now, domain=self._anchor.domain)
+        self._opened[digest] = grant
+        if len(self._opened) > _CACHE_SIZE:
+            self._opened.popitem(last=False)
+        return grant
+
+
+def _unpack(presented: bytes) -> list[bytes]:
+    try:
+        value = decode(presented, limit=MAX_PRESENTED)
+    except EncodingError as error:
+        raise GrantMalformed(f"unreadable list of grants: {error}") from error
+    if not isinstance(value, list) or len(value) > MAX_GRANTS:
+        raise GrantMalformed(f"expected a list of at most {MAX_GRANTS} grants")
+    grants = [item for item in value if isinstance(item, bytes)]
+    if len(grants) != len(value):
+        raise GrantMalformed("a list of grants that holds something else")
+    return grants
+
+
+def _concerns(grant: Grant, right: Right, name: str) -> bool:
+    return any(permission.covers(right, name) for permission in grant.permissions)
+

@@ -1,0 +1,37 @@
+"""When a live connection must end: its grant or key is revoked or expired, or nobody knows.
+
+Pure: the shell asks about each link and cuts it. A link is anything that was admitted by a decision.
+"""
+
+from typing import Final, Protocol
+
+from ca.certificates import Identity
+from ca.errors import RevocationsStale, Revoked
+from ca.revocation import Revocations
+from grants.decision import Decision
+from rossec.net.stream import SecureStream
+
+# Existing connections survive missing timestamps this long; new ones are refused at once.
+STALE_GRACE: Final = 60
+
+
+class Link(Protocol):
+    """A connection admitted by `decision`; grant or certificate expire at `ends` (seconds)."""
+
+    stream: SecureStream[Identity]
+    decision: Decision
+    ends: int
+
+
+def why_cut(link: Link, revocations: Revocations, now: int) -> str | None:
+    """Why `link` must be cut now, or None while it may live."""
+    if now >= link.ends:
+        return "its grant or its certificate has expired"
+    try:
+        for entry in (link.stream.peer.thumbprint, *link.decision.grant_ids):
+            revocations.check(entry, now)
+    except Revoked as error:
+        return str(error)
+    except RevocationsStale as error:
+        return str(error) if now >= revocations.fresh_until + STALE_GRACE else None
+    return None

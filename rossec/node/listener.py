@@ -1,0 +1,128 @@
+"""The two ports of a node: its slave API, and TCPROS for the topics it publishes.
+
+A shell. Every connection is authenticated before it arrives here. What a refused subscriber hears
+is the refusal of its own grants; it says nothing of what this node publishes.
+"""
+
+import asyncio
+import logging
+import time
+from collections.abc import Mapping
+from typing import Final
+
+from ca.certificates import Identity, TrustAnchor
+from ca.errors import HintedError
+from grants.decision import Decision
+from grants.guard import Guard
+from rossec.channel.credentials import Credentials
+from rossec.errors import TopicRefused
+from rossec.net.rpc import serve_calls
+from rossec.net.stream import Flavour, SecureServer, SecureStream, serve
+from rossec.node.access import Access
+from rossec.node.publisher import Publisher
+from rossec.node.slave import SlaveApi
+from rossec.node.topics import admit_subscriber, check_type, publisher_header, requested_topic
+from rossec.ros import header
+
+HEADER_DEADLINE: Final = 5.0
+
+_log = logging.getLogger("rossec.node")
+
+
+class Listener:
+    """Accepts the connections of other nodes."""
+
+    def __init__(
+        self,
+        name: str,
+        credentials: Credentials,
+        anchor: TrustAnchor,
+        access: Access,
+        publishers: Mapping[str, Publisher],
+        slave: SlaveApi,
+    ) -> None:
+        self._name = name
+        self._credentials = credentials
+        self._anchor = anchor
+        self._access = access
+        self._publishers = publishers
+        self._slave = slave
+        self._servers: list[SecureServer[Identity]] = []
+
+    @property
+    def slave_port(self) -> int:
+        """Port of the slave API."""
+        return self._servers[0].port
+
+    @property
+    def topic_port(self) -> int:
+        """Port of TCPROS."""
+        return self._servers[1].port
+
+    async def start(self, address: str) -> None:
+        """Listen: on loopback alone when `address`, where others are told to come, is loopback."""
+        bind = address if is_loopback(address) else None
+        for handler, flavour in (
+            (self._serve_slave, Flavour.HTTP),
+            (self._serve_topic, Flavour.TCPROS),
+        ):
+            server = await serve(
+                handler, bind, 0, self._credentials, self._anchor.verify, accept={flavour}
+            )
+            self._servers.append(server)
+
+    async def close(self) -> None:
+        """Stop listening and cut what was accepted."""
+        for server in self._servers:
+            await server.close()
+
+    async def _serve_slave(self, stream: SecureStream[Identity]) -> None:
+        self._access.check_peer(stream.peer, int(time.time()))
+        await serve_calls(stream, self._slave)
+
+    async def _serve_topic(self, stream: SecureStream[Identity]) -> None:
+        try:
+            async with asyncio.timeout(HEADER_DEADLINE):
+                fields = header.decode(await first_frame(stream))
+            publisher, decision, guard = self._admit(fields, stream.peer)
+        except TimeoutError:
+            _log.info("%s sent no connection header", stream.peer.name)
+            return
+        except HintedError as error:
+            _log.warning("refused %s: %s (%s)", stream.peer.name, error, error.hint)
+            await stream.send(header.error_header(f"rossec: {error}"))
+            return
+        answer = publisher_header(
+            self._name, publisher.endpoint, self._access, latching=publisher.latch
+        )
+        await stream.send(header.encode(answer))
+        await publisher.serve(stream, decision, guard)
+
+    def _admit(
+        self, fields: Mapping[str, bytes], peer: Identity
+    ) -> tuple[Publisher, Decision, Guard]:
+        decision = admit_subscriber(fields, peer, self._access, int(time.time()))
+        publisher = self._publishers.get(requested_topic(fields))
+        if publisher is None:
+            raise TopicRefused(f"{self._name} does not publish {requested_topic(fields)}")
+        check_type(fields, publisher.endpoint)
+        return publisher, decision, publisher.guard(decision)
+
+
+async def first_frame(stream: SecureStream[Identity]) -> bytes:
+    """The connection header, which a peer sends first and alone.
+
+    Raises:
+        TopicRefused: more follows before the answer.
+    """
+    reader = header.FrameReader(header.HEADER_LIMIT)
+    while not (frames := reader.feed(await stream.receive())):
+        pass
+    if len(frames) != 1 or reader.pending:
+        raise TopicRefused("bytes after the connection header, before its answer")
+    return frames[0]
+
+
+def is_loopback(address: str) -> bool:
+    """Whether only this host can reach `address`: then nothing else is listened on, as in rospy."""
+    return address in {"localhost", "::1"} or address.startswith("127.")

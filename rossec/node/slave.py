@@ -1,0 +1,111 @@
+"""The node's slave API: which calls it answers, and from whom.
+
+Pure dispatch. Only the master's identity may steer a node (attacks N1-N3); any authenticated node
+may ask where to connect for a topic (`requestTopic`), and the answer is the same whether the topic
+exists or not: the grant is checked on the connection itself (N5). Every other question about this
+node is recon and goes to the master alone (N4). UDPROS is never offered (N10).
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from typing import Final, Protocol
+
+from ca.certificates import Identity
+from ca.errors import HintedError
+
+Answer = list[object]
+MASTER: Final = "/master"
+_ERROR: Final = -1
+
+
+class SlaveEvents(Protocol):
+    """What the calls mean for the node."""
+
+    def publishers_changed(self, topic: str, uris: list[str]) -> None:
+        """The master's list of publishers of a topic this node subscribes to."""
+
+    def revocations_arrived(self, revocations: bytes, timestamp: bytes, master: Identity) -> None:
+        """The list and a fresh timestamp. Raises a `CAError` when either is not acceptable."""
+
+    def shutdown_requested(self, reason: str) -> None:
+        """The master replaced this node or ends it."""
+
+    def topic_endpoint(self) -> tuple[str, int]:
+        """Host and port where TCPROS connections are accepted."""
+
+    def describe(self) -> Mapping[str, object]:
+        """Values of the informational methods, by method name."""
+
+
+@dataclass(frozen=True)
+class _Method:
+    run: Callable[..., Answer]
+    kinds: tuple[type, ...]  # of the parameters after caller_id
+    default: object
+    master_only: bool = True
+
+
+class SlaveApi:
+    """Answers the calls of the slave API."""
+
+    def __init__(self, events: SlaveEvents) -> None:
+        self._events = events
+        self._methods: dict[str, _Method] = {
+            "publisherUpdate": _Method(self._publisher_update, (str, list), 0),
+            "paramUpdate": _Method(self._param_update, (str, object), 0),
+            "shutdown": _Method(self._shutdown, (str,), 0),
+            "rossec.revocationUpdate": _Method(self._revocation_update, (bytes, bytes), 0),
+            "requestTopic": _Method(self._request_topic, (str, list), [], master_only=False),
+            "getMasterUri": _Method(partial(self._describe, "getMasterUri"), (), ""),
+            "getPid": _Method(partial(self._describe, "getPid"), (), -1),
+            "getBusStats": _Method(partial(self._describe, "getBusStats"), (), []),
+            "getBusInfo": _Method(partial(self._describe, "getBusInfo"), (), []),
+            "getSubscriptions": _Method(partial(self._describe, "getSubscriptions"), (), []),
+            "getPublications": _Method(partial(self._describe, "getPublications"), (), []),
+        }
+
+    async def __call__(self, method: str, params: tuple[object, ...], peer: Identity) -> object:
+        """Answer one call of the authenticated `peer`: always `[code, status, value]`."""
+        entry = self._methods.get(method)
+        if entry is None:
+            return [_ERROR, "rossec: no such method", 0]
+        if entry.master_only and peer.name != MASTER:
+            return [_ERROR, f"rossec: {method} is for the master alone", entry.default]
+        if not _fits(params, entry.kinds):
+            return [_ERROR, "Error: bad call arity or types", entry.default]
+        if params[0] != peer.name:
+            return [_ERROR, f"rossec: caller_id is not {peer.name}", entry.default]
+        try:
+            return entry.run(peer, *params[1:])
+        except HintedError as error:
+            return [_ERROR, f"rossec: {error}", entry.default]
+
+    def _publisher_update(self, _: Identity, topic: str, uris: list[object]) -> Answer:
+        self._events.publishers_changed(topic, [uri for uri in uris if isinstance(uri, str)])
+        return [1, "", 0]
+
+    def _param_update(self, _: Identity, _key: str, _value: object) -> Answer:
+        return [1, "", 0]
+
+    def _shutdown(self, _: Identity, reason: str) -> Answer:
+        self._events.shutdown_requested(reason)
+        return [1, "shutdown", 0]
+
+    def _revocation_update(self, master: Identity, revocations: bytes, timestamp: bytes) -> Answer:
+        self._events.revocations_arrived(revocations, timestamp, master)
+        return [1, "", 0]
+
+    def _request_topic(self, _: Identity, _topic: str, protocols: list[object]) -> Answer:
+        if not any(isinstance(item, list) and item[:1] == ["TCPROS"] for item in protocols):
+            return [_ERROR, "rossec: only TCPROS, inside the secure channel", []]
+        host, port = self._events.topic_endpoint()
+        return [1, "ready", ["TCPROS", host, port]]
+
+    def _describe(self, method: str, _: Identity) -> Answer:
+        return [1, "", self._events.describe()[method]]
+
+
+def _fits(params: tuple[object, ...], kinds: tuple[type, ...]) -> bool:
+    expected = (str, *kinds)
+    return len(params) == len(expected) and all(map(isinstance, params, expected))

@@ -1,0 +1,159 @@
+"""A topic this node subscribes to: one connection to each publisher the master names.
+
+A shell: the master says where publishers are, nothing more. Who they are comes from the channel,
+whether they may publish from the grant they show. A publisher that refuses, or is refused, is
+tried again with growing pauses for as long as the master names it: a grant may arrive later.
+"""
+
+import asyncio
+import logging
+import time
+from collections import deque
+from collections.abc import AsyncIterator, Awaitable, Callable
+from typing import Final
+
+from ca.certificates import Identity
+from ca.errors import HintedError
+from grants.decision import Decision
+from rossec.errors import TopicRefused
+from rossec.net.stream import SecureStream
+from rossec.node.messages import Message
+from rossec.node.topics import Endpoint, admit_publisher, subscriber_header
+from rossec.node.access import Access
+from rossec.ros import header
+from rossec.ros.header import FrameReader
+
+QUEUE_SIZE: Final = 10
+HANDSHAKE_DEADLINE: Final = 5.0
+_FIRST_PAUSE: Final = 0.25
+_LONGEST_PAUSE: Final = 15.0
+
+Dial = Callable[[str, str], Awaitable[SecureStream[Identity]]]  # (publisher URI, topic) -> stream
+_log = logging.getLogger("rossec.node")
+
+
+class PublisherLink:
+    """One admitted publisher."""
+
+    def __init__(self, stream: SecureStream[Identity], decision: Decision) -> None:
+        self.stream = stream
+        self.decision = decision
+        self.ends = min(decision.expires, stream.peer.not_after)
+
+
+class Subscriber:
+    """Receives messages of one type on one topic; iterate over it. Made by `Node.subscriber`."""
+
+    def __init__(
+        self,
+        caller: str,
+        endpoint: Endpoint,
+        access: Access,
+        dial: Dial,
+        *,
+        queue_size: int = QUEUE_SIZE,
+    ) -> None:
+        self.endpoint = endpoint
+        self.links: set[PublisherLink] = set()
+        self.refusals: deque[HintedError] = deque(maxlen=16)
+        self.received = 0
+        self._caller = caller
+        self._access = access
+        self._dial = dial
+        self._tasks: dict[str, asyncio.Task[None]] = {}
+        self._queue: deque[bytes] = deque(maxlen=queue_size)
+        self._wake = asyncio.Event()
+        self._closed = False
+
+    @property
+    def topic(self) -> str:
+        """Resolved topic name."""
+        return self.endpoint.topic
+
+    def update(self, publishers: list[str]) -> None:
+        """Connect to exactly `publishers` (API URIs), as the master says."""
+        for uri in self._tasks.keys() - set(publishers):
+            self._tasks.pop(uri).cancel()
+        for uri in set(publishers) - self._tasks.keys():
+            self._tasks[uri] = asyncio.get_running_loop().create_task(self._follow(uri))
+
+    async def messages(self) -> AsyncIterator[Message]:
+        """Messages as they arrive; ends when the node closes."""
+        async for data in self.raw():
+            yield self.endpoint.type.deserialize(data)
+
+    def __aiter__(self) -> AsyncIterator[Message]:
+        return self.messages()
+
+    async def raw(self) -> AsyncIterator[bytes]:
+        """Serialized messages as they arrive, without their length prefix."""
+        while not self._closed:
+            while self._queue:
+                yield self._queue.popleft()
+            self._wake.clear()
+            await self._wake.wait()
+
+    async def close(self) -> None:
+        """Drop every connection and end the iterators."""
+        self._closed = True
+        self._wake.set()
+        tasks = list(self._tasks.values())
+        self._tasks.clear()
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+
+    async def _follow(self, uri: str) -> None:
+        """Keep one publisher connected until the master forgets it."""
+        pause = _FIRST_PAUSE
+        while True:
+            before = self.received
+            try:
+                await self._receive_from(uri)
+            except (HintedError, OSError, TimeoutError) as error:
+                self._note(uri, error)
+            pause = _FIRST_PAUSE if self.received > before else min(2 * pause, _LONGEST_PAUSE)
+            await asyncio.sleep(pause)
+
+    async def _receive_from(self, uri: str) -> None:
+        async with asyncio.timeout(HANDSHAKE_DEADLINE):
+            stream = await self._dial(uri, self.topic)
+            try:
+                frames = FrameReader(first=header.HEADER_LIMIT)
+                link, early = await self._introduce(stream, frames)
+            except BaseException:
+                stream.abort("the connection header was refused")
+                raise
+        self.links.add(link)
+        try:
+            self._deliver(early)
+            while True:
+                self._deliver(frames.feed(await stream.receive()))
+        finally:
+            self.links.discard(link)
+            stream.abort("no longer subscribed")
+
+    async def _introduce(
+        self, stream: SecureStream[Identity], frames: FrameReader
+    ) -> tuple[PublisherLink, list[bytes]]:
+        fields = subscriber_header(self._caller, self.endpoint, self._access)
+        await stream.send(header.encode(fields))
+        arrived: list[bytes] = []
+        while not arrived:
+            arrived = frames.feed(await stream.receive())
+        answer = header.decode(arrived[0])
+        now = int(time.time())
+        decision = admit_publisher(answer, stream.peer, self.endpoint, self._access, now)
+        return PublisherLink(stream, decision), arrived[1:]
+
+    def _deliver(self, messages: list[bytes]) -> None:
+        if messages:
+            self.received += len(messages)
+            self._queue.extend(messages)
+            self._wake.set()
+
+    def _note(self, uri: str, error: Exception) -> None:
+        if isinstance(error, HintedError):
+            self.refusals.append(error)
+        level = logging.WARNING if isinstance(error, TopicRefused) else logging.INFO
+        _log.log(level, "%s from %s: %s", self.topic, uri, error)

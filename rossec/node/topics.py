@@ -1,0 +1,129 @@
+"""The TCPROS handshake inside the channel, both sides, as pure functions on header fields.
+
+The caller's name comes from its certificate, never from `callerid` alone; rights come from the
+grants it shows. Authorization precedes any look at what this node publishes, so that a peer
+without a grant cannot tell a topic that exists from one that does not (attack N6).
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from ca.certificates import Identity
+from grants.decision import Decision
+from grants.model import Right
+from rossec.errors import CallerMismatch, TopicRefused
+from rossec.node.access import FIELD, Access
+from rossec.node.messages import MessageType
+
+Fields = dict[str, bytes]
+
+
+@dataclass(frozen=True)
+class Endpoint:
+    """A topic as this node sees it: its resolved name and its type."""
+
+    topic: str
+    type: MessageType
+
+
+def subscriber_header(caller: str, endpoint: Endpoint, access: Access) -> Fields:
+    """Fields a subscriber sends first; they prove its right to subscribe."""
+    return {
+        "callerid": caller.encode(),
+        "topic": endpoint.topic.encode(),
+        "type": endpoint.type.name.encode(),
+        "md5sum": endpoint.type.md5sum.encode(),
+        "message_definition": endpoint.type.definition.encode(),
+        "tcp_nodelay": b"1",
+        FIELD: access.present(Right.SUBSCRIBE, endpoint.topic),
+    }
+
+
+def publisher_header(caller: str, endpoint: Endpoint, access: Access, *, latching: bool) -> Fields:
+    """Fields a publisher answers with; they prove its right to publish."""
+    return {
+        "callerid": caller.encode(),
+        "topic": endpoint.topic.encode(),
+        "type": endpoint.type.name.encode(),
+        "md5sum": endpoint.type.md5sum.encode(),
+        "message_definition": endpoint.type.definition.encode(),
+        "latching": b"1" if latching else b"0",
+        FIELD: access.present(Right.PUBLISH, endpoint.topic),
+    }
+
+
+def requested_topic(fields: Mapping[str, bytes]) -> str:
+    """Topic a connecting subscriber asks for.
+
+    Raises:
+        TopicRefused: no topic, or a name that is not text.
+    """
+    return _text(fields, "topic")
+
+
+def admit_subscriber(
+    fields: Mapping[str, bytes], peer: Identity, access: Access, now: int
+) -> Decision:
+    """Decide on a subscriber from its header, before anything about the topic is looked up.
+
+    Raises:
+        CallerMismatch, TopicRefused: the header does not fit the peer.
+        GrantError, CAError: the peer may not subscribe.
+    """
+    _check_caller(fields, peer)
+    return access.authorize(peer, fields.get(FIELD), Right.SUBSCRIBE, _text(fields, "topic"), now)
+
+
+def admit_publisher(
+    fields: Mapping[str, bytes], peer: Identity, endpoint: Endpoint, access: Access, now: int
+) -> Decision:
+    """Decide on a publisher from the header it answered with.
+
+    Raises:
+        CallerMismatch, TopicRefused: another topic or type than asked for, or another name.
+        GrantError, CAError: the peer may not publish.
+    """
+    if "error" in fields:
+        raise TopicRefused(f"{peer.name} refuses: {_text(fields, 'error')}")
+    _check_caller(fields, peer)
+    if _text(fields, "topic") != endpoint.topic:
+        raise TopicRefused(f"{peer.name} answers with another topic than {endpoint.topic}")
+    check_type(fields, endpoint)
+    return access.authorize(peer, fields.get(FIELD), Right.PUBLISH, endpoint.topic, now)
+
+
+def check_type(fields: Mapping[str, bytes], endpoint: Endpoint) -> None:
+    """Compare type and md5 as TCPROS does; `*` fits everything.
+
+    Raises:
+        TopicRefused: the two sides do not mean the same message.
+    """
+    name, md5sum = _text(fields, "type"), _text(fields, "md5sum")
+    if name not in {"*", endpoint.type.name} or md5sum not in {"*", endpoint.type.md5sum}:
+        raise TopicRefused(
+            f"{endpoint.topic} carries {endpoint.type.name} ({endpoint.type.md5sum}),"
+            f" the peer expects {name} ({md5sum})",
+            "both sides need the same version of the message package",
+        )
+
+
+def _check_caller(fields: Mapping[str, bytes], peer: Identity) -> None:
+    caller = _text(fields, "callerid")
+    if caller != peer.name:
+        raise CallerMismatch(
+            f"a node certified as {peer.name} calls itself {caller}",
+            "start it under the name it was enrolled with",
+        )
+
+
+def _text(fields: Mapping[str, bytes], key: str) -> str:
+    value = fields.get(key)
+    if value is None:
+        raise TopicRefused(f"the connection header has no {key!r}")
+    try:
+        text = value.decode()
+    except UnicodeDecodeError:
+        raise TopicRefused(f"the connection header's {key!r} is not text") from None
+    if not text.isprintable() and key != "error":
+        raise TopicRefused(f"the connection header's {key!r} holds control characters")
+    return "".join(char if char.isprintable() else " " for char in text)[:4096]

@@ -1,0 +1,62 @@
+"""ROS names as programs write them: relative, private and global, resolved against a node's name.
+
+The syntax of a complete name is `ca.names`'s; here is only the arithmetic, equal to
+`rosgraph.names` so that stock callers get the names they expect. Command line and environment are
+read in `rossec.ros.settings`.
+"""
+
+from collections.abc import Mapping
+from typing import Final
+
+from ca.names import check_name
+
+SEPARATOR: Final = "/"
+PRIVATE: Final = "~"
+ANY_TYPE: Final = "*"
+
+
+def canonical(name: str) -> str:
+    """`name` without doubled and trailing slashes; a leading one stays."""
+    if not name or name == SEPARATOR:
+        return name
+    lead = SEPARATOR if name.startswith(SEPARATOR) else ""
+    return lead + SEPARATOR.join(part for part in name.split(SEPARATOR) if part)
+
+
+def namespace(name: str) -> str:
+    """The namespace a node lives in, with a trailing slash: `/robot1/camera` -> `/robot1/`."""
+    head, _, _ = name.removesuffix(SEPARATOR).rpartition(SEPARATOR)
+    return head + SEPARATOR
+
+
+def join(prefix: str, name: str) -> str:
+    """`name` under `prefix`; a private or global name is returned as it is."""
+    if not prefix or name.startswith((PRIVATE, SEPARATOR)):
+        return name
+    return prefix.removesuffix(SEPARATOR) + SEPARATOR + name
+
+
+def resolve(name: str, node: str, remappings: Mapping[str, str] | None = None) -> str:
+    """The global form of `name` as the node `node` means it. The result's syntax is not checked.
+
+    The empty name is the node's namespace. `remappings` maps resolved names to resolved names.
+    """
+    if not name:
+        return namespace(node)
+    name = canonical(name)
+    if name.startswith(PRIVATE):
+        resolved = canonical(node + SEPARATOR + name[1:])
+    elif name.startswith(SEPARATOR):
+        resolved = name
+    else:
+        resolved = namespace(node) + name
+    return resolved if remappings is None else remappings.get(resolved, resolved)
+
+
+def resolve_checked(name: str, node: str, remappings: Mapping[str, str] | None = None) -> str:
+    """Like `resolve`, for names that must be well-formed.
+
+    Raises:
+        NameRefused: the result is not an absolute ROS name.
+    """
+    return check_name(resolve(name, node, remappings))

@@ -1,0 +1,159 @@
+"""XML-RPC calls and responses as bytes, and ROS's `[code, status, value]` convention.
+
+The standard library marshals. What it lacks is here: a size limit before the parse, no document
+type and no entity (the billion-laughs bomb needs both), a bound on nesting (values are walked
+recursively later), UTF-8 only, and one kind of error for everything that can go wrong.
+Values are what XML-RPC has: bool, int, float, str, bytes, datetime, list, dict with str keys.
+"""
+
+import xmlrpc.client
+from collections.abc import Sequence
+from typing import Final, NamedTuple, NoReturn
+from xml.parsers import expat
+
+from rossec.errors import AnswerMalformed, AnswerRefused, XmlRpcRefused
+
+Fault = xmlrpc.client.Fault
+"""What a server answers when there is no value: `Fault(faultCode, faultString)`."""
+
+BODY_LIMIT: Final = 1024 * 1024
+DEPTH_LIMIT: Final = 40  # nested arrays and structs; stock parameter trees stay below ten
+_TAGS_PER_LEVEL: Final = 3  # value, array, data; or value, struct, member
+_TAGS_AROUND: Final = 6
+_METHOD_LIMIT: Final = 256
+
+
+class Call(NamedTuple):
+    """A method name and its positional parameters."""
+
+    method: str
+    params: tuple[object, ...]
+
+
+def dump_call(method: str, params: Sequence[object]) -> bytes:
+    """The body of a request.
+
+    Raises:
+        XmlRpcRefused: a parameter cannot be carried (None, an integer beyond 32 bits, ...).
+    """
+    return _dump(tuple(params), method=method)
+
+
+def dump_response(value: object) -> bytes:
+    """The body of a response that holds `value`, or a fault if `value` is one.
+
+    Raises:
+        XmlRpcRefused: the value cannot be carried.
+    """
+    if isinstance(value, Fault):
+        return _dump(value)
+    return _dump((value,), response=True)
+
+
+def load_call(data: bytes, *, limit: int = BODY_LIMIT) -> Call:
+    """The one call that fills `data`.
+
+    Raises:
+        XmlRpcRefused: too long, too deep, malformed, or not a call.
+    """
+    try:
+        params, method, root = _load(data, limit)
+    except Fault as fault:
+        raise XmlRpcRefused("XML that is not an XML-RPC call") from fault
+    if root != "methodCall" or not isinstance(method, str) or not method:
+        raise XmlRpcRefused("XML that is not an XML-RPC call")
+    if len(method) > _METHOD_LIMIT:
+        raise XmlRpcRefused("a method name that is too long")
+    return Call(method, params)
+
+
+def load_response(data: bytes, *, limit: int = BODY_LIMIT) -> object:
+    """The one value of a response.
+
+    Raises:
+        Fault: the server answered with a fault.
+        XmlRpcRefused: too long, too deep, malformed, or not a response.
+    """
+    params, _, root = _load(data, limit)
+    if root != "methodResponse" or len(params) != 1:
+        raise XmlRpcRefused("XML that is not an XML-RPC response")
+    return params[0]
+
+
+def value_of(answer: object) -> object:
+    """The value in ROS's `[1, status, value]`.
+
+    Raises:
+        AnswerRefused: the code is not 1; the message is the status text.
+        AnswerMalformed: anything but such a triple.
+    """
+    if not isinstance(answer, list | tuple) or len(answer) != 3:
+        raise AnswerMalformed("an answer that is not [code, status, value]")
+    code, status, value = answer
+    if not isinstance(code, int) or isinstance(code, bool) or not isinstance(status, str):
+        raise AnswerMalformed("an answer whose code or status has the wrong type")
+    if code != 1:
+        raise AnswerRefused(status or "refused without a reason", code=code)
+    return value
+
+
+def _dump(
+    params: "tuple[object, ...] | Fault", method: str | None = None, response: bool | None = None
+) -> bytes:
+    try:
+        text = xmlrpc.client.dumps(params, method, response)  # type: ignore[arg-type]
+        return text.encode()
+    except (TypeError, OverflowError, ValueError, RecursionError) as error:
+        raise XmlRpcRefused(f"a value that XML-RPC cannot carry: {error}") from error
+
+
+def _load(data: bytes, limit: int) -> tuple[tuple[object, ...], str | None, str | None]:
+    if len(data) > limit:
+        raise XmlRpcRefused(f"{len(data)} bytes of XML where at most {limit} are allowed")
+    if data.startswith((b"\xff", b"\xfe")):  # expat obeys a UTF-16 mark whatever it was told
+        raise XmlRpcRefused("malformed XML-RPC: not UTF-8")
+    target = _Target()
+    try:
+        _parser(target).Parse(data, True)
+        return target.close(), target.getmethodname(), target.root
+    except (XmlRpcRefused, Fault):
+        raise
+    except (expat.ExpatError, xmlrpc.client.Error, ValueError, TypeError, LookupError) as error:
+        raise XmlRpcRefused("malformed XML-RPC") from error
+
+
+class _Target(xmlrpc.client.Unmarshaller):
+    """The library's unmarshaller with a bound on depth; remembers the root element."""
+
+    def __init__(self) -> None:
+        super().__init__(use_builtin_types=True)
+        self.xml("", None)  # no encoding: the parser already hands over text
+        self.root: str | None = None
+        self._depth = 0
+
+    def start(self, tag: str, attrs: dict[str, str]) -> None:
+        self._depth += 1
+        self.root = self.root or tag
+        if self._depth > DEPTH_LIMIT * _TAGS_PER_LEVEL + _TAGS_AROUND:
+            raise XmlRpcRefused(f"XML-RPC values nested deeper than {DEPTH_LIMIT}")
+        super().start(tag, attrs)
+
+    def end(self, tag: str) -> None:
+        self._depth -= 1
+        super().end(tag)
+
+
+def _parser(target: _Target) -> expat.XMLParserType:
+    # The explicit encoding overrides the document's own: what we check is what is parsed.
+    parser = expat.ParserCreate("utf-8")
+    parser.StartElementHandler = target.start
+    parser.EndElementHandler = target.end
+    parser.CharacterDataHandler = target.data
+    parser.StartDoctypeDeclHandler = _refuse_declaration
+    parser.EntityDeclHandler = _refuse_declaration
+    parser.buffer_text = True
+    return parser
+
+
+def _refuse_declaration(*_: object) -> NoReturn:
+    raise XmlRpcRefused("XML-RPC with a document type or an entity declaration")

@@ -1,0 +1,111 @@
+"""The dispatch: multicall, rossec's own methods, what stock has no test for."""
+
+from typing import Any
+
+import pytest
+
+from rossec.master.api import MULTICALL_LIMIT, PRESENT_LIMIT, Fault, MasterApi
+from rossec.master.calls import GrantsPresented, RevocationsChanged
+from rossec.master.gatekeeper import Caller
+from rossec.master.registry import Registry
+from tests.rossec.master.fakes import FakeStatements, caller, everything
+
+
+@pytest.fixture
+def statements() -> FakeStatements:
+    return FakeStatements()
+
+
+@pytest.fixture
+def api(statements: FakeStatements) -> MasterApi:
+    return MasterApi(Registry(), statements, name="/master", uri="http://m:1/", pid=7)
+
+
+def ask(api: MasterApi, who: Caller, method: str, *params: object) -> Any:
+    return api.call(method, params, who, 0).answer
+
+
+def element(method: str, *params: object) -> dict[str, object]:
+    return {"methodName": method, "params": list(params)}
+
+
+def test_who_the_master_is(api: MasterApi) -> None:
+    assert ask(api, caller("/a"), "getUri", "/a") == [1, "", "http://m:1/"]
+    assert ask(api, caller("/a"), "getPid", "/a") == [1, "", 7]
+
+
+def test_each_element_of_a_multicall_is_authorized_alone(api: MasterApi) -> None:
+    who = caller("/a", {})
+    answers = ask(
+        api, who, "system.multicall",
+        [element("getUri", "/a"), element("setParam", "/a", "/x", 1), element("getUri", "/victim")],
+    )  # fmt: skip
+    assert [answer[0][0] for answer in answers] == [1, -1, -1]
+
+
+def test_multicall_events_are_all_delivered(api: MasterApi) -> None:
+    who = everything("/a")
+    calls = [element("registerPublisher", "/a", f"/t{n}", "*", "http://a:1/") for n in range(3)]
+    assert len(api.call("system.multicall", [calls], who, 0).events) == 3
+
+
+def test_a_multicall_in_a_multicall_is_refused(api: MasterApi) -> None:
+    inner = element("system.multicall", [element("getPid", "/a")])
+    [answer] = ask(api, caller("/a"), "system.multicall", [inner])
+    assert "inside a multicall" in answer["faultString"]
+
+
+@pytest.mark.parametrize(
+    "broken", [5, {}, {"methodName": 1, "params": []}, {"methodName": "getPid"}, ["getPid"]]
+)
+def test_a_broken_element_spoils_only_itself(api: MasterApi, broken: object) -> None:
+    bad, good = ask(api, caller("/a"), "system.multicall", [broken, element("getPid", "/a")])
+    assert "needs methodName and params" in bad["faultString"]
+    assert good == [[1, "", 7]]
+
+
+@pytest.mark.parametrize(
+    "params",
+    [
+        [],
+        [[], []],
+        ["text"],
+        [[element("getPid", "/a")] * (MULTICALL_LIMIT + 1)],
+        [[element("getSystemState", "/a")] * 17],
+    ],
+)
+def test_a_multicall_is_bounded(api: MasterApi, params: list[object]) -> None:
+    with pytest.raises(Fault, match="multicall"):
+        api.call("system.multicall", params, caller("/a"), 0)
+
+
+def test_presenting_grants(api: MasterApi, statements: FakeStatements) -> None:
+    outcome = api.call("rossec.presentGrants", ("/a", [b"one", b"two"]), caller("/a"), 0)
+    assert outcome.answer == [1, "grants accepted", 2]
+    assert outcome.events == (GrantsPresented("/a"),)
+    assert statements.presented == [b"one", b"two"]
+    good_and_bad = ask(api, caller("/a"), "rossec.presentGrants", "/a", [b"forged", b"three"])
+    assert good_and_bad == [1, "grants accepted, but refused: forged", 3]
+    bad = ask(api, caller("/a"), "rossec.presentGrants", "/a", [b"forged"])
+    assert bad == [-1, "rossec: forged", 0]
+
+
+@pytest.mark.parametrize("value", [5, b"x", ["text"], [b"x"] * (PRESENT_LIMIT + 1)])
+def test_grants_are_a_bounded_list_of_base64(api: MasterApi, value: object) -> None:
+    code, status, _ = ask(api, caller("/a"), "rossec.presentGrants", "/a", value)
+    assert code == -1
+    assert status.startswith("ERROR: parameter [grants] must")
+
+
+def test_revocations(api: MasterApi) -> None:
+    who = caller("/a")
+    assert ask(api, who, "rossec.revocations", "/a")[2] == [b"", b""]
+    outcome = api.call("rossec.updateRevocations", ("/a", b"list 2"), who, 0)
+    assert outcome.answer == [1, "revocations updated", 1]
+    assert outcome.events == (RevocationsChanged(),)
+    again = api.call("rossec.updateRevocations", ("/a", b"list 1"), who, 0)
+    assert again.answer == [1, "not newer than the list in force", 0]
+    assert again.events == ()
+    assert ask(api, who, "rossec.revocations", "/a")[2] == [b"list 2", b"stamp"]
+    assert ask(api, who, "rossec.updateRevocations", "/a", b"forged")[0] == -1
+    assert ask(api, who, "rossec.updateRevocations", "/a", "text")[1].endswith("must be base64")

@@ -1,0 +1,221 @@
+"""The policy table: default deny, and the attacks on the Master API that need only the cores."""
+
+from typing import Any
+
+import pytest
+
+from grants.model import Right
+from rossec.master.api import MasterApi
+from rossec.master.gatekeeper import (
+    RULES,
+    Caller,
+    Gatekeeper,
+    Refused,
+    Scope,
+    require,
+    require_tree,
+)
+from rossec.master.registry import Registry
+from tests.rossec.master.fakes import FakeStatements, caller, everything
+
+T = "std_msgs/String"
+VICTIM_API, EVIL_API = "http://victim:1/", "http://evil:1/"
+
+
+@pytest.fixture
+def api() -> MasterApi:
+    """A master at which the victim publishes, subscribes and provides."""
+    api = MasterApi(Registry(), FakeStatements(), name="/master", uri="http://m:1/", pid=7)
+    victim = everything("/victim")
+    for call in (
+        ("registerPublisher", "/victim", "/secret", T, VICTIM_API),
+        ("registerSubscriber", "/victim", "/cmd_vel", T, VICTIM_API),
+        ("registerService", "/victim", "/arm", "rosrpc://victim:2", VICTIM_API),
+    ):
+        assert ask(api, victim, *call)[0] == 1
+    return api
+
+
+def ask(api: MasterApi, who: Caller, method: str, *params: object) -> Any:
+    return api.call(method, params, who, 0).answer
+
+
+def test_every_method_has_a_rule_and_every_rule_a_method(api: MasterApi) -> None:
+    assert set(api.methods) == set(RULES)
+
+
+def test_every_rule_that_names_or_reaches_something_has_a_right() -> None:
+    for rule in RULES.values():
+        assert (rule.right is not None) == (rule.scope in (Scope.NAMED, Scope.TREE, Scope.MASTER))
+
+
+def test_a_method_without_a_rule_is_refused() -> None:
+    with pytest.raises(Refused, match="no rule"):
+        Gatekeeper(Registry(), "/master").check("newMethod", everything("/a"), ("/a",))
+
+
+@pytest.mark.parametrize(
+    ("method", "params", "right"),
+    [
+        ("registerPublisher", ("/t", T, EVIL_API), "publish"),
+        ("registerSubscriber", ("/t", T, EVIL_API), "subscribe"),
+        ("registerService", ("/t", "rosrpc://evil:2", EVIL_API), "provide"),
+        ("lookupService", ("/t",), "call"),
+        ("getParam", ("/t",), "param-get"),
+        ("hasParam", ("/t",), "param-get"),
+        ("subscribeParam", (EVIL_API, "/t"), "param-get"),
+        ("setParam", ("/t", 1), "param-set"),
+        ("deleteParam", ("/t",), "param-set"),
+    ],
+)
+def test_without_the_right_the_answer_says_which(
+    api: MasterApi, method: str, params: tuple[object, ...], right: str
+) -> None:
+    code, status, default = ask(api, caller("/x"), method, "/x", *params)
+    assert (code, default) == (-1, api.methods[method].default)
+    assert status.startswith(f"rossec: /x needs the right {right} on /t: ")
+    assert "ask the authority" in status
+
+
+@pytest.mark.parametrize(
+    ("method", "params", "right"),
+    [
+        ("registerPublisher", ("t", T, EVIL_API), Right.PUBLISH),
+        ("registerSubscriber", ("~t", T, EVIL_API), Right.SUBSCRIBE),
+        ("registerService", ("/x/t", "rosrpc://evil:2", EVIL_API), Right.PROVIDE),
+    ],
+)
+def test_exactly_that_right_on_the_resolved_name_is_enough(
+    api: MasterApi, method: str, params: tuple[str, ...], right: Right
+) -> None:
+    name = {"t": "/n/t", "~t": "/n/x/t"}.get(params[0], params[0])
+    assert ask(api, caller("/n/x", {name: right}), method, "/n/x", *params)[0] == 1
+    others = Right(255) & ~right
+    assert ask(api, caller("/n/x", {name: others}), method, "/n/x", *params)[0] == -1
+
+
+def test_m1_strangers_see_an_empty_graph(api: MasterApi) -> None:
+    eve = caller("/eve")
+    assert ask(api, eve, "getSystemState", "/eve")[2] == [[], [], []]
+    assert ask(api, eve, "getTopicTypes", "/eve")[2] == []
+    assert ask(api, eve, "getPublishedTopics", "/eve", "")[2] == []
+    assert ask(api, eve, "getParamNames", "/eve")[2] == []
+    hidden = ask(api, eve, "lookupNode", "/eve", "/victim")
+    absent = ask(api, eve, "lookupNode", "/eve", "/nobody")
+    assert hidden == [-1, "unknown node [/victim]", ""]
+    assert absent == [-1, "unknown node [/nobody]", ""]
+    refused = ask(api, eve, "lookupService", "/eve", "/arm")
+    assert refused[1] == ask(api, eve, "lookupService", "/eve", "/none")[1].replace("/none", "/arm")
+
+
+@pytest.mark.parametrize("right", [Right.PUBLISH, Right.SUBSCRIBE, Right.CALL, Right.GRAPH])
+def test_m1_a_covered_name_is_shown_and_no_other(api: MasterApi, right: Right) -> None:
+    bob = caller("/bob", {"/secret": right})
+    assert ask(api, bob, "getSystemState", "/bob")[2] == [[["/secret", ["/victim"]]], [], []]
+    assert ask(api, bob, "getTopicTypes", "/bob")[2] == [["/secret", T]]
+    assert ask(api, bob, "lookupNode", "/bob", "/victim")[2] == VICTIM_API
+
+
+def test_m1_parameter_rights_show_no_topics(api: MasterApi) -> None:
+    bob = caller("/bob", {"/secret": Right.PARAM_GET | Right.PARAM_SET | Right.ADMIN})
+    assert ask(api, bob, "getSystemState", "/bob")[2] == [[], [], []]
+
+
+def test_own_entries_are_always_shown_and_only_they(api: MasterApi) -> None:
+    who = caller("/bob", {"/cmd_vel": Right.SUBSCRIBE})
+    ask(api, who, "registerSubscriber", "/bob", "/cmd_vel", T, "http://bob:1/")
+    later = caller("/bob")  # the grant has expired
+    assert ask(api, later, "getSystemState", "/bob")[2] == [[], [["/cmd_vel", ["/bob"]]], []]
+    assert ask(api, later, "getTopicTypes", "/bob")[2] == [["/cmd_vel", T]]
+    assert ask(api, later, "lookupNode", "/bob", "/bob")[2] == "http://bob:1/"
+
+
+@pytest.mark.parametrize(
+    ("method", "params"),
+    [
+        ("registerPublisher", ("/cmd_vel", T, EVIL_API)),
+        ("registerSubscriber", ("/cmd_vel", T, EVIL_API)),
+        ("registerService", ("/arm", "rosrpc://evil:2", EVIL_API)),
+        ("unregisterPublisher", ("/secret", VICTIM_API)),
+        ("unregisterSubscriber", ("/cmd_vel", VICTIM_API)),
+        ("unregisterService", ("/arm", "rosrpc://victim:2")),
+        ("getParam", ("/x",)),
+        ("shutdown", ("",)),
+        ("rossec.presentGrants", ([],)),
+    ],
+)
+def test_m2_m3_m4_nobody_acts_under_another_name(
+    api: MasterApi, method: str, params: tuple[object, ...]
+) -> None:
+    before = ask(api, everything("/victim"), "getSystemState", "/victim")
+    outcome = api.call(method, ("/victim", *params), everything("/eve"), 0)
+    assert outcome.events == ()
+    assert isinstance(outcome.answer, list)
+    assert outcome.answer[0] == -1
+    assert "belongs to /eve" in outcome.answer[1]
+    assert ask(api, everything("/victim"), "getSystemState", "/victim") == before
+
+
+@pytest.mark.parametrize("caller_id", ["", "eve", "/eve/", "//eve", "/EVE", "/eve2"])
+def test_the_name_is_compared_exactly(api: MasterApi, caller_id: str) -> None:
+    assert ask(api, everything("/eve"), "getUri", caller_id)[0] == -1
+
+
+def test_m4_unregistering_under_ones_own_name_touches_nothing(api: MasterApi) -> None:
+    for method, *params in (
+        ("unregisterPublisher", "/secret", VICTIM_API),
+        ("unregisterService", "/arm", "rosrpc://victim:2"),
+    ):
+        assert ask(api, everything("/eve"), method, "/eve", *params)[2] == 0
+
+
+def test_m5_only_an_administrator_stops_the_master(api: MasterApi) -> None:
+    rights = {"/master": Right(255) & ~Right.ADMIN, "/other": Right.ADMIN}
+    assert ask(api, caller("/eve", rights), "shutdown", "/eve", "")[0] == -1
+    outcome = api.call("shutdown", ("/admin", "bye"), caller("/admin", {"/master": Right.ADMIN}), 0)
+    assert outcome.answer == [1, "shutdown", 0]
+    assert [event.reason for event in outcome.events] == ["/admin: bye"]  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize("uri", [VICTIM_API, "http://victim:1", "http://VICTIM:1/x"])
+def test_m8_anothers_slave_api_cannot_be_registered(api: MasterApi, uri: str) -> None:
+    for method, *params in (
+        ("registerPublisher", "/t", T, uri),
+        ("registerSubscriber", "/t", T, uri),
+        ("registerService", "/t", "rosrpc://e:1", uri),
+        ("subscribeParam", uri, "/t"),
+    ):
+        answer = ask(api, everything("/eve"), method, "/eve", *params)
+        assert answer[0] == -1
+        assert "registered by another node" in answer[1]
+
+
+def test_m6_a_parent_is_no_way_around(api: MasterApi) -> None:
+    admin = everything("/admin")
+    ask(api, admin, "setParam", "/admin", "/safety/max", 1)
+    ask(api, admin, "setParam", "/admin", "/ns/k", 1)
+    eve = caller("/eve", {"/ns/**": Right(255), "/ns": Right(255)})
+    for method, *params in (
+        ("setParam", "/", {"safety": {"max": 9}}),
+        ("setParam", "/safety", {"max": 9}),
+        ("setParam", "/safety/max/deeper", 9),
+        ("deleteParam", "/safety"),
+        ("getParam", "/"),
+        ("getParam", "/safety"),
+        ("getParam", "../safety/max"),
+        ("hasParam", "/safety/max"),
+        ("subscribeParam", "http://eve:1/", "/"),
+    ):
+        assert ask(api, eve, method, "/eve", *params)[0] == -1, (method, params)
+    assert ask(api, eve, "searchParam", "/eve", "safety/max")[0] == -1
+    assert ask(api, eve, "getParamNames", "/eve")[2] == ["/ns/k"]
+    assert ask(api, eve, "getParam", "/eve", "/ns")[2] == {"k": 1}
+    assert ask(api, admin, "getParam", "/admin", "/safety/max")[2] == 1
+
+
+def test_asking_raises() -> None:
+    require(caller("/a", {"/t": Right.CALL}), Right.CALL, "/t")
+    with pytest.raises(Refused, match="needs the right call on /u"):
+        require(caller("/a", {"/t": Right.CALL}), Right.CALL, "/u")
+    with pytest.raises(Refused):
+        require_tree(everything("/a"), Right.PARAM_GET, [])

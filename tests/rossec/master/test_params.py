@@ -1,0 +1,131 @@
+"""The parameter tree alone: reach, updates, limits. Stock's answers are in test_differential."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rossec.master.params import (
+    DEPTH_LIMIT,
+    ParameterMissing,
+    Parameters,
+    leaves_of,
+    subscription_key,
+    updates,
+)
+
+
+def tree() -> Parameters:
+    parameters = Parameters()
+    parameters.set("/", {"a": {"b": 1, "c": {"d": 2}}, "e": {}})
+    return parameters
+
+
+def test_leaves_are_what_a_call_reaches() -> None:
+    assert tree().leaves("/") == ["/a/b", "/a/c/d", "/e"]
+    assert tree().leaves("/a/c") == ["/a/c/d"]
+    assert tree().leaves("/a/b") == ["/a/b"]
+    assert tree().leaves("/none") == ["/none"]
+    assert leaves_of("/x", {"y": {"z": 1}}) == ["/x/y/z"]
+
+
+def test_reach_includes_a_value_that_would_become_a_tree() -> None:
+    assert tree().reach("/a/b/new/deep") == ["/a/b", "/a/b/new/deep"]
+    assert tree().reach("/a") == ["/a/b", "/a/c/d"]
+
+
+def test_get_set_delete() -> None:
+    parameters = tree()
+    parameters.set("/a/b/new", 5)
+    assert parameters.get("/a/b") == {"new": 5}
+    parameters.delete("/a")
+    assert not parameters.has("/a/b")
+    with pytest.raises(ParameterMissing):
+        parameters.get("/a")
+    for key in ("/", "/none", "/none/x"):
+        with pytest.raises(ParameterMissing):
+            parameters.delete(key)
+    assert list(parameters.names()) == []
+
+
+def test_refuses_what_cannot_be_found_or_sent_again() -> None:
+    parameters = Parameters()
+    with pytest.raises(TypeError, match="cannot set root"):
+        parameters.set("/", 1)
+    for name in ("a/b", "", "~a"):
+        with pytest.raises(ValueError, match="cannot be the name"):
+            parameters.set("/x", {name: 1})
+    with pytest.raises(ValueError, match="nested deeper"):
+        parameters.set("/a" * (DEPTH_LIMIT + 1), 1)
+    with pytest.raises(ValueError, match="nested deeper"):
+        parameters.set("/a" * DEPTH_LIMIT, [[1]])
+    assert list(parameters.names()) == []
+
+
+def test_search_sees_only_what_is_visible() -> None:
+    parameters = Parameters()
+    parameters.set("/x", 1)
+    parameters.set("/ns/x", 2)
+    assert parameters.search("/ns/node", "x", lambda _: True) == "/ns/x"
+    assert parameters.search("/ns/node", "x", lambda leaf: leaf == "/x") == "/x"
+    assert parameters.search("/ns/node", "x", lambda _: False) is None
+    assert parameters.search("/ns/node", "/x", lambda _: False) is None
+
+
+SUBSCRIPTIONS = [subscription_key(key) for key in ("/a", "/a/b", "/z", "/")]
+
+
+def heard(key: str, value: object) -> list[tuple[str, str, object]]:
+    return [(u.subscription, u.key, u.value) for u in updates(SUBSCRIPTIONS, key, value)]
+
+
+def test_a_change_is_heard_above_at_and_below() -> None:
+    assert heard("/a/b", 1) == [("/a/", "/a/b/", 1), ("/a/b/", "/a/b/", 1), ("/", "/a/b/", 1)]
+    assert heard("/a", {"b": 5}) == [
+        ("/a/", "/a/", {"b": 5}),
+        ("/", "/a/", {"b": 5}),
+        ("/a/b/", "/a/b/", 5),
+    ]
+    assert heard("/a", {"c": 5})[1] == ("/a/b/", "/a/b/", {})
+
+
+def test_an_update_is_a_copy() -> None:
+    value = {"b": [1]}
+    [update] = updates(["/a/"], "/a", value)
+    value["b"].append(2)
+    assert update.value == {"b": [1]}
+
+
+keys = st.lists(st.sampled_from("abc"), min_size=1, max_size=3).map(
+    lambda parts: "/" + "/".join(parts)
+)
+trees = st.recursive(
+    st.integers(0, 3), lambda t: st.dictionaries(st.sampled_from("abc"), t, max_size=2)
+)
+
+
+@pytest.mark.ros
+@given(
+    key=keys,
+    value=trees,
+    subscriptions=st.lists(keys, unique=True),
+    setter=st.sampled_from(["/a", "/b"]),
+)
+def test_updates_equal_rosmasters(
+    key: str, value: object, subscriptions: list[str], setter: str
+) -> None:
+    stock = pytest.importorskip("rosmaster.paramserver")
+    registrations = pytest.importorskip("rosmaster.registrations").Registrations(4)
+    for name in subscriptions:
+        registrations.register(subscription_key(name), "/a", "http://a:1/")
+    expected = [
+        (name, changed, new)
+        for nodes, changed, new in stock.compute_param_updates(registrations, key, value, setter)
+        for name, _ in nodes
+    ]
+    got = [
+        ("/a", update.key, update.value)
+        for update in updates(list(registrations.iterkeys()), key, value)
+        if update.to_setter or setter != "/a"
+    ]
+    order = repr
+    assert sorted(got, key=order) == sorted(expected, key=order)

@@ -1,0 +1,184 @@
+"""The registry: events, replacement, versions, invariants under any sequence of calls."""
+
+from hypothesis import settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
+
+from rossec.master.registry import (
+    Kind,
+    NodeRef,
+    PublishersChanged,
+    Registry,
+    ShutdownNode,
+    Unregistered,
+)
+
+A, B, C = NodeRef("/a", "http://h:1/"), NodeRef("/b", "http://h:2/"), NodeRef("/c", "http://h:3/")
+TYPE = "std_msgs/String"
+
+
+def test_a_publisher_is_announced_to_the_subscribers() -> None:
+    registry = Registry()
+    assert registry.register_subscriber("/t", "*", A) == []
+    assert registry.register_publisher("/t", TYPE, B) == [PublishersChanged("/t", (A,), (B.uri,))]
+    assert registry.register_publisher("/t", TYPE, C) == [
+        PublishersChanged("/t", (A,), (B.uri, C.uri))
+    ]
+    assert registry.uris(Kind.PUBLISHER, "/t") == [B.uri, C.uri]
+
+
+def test_unregistering_is_announced_once() -> None:
+    registry = Registry()
+    registry.register_subscriber("/t", "*", A)
+    registry.register_publisher("/t", TYPE, B)
+    done, events = registry.unregister(Kind.PUBLISHER, "/t", B)
+    assert done == Unregistered("Unregistered [/b] as provider of [/t]", 1)
+    assert events == [PublishersChanged("/t", (A,), ())]
+    assert registry.unregister(Kind.PUBLISHER, "/t", B) == (
+        Unregistered("[/b] is not a registered node", 0),
+        [],
+    )
+    assert registry.unregister(Kind.SUBSCRIBER, "/t", A)[1] == []
+    assert list(registry.nodes()) == []
+
+
+def test_unregistering_needs_the_registered_uri() -> None:
+    registry = Registry()
+    registry.register_publisher("/t", TYPE, A)
+    done, events = registry.unregister(Kind.PUBLISHER, "/t", NodeRef("/a", "http://other:1/"))
+    assert done == Unregistered("[/a] is not a known provider of [/t]", 0)
+    assert events == []
+
+
+def test_a_node_with_a_new_uri_replaces_the_old_one() -> None:
+    registry = Registry()
+    registry.register_subscriber("/t", "*", B)
+    registry.register_publisher("/t", TYPE, A)
+    registry.register_service("/s", "rosrpc://h:9", A)
+    new = NodeRef("/a", "http://h:7/")
+    assert registry.register_subscriber("/u", "*", new) == [
+        PublishersChanged("/t", (B,), ()),
+        ShutdownNode(A, "new node registered with same name"),
+    ]
+    assert registry.node_uri("/a") == new.uri
+    assert registry.service_uri("/s") is None
+    assert registry.owner(A.uri) is None
+    assert registry.owner(new.uri) == "/a"
+
+
+def test_the_last_provider_has_the_service() -> None:
+    registry = Registry()
+    registry.register_service("/s", "rosrpc://h:1", A)
+    registry.register_service("/s", "rosrpc://h:2", B)
+    assert registry.service_uri("/s") == "rosrpc://h:2"
+    assert registry.node_uri("/a") is None
+    assert registry.unregister_service("/s", "/b", "rosrpc://h:1").removed == 0
+    assert registry.unregister_service("/s", "/b", "rosrpc://h:2").removed == 1
+
+
+def test_types_a_real_one_wins_over_any() -> None:
+    registry = Registry()
+    registry.register_subscriber("/t", "*", A)
+    assert list(registry.topic_types()) == []
+    assert registry.topic_type("/t") == "*"
+    registry.register_publisher("/t", "*", B)
+    registry.register_publisher("/t", TYPE, B)
+    registry.register_publisher("/t", "*", C)
+    assert registry.topic_type("/t") == TYPE
+
+
+def test_removing_a_node_tells_its_subscribers() -> None:
+    registry = Registry()
+    registry.register_publisher("/t", TYPE, A)
+    registry.register_parameter("/p/", A)
+    registry.register_subscriber("/t", TYPE, B)
+    assert registry.remove_node("/a") == [PublishersChanged("/t", (B,), ())]
+    assert registry.remove_node("/a") == []
+    assert registry.members(Kind.PARAMETER, "/p/") == ()
+
+
+def test_removing_one_registration() -> None:
+    registry = Registry()
+    registry.register_publisher("/t", TYPE, A)
+    registry.register_subscriber("/t", TYPE, A)
+    assert registry.remove(Kind.SUBSCRIBER, "/t", "/a") == []
+    assert registry.remove(Kind.SUBSCRIBER, "/t", "/a") == []
+    assert registry.remove(Kind.PUBLISHER, "/t", "/a") == [PublishersChanged("/t", (), ())]
+    assert registry.keys_of("/a", Kind.PUBLISHER) == ()
+
+
+def test_version_grows_only_with_changes() -> None:
+    registry = Registry()
+    registry.register_publisher("/t", TYPE, A)
+    before = registry.version
+    registry.register_publisher("/t", TYPE, A)
+    registry.unregister(Kind.SUBSCRIBER, "/t", A)
+    assert registry.version == before
+    registry.register_service("/s", "rosrpc://h:1", A)
+    middle = registry.version
+    registry.register_service("/s", "rosrpc://h:2", A)
+    assert before < middle < registry.version
+
+
+refs = st.sampled_from([NodeRef(n, f"http://{n[1:]}:{p}/") for n in ("/a", "/b") for p in (1, 2)])
+topics = st.sampled_from(["/t", "/u"])
+
+
+class Machine(RuleBasedStateMachine):
+    """Whatever is called, subscribers know the publishers and the indices agree."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.registry = Registry()
+        self.known: dict[tuple[str, str], tuple[str, ...]] = {}
+
+    def hear(self, events: object) -> None:
+        assert isinstance(events, list)
+        for event in events:
+            if isinstance(event, PublishersChanged):
+                for node in event.subscribers:
+                    self.known[event.topic, node.uri] = event.publisher_uris
+
+    @rule(topic=topics, ref=refs)
+    def publish(self, topic: str, ref: NodeRef) -> None:
+        self.hear(self.registry.register_publisher(topic, TYPE, ref))
+
+    @rule(topic=topics, ref=refs)
+    def subscribe(self, topic: str, ref: NodeRef) -> None:
+        self.hear(self.registry.register_subscriber(topic, TYPE, ref))
+        self.known[topic, ref.uri] = tuple(self.registry.uris(Kind.PUBLISHER, topic))
+
+    @rule(topic=topics, ref=refs)
+    def provide(self, topic: str, ref: NodeRef) -> None:
+        self.hear(self.registry.register_service(topic, f"rosrpc://{ref.name}", ref))
+
+    @rule(kind=st.sampled_from(list(Kind)), topic=topics, ref=refs)
+    def unregister(self, kind: Kind, topic: str, ref: NodeRef) -> None:
+        if kind is Kind.SERVICE:
+            self.registry.unregister_service(topic, ref.name, f"rosrpc://{ref.name}")
+        else:
+            self.hear(self.registry.unregister(kind, topic, ref)[1])
+
+    @rule(ref=refs)
+    def remove(self, ref: NodeRef) -> None:
+        self.hear(self.registry.remove_node(ref.name))
+        assert ref.name not in {
+            name for kind in Kind for _, names in self.registry.entries(kind) for name in names
+        }
+
+    @invariant()
+    def subscribers_know_the_publishers(self) -> None:
+        for topic in ("/t", "/u"):
+            for uri in self.registry.uris(Kind.SUBSCRIBER, topic):
+                assert self.known[topic, uri] == tuple(self.registry.uris(Kind.PUBLISHER, topic))
+
+    @invariant()
+    def indices_agree(self) -> None:
+        listed = {n for kind in Kind for _, names in self.registry.entries(kind) for n in names}
+        assert {node.name for node in self.registry.nodes()} == listed
+        for node in self.registry.nodes():
+            assert self.registry.owner(node.uri) == node.name
+
+
+Machine.TestCase.settings = settings(max_examples=50, stateful_step_count=20, deadline=None)
+TestMachine = Machine.TestCase

@@ -1,0 +1,142 @@
+"""TCPROS headers and frames: round trips, every refusal, three ways of feeding."""
+
+import struct
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rossec.errors import FrameRefused, HeaderRefused
+from rossec.ros import header
+
+FIELDS = {
+    "callerid": b"/robot1/camera",
+    "topic": b"/image",
+    "md5sum": b"*",
+    "note": b"a=b=\x00\xff",
+}
+
+
+def field(raw: bytes) -> bytes:
+    return struct.pack("<I", len(raw)) + raw
+
+
+def body(fields: dict[str, bytes]) -> bytes:
+    return header.encode(fields)[4:]
+
+
+def test_round_trip() -> None:
+    encoded = header.encode(FIELDS)
+    assert struct.unpack_from("<I", encoded)[0] == len(encoded) - 4
+    assert header.decode(encoded[4:]) == FIELDS
+
+
+def test_text_values_are_utf8() -> None:
+    fields = header.decode(body({"a": "\u00e9".encode()}))
+    assert header.text(fields, "a") == "\u00e9"
+    assert header.text(fields, "b", "other") == "other"
+
+
+def test_empty_header() -> None:
+    assert header.decode(b"") == {}
+
+
+@given(st.dictionaries(st.text("abc_", min_size=1), st.binary(max_size=50)))
+def test_decode_undoes_encode(fields: dict[str, bytes]) -> None:
+    assert header.decode(header.encode(fields)[4:]) == fields
+
+
+@given(st.binary(max_size=60))
+def test_decodes_or_refuses_and_is_not_malleable(data: bytes) -> None:
+    try:
+        fields = header.decode(data)
+    except HeaderRefused:
+        return
+    assert body(fields) == data
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        (field(b"novalue"), "without '='"),
+        (field(b"=x"), "empty or not ASCII"),
+        (field(b"\xc3\xa9=x"), "empty or not ASCII"),
+        (field(b"a=1") + field(b"a=2"), "appears twice"),
+        (field(b"a=1") + b"\x01\x00", "inside a length"),
+        (struct.pack("<I", 9) + b"a=1", "beyond its header"),
+        (struct.pack("<I", 0x7FFFFFFF) + b"a=1", "at most"),
+        (b"x" * (header.HEADER_LIMIT + 1), "at most"),
+    ],
+)
+def test_refuses(data: bytes, message: str) -> None:
+    with pytest.raises(HeaderRefused, match=message):
+        header.decode(data)
+
+
+@pytest.mark.parametrize("key", ["", "a=b", "\u00e9"])
+def test_refuses_to_write_odd_keys(key: str) -> None:
+    with pytest.raises(HeaderRefused, match="cannot be the key"):
+        header.encode({key: "x"})
+
+
+def test_refuses_to_write_too_much() -> None:
+    with pytest.raises(HeaderRefused, match="at most 10"):
+        header.encode({"key": "x" * 20}, limit=10)
+
+
+def test_missing_and_undecodable_text() -> None:
+    with pytest.raises(HeaderRefused, match="missing"):
+        header.text({}, "topic")
+    with pytest.raises(HeaderRefused, match="not UTF-8"):
+        header.text({"topic": b"\xff"}, "topic")
+
+
+def test_error_header_is_bounded_and_valid() -> None:
+    fields = header.decode(header.error_header("\u00e9" * 5000)[4:])
+    assert header.text(fields, "error") == "\u00e9" * 512
+
+
+FRAMES = [b"one", b"", b"x" * 300]
+STREAM = b"".join(map(header.frame, FRAMES))
+
+
+def test_frames_whole() -> None:
+    assert header.FrameReader().feed(STREAM) == FRAMES
+
+
+def test_frames_byte_by_byte() -> None:
+    reader = header.FrameReader()
+    frames = [frame for byte in STREAM for frame in reader.feed(bytes([byte]))]
+    assert frames == FRAMES
+    assert reader.pending == 0
+
+
+def test_frames_with_a_tail() -> None:
+    reader = header.FrameReader()
+    assert reader.feed(STREAM + b"\x05\x00") == FRAMES
+    assert reader.pending == 2
+
+
+def test_length_is_refused_before_its_content_comes_and_for_ever() -> None:
+    reader = header.FrameReader(10)
+    reader.feed(b"\xff\xff\xff")
+    for data in (b"\x7f", header.frame(b"ok")):
+        with pytest.raises(FrameRefused, match="at most 10"):
+            reader.feed(data)
+
+
+def test_header_and_messages_in_one_unit_have_their_own_limits() -> None:
+    reader = header.FrameReader(1000, first=20)
+    assert reader.feed(header.frame(b"h" * 20) + header.frame(b"m" * 1000)) == [
+        b"h" * 20,
+        b"m" * 1000,
+    ]
+    with pytest.raises(FrameRefused):
+        header.FrameReader(1000, first=20).feed(header.frame(b"h" * 21))
+
+
+def test_service_replies_keep_their_ok_byte() -> None:
+    reader = header.FrameReader(10, first=20, lead=1)
+    stream = header.frame(b"head") + b"\x01" + header.frame(b"yes") + b"\x00" + header.frame(b"no")
+    frames = [frame for byte in stream for frame in reader.feed(bytes([byte]))]
+    assert frames == [b"head", b"\x01yes", b"\x00no"]

@@ -1,0 +1,138 @@
+"""HTTP framing for XML-RPC: both sides against each other, three ways of feeding, every refusal."""
+
+import pytest
+
+from rossec.errors import HttpRefused
+from rossec.ros.http import HttpClient, HttpServer
+
+REQUEST = b"POST /RPC2 HTTP/1.1\r\nHost: x\r\nContent-Length: 4\r\n\r\nbody"
+
+
+def test_both_sides_over_one_connection() -> None:
+    client, server = HttpClient("host:1"), HttpServer()
+    for body in (b"first", b"", b"x" * 100_000):
+        server.feed(client.request(body))
+        assert server.next_request() == body
+        assert server.next_request() is None
+        client.feed(server.respond(body + b"!"))
+        assert client.next_response() == body + b"!"
+        assert not client.closing
+        assert not server.closing
+
+
+def test_response_is_what_roscpp_reads() -> None:
+    server = HttpServer()
+    server.feed(REQUEST)
+    server.next_request()
+    response = server.respond(b"<x/>")
+    assert response.startswith(b"HTTP/1.1 200 OK\r\n")
+    assert b"\r\nContent-length: 4\r\n" in response
+    assert b"chunked" not in response
+    assert response.endswith(b"\r\n\r\n<x/>")
+
+
+def test_request_byte_by_byte() -> None:
+    server = HttpServer()
+    bodies: list[bytes] = []
+    for byte in REQUEST:
+        assert not bodies
+        server.feed(bytes([byte]))
+        if (body := server.next_request()) is not None:
+            bodies.append(body)
+    assert bodies == [b"body"]
+
+
+def test_response_byte_by_byte() -> None:
+    client, server = HttpClient("h"), HttpServer()
+    server.feed(client.request(b""))
+    server.next_request()
+    response = server.respond(b"answer")
+    for byte in response[:-1]:
+        client.feed(bytes([byte]))
+        assert client.next_response() is None
+    client.feed(response[-1:])
+    assert client.next_response() == b"answer"
+
+
+def test_a_tail_is_the_next_request() -> None:
+    server = HttpServer()
+    server.feed(REQUEST + REQUEST[:30])
+    assert server.next_request() == b"body"
+    assert server.next_request() is None  # not before the first is answered
+    server.respond(b"")
+    assert server.pending
+    server.feed(REQUEST[30:])
+    assert server.next_request() == b"body"
+    assert not server.pending
+
+
+def test_http_10_closes_after_the_answer() -> None:
+    server = HttpServer()
+    server.feed(REQUEST.replace(b"HTTP/1.1", b"HTTP/1.0"))
+    server.next_request()
+    assert b"onnection: close" in server.respond(b"")
+    assert server.closing
+
+
+def test_a_client_notices_that_the_server_closes() -> None:
+    client = HttpClient("h")
+    client.request(b"")
+    client.feed(b"HTTP/1.1 200 OK\r\nConnection: close\r\nContent-Length: 1\r\n\r\nx")
+    assert client.next_response() == b"x"
+    assert client.closing
+
+
+def test_continue_is_skipped() -> None:
+    client = HttpClient("h")
+    client.request(b"")
+    client.feed(b"HTTP/1.1 100 Continue\r\n\r\nHTTP/1.1 200 OK\r\nContent-Length: 1\r\n\r\nx")
+    assert client.next_response() == b"x"
+
+
+@pytest.mark.parametrize(
+    ("request_bytes", "status"),
+    [
+        (b"GET / HTTP/1.1\r\nHost: x\r\n\r\n", 405),
+        (b"POST / HTTP/1.1\r\nHost: x\r\n\r\n", 411),
+        (b"POST / HTTP/1.1\r\nHost: x\r\nTransfer-Encoding: chunked\r\n\r\n", 411),
+        (b"POST / HTTP/1.1\r\nHost: x\r\nContent-Length: 101\r\n\r\n", 413),
+        (b"POST / HTTP/1.1\r\nHost: x\r\nContent-Length: " + b"9" * 18 + b"\r\n\r\n", 413),
+        (b"POST / HTTP/1.1\r\nHost: x\r\nContent-Length: -1\r\n\r\n", 400),
+        (
+            b"POST / HTTP/1.1\r\nHost: x\r\nA: " + b"a" * 9000 + b"\r\nContent-Length: 0\r\n\r\n",
+            431,
+        ),
+        (b"POST / HTTP/1.1\r\nHost: x\r\nA: " + b"a" * 9000, 400),
+        (b"\x16\x03\x01garbage\r\n\r\n", 400),
+    ],
+)
+def test_server_refuses(request_bytes: bytes, status: int) -> None:
+    server = HttpServer(limit=100)
+    server.feed(request_bytes)
+    with pytest.raises(HttpRefused) as refused:
+        server.next_request()
+    assert refused.value.status == status
+    answer = server.refuse(status)
+    assert answer.startswith(b"HTTP/1.1 %d " % status)
+    assert b"garbage" not in answer
+    assert server.closing
+    assert server.refuse(status) == b""
+
+
+@pytest.mark.parametrize(
+    ("response", "message"),
+    [
+        (b"HTTP/1.1 404 Not Found\r\nContent-Length: 0\r\n\r\n", "404"),
+        (b"HTTP/1.1 200 OK\r\n\r\n", "Content-length"),
+        (b"HTTP/1.1 200 OK\r\nContent-Length: 101\r\n\r\n", "longer than 100"),
+        (b"HTTP/1.1 200 OK\r\nTransfer-Encoding: chunked\r\n\r\n", "Content-length"),
+        (b"\x00\x01\x02\x03", "malformed"),
+    ],
+)
+def test_client_refuses(response: bytes, message: str) -> None:
+    client = HttpClient("h", limit=100)
+    client.request(b"")
+    client.feed(response)
+    with pytest.raises(HttpRefused, match=message):
+        client.next_response()
+    assert client.closing

@@ -1,0 +1,125 @@
+"""XML-RPC bodies: round trips, bombs, the ROS triple."""
+
+import datetime
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rossec.errors import AnswerMalformed, AnswerRefused, XmlRpcRefused
+from rossec.ros import xmlrpc
+
+VALUES = [
+    True,
+    -7,
+    2.5,
+    "caf\u00e9 <&>",
+    b"\x00\xff",
+    datetime.datetime(2026, 1, 2, 3, 4, 5),  # noqa: DTZ001 - XML-RPC has no zones
+    [1, [2, "x"]],
+    {"a": {"b": [False]}},
+]
+values = st.recursive(
+    st.booleans()
+    | st.integers(-(2**31), 2**31 - 1)
+    | st.text("ab<&\u00e9", max_size=5)
+    | st.binary(),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text("abc"), inner, max_size=3),
+)
+
+
+@pytest.mark.parametrize("value", VALUES)
+def test_values_survive_both_directions(value: object) -> None:
+    assert xmlrpc.load_call(xmlrpc.dump_call("m", [value])) == ("m", (value,))
+    assert xmlrpc.load_response(xmlrpc.dump_response(value)) == value
+
+
+@given(values)
+def test_any_value_survives(value: object) -> None:
+    assert xmlrpc.load_response(xmlrpc.dump_response(value)) == value
+
+
+@given(
+    st.binary(max_size=80) | st.text("<>/?!methodCallvalueparamsint0 ", max_size=80).map(str.encode)
+)
+def test_garbage_is_refused(data: bytes) -> None:
+    with pytest.raises(XmlRpcRefused):
+        xmlrpc.load_call(data)
+
+
+def test_faults_are_raised() -> None:
+    with pytest.raises(xmlrpc.Fault, match="no such method"):
+        xmlrpc.load_response(xmlrpc.dump_response(xmlrpc.Fault(1, "no such method")))
+
+
+def nested(depth: int) -> bytes:
+    inner = b"<value><array><data>" * depth + b"</data></array></value>" * depth
+    return (
+        b"<methodCall><methodName>m</methodName><params><param>%s</param></params></methodCall>"
+        % inner
+    )
+
+
+def test_depth_is_bounded() -> None:
+    xmlrpc.load_call(nested(xmlrpc.DEPTH_LIMIT))
+    with pytest.raises(XmlRpcRefused, match="deeper"):
+        xmlrpc.load_call(nested(xmlrpc.DEPTH_LIMIT + 2))
+
+
+BOMB = b"""<?xml version="1.0"?><!DOCTYPE m [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;">]>
+<methodCall><methodName>&b;</methodName><params/></methodCall>"""
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        (BOMB, "document type"),
+        (b"<!DOCTYPE m SYSTEM 'file:///etc/passwd'><methodCall/>", "document type"),
+        (nested(1).decode().encode("utf-16"), "malformed"),
+        (nested(1)[:-5], "malformed"),
+        (nested(1) + b"<x/>", "malformed"),
+        (b"", "malformed"),
+        (b"<methodCall><params/></methodCall>", "not an XML-RPC call"),
+        (b"<methodCall><methodName></methodName><params/></methodCall>", "not an XML-RPC call"),
+        (xmlrpc.dump_response(1), "not an XML-RPC call"),
+        (xmlrpc.dump_response(xmlrpc.Fault(1, "x")), "not an XML-RPC call"),
+        (xmlrpc.dump_call("m" * 300, []), "too long"),
+        (nested(1).replace(b"<array><data></data></array>", b"<int>x</int>"), "malformed"),
+    ],
+)
+def test_refuses(data: bytes, message: str) -> None:
+    with pytest.raises(XmlRpcRefused, match=message):
+        xmlrpc.load_call(data)
+
+
+def test_size_is_checked_before_the_parse() -> None:
+    with pytest.raises(XmlRpcRefused, match="at most 10"):
+        xmlrpc.load_call(b"not even xml", limit=10)
+
+
+def test_a_call_is_not_a_response() -> None:
+    with pytest.raises(XmlRpcRefused, match="not an XML-RPC response"):
+        xmlrpc.load_response(nested(1))
+
+
+@pytest.mark.parametrize("value", [None, 2**40, object()])
+def test_what_cannot_be_carried_is_refused(value: object) -> None:
+    with pytest.raises(XmlRpcRefused, match="cannot carry"):
+        xmlrpc.dump_response(value)
+
+
+def test_the_ros_triple() -> None:
+    assert xmlrpc.value_of([1, "", [3]]) == [3]
+    with pytest.raises(AnswerRefused, match="unknown node") as refused:
+        xmlrpc.value_of([-1, "unknown node", 0])
+    assert refused.value.code == -1
+    with pytest.raises(AnswerRefused, match="without a reason"):
+        xmlrpc.value_of([0, "", 0])
+
+
+@pytest.mark.parametrize(
+    "answer", [None, 1, [1, ""], [1, "", 0, 0], ["1", "", 0], [True, "", 0], [1, 2, 3]]
+)
+def test_anything_else_is_malformed(answer: object) -> None:
+    with pytest.raises(AnswerMalformed):
+        xmlrpc.value_of(answer)

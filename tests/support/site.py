@@ -1,0 +1,151 @@
+"""A site for tests: an authority, enrolled nodes, grants, and a master, all real, in one process."""
+
+import contextlib
+import secrets
+import time
+from collections.abc import AsyncIterator, Mapping
+from pathlib import Path
+
+from ca import keys
+from ca.authority import Authority, create_root
+from ca.certificates import Identity, TrustAnchor
+from ca.signer import KeySigner
+from ca.store import Store
+from grants import document
+from grants.model import Draft, Permission, Restriction, Right, filter_rules
+from rossec.authority import OpenAuthority
+from rossec.home import NodeHome
+from rossec.master.server import MasterServer
+from rossec.master.start import master_of
+from rossec.node import Node
+from rossec.node.slave import MASTER
+from rossec.ros.settings import parse_uri
+
+DAY = 86400
+
+
+class Site:
+    """One trust domain below `root`; its authority's key is in memory, unencrypted."""
+
+    def __init__(self, root: Path, domain: str = "home") -> None:
+        self.root = root
+        key = KeySigner(keys.generate())
+        now = int(time.time())
+        certificate = create_root(key, domain, now=now, serial=secrets.randbits(127) + 1)
+        root.mkdir(mode=0o700, parents=True, exist_ok=True)
+        self.authority = OpenAuthority(
+            Authority(key, certificate), Store.create(root / "ca.db"), root
+        )
+        self.authority.sign_list(now)
+        self.master: MasterServer | None = None
+
+    @property
+    def anchor(self) -> TrustAnchor:
+        """Whom the nodes trust."""
+        return self.authority.authority.anchor
+
+    @property
+    def environ(self) -> Mapping[str, str]:
+        """The environment a node of this site runs in."""
+        uri = {"ROS_MASTER_URI": self.master.uri} if self.master is not None else {}
+        return {"ROSSEC_HOME": str(self.root), "ROS_IP": "127.0.0.1", **uri}
+
+    def enroll(self, name: str, lifetime: int = DAY) -> NodeHome:
+        """Give the node `name` a key and an identity."""
+        home = NodeHome.of(self.root, name)
+        if not (home.path / "node.pem").exists():
+            home.create_request(self.anchor.domain)
+            now = int(time.time())
+            home.install(self.authority.issue(home.request(), now, lifetime), now)
+        return home
+
+    def identity(self, name: str) -> Identity:
+        """The verified identity of an enrolled node."""
+        return self.enroll(name).identity(int(time.time()))
+
+    def grant(
+        self,
+        name: str,
+        right: Right,
+        pattern: str,
+        *,
+        restriction: Restriction | None = None,
+        lifetime: int = DAY,
+        begin: int | None = None,
+        holder: bytes | None = None,
+    ) -> bytes:
+        """Sign a grant for `name` and put it into the node's home; returns the signed grant."""
+        home = self.enroll(name)
+        begin = int(time.time()) if begin is None else begin
+        draft = Draft(
+            domain=self.anchor.domain, subject=name,
+            holder=holder or self.identity(name).thumbprint,
+            not_before=begin, expires=begin + lifetime, cap=begin + lifetime,
+            serial=secrets.token_bytes(16),
+            permissions=(Permission(pattern, right, restriction),),
+        )  # fmt: skip
+        data = self.authority.grant(draft, int(time.time()))
+        home.add_grant(document.grant_id(data), data)
+        return data
+
+    def publish(self, name: str, pattern: str, **options: int) -> bytes:
+        """Let `name` publish."""
+        return self.grant(name, Right.PUBLISH, pattern, lifetime=options.get("lifetime", DAY))
+
+    def subscribe(
+        self, name: str, pattern: str, restriction: Restriction | None = None, **options: int
+    ) -> bytes:
+        """Let `name` subscribe."""
+        return self.grant(
+            name, Right.SUBSCRIBE, pattern,
+            restriction=restriction, lifetime=options.get("lifetime", DAY),
+        )  # fmt: skip
+
+    def revoke(self, grant_or_key: bytes) -> bytes:
+        """Revoke a signed grant, or a key by its thumbprint; returns the new signed list."""
+        entry = grant_or_key if len(grant_or_key) == 32 else document.grant_id(grant_or_key)
+        self.authority.revoke(entry, "test", int(time.time()))
+        data = self.authority.store.newest_list()
+        assert data is not None
+        return data
+
+    @contextlib.asynccontextmanager
+    async def running(self) -> AsyncIterator["Site"]:
+        """With a master, on a free port of loopback."""
+        await self.start_master(0)
+        try:
+            yield self
+        finally:
+            await self.master.close()
+            self.master = None
+
+    async def restart_master(self) -> None:
+        """Stop the master and start a new one on the same port."""
+        assert self.master is not None
+        _, port = parse_uri(self.master.uri)
+        await self.master.close()
+        await self.start_master(port)
+
+    async def start_master(self, port: int) -> None:
+        """Start a master on `port` of loopback."""
+        self.master = master_of(
+            self.enroll(MASTER), host="127.0.0.1", port=port,
+            newest=self.authority.store.newest_list(), now=int(time.time()),
+        )  # fmt: skip
+        await self.master.start()
+
+    def node(self, name: str, *argv: str) -> Node:
+        """A node of this site, not yet started."""
+        self.enroll(name)
+        return Node(name, argv=argv, environ=self.environ)
+
+
+def coarse(step: float = 2.0) -> Restriction:
+    """Position on a grid, frame cleared, and only of messages in the map frame."""
+    return Restriction(
+        type="geometry_msgs/PoseStamped",
+        conditions=('msg.header.frame_id == "map"',),
+        filters=filter_rules(
+            {"pose.position": {"round": {"step": step}}, "header.frame_id": {"clear": True}}
+        ),
+    )

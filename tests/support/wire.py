@@ -1,0 +1,178 @@
+"""A small language for channel tests: nodes with fake certificates, connections joined by a wire.
+
+A fake certificate is the name and the public key, unsigned: the channel takes any `verify`, and
+real certificates have their own tests. Randomness is a counter, so runs are repeatable.
+"""
+
+import hashlib
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
+
+from ca.errors import CAError
+from ca.signer import KeySigner
+from rossec.channel.connection import Connection
+from rossec.channel.credentials import Credentials
+from rossec.channel.opening import Flavour
+from rossec.channel.records import Limits
+from rossec.channel.states import Event, UnitReceived
+from rossec.errors import ChannelError
+
+NOW = 1_800_000_000
+NOT_AFTER = NOW + 30 * 86400
+
+
+@dataclass(frozen=True)
+class FakeIdentity:
+    name: str
+    public_key: ec.EllipticCurvePublicKey
+    certificate: bytes
+    not_after: int = NOT_AFTER
+
+
+def node(name: str) -> Credentials:
+    """A node's credentials; the same key for the same name."""
+    scalar = int.from_bytes(hashlib.sha256(name.encode()).digest()[:31]) + 1
+    key = ec.derive_private_key(scalar, ec.SECP256R1())
+    point = key.public_key().public_bytes(Encoding.X962, PublicFormat.UncompressedPoint)
+    return Credentials(KeySigner(key), (point + name.encode(),))
+
+
+def trust(chain: tuple[bytes, ...], now: int) -> FakeIdentity:
+    """The fake `verify`: any well-formed fake certificate but that of `/stranger`."""
+    certificate = chain[0]
+    try:
+        key = ec.EllipticCurvePublicKey.from_encoded_point(ec.SECP256R1(), certificate[:65])
+        name = certificate[65:].decode()
+    except ValueError:
+        raise CAError("not a certificate") from None
+    if name == "/stranger":
+        raise CAError("not signed by this site's authority", "enroll the node")
+    return FakeIdentity(name, key, certificate)
+
+
+def dice(seed: str) -> Callable[[int], bytes]:
+    """Repeatable randomness."""
+    count = 0
+
+    def random(length: int) -> bytes:
+        nonlocal count
+        count += 1
+        return hashlib.shake_256(f"{seed}{count}".encode()).digest(length)
+
+    return random
+
+
+ALICE, BOB, STRANGER = node("/alice"), node("/bob"), node("/stranger")
+DEFAULTS = Limits()
+
+
+def alice(
+    opening: Flavour = Flavour.TCPROS,
+    credentials: Credentials = ALICE,
+    limits: Limits = DEFAULTS,
+    suites: tuple[int, ...] = (6,),
+) -> Connection[FakeIdentity]:
+    """An initiator."""
+    return Connection[FakeIdentity].initiator(
+        credentials,
+        trust,
+        random=dice("alice"),
+        now=NOW,
+        opening=opening,
+        limits=limits,
+        suites=suites,
+    )
+
+
+def bob(
+    credentials: Credentials = BOB,
+    limits: Limits = DEFAULTS,
+    suites: tuple[int, ...] = (6,),
+    accept: frozenset[Flavour] = frozenset(Flavour),
+) -> Connection[FakeIdentity]:
+    """A responder."""
+    return Connection[FakeIdentity].responder(
+        credentials,
+        trust,
+        random=dice("bob"),
+        now=NOW,
+        limits=limits,
+        suites=suites,
+        accept=accept,
+    )
+
+
+@dataclass
+class End:
+    """One end of a wire, and what happened there."""
+
+    core: Connection[FakeIdentity]
+    events: list[Event[FakeIdentity]] = field(default_factory=list)
+    error: ChannelError | None = None
+    sent: list[bytes] = field(default_factory=list)
+
+    @property
+    def units(self) -> list[bytes]:
+        """The units delivered so far."""
+        return [event.data for event in self.events if isinstance(event, UnitReceived)]
+
+    def take(self) -> bytes:
+        """What this end wants to send."""
+        data = bytes(self.core.data_to_send())
+        if data:
+            self.sent.append(data)
+        return data
+
+    def give(self, data: bytes, step: int = 0) -> None:
+        """Feed bytes, whole or in steps; remember an error instead of raising it."""
+        size = step or max(1, len(data))
+        try:
+            for start in range(0, len(data), size):
+                self.events += self.core.receive_data(data[start : start + size], NOW)
+        except ChannelError as error:
+            self.error = self.error or error
+
+
+@dataclass
+class Wire:
+    """Two ends; `pump` carries bytes until both are silent.
+
+    `meddle(sender, flight)` may change a flight; flights are numbered by `sent` of the sender.
+    """
+
+    left: End
+    right: End
+    step: int = 0
+    meddle: Callable[[End, bytes], bytes] = lambda end, data: data
+
+    def pump(self) -> "Wire":
+        """Carry everything both ways until nothing moves."""
+        moved = True
+        while moved:
+            moved = False
+            for sender, receiver in ((self.left, self.right), (self.right, self.left)):
+                data = sender.take()
+                if data:
+                    moved = True
+                    receiver.give(self.meddle(sender, data), self.step)
+        return self
+
+
+def wire(
+    left: Connection[FakeIdentity] | None = None,
+    right: Connection[FakeIdentity] | None = None,
+    **options: object,
+) -> Wire:
+    """An unpumped wire between an initiator and a responder."""
+    made = Wire(End(left or alice()), End(right or bob()))
+    for name, value in options.items():
+        setattr(made, name, value)
+    return made
+
+
+def joined(**options: object) -> Wire:
+    """A wire whose handshake is done."""
+    return wire(**options).pump()  # type: ignore[arg-type]  # options go through to `wire`
