@@ -1,9 +1,9 @@
 """Carry the newest revocation list to the master, as the authority's own node `/ca`."""
 
 from ca.errors import HintedError
+from rossec.authority import AuthorityHome
 from rossec.cli.context import Environment
 from rossec.errors import ConfigurationError, NotDelivered
-from rossec.authority import AuthorityHome
 from rossec.net.rpc import RpcClient
 from rossec.net.stream import Flavour, connect
 from rossec.node.slave import MASTER
@@ -34,5 +34,3 @@ async def deliver(environment: Environment, master_uri: str | None) -> None:
             await stream.close()
     except (HintedError, OSError, TimeoutError) as error:
         raise NotDelivered(f"the master at {uri} did not take the list: {error}", _HINT) from error
-
-

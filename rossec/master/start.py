@@ -6,7 +6,9 @@ from rossec.master.server import MasterServer
 from rossec.master.trust import Trust
 
 
-def master_of(home: NodeHome, *, host: str | None, port: int, newest: bytes | None, now: int) -> MasterServer:
+def master_of(
+    home: NodeHome, *, host: str | None, port: int, newest: bytes | None, now: int
+) -> MasterServer:
     """The master whose identity is in `home`, not yet started.
 
     Args:

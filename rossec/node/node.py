@@ -107,9 +107,7 @@ class Node:
         self._publishers[endpoint.topic] = publisher
         return publisher
 
-    async def subscriber(
-        self, topic: str, type_name: str, *, queue_size: int = 10
-    ) -> Subscriber:
+    async def subscriber(self, topic: str, type_name: str, *, queue_size: int = 10) -> Subscriber:
         """Receive messages of `type_name` on `topic`: `async for message in subscriber`.
 
         Raises:
@@ -204,9 +202,7 @@ class Node:
 
     async def _dial_master(self) -> SecureStream[Identity]:
         where = self.settings.master_host, self.settings.master_port
-        return await connect(
-            *where, self.credentials, self.anchor.verify, opening=Flavour.HTTP
-        )
+        return await connect(*where, self.credentials, self.anchor.verify, opening=Flavour.HTTP)
 
     async def _dial_topic(self, uri: str, topic: str) -> SecureStream[Identity]:
         """Ask the node at `uri` where its topics are, then connect there."""
@@ -215,9 +211,7 @@ class Node:
             host, port, self.credentials, self.anchor.verify, opening=Flavour.HTTP
         )
         try:
-            answer = await RpcClient(stream).ask(
-                "requestTopic", self.name, topic, [["TCPROS"]]
-            )
+            answer = await RpcClient(stream).ask("requestTopic", self.name, topic, [["TCPROS"]])
         finally:
             await stream.close()
         match answer:

@@ -1,4 +1,4 @@
-"""A site for tests: an authority, enrolled nodes, grants, and a master, all real, in one process."""
+"""A site for tests: authority, enrolled nodes, grants, and a master, all real, in one process."""
 
 import contextlib
 import secrets
