@@ -173,7 +173,7 @@ def _on(topic: str) -> Callable[[Report], bool]:
 
 
 def _same(seen: Report, other: Report) -> bool:
-    return seen.get("topic") == other["topic"] and seen["seq"] == other["seq"]
+    return (seen.get("topic"), seen.get("seq")) == (other["topic"], other["seq"])
 
 
 def _check_coarse(exact: Report, coarse: Report) -> None:

@@ -22,16 +22,17 @@ from rossec.net.stream import connect
 class Whoever:
     """A peer as its certificate describes it, unverified."""
 
-    certificate: bytes
     public_key: ec.EllipticCurvePublicKey
+    not_after: int
 
 
 def believe_anyone(chain: tuple[bytes, ...], _now: int) -> Whoever:
     """Take the certificate for granted."""
-    key = x509.load_der_x509_certificate(chain[0]).public_key()
+    certificate = x509.load_der_x509_certificate(chain[0])
+    key = certificate.public_key()
     if not isinstance(key, ec.EllipticCurvePublicKey):
         raise RossecError("the robot has another kind of key")
-    return Whoever(chain[0], key)
+    return Whoever(key, int(certificate.not_valid_after_utc.timestamp()))
 
 
 async def main(name: str, port: int) -> None:

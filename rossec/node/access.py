@@ -17,7 +17,6 @@ from grants.decision import Decision, authorize
 from grants.document import open_grant, peek
 from grants.errors import GrantMalformed, GrantMissing
 from grants.model import Grant, Right
-from grants.names import covers
 
 FIELD: Final = "rossec_grants"
 MAX_PRESENTED: Final = 64 * 1024
@@ -65,8 +64,8 @@ class Access:
         self.check_peer(peer, now)
         if presented is None:
             raise GrantMissing(
-                f"{peer.name} shows no grant to {_verb(right)} {name}",
-                f"sign one: rossec grant sign {peer.name} --{_verb(right)} {name}",
+                f"{peer.name} shows no grant to {right.label} {name}",
+                (f"sign one: rossec grant sign {peer.name} --{right.label} {name}",),
             )
         grants = [self._open(data, now) for data in _unpack(presented)]
         return authorize(
@@ -80,7 +79,7 @@ class Access:
         if known is not None and known.not_before <= now < known.expires:
             self._opened.move_to_end(digest)
             return known
-        grant = open_grant(data, self._anchor.public_key, now)
+        grant = open_grant(data, self._anchor.public_key, now, domain=self._anchor.domain)
         self._opened[digest] = grant
         if len(self._opened) > _CACHE_SIZE:
             self._opened.popitem(last=False)
@@ -101,10 +100,5 @@ def _unpack(presented: bytes) -> list[bytes]:
 
 
 def _concerns(grant: Grant, right: Right, name: str) -> bool:
-    return any(right in item.rights and covers(item.pattern, name) for item in grant.permissions)
-
-
-def _verb(right: Right) -> str:
-    return (right.name or "use").lower().replace("_", "-")
-
+    return any(permission.covers(right, name) for permission in grant.permissions)
 

@@ -12,6 +12,7 @@ from typing import Final
 
 from ca.certificates import Identity, TrustAnchor
 from ca.errors import HintedError
+from grants.decision import Decision
 from grants.guard import Guard
 from rossec.channel.credentials import Credentials
 from rossec.errors import TopicRefused
@@ -83,7 +84,7 @@ class Listener:
         try:
             async with asyncio.timeout(HEADER_DEADLINE):
                 fields = header.decode(await first_frame(stream))
-            publisher, guard = self._admit(fields, stream.peer)
+            publisher, decision, guard = self._admit(fields, stream.peer)
         except TimeoutError:
             _log.info("%s sent no connection header", stream.peer.name)
             return
@@ -95,15 +96,17 @@ class Listener:
             self._name, publisher.endpoint, self._access, latching=publisher.latch
         )
         await stream.send(header.encode(answer))
-        await publisher.serve(stream, guard)
+        await publisher.serve(stream, decision, guard)
 
-    def _admit(self, fields: Mapping[str, bytes], peer: Identity) -> tuple[Publisher, Guard]:
+    def _admit(
+        self, fields: Mapping[str, bytes], peer: Identity
+    ) -> tuple[Publisher, Decision, Guard]:
         decision = admit_subscriber(fields, peer, self._access, int(time.time()))
         publisher = self._publishers.get(requested_topic(fields))
         if publisher is None:
             raise TopicRefused(f"{self._name} does not publish {requested_topic(fields)}")
         check_type(fields, publisher.endpoint)
-        return publisher, publisher.guard(decision)
+        return publisher, decision, publisher.guard(decision)
 
 
 async def first_frame(stream: SecureStream[Identity]) -> bytes:

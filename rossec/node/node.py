@@ -10,13 +10,12 @@ import logging
 import os
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
 from types import TracebackType
 from typing import Final, Self
 
 from ca.certificates import Identity
-from ca.errors import CAError, HintedError
-from ca.revocation import Revocations
+from ca.errors import HintedError
+from ca.revocation import Revocations, open_timestamp
 from grants import layout
 from rossec.errors import ConfigurationError, NodeShutdown, TopicRefused
 from rossec.home import NodeHome, rossec_home
@@ -46,7 +45,6 @@ class Node:
         name: the node's name; `__name:=` and `__ns:=` in `argv` change it as in ROS.
         argv: ROS arguments of the program (remappings and the like), without its path.
         environ: where ROS_MASTER_URI, ROS_IP and so on, and ROSSEC_HOME are read from.
-        home: the node's directory, when it is not the one below ROSSEC_HOME.
     """
 
     def __init__(
@@ -55,11 +53,10 @@ class Node:
         *,
         argv: Sequence[str] = (),
         environ: Mapping[str, str] = os.environ,
-        home: Path | None = None,
     ) -> None:
         self.settings = settings.read(argv, environ, default_name=name)
         self.name = self.settings.name
-        self.home = NodeHome(home) if home else NodeHome.of(rossec_home(environ), self.name)
+        self.home = NodeHome.of(rossec_home(environ), self.name)
         self.anchor = self.home.anchor()
         self.credentials = self.home.credentials()
         self.revocations = self._load_revocations()
@@ -151,12 +148,13 @@ class Node:
         for subscriber in self._subscribers.get(topic, []):
             subscriber.update([uri for uri in uris if uri != self.uri])
 
-    def revocations_arrived(self, revocations: bytes, timestamp: bytes) -> None:
+    def revocations_arrived(self, revocations: bytes, timestamp: bytes, master: Identity) -> None:
         """Take over a newer list and a fresh timestamp, then cut what they end."""
         now = int(time.time())
-        self.revocations.update(revocations, now)
-        self.revocations.confirm(timestamp, now)
+        self.revocations.update(revocations, now, self.home.save_revocations)
         self._cut(now)
+        self.revocations.confirm(open_timestamp(timestamp, master.public_key), now)
+        self.revocations.check(master.thumbprint, now)
 
     def shutdown_requested(self, reason: str) -> None:
         """End the node: another one took its name, or an administrator wants it so."""
@@ -193,6 +191,14 @@ class Node:
         await self._listener.start(self._host)
         self._tasks.spawn(self._session.keep(), f"{self.name}: master session")
         self._tasks.spawn(self._watch(), f"{self.name}: watch")
+
+    def _load_revocations(self) -> Revocations:
+        """The newest list seen before the last stop: an older one will not be believed."""
+        revocations = Revocations(self.anchor.public_key)
+        saved = self.home.load_revocations()
+        if saved is not None:
+            revocations.update(saved, int(time.time()))
+        return revocations
 
     async def _dial_master(self) -> SecureStream[Identity]:
         where = self.settings.master_host, self.settings.master_port

@@ -38,13 +38,14 @@ class SubscriberLink:
     def __init__(
         self,
         stream: SecureStream[Identity],
+        decision: Decision,
         guard: Guard,
         queue_size: int,
     ) -> None:
         self.stream = stream
+        self.decision = decision
         self.guard = guard
-        self.decision = guard.decision
-        self.ends = min(guard.decision.expires, stream.peer.not_after)
+        self.ends = min(decision.expires, stream.peer.not_after)
         self.withheld = 0
         self.dropped = 0
         self._queue: deque[Pieces] = deque()
@@ -122,7 +123,7 @@ class Publisher:
         if self.latch:
             self._latched = view
         treated: dict[Hashable, Pieces | None] = {}
-        now = time.time()
+        now = int(time.time())
         for link in tuple(self.links):
             if link.ends <= now:  # its timer is about to cut it
                 continue
@@ -149,9 +150,11 @@ class Publisher:
         """
         return Guard(self._layout, decision)
 
-    async def serve(self, stream: SecureStream[Identity], guard: Guard) -> None:
+    async def serve(
+        self, stream: SecureStream[Identity], decision: Decision, guard: Guard
+    ) -> None:
         """Feed one admitted subscriber until its stream ends."""
-        link = SubscriberLink(stream, guard, self._queue_size)
+        link = SubscriberLink(stream, decision, guard, self._queue_size)
         self.links.add(link)
         self._changed.set()
         try:
@@ -166,13 +169,13 @@ class Publisher:
     def _send_latched(self, link: SubscriberLink) -> None:
         if self._latched is None:
             return
-        pieces = self._treat(link, self._latched, time.time())
+        pieces = self._treat(link, self._latched, int(time.time()))
         if pieces is not None:
             link.offer(pieces)
 
-    def _treat(self, link: SubscriberLink, message: memoryview, now: float) -> Pieces | None:
+    def _treat(self, link: SubscriberLink, message: memoryview, now: int) -> Pieces | None:
         try:
-            return link.guard(message, now)
+            return link.guard.treat(message, now)
         except GrantError as error:
             _log.warning("%s: withheld from %s: %s", self.topic, link.stream.peer.name, error)
             return None

@@ -39,7 +39,7 @@ class MasterSession:
         self,
         name: str,
         dial: Callable[[], Awaitable[SecureStream[Identity]]],
-        refresh: Callable[[bytes, bytes], None],
+        refresh: Callable[[bytes, bytes, Identity], None],
         restore: Callable[["MasterSession"], Awaitable[None]],
     ) -> None:
         self._name = name
@@ -47,6 +47,7 @@ class MasterSession:
         self._refresh = refresh
         self._restore = restore
         self._client: RpcClient | None = None
+        self._master: Identity | None = None
 
     async def call(self, method: str, *params: object) -> object:
         """Value of `[1, status, value]` that the master answers.
@@ -71,7 +72,7 @@ class MasterSession:
                 f"the node at the master's address is {stream.peer.name}, not {MASTER}",
                 "check ROS_MASTER_URI",
             )
-        self._client = RpcClient(stream)
+        self._client, self._master = RpcClient(stream), stream.peer
         await self._beat()
         await self._restore(self)
         return stream
@@ -103,8 +104,9 @@ class MasterSession:
             await client.close()
 
     async def _beat(self) -> None:
-        match await self.call("rossec.revocations"):
-            case [bytes() as revocations, bytes() as timestamp]:
-                self._refresh(revocations, timestamp)
+        answer = await self.call("rossec.revocations")
+        match answer, self._master:
+            case [bytes() as revocations, bytes() as timestamp], Identity() as master:
+                self._refresh(revocations, timestamp, master)
             case _:
                 raise CAError("the master has no revocation list", "give it one: rossec ca publish")

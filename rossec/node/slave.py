@@ -8,6 +8,7 @@ node is recon and goes to the master alone (N4). UDPROS is never offered (N10).
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Final, Protocol
 
 from ca.certificates import Identity
@@ -24,8 +25,8 @@ class SlaveEvents(Protocol):
     def publishers_changed(self, topic: str, uris: list[str]) -> None:
         """The master's list of publishers of a topic this node subscribes to."""
 
-    def revocations_arrived(self, revocations: bytes, timestamp: bytes) -> None:
-        """A newer list, or a fresh timestamp. Raises a `CAError` when either is not acceptable."""
+    def revocations_arrived(self, revocations: bytes, timestamp: bytes, master: Identity) -> None:
+        """The list and a fresh timestamp. Raises a `CAError` when either is not acceptable."""
 
     def shutdown_requested(self, reason: str) -> None:
         """The master replaced this node or ends it."""
@@ -56,12 +57,12 @@ class SlaveApi:
             "shutdown": _Method(self._shutdown, (str,), 0),
             "rossec.revocationUpdate": _Method(self._revocation_update, (bytes, bytes), 0),
             "requestTopic": _Method(self._request_topic, (str, list), [], master_only=False),
-            "getMasterUri": _Method(lambda: self._describe("getMasterUri"), (), ""),
-            "getPid": _Method(lambda: self._describe("getPid"), (), -1),
-            "getBusStats": _Method(lambda: self._describe("getBusStats"), (), []),
-            "getBusInfo": _Method(lambda: self._describe("getBusInfo"), (), []),
-            "getSubscriptions": _Method(lambda: self._describe("getSubscriptions"), (), []),
-            "getPublications": _Method(lambda: self._describe("getPublications"), (), []),
+            "getMasterUri": _Method(partial(self._describe, "getMasterUri"), (), ""),
+            "getPid": _Method(partial(self._describe, "getPid"), (), -1),
+            "getBusStats": _Method(partial(self._describe, "getBusStats"), (), []),
+            "getBusInfo": _Method(partial(self._describe, "getBusInfo"), (), []),
+            "getSubscriptions": _Method(partial(self._describe, "getSubscriptions"), (), []),
+            "getPublications": _Method(partial(self._describe, "getPublications"), (), []),
         }
 
     async def __call__(self, method: str, params: tuple[object, ...], peer: Identity) -> object:
@@ -76,32 +77,32 @@ class SlaveApi:
         if params[0] != peer.name:
             return [_ERROR, f"rossec: caller_id is not {peer.name}", entry.default]
         try:
-            return entry.run(*params[1:])
+            return entry.run(peer, *params[1:])
         except HintedError as error:
             return [_ERROR, f"rossec: {error}", entry.default]
 
-    def _publisher_update(self, topic: str, uris: list[object]) -> Answer:
+    def _publisher_update(self, _: Identity, topic: str, uris: list[object]) -> Answer:
         self._events.publishers_changed(topic, [uri for uri in uris if isinstance(uri, str)])
         return [1, "", 0]
 
-    def _param_update(self, _key: str, _value: object) -> Answer:
+    def _param_update(self, _: Identity, _key: str, _value: object) -> Answer:
         return [1, "", 0]
 
-    def _shutdown(self, reason: str) -> Answer:
+    def _shutdown(self, _: Identity, reason: str) -> Answer:
         self._events.shutdown_requested(reason)
         return [1, "shutdown", 0]
 
-    def _revocation_update(self, revocations: bytes, timestamp: bytes) -> Answer:
-        self._events.revocations_arrived(revocations, timestamp)
+    def _revocation_update(self, master: Identity, revocations: bytes, timestamp: bytes) -> Answer:
+        self._events.revocations_arrived(revocations, timestamp, master)
         return [1, "", 0]
 
-    def _request_topic(self, _topic: str, protocols: list[object]) -> Answer:
+    def _request_topic(self, _: Identity, _topic: str, protocols: list[object]) -> Answer:
         if not any(isinstance(item, list) and item[:1] == ["TCPROS"] for item in protocols):
             return [_ERROR, "rossec: only TCPROS, inside the secure channel", []]
         host, port = self._events.topic_endpoint()
         return [1, "ready", ["TCPROS", host, port]]
 
-    def _describe(self, method: str) -> Answer:
+    def _describe(self, method: str, _: Identity) -> Answer:
         return [1, "", self._events.describe()[method]]
 
 

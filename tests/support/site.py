@@ -1,84 +1,151 @@
-"""A site for tests: a real authority, real certificates, grants and revocation lists."""
+"""A site for tests: an authority, enrolled nodes, grants, and a master, all real, in one process."""
 
-import itertools
+import contextlib
 import secrets
 import time
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import AsyncIterator, Mapping
+from pathlib import Path
 
+from ca import keys
 from ca.authority import Authority, create_root
-from ca.certificates import Identity, TrustAnchor, build_request
-from ca.keys import generate
-from ca.revocation import RevocationList, Revocations, sign_list
+from ca.certificates import Identity, TrustAnchor
 from ca.signer import KeySigner
-from grants.document import grant_id, sign
-from grants.model import Draft, Permission, Right
-from rossec.channel.credentials import Credentials
+from ca.store import Store
+from grants import document
+from grants.model import Draft, Permission, Restriction, Right, filter_rules
+from rossec.authority import OpenAuthority
+from rossec.home import NodeHome
+from rossec.master.server import MasterServer
+from rossec.master.start import master_of
+from rossec.node import Node
+from rossec.node.slave import MASTER
+from rossec.ros.settings import parse_uri
 
 DAY = 86400
 
 
-@dataclass(frozen=True)
-class Member:
-    """An enrolled node."""
-
-    identity: Identity
-    credentials: Credentials
-
-    @property
-    def name(self) -> str:
-        return self.identity.name
-
-    @property
-    def thumbprint(self) -> bytes:
-        return self.identity.thumbprint
-
-
-@dataclass
 class Site:
-    """One trust domain."""
+    """One trust domain below `root`; its authority's key is in memory, unencrypted."""
 
-    now: int = field(default_factory=lambda: int(time.time()))
-    domain: str = "home"
+    def __init__(self, root: Path, domain: str = "home") -> None:
+        self.root = root
+        key = KeySigner(keys.generate())
+        now = int(time.time())
+        certificate = create_root(key, domain, now=now, serial=secrets.randbits(127) + 1)
+        root.mkdir(mode=0o700, parents=True, exist_ok=True)
+        self.authority = OpenAuthority(
+            Authority(key, certificate), Store.create(root / "ca.db"), root
+        )
+        self.authority.sign_list(now)
+        self.master: MasterServer | None = None
 
-    def __post_init__(self) -> None:
-        self.signer = KeySigner(generate())
-        root = create_root(self.signer, self.domain, now=self.now, serial=secrets.randbits(127))
-        self.authority = Authority(self.signer, root)
-        self.anchor = TrustAnchor.load(root)
-        self._numbers = itertools.count(1)
+    @property
+    def anchor(self) -> TrustAnchor:
+        """Whom the nodes trust."""
+        return self.authority.authority.anchor
 
-    def enroll(self, name: str) -> Member:
-        signer = KeySigner(generate())
-        request = build_request(signer, self.domain, name)
-        certificate = self.authority.issue(request, now=self.now, serial=secrets.randbits(127))
-        identity = self.anchor.verify([certificate], self.now)
-        return Member(identity, Credentials(signer, (certificate,)))
+    @property
+    def environ(self) -> Mapping[str, str]:
+        """The environment a node of this site runs in."""
+        uri = {"ROS_MASTER_URI": self.master.uri} if self.master is not None else {}
+        return {"ROSSEC_HOME": str(self.root), "ROS_IP": "127.0.0.1", **uri}
+
+    def enroll(self, name: str, lifetime: int = DAY) -> NodeHome:
+        """Give the node `name` a key and an identity."""
+        home = NodeHome.of(self.root, name)
+        if not (home.path / "node.pem").exists():
+            home.create_request(self.anchor.domain)
+            now = int(time.time())
+            home.install(self.authority.issue(home.request(), now, lifetime), now)
+        return home
+
+    def identity(self, name: str) -> Identity:
+        """The verified identity of an enrolled node."""
+        return self.enroll(name).identity(int(time.time()))
 
     def grant(
-        self, to: Member, rights: Mapping[str, Right], *, lifetime: int = DAY, start: int = 0
+        self,
+        name: str,
+        right: Right,
+        pattern: str,
+        *,
+        restriction: Restriction | None = None,
+        lifetime: int = DAY,
+        begin: int | None = None,
+        holder: bytes | None = None,
     ) -> bytes:
-        begin = self.now + start
+        """Sign a grant for `name` and put it into the node's home; returns the signed grant."""
+        home = self.enroll(name)
+        begin = int(time.time()) if begin is None else begin
         draft = Draft(
-            domain=self.domain,
-            subject=to.name,
-            holder=to.thumbprint,
-            not_before=begin,
-            expires=begin + lifetime,
-            cap=begin + lifetime,
+            domain=self.anchor.domain, subject=name,
+            holder=holder or self.identity(name).thumbprint,
+            not_before=begin, expires=begin + lifetime, cap=begin + lifetime,
             serial=secrets.token_bytes(16),
-            permissions=tuple(Permission(name, right) for name, right in rights.items()),
-        )
-        return sign(self.signer, draft)
+            permissions=(Permission(pattern, right, restriction),),
+        )  # fmt: skip
+        data = self.authority.grant(draft, int(time.time()))
+        home.add_grant(document.grant_id(data), data)
+        return data
 
-    def revoke(self, *entries: bytes | Member, lifetime: int = DAY) -> bytes:
-        """The next list; entries are grants as signed, or members."""
-        ids = (e.thumbprint if isinstance(e, Member) else grant_id(e) for e in entries)
-        return sign_list(
-            self.signer,
-            RevocationList(1, next(self._numbers), self.now, self.now + lifetime, frozenset(ids)),
-        )
+    def publish(self, name: str, pattern: str, **options: int) -> bytes:
+        """Let `name` publish."""
+        return self.grant(name, Right.PUBLISH, pattern, lifetime=options.get("lifetime", DAY))
 
-    def revocations(self) -> Revocations:
-        """A state that knows the authority and no list."""
-        return Revocations(self.anchor.public_key)
+    def subscribe(
+        self, name: str, pattern: str, restriction: Restriction | None = None, **options: int
+    ) -> bytes:
+        """Let `name` subscribe."""
+        return self.grant(
+            name, Right.SUBSCRIBE, pattern,
+            restriction=restriction, lifetime=options.get("lifetime", DAY),
+        )  # fmt: skip
+
+    def revoke(self, grant_or_key: bytes) -> bytes:
+        """Revoke a signed grant, or a key by its thumbprint; returns the new signed list."""
+        entry = grant_or_key if len(grant_or_key) == 32 else document.grant_id(grant_or_key)
+        self.authority.revoke(entry, "test", int(time.time()))
+        data = self.authority.store.newest_list()
+        assert data is not None
+        return data
+
+    @contextlib.asynccontextmanager
+    async def running(self) -> AsyncIterator["Site"]:
+        """With a master, on a free port of loopback."""
+        await self.start_master(0)
+        try:
+            yield self
+        finally:
+            await self.master.close()
+            self.master = None
+
+    async def restart_master(self) -> None:
+        """Stop the master and start a new one on the same port."""
+        assert self.master is not None
+        _, port = parse_uri(self.master.uri)
+        await self.master.close()
+        await self.start_master(port)
+
+    async def start_master(self, port: int) -> None:
+        """Start a master on `port` of loopback."""
+        self.master = master_of(
+            self.enroll(MASTER), host="127.0.0.1", port=port,
+            newest=self.authority.store.newest_list(), now=int(time.time()),
+        )  # fmt: skip
+        await self.master.start()
+
+    def node(self, name: str, *argv: str) -> Node:
+        """A node of this site, not yet started."""
+        self.enroll(name)
+        return Node(name, argv=argv, environ=self.environ)
+
+
+def coarse(step: float = 2.0) -> Restriction:
+    """Position on a grid, frame cleared, and only of messages in the map frame."""
+    return Restriction(
+        type="geometry_msgs/PoseStamped",
+        conditions=('msg.header.frame_id == "map"',),
+        filters=filter_rules(
+            {"pose.position": {"round": {"step": step}}, "header.frame_id": {"clear": True}}
+        ),
+    )

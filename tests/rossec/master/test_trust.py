@@ -8,7 +8,7 @@ from ca.signer import KeySigner
 from grants.errors import GrantError
 from grants.model import Right
 from rossec.master.trust import MAX_HELD, Trust
-from tests.support.site import DAY, Site
+from tests.support.authority import DAY, Site
 
 
 class World:

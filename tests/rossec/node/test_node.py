@@ -1,0 +1,217 @@
+"""Nodes against a real master over real sockets: what arrives, what does not, what is cut."""
+
+import asyncio
+import time
+from collections.abc import AsyncIterator, Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from ca.errors import CAError
+from grants.model import Right
+from rossec.errors import ConfigurationError, MessageError, NodeShutdown, RossecError
+from rossec.node import Node, Publisher, Subscriber
+from tests.support.site import Site, coarse
+
+POSE = "geometry_msgs/PoseStamped"
+
+
+@pytest.fixture
+async def site(tmp_path: Path) -> AsyncIterator[Site]:
+    async with Site(tmp_path / "site").running() as site:
+        yield site
+
+
+async def until(holds: Callable[[], object], within: float = 5.0) -> None:
+    async with asyncio.timeout(within):
+        while not holds():
+            await asyncio.sleep(0.01)
+
+
+async def first(subscriber: Subscriber, within: float = 5.0) -> Any:
+    async with asyncio.timeout(within):
+        async for message in subscriber:
+            return message
+
+
+def pose(publisher: Publisher, x: float = 3.3, frame: str = "map") -> Any:
+    message = publisher.create()
+    message.pose.position.x, message.header.frame_id = x, frame
+    return message
+
+
+async def test_a_message_arrives_as_it_was_sent(site: Site) -> None:
+    site.publish("/robot", "/robot/pose")
+    site.subscribe("/viewer", "/robot/pose")
+    async with site.node("/robot") as robot, site.node("/viewer") as viewer:
+        publisher = await robot.publisher("/robot/pose", POSE)
+        subscriber = await viewer.subscriber("/robot/pose", POSE)
+        await publisher.wait_for_subscribers()
+        publisher.publish(pose(publisher))
+        message = await first(subscriber)
+    assert (message.pose.position.x, message.header.frame_id) == (3.3, "map")
+
+
+async def test_the_order_of_starting_does_not_matter(site: Site) -> None:
+    site.publish("/robot", "/robot/pose")
+    site.subscribe("/viewer", "/robot/pose")
+    async with site.node("/viewer") as viewer, site.node("/robot") as robot:
+        subscriber = await viewer.subscriber("/robot/pose", POSE)
+        publisher = await robot.publisher("/robot/pose", POSE, latch=True)
+        publisher.publish(pose(publisher))
+        assert (await first(subscriber)).pose.position.x == 3.3
+
+
+async def test_each_subscriber_sees_what_its_grant_says(site: Site) -> None:
+    site.publish("/robot", "/robot/pose")
+    site.subscribe("/doctor", "/robot/pose")
+    site.subscribe("/heating", "/robot/pose", coarse())
+    async with site.node("/robot") as robot, site.node("/doctor") as doctor:
+        async with site.node("/heating") as heating:
+            publisher = await robot.publisher("/robot/pose", POSE)
+            exact = await doctor.subscriber("/robot/pose", POSE)
+            rough = await heating.subscriber("/robot/pose", POSE)
+            await publisher.wait_for_subscribers(2)
+            publisher.publish(pose(publisher, frame="elsewhere"))  # the condition withholds it
+            publisher.publish(pose(publisher))
+            assert (await first(exact)).header.frame_id == "elsewhere"
+            seen = await first(rough)
+            assert (seen.pose.position.x, seen.header.frame_id) == (4.0, "")
+            assert rough.received == 1
+
+
+async def test_a_relative_name_and_a_remapping_mean_what_they_mean_in_ros(site: Site) -> None:
+    site.publish("/robot", "/far/pose")
+    site.subscribe("/viewer", "/far/pose")
+    async with site.node("/robot", "pose:=/far/pose") as robot, site.node("/viewer") as viewer:
+        publisher = await robot.publisher("pose", POSE)
+        assert publisher.topic == "/far/pose"
+        await viewer.subscriber("/far/pose", POSE)
+        await publisher.wait_for_subscribers()
+
+
+async def test_a_subscriber_without_a_grant_is_refused_by_the_master(site: Site) -> None:
+    async with site.node("/viewer") as viewer:
+        with pytest.raises(RossecError, match="subscribe"):
+            await viewer.subscriber("/robot/pose", POSE)
+
+
+async def test_a_publisher_without_a_grant_is_refused_by_the_master(site: Site) -> None:
+    async with site.node("/robot") as robot:
+        with pytest.raises(RossecError, match="publish"):
+            await robot.publisher("/robot/pose", POSE)
+
+
+async def test_revoking_a_grant_cuts_its_topic_and_no_other(site: Site) -> None:
+    site.publish("/robot", "/robot/**")
+    site.subscribe("/viewer", "/robot/pose")
+    revoked = site.subscribe("/viewer", "/robot/scan")
+    async with site.node("/robot") as robot, site.node("/viewer") as viewer:
+        kept = await robot.publisher("/robot/pose", POSE)
+        cut = await robot.publisher("/robot/scan", "sensor_msgs/LaserScan")
+        await viewer.subscriber("/robot/pose", POSE)
+        await viewer.subscriber("/robot/scan", "sensor_msgs/LaserScan")
+        await kept.wait_for_subscribers()
+        await cut.wait_for_subscribers()
+        await tell_master(site, robot, site.revoke(revoked))
+        await until(lambda: not cut.links)
+        assert len(kept.links) == 1
+
+
+async def test_revoking_a_key_cuts_everything_of_its_node(site: Site) -> None:
+    site.publish("/robot", "/robot/pose")
+    site.subscribe("/viewer", "/robot/pose")
+    async with site.node("/robot") as robot, site.node("/viewer") as viewer:
+        publisher = await robot.publisher("/robot/pose", POSE)
+        await viewer.subscriber("/robot/pose", POSE)
+        await publisher.wait_for_subscribers()
+        await tell_master(site, robot, site.revoke(site.identity("/viewer").thumbprint))
+        await until(lambda: not publisher.links)
+
+
+async def test_a_revoked_publisher_is_cut_by_its_subscribers(site: Site) -> None:
+    right = site.publish("/robot", "/robot/pose")
+    site.subscribe("/viewer", "/robot/pose")
+    async with site.node("/robot") as robot, site.node("/viewer") as viewer:
+        publisher = await robot.publisher("/robot/pose", POSE)
+        subscriber = await viewer.subscriber("/robot/pose", POSE)
+        await publisher.wait_for_subscribers()
+        await tell_master(site, viewer, site.revoke(right))
+        await until(lambda: not subscriber.links and not publisher.links)
+
+
+async def test_an_expiring_grant_cuts_its_connection(site: Site) -> None:
+    site.publish("/robot", "/robot/pose")
+    site.subscribe("/viewer", "/robot/pose", lifetime=2)
+    async with site.node("/robot") as robot, site.node("/viewer") as viewer:
+        publisher = await robot.publisher("/robot/pose", POSE)
+        await viewer.subscriber("/robot/pose", POSE)
+        await publisher.wait_for_subscribers()
+        begin = time.time()
+        await until(lambda: not publisher.links)
+        assert time.time() - begin < 3
+
+
+async def test_two_publishers_of_one_topic_in_one_node_are_a_mistake(site: Site) -> None:
+    site.publish("/robot", "/robot/pose")
+    async with site.node("/robot") as robot:
+        await robot.publisher("/robot/pose", POSE)
+        with pytest.raises(ConfigurationError, match="published by this node already"):
+            await robot.publisher("/robot/pose", POSE)
+
+
+async def test_an_unknown_type_is_refused_before_the_master_hears_of_it(site: Site) -> None:
+    async with site.node("/robot") as robot:
+        with pytest.raises(MessageError):
+            await robot.publisher("/robot/pose", "geometry_msgs/Poze")
+
+
+async def test_a_node_that_is_not_enrolled_says_what_to_do(site: Site) -> None:
+    with pytest.raises(ConfigurationError) as caught:
+        Node("/nobody", environ=site.environ)
+    assert "rossec node request /nobody" in caught.value.hint
+
+
+async def test_the_second_node_of_a_name_ends_the_first(site: Site) -> None:
+    site.publish("/robot", "/robot/pose")
+    async with site.node("/robot") as old:
+        await old.publisher("/robot/pose", POSE)
+        async with site.node("/robot") as new:
+            await new.publisher("/robot/pose", POSE)
+            with pytest.raises(NodeShutdown):
+                async with asyncio.timeout(5):
+                    await old.wait_ended()
+
+
+async def test_a_node_survives_a_restart_of_its_master(site: Site) -> None:
+    site.publish("/robot", "/robot/pose")
+    site.subscribe("/viewer", "/robot/pose")
+    assert site.master is not None
+    async with site.node("/robot") as robot:
+        publisher = await robot.publisher("/robot/pose", POSE)
+        await site.restart_master()
+        async with site.node("/viewer") as viewer:
+            await viewer.subscriber("/robot/pose", POSE)
+            async with asyncio.timeout(10):
+                await publisher.wait_for_subscribers()
+
+
+async def test_a_node_refuses_an_older_list_after_its_own_restart(site: Site) -> None:
+    old = site.authority.store.newest_list()
+    assert old is not None
+    site.enroll("/robot").save_revocations(site.revoke(bytes(32)))
+    with pytest.raises((CAError, RossecError), match="older"):
+        async with site.node("/robot"):
+            pass
+
+
+async def tell_master(site: Site, node: Node, revocations: bytes) -> None:
+    await node._session.call("rossec.updateRevocations", revocations)
+
+
+async def test_graph_right_is_a_right_of_its_own(site: Site) -> None:
+    site.grant("/tool", Right.GRAPH, "/**")
+    async with site.node("/tool") as tool:
+        state = await tool._session.call("getSystemState")
+    assert state == [[], [], []]
