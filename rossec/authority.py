@@ -14,7 +14,9 @@ from ca.authority import LIFETIME, Authority, create_root
 from ca.certificates import TrustAnchor, from_pem, to_pem
 from ca.revocation import RevocationList, sign_list
 from ca.signer import KeySigner, Signer
-from ca.store import Store
+from ca.store import CertificateRow, GrantRow, Store
+from grants import document
+from grants.model import Draft
 from rossec import files
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
@@ -51,11 +53,19 @@ class OpenAuthority:
             request, now=now, serial=secrets.randbits(127) + 1, lifetime=lifetime
         )
         identity = self.authority.anchor.verify([der], now)
-        self.store.add_certificate(
-            identity.name, identity.thumbprint, identity.serial, identity.not_before,
-            identity.not_after, der, now, allow_new_key=allow_new_key,
+        row = CertificateRow(
+            identity.serial, identity.name, identity.thumbprint, der,
+            identity.not_before, identity.not_after,
         )  # fmt: skip
+        self.store.add_certificate(row, now, allow_new_key=allow_new_key)
         return to_pem(der, self.authority.anchor.certificate)
+
+    def grant(self, draft: Draft, now: int) -> bytes:
+        """Sign and record a grant."""
+        data = document.sign(self.signer, draft)
+        row = GrantRow(document.grant_id(data), draft.subject, data, draft.not_before, draft.expires)
+        self.store.add_grant(row, now)
+        return data
 
     def revoke(self, entry: bytes, reason: str, now: int) -> RevocationList:
         """Add a grant id or key thumbprint to the list of revocations, and sign that anew."""
@@ -68,7 +78,7 @@ class OpenAuthority:
         listed = RevocationList(
             epoch, seq, now, now + _LIST_LIFETIME, self.store.revoked_entries()
         )
-        self.store.save_list(epoch, seq, sign_list(self.signer, listed), now)
+        self.store.save_list(listed.number, sign_list(self.signer, listed), now)
         return listed
 
 

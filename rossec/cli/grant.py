@@ -68,10 +68,8 @@ def sign(  # noqa: PLR0917 - one parameter per option of the command
         expires=begin + lifetime, cap=begin + lifetime,
         serial=secrets.token_bytes(16), permissions=permissions,
     )  # fmt: skip
-    data = document.sign(authority.signer, draft)
-    identifier = document.grant_id(data)
-    authority.store.add_grant(identifier, node, data, begin, draft.expires, begin)
-    say(f"grant {identifier.hex()} for {node} until {moment(draft.expires)}")
+    data = authority.grant(draft, begin)
+    say(f"grant {document.grant_id(data).hex()} for {node} until {moment(draft.expires)}")
     _hand_over(environment, node, data, out)
 
 

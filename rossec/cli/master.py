@@ -5,10 +5,11 @@ import signal
 
 import click
 
-from rossec.cli.context import Environment, pass_environment
+from rossec.authority import AuthorityHome
+from rossec.cli.context import Environment, now, pass_environment
 from rossec.cli.voice import say, say_json
 from rossec.home import NodeHome
-from rossec.master.server import MasterServer
+from rossec.master.start import master_of
 from rossec.node.slave import MASTER
 from rossec.ros import settings
 
@@ -28,13 +29,30 @@ async def _serve(environment: Environment, port: int | None, as_json: bool) -> N
     for number in (signal.SIGINT, signal.SIGTERM):
         asyncio.get_running_loop().add_signal_handler(number, stop.set)
     home = NodeHome.of(environment.home, MASTER)
-    server = MasterServer.from_home(home, host=own.address, port=own.master_port if port is None else port)
+    server = master_of(
+        home,
+        host=own.address,
+        port=own.master_port if port is None else port,
+        newest=_newest_list(environment),
+        now=now(),
+    )
     await server.start()
     try:
         if as_json:
             say_json({"ready": server.uri})
         else:
             say(f"master of {home.anchor().domain} at {server.uri}")
-        await stop.wait()
+        asked = asyncio.ensure_future(server.stopped())
+        signalled = asyncio.ensure_future(stop.wait())
+        await asyncio.wait({asked, signalled}, return_when=asyncio.FIRST_COMPLETED)
+        asked.cancel()
+        signalled.cancel()
     finally:
         await server.close()
+
+
+def _newest_list(environment: Environment) -> bytes | None:
+    """The authority's own record, when it lives on this host."""
+    if not (environment.home / "ca" / "ca.pem").exists():
+        return None
+    return AuthorityHome.at(environment.home).revocation_list()

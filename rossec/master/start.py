@@ -1,0 +1,32 @@
+"""Making a master from the directory of its node."""
+
+from ca.revocation import Revocations
+from rossec.home import NodeHome
+from rossec.master.server import MasterServer
+from rossec.master.trust import Trust
+
+
+def master_of(home: NodeHome, *, host: str | None, port: int, newest: bytes | None, now: int) -> MasterServer:
+    """The master whose identity is in `home`, not yet started.
+
+    Args:
+        host: address to advertise, and to listen on alone when it is loopback; None: any.
+        newest: a revocation list that may be newer than the one saved, when the authority lives on
+            this host; otherwise the master waits until one is published.
+
+    Raises:
+        ConfigurationError: the node is not enrolled.
+        RevocationRefused: a list that is not the authority's, or older than the one saved.
+    """
+    anchor, credentials = home.anchor(), home.credentials()
+    revocations = Revocations(anchor.public_key)
+    saved = home.load_revocations()
+    if saved is not None:
+        revocations.update(saved, now)
+    if newest is not None:
+        revocations.update(newest, now, home.save_revocations)
+    trust = Trust(anchor.public_key, credentials.signer, revocations, home.save_revocations)
+    return MasterServer(
+        credentials, anchor.verify, trust,
+        name=home.name, host=host, port=port, advertise=host or "localhost",
+    )  # fmt: skip
