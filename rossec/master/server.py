@@ -6,20 +6,16 @@ so there is nothing to lock. What other nodes must hear goes to `Updates`, which
 """
 
 import asyncio
-import ipaddress
 import logging
 import os
-import socket
 import time
 from collections import Counter
 from collections.abc import Callable
-from typing import Final, Protocol, Self
+from typing import Final, Protocol
 
 from ca.errors import HintedError
-from ca.revocation import Revocations
 from rossec.channel.credentials import OwnCredential, PeerIdentity, Verify
 from rossec.errors import CallerMismatch
-from rossec.home import NodeHome
 from rossec.master.api import MasterApi, Statements
 from rossec.master.calls import (
     GrantsPresented,
@@ -31,7 +27,6 @@ from rossec.master.calls import (
 from rossec.master.enforce import enforce
 from rossec.master.gatekeeper import Caller
 from rossec.master.registry import NodeRef, PublishersChanged, Registry, ShutdownNode
-from rossec.master.trust import Trust
 from rossec.master.updates import Updates
 from rossec.net.rpc import RpcClient, serve_calls
 from rossec.net.stream import Flavour, SecureServer, SecureStream, connect, serve
@@ -109,31 +104,6 @@ class MasterServer:
         self._updates = Updates(self._dial)
         self._tasks = TaskSet()
         self._stopping = asyncio.Event()
-
-    @classmethod
-    def from_home(cls, home: NodeHome, host: str | None, port: int) -> Self:
-        """The master whose identity and newest revocation list are in `home`.
-
-        `host` is ROS_IP or ROS_HOSTNAME: what nodes are told. As in ROS it is listened on alone
-        only if it is loopback; None means this machine's name.
-
-        Raises:
-            ConfigurationError, CAError: something in `home` is missing or does not verify.
-        """
-        anchor, credentials = home.anchor(), home.credentials()
-        revocations = Revocations(anchor.public_key)
-        if (newest := home.load_revocations()) is not None:
-            revocations.update(newest, int(time.time()))
-        trust = Trust(anchor.public_key, credentials.signer, revocations, home.save_revocations)
-        return cls(
-            credentials,
-            anchor.verify,
-            trust,
-            name=home.name,
-            host=host if host is not None and _is_loopback(host) else None,
-            port=port,
-            advertise=host or socket.gethostname(),
-        )
 
     @property
     def port(self) -> int:
@@ -275,10 +245,3 @@ class MasterServer:
 
     def _now(self) -> int:
         return int(self._clock())
-
-
-def _is_loopback(host: str) -> bool:
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost"

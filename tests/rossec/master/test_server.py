@@ -4,17 +4,14 @@ import asyncio
 import socket
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import AsyncExitStack
-from pathlib import Path
 from typing import Any
 
 import pytest
 
-from ca.certificates import Identity, to_pem
-from ca.errors import RollbackRefused
+from ca.certificates import Identity
 from ca.revocation import digest, open_timestamp
 from grants.model import Right
 from rossec.errors import AnswerRefused, RossecError
-from rossec.home import NodeHome
 from rossec.master.server import PEER_CONNECTIONS, MasterServer
 from rossec.master.trust import Trust
 from rossec.net.rpc import RpcClient, serve_calls
@@ -226,44 +223,3 @@ async def test_denials_are_audited(world: World, caplog: pytest.LogCaptureFixtur
     with pytest.raises(AnswerRefused):
         await eve.ask("registerPublisher", "/t", T, eve.uri)
     assert "/eve may not registerPublisher: rossec: /eve needs the right publish" in caplog.text
-
-
-def home_of_master(root: Path, site: Site) -> NodeHome:
-    home = NodeHome.of(root, "/master")
-    home.create_request(site.domain)
-    leaf = site.authority.issue(home.request(), now=site.now, serial=1)
-    home.install(to_pem(leaf, site.anchor.certificate), site.now)
-    return home
-
-
-async def test_a_restarted_master_remembers_the_revocations(tmp_path: Path) -> None:
-    site = Site()
-    home = home_of_master(tmp_path, site)
-    eve, old = site.enroll("/eve"), site.revoke()
-    newest = site.revoke(eve)
-    for expected in (b"", newest):
-        server = MasterServer.from_home(home, "127.0.0.1", 0)
-        assert server._standing.current(site.now)[0] == expected
-        server._standing.update(newest, site.now)
-        with pytest.raises(RollbackRefused):
-            server._standing.update(old, site.now)
-    assert home.load_revocations() == newest
-
-
-@pytest.mark.parametrize(
-    ("host", "listens", "told"),
-    [
-        (None, None, socket.gethostname()),
-        ("localhost", "localhost", "localhost"),
-        ("::1", "::1", "[::1]"),
-        ("10.9.9.9", None, "10.9.9.9"),
-        ("robot", None, "robot"),
-    ],
-)
-async def test_what_is_told_is_not_always_what_is_bound(
-    tmp_path: Path, host: str | None, listens: str | None, told: str
-) -> None:
-    home = home_of_master(tmp_path, Site())
-    server = MasterServer.from_home(home, host, 11311)
-    assert server.uri == f"http://{told}:11311/"
-    assert server._listen == (listens, 11311)
