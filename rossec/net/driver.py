@@ -54,6 +54,7 @@ class Driver(asyncio.BufferedProtocol, Generic[PeerT]):
         self._writable = asyncio.Event()
         self._writable.set()
         self._lost = asyncio.Event()
+        self.ended = asyncio.Event()
         self._when_writable: list[Callable[[], None]] = []
         self.authenticated = False
         self.error: ChannelError | None = None
@@ -219,6 +220,7 @@ class Driver(asyncio.BufferedProtocol, Generic[PeerT]):
         if self.error is not None:
             return
         self.error = error
+        self.ended.set()
         self._cancel_timer()
         self._arrived.set()
         self._writable.set()

@@ -131,6 +131,10 @@ class SecureStream(Generic[PeerT]):
         """
         return await self._driver.receive()
 
+    async def wait_ended(self) -> None:
+        """Return when the connection is at its end, whoever ended it; takes no unit."""
+        await self._driver.ended.wait()
+
     def abort(self, reason: str) -> None:
         """Cut the connection at once, for example because the peer's right was revoked."""
         self._driver.abort(ChannelClosed(reason))

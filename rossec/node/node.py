@@ -152,9 +152,11 @@ class Node:
         """Take over a newer list and a fresh timestamp, then cut what they end."""
         now = int(time.time())
         self.revocations.update(revocations, now, self.home.save_revocations)
-        self._cut(now)
-        self.revocations.confirm(open_timestamp(timestamp, master.public_key), now)
-        self.revocations.check(master.thumbprint, now)
+        try:
+            self.revocations.confirm(open_timestamp(timestamp, master.public_key), now)
+            self.revocations.check(master.thumbprint, now)
+        finally:  # what the list revokes ends, whatever is wrong with the timestamp
+            self._cut(now)
 
     def shutdown_requested(self, reason: str) -> None:
         """End the node: another one took its name, or an administrator wants it so."""

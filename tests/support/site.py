@@ -116,7 +116,8 @@ class Site:
         try:
             yield self
         finally:
-            await self.master.close()
+            if self.master is not None:
+                await self.master.close()
             self.master = None
 
     async def restart_master(self) -> None:
