@@ -8,8 +8,8 @@ import asyncio
 import math
 import secrets
 import time
-from functools import partial
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -56,7 +56,7 @@ async def found_authority(stage: Stage) -> None:
 
 
 async def enroll(stage: Stage) -> None:
-    """Each key stays in its node's directory; what travels is the request, the code vouches for it."""
+    """Each key stays in its node's directory; the request travels, and its code vouches for it."""
     codes = []
     for name in NODES:
         await stage.command("node", "request", name, "--domain", "home", quiet=True)
@@ -84,7 +84,8 @@ async def sign_grants(stage: Stage) -> str:
     told = await stage.command(*sign, "/doctor", "--subscribe", CAMERA[0], *always)
     await stage.command(
         *sign, "/heating", "--subscribe", POSE[0], "--type", POSE[1],
-        "--round", f"pose.position={COARSE:g}", "--clear", "pose.orientation", "--clear", "header.frame_id",
+        "--round", f"pose.position={COARSE:g}",
+        "--clear", "pose.orientation", "--clear", "header.frame_id",
         "--when", f'msg.header.frame_id == "{FRAME}"', *always,
     )  # fmt: skip
     return told.split()[1]
@@ -164,7 +165,7 @@ async def revoke(stage: Stage, doctor: Actor, grant: str) -> None:
         raise DemoFailed("the pose stopped as well, though its grant was not revoked")
     stage.narrator.tell(
         f"last image {1000 * (last - given):.0f} ms after the command was given"
-        f" (it took {1000 * (finished - given):.0f} ms in all, most of them to unlock the authority's key)"
+        f" (it took {1000 * (finished - given):.0f} ms in all, most to unlock the authority's key)"
     )
     stage.narrator.tell("poses and laser scans go on: their grant is another one")
 
