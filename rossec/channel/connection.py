@@ -190,12 +190,12 @@ class Connection(Generic[PeerT]):
             if len(view) < HEADER:
                 return
             head = bytes(view[:HEADER])
-            step = self._row(head)
+            row = self._row(head)
             size = HEADER + int.from_bytes(head[1:])
             if len(view) < size:
                 inbox.reserve(size, _OPEN_BUFFER if size < _OPEN_BUFFER else _FULL_BUFFER)
                 return
-            self._take(step, head, view[HEADER:size])
+            self._take(row, head, view[HEADER:size])
             inbox.consume(size)
         if self.state in DEAD:
             inbox.consume(len(inbox))
@@ -270,6 +270,16 @@ class Connection(Generic[PeerT]):
         """
         self._sendable().check_unit(pieces)
         return self._sealed(pieces)
+
+    def seal_small(self, unit: bytes) -> bytes | bytearray | None:
+        """Seal a unit in one record: the short way, where nothing else has to be done.
+
+        None means that something has: use `seal_unit`.
+        """
+        small = 0 < len(unit) <= min(_OPEN_BUFFER, self._limits.unit)
+        if self._out or not small or self.state not in SENDING or self._session is None:
+            return None
+        return self._session.seal_small(unit)
 
     def _sealed(self, pieces: Sequence[Bytes]) -> Iterator[bytes | bytearray]:
         try:

@@ -419,3 +419,20 @@ def test_secrets_do_not_appear_in_representations() -> None:
     w: Wire = joined()
     side = w.left.core._negotiation._side
     assert repr(side.exporter) == "Exporter(...)"
+
+
+def test_the_short_way_for_small_units() -> None:
+    w = joined(left=alice(limits=SMALL), right=bob(limits=SMALL))
+    for count in range(4):
+        record = w.left.core.seal_small(b"%d" % count)
+        assert record is not None
+        w.right.give(bytes(record))
+    assert w.left.core.seal_small(b"a renewal is due") is None
+    assert w.left.core.seal_small(b"") is None
+    assert w.left.core.seal_small(b"x" * 100_000) is None
+    w.left.core.send_unit(b"4")
+    assert w.left.core.seal_small(b"something is queued") is None
+    w.pump()
+    assert w.right.units == [b"0", b"1", b"2", b"3", b"4"]
+    w.left.core.close()
+    assert w.left.core.seal_small(b"closed") is None
