@@ -85,6 +85,14 @@ async def test_both_families_on_one_port(host: str) -> None:
         await stream.close()
 
 
+async def test_nothing_waits_for_nagle(server: SecureServer[FakeIdentity]) -> None:
+    async with await call(server) as stream:
+        for driver in (stream._driver, *server._drivers):
+            assert driver._transport is not None
+            sock = driver._transport.get_extra_info("socket")
+            assert sock.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
+
+
 async def test_small_units_queued_together_arrive_together(
     server: SecureServer[FakeIdentity],
 ) -> None:
@@ -136,6 +144,7 @@ async def test_a_send_given_up_half_way_ends_the_connection() -> None:
 
     async with await serve(deaf, "127.0.0.1", 0, BOB, live) as server:
         stream = await call(server)
+        await stream.send(b"x" * 3_000_000)  # more than the peer takes unread: it stops reading
         with pytest.raises(TimeoutError):
             async with asyncio.timeout(0.5):
                 await stream.send(b"x" * 100_000_000)
