@@ -75,6 +75,7 @@ class Connection(Generic[PeerT]):
         self._events: list[Event[PeerT]] = []
         self._peer: PeerT | None = None
         self._session: Session | None = None
+        self._sealing = False
         self.state = State.OPENING
 
     @classmethod
@@ -267,6 +268,7 @@ class Connection(Generic[PeerT]):
         Raises:
             LimitExceeded: too long, at once, and nothing has happened.
             ChannelClosed: there is no open connection (any more).
+            ProtocolViolation: a unit begun before is not finished.
         """
         self._sendable().check_unit(pieces)
         return self._sealed(pieces)
@@ -277,16 +279,26 @@ class Connection(Generic[PeerT]):
         None means that something has: use `seal_unit`.
         """
         small = 0 < len(unit) <= min(_OPEN_BUFFER, self._limits.unit)
-        if self._out or not small or self.state not in SENDING or self._session is None:
+        if (
+            self._out
+            or self._sealing
+            or not small
+            or self.state not in SENDING
+            or self._session is None
+        ):
             return None
         return self._session.seal_small(unit)
 
     def _sealed(self, pieces: Sequence[Bytes]) -> Iterator[bytes | bytearray]:
+        if self._sealing:
+            raise ProtocolViolation("a second unit in the middle of the first")
+        self._sealing = True
         try:
             for record in self._sendable().seal_unit(pieces):
                 # Whatever was sealed meanwhile has the smaller counter: it goes first.
                 yield self.data_to_send() + record if self._out else record
                 self._sendable()
+            self._sealing = False  # and stays set when a unit is given up half-way
         except LimitExceeded:
             self._die()
             raise

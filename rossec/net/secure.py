@@ -145,7 +145,7 @@ class SecureStream(Generic[PeerT]):
 
     async def close(self) -> None:
         """Send what is queued, then close in order."""
-        if self._driver.error is None:
+        if self._driver.error is None and not self._turn.locked():
             self._flush_queue()
         await self._driver.close()
 

@@ -436,3 +436,15 @@ def test_the_short_way_for_small_units() -> None:
     assert w.right.units == [b"0", b"1", b"2", b"3", b"4"]
     w.left.core.close()
     assert w.left.core.seal_small(b"closed") is None
+
+
+def test_units_never_interleave() -> None:
+    w = joined()
+    records = w.left.core.seal_unit(b"x" * 600_000)
+    w.right.give(bytes(next(records)))
+    assert w.left.core.seal_small(b"y") is None
+    with pytest.raises(ProtocolViolation, match="second unit"):
+        w.left.core.send_unit(b"y")
+    w.right.give(b"".join(records))
+    w.left.core.send_unit(b"y")
+    assert w.pump().right.units == [b"x" * 600_000, b"y"]
