@@ -5,6 +5,7 @@ lags, writing waits while the peer does. `rossec.net.secure.SecureStream` is wha
 """
 
 import asyncio
+import socket
 import time
 from collections import deque
 from collections.abc import Callable
@@ -67,6 +68,9 @@ class Driver(asyncio.BufferedProtocol, Generic[PeerT]):
         """Send the first flight, start the clock."""
         self._transport = cast("asyncio.Transport", transport)
         self.learn_address(transport)
+        # asyncio does this only for sockets made with an explicit IPPROTO_TCP; ours are not.
+        sock = transport.get_extra_info("socket")
+        sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self.flush()
         self._arm()
 
