@@ -133,7 +133,7 @@ def test_a_plain_peer_is_quoted(answer: bytes, flavour: Flavour, said: str) -> N
     with pytest.raises(PlainPeer, match=said) as caught:
         judge_answer(answer, flavour)
     assert len(str(caught.value)) < 300
-    assert "rossec run" in caught.value.hint
+    assert "plain ROS node" in caught.value.hint
 
 
 def test_a_plain_answer_that_is_still_coming() -> None:
