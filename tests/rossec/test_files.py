@@ -42,7 +42,7 @@ def test_replacing_leaves_nothing_beside(tmp_path: Path) -> None:
     files.replace(tmp_path / "list", b"new", 0o644)
     assert (tmp_path / "list").read_bytes() == b"new"
     assert mode(tmp_path / "list") == 0o644
-    assert os.listdir(tmp_path) == ["list"]
+    assert list(tmp_path.iterdir()) == [tmp_path / "list"]
 
 
 def test_a_failed_write_leaves_the_old_content(
@@ -57,14 +57,14 @@ def test_a_failed_write_leaves_the_old_content(
     with pytest.raises(OSError, match="No space"):
         files.replace(tmp_path / "list", b"new")
     assert (tmp_path / "list").read_bytes() == b"old"
-    assert os.listdir(tmp_path) == ["list"]
+    assert list(tmp_path.iterdir()) == [tmp_path / "list"]
 
 
 def test_a_failed_rename_leaves_nothing_beside(tmp_path: Path) -> None:
     (tmp_path / "list").mkdir()
     with pytest.raises(OSError):  # noqa: PT011 - the number differs by system
         files.replace(tmp_path / "list", b"new")
-    assert os.listdir(tmp_path) == ["list"]
+    assert list(tmp_path.iterdir()) == [tmp_path / "list"]
 
 
 def test_reading_is_bounded(tmp_path: Path) -> None:
