@@ -54,16 +54,24 @@ def test_a_screen_code_carries_secret_end_and_address() -> None:
     assert len(text) <= 117
     code = qr.parse(f"  {text}\n")
     assert code.matches(REQUEST)
-    assert (code.secret, code.expires, code.address) == (b"s" * 16, 1_800_000_000, "192.168.1.7:40123")
+    assert (code.secret, code.expires, code.address) == (
+        b"s" * 16,
+        1_800_000_000,
+        "192.168.1.7:40123",
+    )
 
 
-@pytest.mark.parametrize(("secret", "address"), [(b"", "a"), (b"s" * 15, "a"), (b"s" * 16, ""), (b"s" * 16, "a" * 65)])
+@pytest.mark.parametrize(
+    ("secret", "address"), [(b"", "a"), (b"s" * 15, "a"), (b"s" * 16, ""), (b"s" * 16, "a" * 65)]
+)
 def test_a_screen_code_that_would_not_fit(secret: bytes, address: str) -> None:
     with pytest.raises(CodeRefused, match="needs 16 bytes of secret"):
         qr.screen_code(REQUEST, secret, 0, address)
 
 
-@pytest.mark.parametrize("text", ["", "ROSSEC", "rossec:BB8", "https://example.com", "ROSSEC:" + "0" * 600])
+@pytest.mark.parametrize(
+    "text", ["", "ROSSEC", "rossec:BB8", "https://example.com", "ROSSEC:" + "0" * 600]
+)
 def test_texts_of_others(text: str) -> None:
     with pytest.raises(CodeRefused, match="not the text of a rossec code") as caught:
         qr.parse(text)
@@ -92,7 +100,9 @@ def test_an_empty_code() -> None:
         qr.parse(qr.PREFIX)
 
 
-@pytest.mark.parametrize("text", [qr.label_code(REQUEST), qr.screen_code(REQUEST, b"k" * 16, 9, "[::1]:9")])
+@pytest.mark.parametrize(
+    "text", [qr.label_code(REQUEST), qr.screen_code(REQUEST, b"k" * 16, 9, "[::1]:9")]
+)
 def test_the_terminal_rendering_scans(text: str) -> None:
     rendered = qr.terminal(text)
     assert zxingcpp.read_barcodes(picture(rendered))[0].text == text
@@ -123,5 +133,9 @@ def picture(rendered: str) -> np.ndarray[tuple[int, ...], np.dtype[np.uint8]]:
     return enlarge(np.array(rows, dtype=np.uint8))
 
 
-def enlarge(modules: np.ndarray[tuple[int, ...], np.dtype[np.uint8]]) -> np.ndarray[tuple[int, ...], np.dtype[np.uint8]]:
-    return np.pad(np.kron(255 * (1 - modules), np.ones((6, 6), dtype=np.uint8)), 24, constant_values=255)
+def enlarge(
+    modules: np.ndarray[tuple[int, ...], np.dtype[np.uint8]],
+) -> np.ndarray[tuple[int, ...], np.dtype[np.uint8]]:
+    return np.pad(
+        np.kron(255 * (1 - modules), np.ones((6, 6), dtype=np.uint8)), 24, constant_values=255
+    )
