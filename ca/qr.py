@@ -1,10 +1,10 @@
 """The text in a node's QR code, and its rendering.
 
 A code vouches for a request that travels over an untrusted network: it holds the request's
-SHA-256. A *label code* holds nothing else and may be printed. A *screen code* adds a one-time secret,
-its end, and the address the request can be fetched from. The text is `ROSSEC:` + base45 (RFC 9285) of
-fixed binary, so that it stays in the QR alphanumeric mode; it is never a URL, which a phone's camera
-would follow by itself.
+SHA-256. A *label code* holds nothing else and may be printed. A *screen code* adds a one-time
+secret, its end, and the address the request can be fetched from. The text is `ROSSEC:` + base45
+(RFC 9285) of fixed binary, so that it stays in the QR alphanumeric mode; it is never a URL, which
+a phone's camera would follow by itself.
 """
 
 from dataclasses import dataclass

@@ -9,3 +9,62 @@ from ca.errors import HintedError
 
 class GrantError(HintedError):
     """Root of everything `grants` refuses."""
+
+
+class PatternRefused(GrantError):
+    """A name or name pattern that is not exactly in its syntax."""
+
+
+class GrantMalformed(GrantError):
+    """A grant outside the closed schema: unknown, missing or impossible content."""
+
+
+class GrantForged(GrantError):
+    """Not signed by this authority, or changed after it was signed."""
+
+
+class GrantExpired(GrantError):
+    """The grant was valid once."""
+
+
+class GrantNotYetValid(GrantError):
+    """The grant will be valid later."""
+
+
+class GrantNotHeld(GrantError):
+    """A good grant in the wrong hands: it is bound to another key."""
+
+
+class GrantRevoked(GrantError):
+    """The revocation check refused the grant; the cause says whether revoked or unknown."""
+
+
+class GrantMissing(GrantError):
+    """No presented grant covers what is asked for.
+
+    `near_misses` says what the presented grants cover instead, one line each.
+    """
+
+    def __init__(self, message: str, near_misses: tuple[str, ...] = ()) -> None:
+        super().__init__(message, "; ".join(near_misses) or "ask the authority for a grant")
+        self.near_misses = near_misses
+
+
+class DefinitionRefused(GrantError):
+    """A message definition that is malformed, incomplete or too large."""
+
+
+class FilterRefused(GrantError):
+    """A filter rule that does not fit its message type."""
+
+
+class ConditionRefused(GrantError):
+    """A condition outside the language, or one that does not fit its message type."""
+
+
+class RestrictionMismatch(GrantError):
+    """A restriction written for another message type than the one on the wire."""
+
+
+class MessageRefused(GrantError):
+    """A message that does not have the layout of its type; it is dropped."""

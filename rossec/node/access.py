@@ -45,7 +45,7 @@ class Access:
         return [data for _, data in self._held]
 
     def present(self, right: Right, name: str) -> bytes:
-        """Header field that proves `right` on `name`: the CBOR array of the grants that cover it."""
+        """Header field that proves `right` on `name`: the array of the grants that cover it."""
         return encode([data for grant, data in self._held if _concerns(grant, right, name)])
 
     def check_peer(self, peer: Identity, now: int) -> None:
@@ -101,4 +101,3 @@ def _unpack(presented: bytes) -> list[bytes]:
 
 def _concerns(grant: Grant, right: Right, name: str) -> bool:
     return any(permission.covers(right, name) for permission in grant.permissions)
-

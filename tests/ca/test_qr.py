@@ -16,7 +16,15 @@ REQUEST = b"any bytes serve as a request here"
 
 
 # RFC 9285 section 4.3 and 4.4
-@pytest.mark.parametrize(("data", "text"), [(b"AB", "BB8"), (b"Hello!!", "%69 VD92EX0"), (b"base-45", "UJCLQE7W581"), (b"ietf!", "QED8WEX0")])  # fmt: skip
+@pytest.mark.parametrize(
+    ("data", "text"),
+    [
+        (b"AB", "BB8"),
+        (b"Hello!!", "%69 VD92EX0"),
+        (b"base-45", "UJCLQE7W581"),
+        (b"ietf!", "QED8WEX0"),
+    ],
+)
 def test_the_examples_of_the_rfc(data: bytes, text: str) -> None:
     assert qr.base45(data) == text
     assert qr.unbase45(text) == data
@@ -80,7 +88,7 @@ def test_texts_of_others(text: str) -> None:
 
 @pytest.mark.parametrize("cut", [8, 20, -3, -6])
 def test_a_code_cut_short(cut: int) -> None:
-    with pytest.raises(CodeRefused, match="incomplete or damaged|characters no"):
+    with pytest.raises(CodeRefused, match=r"incomplete or damaged|characters no"):
         qr.parse(qr.label_code(REQUEST)[:cut])
 
 

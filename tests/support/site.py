@@ -1,4 +1,4 @@
-"""A site for tests: an authority, enrolled nodes, grants, and a master, all real, in one process."""
+"""A site for tests: authority, enrolled nodes, grants, and a master, all real, in one process."""
 
 import contextlib
 import secrets
@@ -116,7 +116,8 @@ class Site:
         try:
             yield self
         finally:
-            await self.master.close()
+            if self.master is not None:
+                await self.master.close()
             self.master = None
 
     async def restart_master(self) -> None:

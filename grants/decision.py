@@ -1,0 +1,179 @@
+"""The one question: may the holder of this key do this with this name, now, and how restricted?
+
+Every grant the peer presented is looked at. All restrictions of all usable permissions that cover
+the question hold together (conditions AND, all filters applied): if the first, the last or the
+widest won instead, the answer would depend on the order, or adding a grant would silently widen a
+right that somebody narrowed with care. What this cannot do: a peer shows only the grants it likes,
+so to narrow a right for good the wider grant must be revoked.
+"""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Final
+
+from ca.errors import HintedError
+from grants.errors import (
+    GrantError,
+    GrantExpired,
+    GrantMissing,
+    GrantNotHeld,
+    GrantNotYetValid,
+    GrantRevoked,
+    RestrictionMismatch,
+)
+from grants.model import Grant, Restriction, Right, merge
+from grants.names import check_name
+from grants.validity import check_time, moment
+
+Check = Callable[[bytes, int], None]
+
+MAX_NEAR_MISSES: Final = 5
+
+# Of several unusable grants the one that came furthest explains the refusal.
+_PROGRESS: Final = (GrantNotHeld, GrantNotYetValid, GrantExpired, GrantRevoked)
+
+
+@dataclass(frozen=True)
+class Decision:
+    """Yes, until `expires`, under `restrictions`.
+
+    Args:
+        grants: the usable grants that cover the question, ordered by id.
+        expires: the earliest end of these grants, seconds since the epoch.
+        restrictions: all that must be applied; only a `Guard` knows how.
+    """
+
+    right: Right
+    name: str
+    grants: tuple[Grant, ...]
+    expires: int
+    restrictions: tuple[Restriction, ...]
+
+    @property
+    def grant_ids(self) -> tuple[bytes, ...]:
+        """The ids to watch: when one is revoked, ask again."""
+        return tuple(grant.id for grant in self.grants)
+
+    def require_unrestricted(self) -> None:
+        """Return if there is nothing to apply: for callers that have no message to look at.
+
+        Raises:
+            RestrictionMismatch: there is.
+        """
+        if self.restrictions:
+            raise RestrictionMismatch(
+                f"{self.right.label} on {self.name} is granted with restrictions"
+                " that cannot be applied here",
+                "ask for a grant without conditions and filters",
+            )
+
+    def explain(self) -> list[str]:
+        """The decision for people, line by line."""
+        lines = [f"{self.right.label} {self.name} until {moment(self.expires)}"]
+        lines += [f"grant {grant.short_id} to {grant.subject}" for grant in self.grants]
+        lines += [line for restriction in self.restrictions for line in restriction.lines()]
+        return lines if self.restrictions else [*lines, "no restrictions"]
+
+
+def authorize(
+    grants: Iterable[Grant],
+    right: Right,
+    name: str,
+    *,
+    holder: bytes,
+    now: int,
+    check: Check,
+) -> Decision:
+    """Decide whether the key `holder` may use `right` on `name`.
+
+    Args:
+        grants: opened grants, as presented by the peer.
+        right: exactly one right.
+        name: an absolute name.
+        holder: thumbprint of the key the peer proved, 32 bytes.
+        now: seconds since the epoch.
+        check: called as `check(grant_id, now)`; raises when that grant is revoked or unknown.
+
+    Raises:
+        GrantMissing: nothing presented covers this; `near_misses` says what does nearly.
+        GrantNotHeld, GrantNotYetValid, GrantExpired, GrantRevoked: something does, but is unusable.
+        PatternRefused: `name` is not an absolute name.
+    """
+    check_name(name)
+    if right.bit_count() != 1:
+        raise GrantMissing(f"{int(right)} is not one right")
+    presented = tuple(grants)
+    covering = {grant.id: grant for grant in presented if _covers(grant, right, name)}
+    if not covering:
+        raise GrantMissing(
+            f"no grant for {right.label} on {name}", near_misses(presented, right, name)
+        )
+    usable = _usable(covering, holder, now, check)
+    return Decision(
+        right=right,
+        name=name,
+        grants=usable,
+        expires=min(grant.expires for grant in usable),
+        restrictions=merge(
+            permission.restriction
+            for grant in usable
+            for permission in grant.permissions
+            if permission.covers(right, name)
+        ),
+    )
+
+
+def near_misses(grants: Iterable[Grant], right: Right, name: str) -> tuple[str, ...]:
+    """What the grants give instead, one line each: same name first, then same right."""
+    pairs = [(grant, permission) for grant in grants for permission in grant.permissions]
+    same_name = [
+        f"grant {grant.short_id} gives {permission.rights.label}, not {right.label}, on {name}"
+        for grant, permission in pairs
+        if permission.names(name, right)
+    ]
+    same_right = [
+        f"grant {grant.short_id} is for {permission.pattern}, not {name}"
+        for grant, permission in pairs
+        if right in permission.rights
+    ]
+    return tuple(dict.fromkeys([*same_name, *same_right]))[:MAX_NEAR_MISSES]
+
+
+def _covers(grant: Grant, right: Right, name: str) -> bool:
+    return any(permission.covers(right, name) for permission in grant.permissions)
+
+
+def _usable(
+    covering: dict[bytes, Grant], holder: bytes, now: int, check: Check
+) -> tuple[Grant, ...]:
+    """The grants that hold, by id; if there is none, raise the refusal that came furthest."""
+    usable: list[Grant] = []
+    refusals: list[GrantError] = []
+    for grant_id in sorted(covering):
+        grant = covering[grant_id]
+        try:
+            _check(grant, holder, now, check)
+        except GrantError as error:
+            refusals.append(error)
+        else:
+            usable.append(grant)
+    if not usable:
+        raise max(refusals, key=_progress)
+    return tuple(usable)
+
+
+def _progress(error: GrantError) -> int:
+    return _PROGRESS.index(type(error))
+
+
+def _check(grant: Grant, holder: bytes, now: int, check: Check) -> None:
+    if grant.holder != holder:
+        raise GrantNotHeld(
+            f"grant {grant.short_id} is bound to another key",
+            f"it was given to {grant.subject}; ask for one for the present key",
+        )
+    check_time(grant, now)
+    try:
+        check(grant.id, now)
+    except HintedError as error:
+        raise GrantRevoked(f"grant {grant.short_id}: {error}", error.hint) from error

@@ -1,0 +1,271 @@
+"""The signed form of a grant: a CWT (RFC 8392) in one closed COSE_Sign1 profile.
+
+Everything unknown refuses the grant: a claim, a restriction key, a filter operator, a right bit.
+RFC 8392 section 3 tells a generic verifier to *ignore* unknown claims, so a restriction in a
+claim of its own would turn into the unrestricted right; ours lie inside the entry they restrict.
+The id leaves the signature out: ECDSA signatures are malleable, and a hash over one would let
+the holder of a revoked grant make a twin with another hash.
+"""
+
+import base64
+import hashlib
+from typing import Any, Final
+
+from cryptography.hazmat.primitives.asymmetric import ec
+
+from ca.cose import Profile
+from ca.encoding import Value, decode, encode
+from ca.errors import EncodingError, SignatureError
+from ca.signer import Signer
+from grants.conditions import check_syntax
+from grants.errors import FilterRefused, GrantForged, GrantMalformed, PatternRefused
+from grants.model import (
+    ALL_RIGHTS,
+    KEY_SIZE,
+    Draft,
+    FilterRule,
+    Grant,
+    Permission,
+    Restriction,
+    Right,
+    filter_rules,
+)
+from grants.operators import treatment
+from grants.validity import check_time
+
+GRANT: Final = Profile("rossec-grant+cwt")
+
+# RFC 8392 section 3.1; cnf: RFC 8747; scope: RFC 9200 section 8.14, here an AIF (RFC 9237) in a
+# byte string; below -65536 the numbers are for private use.
+_ISS, _SUB, _AUD, _EXP, _NBF, _CTI, _CNF, _SCOPE, _CAP = 1, 2, 3, 4, 5, 7, 8, 9, -65537
+_CLAIMS: Final = {_ISS, _SUB, _AUD, _EXP, _NBF, _CTI, _CNF, _SCOPE, _CAP}
+_CKT: Final = 5  # confirmation by COSE key thumbprint, RFC 9679 section 6
+_CKT_URI: Final = "urn:ietf:params:oauth:ckt:sha-256:"  # RFC 9679 section 5: `iss` must be text
+
+_TYPE, _CONDITIONS, _FILTERS = 0, 1, 2  # 3 is kept for limits (rates)
+_RESTRICTIONS: Final = {_TYPE, _CONDITIONS, _FILTERS}
+
+_ID_DOMAIN: Final = b"rossec-grant-id\0"
+
+
+def sign(signer: Signer, draft: Draft) -> bytes:
+    """Sign `draft` as a grant.
+
+    Raises:
+        GrantMalformed: too large, or a condition or filter outside the language.
+        ConditionRefused: a condition that is not in the language.
+    """
+    issuer = key_thumbprint(signer.public_key)
+    for permission in draft.permissions:
+        if permission.restriction is not None:
+            for text in permission.restriction.conditions:
+                check_syntax(text)
+    data = GRANT.sign(signer, _claims(draft, issuer))
+    peek(data)  # what nobody would accept is not given out
+    return data
+
+
+def open_grant(
+    data: bytes, ca_key: ec.EllipticCurvePublicKey, now: int, *, domain: str | None = None
+) -> Grant:
+    """Verify a grant and return what it says.
+
+    Args:
+        data: the grant as received.
+        ca_key: the authority's key.
+        now: seconds since the epoch.
+        domain: the trust domain it must be for, where one authority serves several.
+
+    Raises:
+        GrantForged: not signed by `ca_key` (for `domain`), or changed since.
+        GrantMalformed: outside the closed schema.
+        GrantNotYetValid, GrantExpired: not valid at `now`.
+    """
+    try:
+        payload = GRANT.open(data, ca_key)
+    except SignatureError as error:
+        raise GrantForged(f"not a grant of this authority: {error}") from None
+    except EncodingError as error:
+        raise GrantMalformed(f"not a grant: {error}") from None
+    grant = _grant(payload)
+    if grant.issuer != key_thumbprint(ca_key):
+        raise GrantForged("signed by this authority in the name of another one")
+    if domain is not None and grant.domain != domain:
+        raise GrantForged(f"a grant for the trust domain {grant.domain!r}, not {domain!r}")
+    check_time(grant, now)
+    return grant
+
+
+def peek(data: bytes) -> Grant:
+    """Return what a grant says *without* verifying it: to show it, or to find its authority.
+
+    Raises:
+        GrantMalformed: outside the closed schema.
+    """
+    return _grant(_payload(data))
+
+
+def grant_id(data: bytes) -> bytes:
+    """The 16 bytes that name a grant: the same for every encoding of every valid signature.
+
+    Raises:
+        GrantMalformed: not a grant.
+    """
+    return _id(_payload(data))
+
+
+def key_thumbprint(key: ec.EllipticCurvePublicKey) -> bytes:
+    """SHA-256 over the deterministic COSE_Key of a P-256 key (RFC 9679 section 4)."""
+    numbers = key.public_numbers()
+    x, y = numbers.x.to_bytes(32), numbers.y.to_bytes(32)
+    return hashlib.sha256(b"\xa4\x01\x02\x20\x01\x21\x58\x20" + x + b"\x22\x58\x20" + y).digest()
+
+
+def _payload(data: bytes) -> Value:
+    try:
+        return GRANT.peek(data)
+    except (SignatureError, EncodingError) as error:
+        raise GrantMalformed(f"not a grant: {error}") from None
+
+
+def _id(payload: Value) -> bytes:
+    body = encode(payload)  # the received bytes: `decode` accepts no other encoding
+    prefix = _ID_DOMAIN + len(GRANT.protected).to_bytes(4)
+    return hashlib.sha256(prefix + GRANT.protected + body).digest()[:16]
+
+
+def _claims(draft: Draft, issuer: bytes) -> Value:
+    scope: list[Value] = [_entry(permission) for permission in draft.permissions]
+    return {
+        _ISS: _uri(issuer),
+        _SUB: draft.subject,
+        _AUD: draft.domain,
+        _EXP: draft.expires,
+        _NBF: draft.not_before,
+        _CTI: draft.serial,
+        _CNF: {_CKT: draft.holder},
+        _SCOPE: encode(scope),
+        _CAP: draft.cap,
+    }
+
+
+def _entry(permission: Permission) -> Value:
+    entry: list[Value] = [permission.pattern, int(permission.rights)]
+    if permission.restriction is not None:
+        entry.append(_restriction_claims(permission.restriction))
+    return entry
+
+
+def _restriction_claims(restriction: Restriction) -> Value:
+    claims: dict[int | str, Value] = {}
+    if restriction.type is not None:
+        claims[_TYPE] = restriction.type
+    if restriction.conditions:
+        claims[_CONDITIONS] = list(restriction.conditions)
+    if restriction.filters:
+        claims[_FILTERS] = {rule.path: _treatment(rule) for rule in restriction.filters}
+    return claims
+
+
+def _treatment(rule: FilterRule) -> Value:
+    return {rule.operator: {**dict(rule.parameters)} if rule.parameters else True}
+
+
+def _grant(payload: Value) -> Grant:
+    """Read the claims; every refusal of the parts becomes one of the grant."""
+    try:
+        return _read(_closed(payload, _CLAIMS, _CLAIMS, "claim"), _id(payload))
+    except (FilterRefused, PatternRefused, EncodingError) as error:
+        raise GrantMalformed(f"in a grant: {error}", error.hint) from None
+
+
+def _read(claims: dict[Any, Any], grant_id: bytes) -> Grant:
+    confirmation = _closed(claims[_CNF], {_CKT}, {_CKT}, "confirmation")
+    entries = _typed(decode(_typed(claims[_SCOPE], bytes, "scope")), list, "scope")
+    return Grant(
+        domain=_typed(claims[_AUD], str, "aud"),
+        subject=_typed(claims[_SUB], str, "sub"),
+        holder=_typed(confirmation[_CKT], bytes, "ckt"),
+        not_before=_typed(claims[_NBF], int, "nbf"),
+        expires=_typed(claims[_EXP], int, "exp"),
+        cap=_typed(claims[_CAP], int, "cap"),
+        serial=_typed(claims[_CTI], bytes, "cti"),
+        permissions=tuple(_permission(entry) for entry in entries),
+        id=grant_id,
+        issuer=_issuer(_typed(claims[_ISS], str, "iss")),
+    )
+
+
+def _issuer(text: str) -> bytes:
+    encoded = text.removeprefix(_CKT_URI)
+    try:
+        issuer = base64.b64decode(encoded + "=", altchars=b"-_", validate=True)
+    except ValueError:
+        issuer = b""
+    # Compared after encoding again: base64 ignores the last bits of the last character.
+    if len(issuer) != KEY_SIZE or text != _uri(issuer):
+        raise GrantMalformed("iss is not the thumbprint URI of a key")
+    return issuer
+
+
+def _uri(thumbprint: bytes) -> str:
+    return _CKT_URI + base64.urlsafe_b64encode(thumbprint).decode().rstrip("=")
+
+
+def _permission(entry: Value) -> Permission:
+    match entry:
+        case [str() as pattern, bits]:
+            return Permission(pattern, _rights(bits))
+        case [str() as pattern, bits, restriction]:
+            return Permission(pattern, _rights(bits), _restriction(restriction))
+        case _:
+            pass
+    raise GrantMalformed("an entry of the scope is not [pattern, rights, restrictions]")
+
+
+def _rights(value: Value) -> Right:
+    bits = _typed(value, int, "rights")
+    # Before the enumeration sees it: Right(-1) would be every right there is.
+    if not 0 < bits <= int(ALL_RIGHTS):
+        raise GrantMalformed(f"unknown or no right: {bits}")
+    return Right(bits)
+
+
+def _restriction(value: Value) -> Restriction:
+    claims = _closed(value, set(), _RESTRICTIONS, "restriction")
+    conditions = _filled(claims, _CONDITIONS, list)
+    filters = _filled(claims, _FILTERS, dict)
+    kind = _typed(claims[_TYPE], str, "type") if _TYPE in claims else None
+    for treated in filters.values():
+        _typed(treated, dict, "a filter")
+    rules = filter_rules(filters)
+    for rule in rules:
+        treatment(rule)
+    return Restriction(kind, tuple(_typed(text, str, "a condition") for text in conditions), rules)
+
+
+def _filled(claims: dict[Any, Any], key: int, kind: type[Any]) -> Any:
+    """An optional, never empty member: one meaning, one encoding."""
+    if key not in claims:
+        return kind()
+    value = _typed(claims[key], kind, "a restriction")
+    if len(value) == 0:
+        raise GrantMalformed("an empty restriction")
+    return value
+
+
+def _closed(value: Value, needed: set[int], allowed: set[int], what: str) -> dict[Any, Any]:
+    if not isinstance(value, dict):
+        raise GrantMalformed(f"the {what}s of a grant are not a map")
+    if unknown := value.keys() - allowed:
+        raise GrantMalformed(f"unknown {what} {min(map(str, unknown))[:40]} in a grant")
+    if missing := needed - value.keys():
+        raise GrantMalformed(f"{what} {min(missing)} is missing in a grant")
+    return value
+
+
+def _typed(value: Any, kind: type[Any], what: str) -> Any:
+    # Exactly this type: in Python a truth value is an integer, in a grant it is not.
+    if type(value) is not kind:
+        raise GrantMalformed(f"{what} of a grant is of a wrong type")
+    return value

@@ -1,0 +1,264 @@
+"""From the text of a message definition to the layout of its bytes.
+
+The text is the `message_definition` field of a TCPROS connection header: the definition, then
+each definition it needs after a line of 80 `=` and `MSG: package/Type`. It comes from a peer, so
+every size is bounded before it is used. `Layout.md5` is computed as genmsg does
+(`genmsg/gentools.py`, `compute_md5_text`): comparing it with the connection's md5sum proves that
+the layout describes the bytes on the wire.
+"""
+
+import hashlib
+import re
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Final, TypeAlias, TypeVar
+
+from grants.errors import DefinitionRefused
+
+MAX_TEXT: Final = 256 * 1024  # characters; the largest definition in Debian has 13,000
+MAX_DEPTH: Final = 32
+MAX_FIELDS: Final = 4096  # after all nested messages are written out
+MAX_FIXED: Final = 16 * 1024 * 1024  # bytes of a fixed-size part
+
+_SEPARATOR: Final = "=" * 80
+_NAME: Final = re.compile(r"[A-Za-z][A-Za-z0-9_]*", re.ASCII)
+_TYPE_NAME: Final = re.compile(r"[A-Za-z][A-Za-z0-9_]*/[A-Za-z][A-Za-z0-9_]*", re.ASCII)
+_FIELD_TYPE: Final = re.compile(
+    r"((?:[A-Za-z][A-Za-z0-9_]*/)?[A-Za-z][A-Za-z0-9_]*)(?:\[([0-9]{0,9})\])?", re.ASCII
+)
+_CONSTANT: Final = re.compile(r"\s*(\S+)\s+([A-Za-z][A-Za-z0-9_]*)\s*=(.*)", re.ASCII)
+
+
+@dataclass(frozen=True, eq=False)
+class Primitive:
+    """A fixed-size value: `code` is its little-endian `struct` format without the `<`."""
+
+    name: str
+    code: str
+    size: int
+
+
+@dataclass(frozen=True, eq=False)
+class Text:
+    """A string: a length (uint32) and that many bytes."""
+
+    name: str = "string"
+    size: None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Array:
+    """`length` elements, or, when it is None, a count (uint32) and that many."""
+
+    element: "Type"
+    length: int | None
+
+    @property
+    def name(self) -> str:
+        """The type as written in a definition."""
+        return f"{self.element.name}[{'' if self.length is None else self.length}]"
+
+    @cached_property
+    def size(self) -> int | None:
+        """Bytes on the wire when always the same, else None."""
+        if self.length == 0:
+            # Whatever the elements: a loop over many of these would read nothing and never fail.
+            return 0
+        if self.length is None or self.element.size is None:
+            return None
+        return self.length * self.element.size
+
+
+@dataclass(frozen=True, eq=False)
+class Struct:
+    """A message: its fields in order of the definition."""
+
+    name: str
+    fields: tuple[tuple[str, "Type"], ...]
+
+    @cached_property
+    def size(self) -> int | None:
+        """Bytes on the wire when always the same, else None."""
+        total = 0
+        for _, kind in self.fields:
+            if kind.size is None:
+                return None
+            total += kind.size
+        return total
+
+    def explain_missing(self, name: str) -> str:
+        """One line for a field that is not there."""
+        has = ", ".join(known for known, _ in self.fields) or "no fields"
+        return f"no field {name!r} in {self.name} (has {has})"
+
+
+Type: TypeAlias = Primitive | Text | Array | Struct
+_Sized = TypeVar("_Sized", Array, Struct)
+
+PRIMITIVES: Final = {
+    name: Primitive(name, code, size)
+    for name, code, size in (
+        ("bool", "B", 1), ("char", "B", 1), ("byte", "b", 1),
+        ("int8", "b", 1), ("uint8", "B", 1), ("int16", "h", 2), ("uint16", "H", 2),
+        ("int32", "i", 4), ("uint32", "I", 4), ("int64", "q", 8), ("uint64", "Q", 8),
+        ("float32", "f", 4), ("float64", "d", 8), ("time", "II", 8), ("duration", "ii", 8),
+    )
+}  # fmt: skip
+_BUILT_IN: Final[dict[str, Type]] = {**PRIMITIVES, "string": Text()}
+_CONSTANT_TYPES: Final = _BUILT_IN.keys() - {"time", "duration"}
+
+
+@dataclass(frozen=True)
+class Layout:
+    """The layout of one message type: `md5` is ROS's checksum of the definition."""
+
+    type_name: str
+    md5: str
+    root: Struct
+
+
+def parse(type_name: str, definition: str) -> Layout:
+    """Read a definition text with all it depends on.
+
+    Raises:
+        DefinitionRefused: malformed, recursive, incomplete or too large.
+    """
+    if len(definition) > MAX_TEXT:
+        raise DefinitionRefused(
+            f"{len(definition)} characters of definition where at most {MAX_TEXT} are allowed"
+        )
+    if _TYPE_NAME.fullmatch(type_name) is None:
+        raise DefinitionRefused(f"not a message type: {type_name[:80]!r}", "package/Type")
+    if any("\ud800" <= character <= "\udfff" for character in definition):
+        raise DefinitionRefused("a definition that is not text: it has lone surrogates")
+    built = _Builder(_sections(type_name, definition)).build(type_name, ())
+    return Layout(type_name, built.md5, built.struct)
+
+
+def _sections(type_name: str, definition: str) -> dict[str, list[str]]:
+    """The lines of each definition in the text, by type name."""
+    sections: dict[str, list[str]] = {type_name: []}
+    lines = iter(definition.split("\n"))
+    current = sections[type_name]
+    for line in lines:
+        if line != _SEPARATOR:
+            current.append(line)
+            continue
+        name = _section_name(next(lines, ""))
+        if name in sections:
+            # The last would win in genpy, the first elsewhere: two readers, two layouts.
+            raise DefinitionRefused(f"{name} is defined twice")
+        current = sections[name] = []
+    return sections
+
+
+def _section_name(line: str) -> str:
+    name = line.removeprefix("MSG: ").strip()
+    if not line.startswith("MSG: ") or _TYPE_NAME.fullmatch(name) is None:
+        raise DefinitionRefused(f"expected 'MSG: package/Type', found {line[:80]!r}")
+    return name
+
+
+@dataclass(frozen=True)
+class _Built:
+    struct: Struct
+    md5: str
+    leaves: int
+
+
+@dataclass
+class _Builder:
+    """Builds each message type once, however often it is used (2^20 fields cost 20 steps)."""
+
+    sections: dict[str, list[str]]
+    done: dict[str, _Built] = field(default_factory=dict)
+
+    def build(self, name: str, above: tuple[str, ...]) -> _Built:
+        if name not in self.done:
+            self.done[name] = self._build(name, above)
+        return self.done[name]
+
+    def _build(self, name: str, above: tuple[str, ...]) -> _Built:
+        if name not in self.sections:
+            raise DefinitionRefused(f"the definition of {name} is missing")
+        if name in above or len(above) >= MAX_DEPTH:
+            raise DefinitionRefused(f"{name} is nested in itself or deeper than {MAX_DEPTH}")
+        constants, declared = _statements(name, self.sections[name])
+        fields: list[tuple[str, Type]] = []
+        lines: list[str] = []
+        leaves = 0
+        for field_name, text in declared.items():
+            kind, digest, count = self._resolve(name, text, (*above, name))
+            fields.append((field_name, kind))
+            lines.append(f"{digest} {field_name}")
+            leaves += count
+            if leaves > MAX_FIELDS:
+                raise DefinitionRefused(f"{name} has more than {MAX_FIELDS} fields")
+        checked = "\n".join(constants + lines).strip()
+        return _Built(_bounded(Struct(name, tuple(fields))), _md5(checked), leaves)
+
+    def _resolve(self, inside: str, text: str, above: tuple[str, ...]) -> tuple[Type, str, int]:
+        """The type `text` means inside a message, what it adds to the checksum, and its leaves."""
+        matched = _FIELD_TYPE.fullmatch(text)
+        if matched is None:
+            raise DefinitionRefused(f"not a field type in {inside}: {text[:80]!r}")
+        base, length = matched.groups()
+        digest, leaves = text, 1
+        if base in _BUILT_IN:
+            kind = _BUILT_IN[base]
+        else:
+            built = self.build(_full_name(inside, base, text), above)
+            kind, digest, leaves = built.struct, built.md5, built.leaves + 1
+        if length is not None:
+            kind = _bounded(Array(kind, int(length) if length else None))
+        return kind, digest, leaves
+
+
+def _full_name(inside: str, base: str, text: str) -> str:
+    if "/" in base:
+        return base
+    if text == "Header":  # only so, not as an array: genmsg's `_load_field_line`
+        return "std_msgs/Header"
+    return f"{inside.split('/', maxsplit=1)[0]}/{base}"
+
+
+def _statements(name: str, lines: list[str]) -> tuple[list[str], dict[str, str]]:
+    """The constants as the checksum wants them, and the fields: type by name."""
+    constants: list[str] = []
+    fields: dict[str, str] = {}
+    for line in lines:
+        code = line.split("#", maxsplit=1)[0].strip()
+        if "=" in code:
+            constants.append(_constant(line, code))
+        elif code:
+            kind, field_name = _field(code)
+            if field_name in fields:
+                raise DefinitionRefused(f"{name} has two fields {field_name!r}")
+            fields[field_name] = kind
+    return constants, fields
+
+
+def _field(code: str) -> tuple[str, str]:
+    match code.split():
+        case [kind, name] if _NAME.fullmatch(name) is not None:
+            return kind, name
+    raise DefinitionRefused(f"not a field: {code[:80]!r}", "expected: type name")
+
+
+def _constant(line: str, code: str) -> str:
+    # A string constant runs to the end of the line: `#` is part of its value.
+    matched = _CONSTANT.fullmatch(line if code.startswith("string ") else code)
+    if matched is None or matched[1] not in _CONSTANT_TYPES:
+        raise DefinitionRefused(f"not a constant: {line[:80]!r}", "expected: type NAME=value")
+    return f"{matched[1]} {matched[2]}={matched[3].strip()}"
+
+
+def _bounded(kind: _Sized) -> _Sized:
+    if kind.size is not None and kind.size > MAX_FIXED:
+        raise DefinitionRefused(f"{kind.name} is larger than {MAX_FIXED} bytes")
+    return kind
+
+
+def _md5(text: str) -> str:
+    # ROS's checksum guards against mistakes, not against forgery.
+    return hashlib.md5(text.encode(), usedforsecurity=False).hexdigest()

@@ -1,0 +1,232 @@
+"""What a grant says, as values: rights over names, and the restrictions inside them.
+
+Everything here is checked when it is made, so a value that exists is well-formed: no unknown
+right, operator or parameter can be represented. Whether a restriction fits a *message type* is
+only known when the definition is at hand (`grants.guard`).
+"""
+
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from enum import IntFlag
+from typing import Final, Self, TypeAlias
+
+from grants.errors import FilterRefused, GrantMalformed
+from grants.names import check_name, check_pattern, covers, covers_tree
+
+Scalar: TypeAlias = bool | int | float | str
+
+KEY_SIZE: Final = 32  # a COSE key thumbprint, RFC 9679
+ID_SIZE: Final = 16
+MAX_CONDITION: Final = 1000  # characters
+_MAX_TIME: Final = 1 << 53
+
+_TYPE: Final = re.compile(r"[A-Za-z][A-Za-z0-9_]*/[A-Za-z][A-Za-z0-9_]*", re.ASCII)
+_STEP: Final = r"[A-Za-z][A-Za-z0-9_]*(?:\[\*\])?"
+_PATH: Final = re.compile(rf"{_STEP}(?:\.{_STEP})*", re.ASCII)
+
+
+class Right(IntFlag):
+    """What may be done with a name: the permission bits of an AIF entry (RFC 9237)."""
+
+    PUBLISH = 1
+    SUBSCRIBE = 2
+    CALL = 4
+    PROVIDE = 8
+    PARAM_GET = 16
+    PARAM_SET = 32
+    GRAPH = 64
+    ADMIN = 128
+
+    @property
+    def label(self) -> str:
+        """The right in words, for people: `publish`, `param-get`, `publish, subscribe`."""
+        return ", ".join(str(right.name).lower().replace("_", "-") for right in self)
+
+
+ALL_RIGHTS: Final = Right(255)
+MESSAGE_RIGHTS: Final = Right.PUBLISH | Right.SUBSCRIBE | Right.CALL | Right.PROVIDE
+TREE_RIGHTS: Final = Right.PARAM_GET | Right.PARAM_SET
+
+
+@dataclass(frozen=True, order=True)
+class FilterRule:
+    """One field (or subtree) of a message and what happens to it.
+
+    Args:
+        path: field names joined by dots; `[*]` after an array of messages enters its elements.
+        operator: a name in `grants.operators`, for example `round`.
+        parameters: the operator's parameters by name, sorted.
+    """
+
+    path: str
+    operator: str
+    parameters: tuple[tuple[str, Scalar], ...] = ()
+
+    def __post_init__(self) -> None:
+        if _PATH.fullmatch(self.path) is None:
+            raise FilterRefused(
+                f"not a field path: {self.path[:80]!r}",
+                "for example pose.position or status[*].name",
+            )
+
+    def __str__(self) -> str:
+        words = [self.operator, *(f"{name} {value}" for name, value in self.parameters)]
+        return f"{self.path}: {' '.join(words)}"
+
+
+def filter_rules(rules: Mapping[str, Mapping[str, object]]) -> tuple[FilterRule, ...]:
+    """Read `{path: {operator: parameter}}`, sorted by path.
+
+    The parameter is `True` for an operator without parameters, else a map of scalars:
+    `{"header.frame_id": {"clear": True}, "pose.position": {"round": {"step": 0.5}}}`.
+
+    Raises:
+        FilterRefused: anything else.
+    """
+    return tuple(sorted(_filter_rule(path, treatment) for path, treatment in rules.items()))
+
+
+def _filter_rule(path: str, treatment: Mapping[str, object]) -> FilterRule:
+    if len(treatment) != 1:
+        raise FilterRefused(f"{path}: exactly one operator per field", "for example {clear: true}")
+    [(operator, parameter)] = treatment.items()
+    if parameter is True:
+        return FilterRule(path, operator)
+    if not isinstance(parameter, Mapping) or len(parameter) == 0:
+        raise FilterRefused(f"{path}: parameters of {operator} must be named", "{round: {step: 1}}")
+    return FilterRule(path, operator, _parameters(path, parameter))
+
+
+def _parameters(path: str, named: Mapping[object, object]) -> tuple[tuple[str, Scalar], ...]:
+    pairs: list[tuple[str, Scalar]] = []
+    for name, value in named.items():
+        if not isinstance(name, str) or not isinstance(value, Scalar):
+            raise FilterRefused(f"{path}: parameter {name!r} is not a number, text or truth value")
+        pairs.append((name, value))
+    return tuple(sorted(pairs))
+
+
+@dataclass(frozen=True)
+class Restriction:
+    """Under which conditions and through which filters a right holds.
+
+    Args:
+        type: the message type it is written for; None when no condition looks into the message
+            and nothing is filtered. On any other type the right does not hold at all.
+        conditions: texts in `grants.conditions`; all of them must hold.
+        filters: what is done to the fields of each message.
+    """
+
+    type: str | None = None
+    conditions: tuple[str, ...] = ()
+    filters: tuple[FilterRule, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.type is not None and _TYPE.fullmatch(self.type) is None:
+            raise GrantMalformed(f"not a message type: {self.type[:80]!r}")
+        if not self.conditions and not self.filters:
+            raise GrantMalformed("a restriction that restricts nothing")
+        if self.filters and self.type is None:
+            raise GrantMalformed("filters without the message type they are written for")
+        if len({rule.path for rule in self.filters}) != len(self.filters):
+            raise GrantMalformed("two filters for one field", "the order would decide: merge them")
+        if any(not 0 < len(text) <= MAX_CONDITION for text in self.conditions):
+            raise GrantMalformed(f"a condition is empty or longer than {MAX_CONDITION} characters")
+
+    def lines(self) -> list[str]:
+        """The restriction for people, one line per condition and filter."""
+        return [f"only when {text}" for text in self.conditions] + [
+            str(rule) for rule in self.filters
+        ]
+
+
+@dataclass(frozen=True)
+class Permission:
+    """Rights over the names a pattern covers, with the restriction *inside* (RFC 9237 manner).
+
+    A restriction in a sibling claim would be dropped by every verifier that does not know it.
+    """
+
+    pattern: str
+    rights: Right
+    restriction: Restriction | None = None
+
+    def __post_init__(self) -> None:
+        check_pattern(self.pattern)
+        if not 0 < int(self.rights) <= int(ALL_RIGHTS):
+            raise GrantMalformed(f"unknown or no right: {int(self.rights)}")
+        if self.restriction is not None and self.rights & ~MESSAGE_RIGHTS:
+            raise GrantMalformed(
+                f"{self.rights.label} on {self.pattern} cannot be restricted by message content",
+                "put these rights into a permission of their own",
+            )
+
+    def names(self, name: str, right: Right) -> bool:
+        """Whether `name` lies under the pattern; for parameters: it, or something above it."""
+        return (
+            covers_tree(self.pattern, name) if right & TREE_RIGHTS else covers(self.pattern, name)
+        )
+
+    def covers(self, right: Right, name: str) -> bool:
+        """Whether this permission gives `right` on `name` (restricted or not)."""
+        return right in self.rights and self.names(name, right)
+
+
+@dataclass(frozen=True)
+class Draft:
+    """A grant before it is signed.
+
+    Args:
+        domain: the trust domain in which it holds (`home`).
+        subject: the node it is given to, an absolute name; shown to people.
+        holder: thumbprint of the node's public key, 32 bytes; this is what counts.
+        not_before, expires, cap: seconds since the epoch; it holds while
+            `not_before <= now < expires`; no renewal may reach beyond `cap`.
+        serial: 16 random bytes.
+        permissions: at least one.
+    """
+
+    domain: str
+    subject: str
+    holder: bytes
+    not_before: int
+    expires: int
+    cap: int
+    serial: bytes
+    permissions: tuple[Permission, ...]
+
+    def __post_init__(self) -> None:
+        check_name(self.subject)
+        if not 0 < len(self.domain) <= 255:
+            raise GrantMalformed("a grant needs a trust domain of 1 to 255 characters")
+        if len(self.holder) != KEY_SIZE or len(self.serial) != ID_SIZE:
+            raise GrantMalformed("holder must be 32 bytes, serial 16")
+        if not 0 <= self.not_before < self.expires <= self.cap < _MAX_TIME:
+            raise GrantMalformed("a grant needs not_before < expires <= cap")
+        if len(self.permissions) == 0:
+            raise GrantMalformed("a grant that permits nothing")
+
+
+@dataclass(frozen=True)
+class Grant(Draft):
+    """A grant as signed: `id` names it for revocation, `issuer` is the authority's thumbprint."""
+
+    id: bytes
+    issuer: bytes
+
+    @classmethod
+    def of(cls, draft: Draft, *, id: bytes, issuer: bytes) -> Self:  # noqa: A002
+        """The signed form of `draft`."""
+        return cls(**vars(draft), id=id, issuer=issuer)
+
+    @property
+    def short_id(self) -> str:
+        """The first 8 hexadecimal digits of the id, for people."""
+        return self.id.hex()[:8]
+
+
+def merge(restrictions: Iterable[Restriction | None]) -> tuple[Restriction, ...]:
+    """All restrictions that apply together, each once, in one order whatever the input's."""
+    unique = {restriction for restriction in restrictions if restriction is not None}
+    return tuple(sorted(unique, key=repr))

@@ -1,0 +1,238 @@
+"""What a filter can do to a field: one entry in `OPERATORS` each.
+
+An operator reads its named parameters and returns a function from the type of a field to a
+treatment: a constant in its place, a function of its numbers, or a function of its bytes. An
+operator that does not know a type passes the treatment down (`DESCEND`): a message's fields, an
+array's elements. None of this is source text: generated code only *calls* what is here.
+"""
+
+import difflib
+import math
+import struct
+from collections.abc import Callable
+from typing import Final, TypeAlias
+
+import numpy as np
+
+from grants.codegen import Buffer
+from grants.errors import FilterRefused
+from grants.layout import PRIMITIVES, Array, Primitive, Struct, Text, Type
+from grants.model import FilterRule, Scalar
+from grants.rounding import round_floats, round_integers, round_times
+from grants.treatments import DESCEND, Body, Constant, Numbers, Treatment, Vector
+
+Treat: TypeAlias = Callable[[Type], Treatment]
+Parameters: TypeAlias = dict[str, Scalar]
+
+_EMPTY: Final = Constant(bytes(4))
+_INTEGERS: Final = frozenset("bBhHiIqQ")
+
+
+def _clear(parameters: Parameters) -> Treat:
+    """The zero value: 0, false, "", no elements; a fixed array keeps its length."""
+    _expect(parameters)
+    return _zero_value
+
+
+def _zero_value(kind: Type) -> Treatment:
+    if kind.size is not None:
+        return Constant(bytes(kind.size))
+    variable = isinstance(kind, Text) or (isinstance(kind, Array) and kind.length is None)
+    return _EMPTY if variable else DESCEND
+
+
+def _drop(parameters: Parameters) -> Treat:
+    """No elements."""
+    _expect(parameters)
+
+    def treat(kind: Type) -> Treatment:
+        if isinstance(kind, Array) and kind.length is None:
+            return _EMPTY
+        raise FilterRefused(f"drop needs an array of variable length, not {kind.name}")
+
+    return treat
+
+
+def _zero(parameters: Parameters) -> Treat:
+    """Zeros in place of the elements; the length stays, so images remain consistent."""
+    _expect(parameters)
+
+    def treat(kind: Type) -> Treatment:
+        if not isinstance(kind, Array) or kind.element.size is None:
+            raise FilterRefused(f"zero needs an array of fixed-size elements, not {kind.name}")
+        if kind.size is not None:
+            return Constant(bytes(kind.size))
+        size = kind.element.size
+        return Body(lambda content: (bytes(len(content)), len(content) // size if size else 0))
+
+    return treat
+
+
+def _round(parameters: Parameters) -> Treat:
+    """To multiples of `step` (seconds for times): floor(x / step + 1/2) * step; NaN, inf pass."""
+    step = _number(parameters, "step")
+    _expect(parameters, "step")
+    if not 0 < step < math.inf:
+        raise FilterRefused("round needs a step above zero", "for example {round: {step: 0.5}}")
+
+    def treat(kind: Type) -> Treatment:
+        return DESCEND if isinstance(kind, Array | Struct) else _rounding(kind, step)
+
+    return treat
+
+
+def _rounding(kind: Primitive | Text, step: float) -> Numbers:
+    if isinstance(kind, Text) or kind.name == "bool":
+        raise FilterRefused(f"round needs numbers, not {kind.name}")
+    if kind.name in ("time", "duration"):
+        return Numbers(*round_times(kind, step))
+    if kind.code in _INTEGERS:
+        return Numbers(*round_integers(kind, step))
+    return Numbers(*round_floats(kind, step))
+
+
+def _clamp(parameters: Parameters) -> Treat:
+    """Into [low, high]; NaN becomes low."""
+    low, high = _number(parameters, "low"), _number(parameters, "high")
+    _expect(parameters, "low", "high")
+    if not low <= high:
+        raise FilterRefused("clamp needs low <= high")
+
+    def treat(kind: Type) -> Treatment:
+        if isinstance(kind, Array | Struct):
+            return DESCEND
+        if isinstance(kind, Text) or kind.name in ("bool", "time", "duration"):
+            raise FilterRefused(f"clamp needs numbers, not {kind.name}")
+        _pack(kind, low, "clamp")
+        _pack(kind, high, "clamp")
+        return _clamping(low, high)
+
+    return treat
+
+
+def _clamping(low: float, high: float) -> Numbers:
+    def scalar(value: float) -> float:
+        # Asked this way round NaN becomes `low`.
+        return min(value, high) if value >= low else low
+
+    def vector(values: Vector) -> Vector:
+        return np.where(values >= low, np.where(values > high, high, values), low)
+
+    return Numbers(scalar, vector)
+
+
+def _set(parameters: Parameters) -> Treat:
+    """This value instead."""
+    value = parameters.get("value")
+    _expect(parameters, "value")
+
+    def treat(kind: Type) -> Treatment:
+        if isinstance(kind, Text) and isinstance(value, str):
+            return Constant(_text(value))
+        if isinstance(kind, Primitive) and len(kind.code) == 1:
+            return Constant(_pack(kind, value, "set"))
+        raise FilterRefused(f"set cannot put {value!r} into {kind.name}")
+
+    return treat
+
+
+def _redact(parameters: Parameters) -> Treat:
+    """This text instead of any text."""
+    text = parameters.get("text")
+    _expect(parameters, "text")
+    if not isinstance(text, str):
+        raise FilterRefused("redact needs a text", 'for example {redact: {text: "***"}}')
+
+    def treat(kind: Type) -> Treatment:
+        if isinstance(kind, Text):
+            return Constant(_text(text))
+        raise FilterRefused(f"redact needs a string, not {kind.name}")
+
+    return treat
+
+
+def _truncate(parameters: Parameters) -> Treat:
+    """At most `length` characters of a string or elements of an array."""
+    length = _number(parameters, "length")
+    _expect(parameters, "length")
+    if not isinstance(length, int) or not 0 <= length < 1 << 32:
+        raise FilterRefused("truncate needs a whole, not negative length")
+
+    def treat(kind: Type) -> Treatment:
+        if isinstance(kind, Text):
+            return Body(lambda content: _first_characters(content, length))
+        if isinstance(kind, Array) and kind.length is None and kind.element.size:
+            size = kind.element.size
+            return Body(lambda content: _first_elements(content, length, size))
+        raise FilterRefused(f"truncate needs a string or an array, not {kind.name}")
+
+    return treat
+
+
+def _first_characters(content: Buffer, length: int) -> tuple[bytes, int]:
+    text = str(content, "utf-8")[:length].encode()
+    return text, len(text)
+
+
+def _first_elements(content: Buffer, length: int, size: int) -> tuple[Buffer, int]:
+    kept = content[: length * size]
+    return kept, len(kept) // size
+
+
+OPERATORS: Final[dict[str, Callable[[Parameters], Treat]]] = {
+    "clear": _clear,
+    "round": _round,
+    "clamp": _clamp,
+    "set": _set,
+    "redact": _redact,
+    "truncate": _truncate,
+    "drop": _drop,
+    "zero": _zero,
+}
+
+
+def treatment(rule: FilterRule) -> Treat:
+    """The function from field type to treatment that `rule` names.
+
+    Raises:
+        FilterRefused: unknown operator, or parameters that are not exactly the operator's. The
+            returned function raises it for a type the operator cannot treat.
+    """
+    if rule.operator not in OPERATORS:
+        near = difflib.get_close_matches(rule.operator, OPERATORS, 1)
+        hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(OPERATORS)}"
+        raise FilterRefused(f"{rule.path}: unknown operator {rule.operator[:40]!r}", hint)
+    try:
+        return OPERATORS[rule.operator](dict(rule.parameters))
+    except FilterRefused as error:
+        raise FilterRefused(f"{rule.path}: {error}", error.hint) from None
+
+
+def _expect(parameters: Parameters, *names: str) -> None:
+    if parameters.keys() != set(names):
+        wanted = ", ".join(names) or "no parameters"
+        raise FilterRefused(f"expected {wanted}, found {', '.join(sorted(parameters)) or 'none'}")
+
+
+def _number(parameters: Parameters, name: str) -> float:
+    value = parameters.get(name)
+    if isinstance(value, bool) or not isinstance(value, int | float) or math.isnan(value):
+        raise FilterRefused(f"{name} must be a number")
+    if isinstance(value, int) and abs(value) >= 1 << 64:
+        raise FilterRefused(f"{name} is beyond 64 bits")
+    return value
+
+
+def _pack(kind: Primitive, value: Scalar | None, operator: str) -> bytes:
+    whole = isinstance(value, bool) if kind is PRIMITIVES["bool"] else not isinstance(value, bool)
+    try:
+        if whole and (kind.code not in _INTEGERS or isinstance(value, int)):
+            return struct.pack(f"<{kind.code}", value)
+    except (struct.error, OverflowError):
+        pass
+    raise FilterRefused(f"{operator} cannot put {value!r} into {kind.name}")
+
+
+def _text(text: str) -> bytes:
+    data = text.encode()
+    return len(data).to_bytes(4, "little") + data

@@ -1,0 +1,82 @@
+"""The vocabulary between rules and generated code: treatments of a field, and the treated layout.
+
+A treatment is what an operator decided for one type; a node says for every part of a message
+whether it is kept, treated, or gone into.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Final, Literal, TypeAlias
+
+import numpy.typing as npt
+
+from grants.codegen import Buffer
+from grants.layout import Array, Struct, Type
+
+Vector: TypeAlias = npt.NDArray[Any]
+DESCEND: Final = "descend"
+
+
+@dataclass(frozen=True)
+class Constant:
+    """These bytes stand in the field's place."""
+
+    data: bytes
+
+
+@dataclass(frozen=True)
+class Numbers:
+    """The values of a `Primitive` go through `scalar`, arrays of them through `vector`.
+
+    `scalar` takes as many values as the type's format has, and returns as many (one: bare).
+    """
+
+    scalar: Callable[..., Any]
+    vector: Callable[[Vector], Vector]
+
+
+@dataclass(frozen=True)
+class Body:
+    """The content of a string or of an array, without its length, goes through `rewrite`.
+
+    `rewrite(content)` returns the new content and the new length, in bytes or elements.
+    """
+
+    rewrite: Callable[[Buffer], tuple[Buffer, int]]
+
+
+Treatment: TypeAlias = Constant | Numbers | Body | Literal["descend"]
+
+
+@dataclass(frozen=True)
+class Keep:
+    """Left as it is."""
+
+    kind: Type
+
+
+@dataclass(frozen=True)
+class Treated:
+    """A whole value of `kind` under one treatment (`Numbers` only for a `Primitive`)."""
+
+    kind: Type
+    treatment: Constant | Numbers | Body
+
+
+@dataclass(frozen=True)
+class Parts:
+    """A message, field by field."""
+
+    kind: Struct
+    parts: tuple["Node", ...]
+
+
+@dataclass(frozen=True)
+class Each:
+    """An array, every element alike."""
+
+    kind: Array
+    element: "Node"
+
+
+Node: TypeAlias = Keep | Treated | Parts | Each

@@ -1,0 +1,126 @@
+"""Patterns over names: whole segments, absolute, ASCII."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from grants.errors import PatternRefused
+from grants.names import MAX_LENGTH, check_name, check_pattern, covers, covers_tree
+
+COVERED = [
+    ("/a", "/a"),
+    ("/a/b", "/a/b"),
+    ("/*", "/a"),
+    ("/a/*/c", "/a/b/c"),
+    ("/**", "/a"),
+    ("/**", "/a/b/c"),
+    ("/a/**", "/a/b"),
+    ("/a/**", "/a/b/c"),
+    ("/a/**/z", "/a/b/z"),
+    ("/a/**/z", "/a/b/c/z"),
+    ("/a/**/z", "/a/z/z"),
+    ("/**/z", "/a/z"),
+    ("/**/*", "/a/b"),
+    ("/**/**", "/a/b/c"),
+]
+NOT_COVERED = [
+    ("/a", "/ab"),
+    ("/a", "/a/b"),
+    ("/ab", "/a"),
+    ("/a/*", "/a"),
+    ("/a/*", "/a/b/c"),
+    ("/*", "/a/b"),
+    ("/a/**", "/a"),
+    ("/a/**", "/ab"),
+    ("/a/**", "/ab/c"),
+    ("/a/**/z", "/a/z"),
+    ("/**/**", "/a"),
+    ("/**/z", "/z"),
+    ("/A", "/a"),
+    ("/a/b/**", "/a"),
+]
+BAD_NAMES = [
+    "", "/", "a", "~a", "/~a", "//a", "/a/", "/a//b", "/a b", "/a\n", "/ä", "/a/../b", "/а",  # noqa: RUF001
+    "/a-b", "/a.b", "/" + "a" * MAX_LENGTH,
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("pattern", "name"), COVERED)
+def test_covers(pattern: str, name: str) -> None:
+    assert covers(pattern, name)
+
+
+@pytest.mark.parametrize(("pattern", "name"), NOT_COVERED)
+def test_does_not_cover(pattern: str, name: str) -> None:
+    assert not covers(pattern, name)
+
+
+@pytest.mark.parametrize("text", BAD_NAMES)
+def test_bad_names(text: str) -> None:
+    for check in (check_name, check_pattern):
+        with pytest.raises(PatternRefused) as refused:
+            check(text)
+        assert refused.value.hint
+    with pytest.raises(PatternRefused):
+        covers("/**", text)
+    with pytest.raises(PatternRefused):
+        covers_tree(text, "/a")
+
+
+@pytest.mark.parametrize("text", ["/a*", "/*a", "/***", "/a/**b", "*", "**", "/a/*/"])
+def test_bad_patterns(text: str) -> None:
+    with pytest.raises(PatternRefused, match="not a name pattern"):
+        check_pattern(text)
+
+
+@pytest.mark.parametrize("text", ["/a/*", "/**"])
+def test_a_pattern_is_not_a_name(text: str) -> None:
+    assert check_pattern(text) == text
+    with pytest.raises(PatternRefused, match="not an absolute ROS name"):
+        check_name(text)
+
+
+@pytest.mark.parametrize(
+    ("pattern", "name", "expected"),
+    [
+        ("/a", "/a", True),
+        ("/a", "/a/b/c", True),
+        ("/a", "/ab", False),
+        ("/a/b", "/a", False),
+        ("/a/*", "/a/b/c", True),
+        ("/a/**", "/a", False),
+        ("/a/**/d", "/a/b/d/e", True),
+        ("/safety/max_speed", "/safety", False),
+    ],
+)
+def test_trees(pattern: str, name: str, expected: bool) -> None:
+    assert covers_tree(pattern, name) is expected
+
+
+SEGMENT = st.sampled_from(["a", "b", "ab"])
+NAMES = st.lists(SEGMENT, min_size=1, max_size=5).map(lambda parts: "/" + "/".join(parts))
+PATTERNS = st.lists(SEGMENT | st.sampled_from(["*", "**"]), min_size=1, max_size=5).map(
+    lambda parts: "/" + "/".join(parts)
+)
+
+
+def _matches(pattern: list[str], name: list[str]) -> bool:
+    """The definition, word for word."""
+    if not pattern:
+        return not name
+    head, rest = pattern[0], pattern[1:]
+    if head == "**":
+        return any(_matches(rest, name[n:]) for n in range(1, len(name) + 1))
+    return bool(name) and head in ("*", name[0]) and _matches(rest, name[1:])
+
+
+@given(PATTERNS, NAMES)
+def test_like_the_definition(pattern: str, name: str) -> None:
+    split_pattern, split_name = pattern[1:].split("/"), name[1:].split("/")
+    assert covers(pattern, name) is _matches(split_pattern, split_name)
+    above = ["/" + "/".join(split_name[:n]) for n in range(1, len(split_name) + 1)]
+    assert covers_tree(pattern, name) is any(covers(pattern, parent) for parent in above)
+
+
+def test_many_wildcards_cost_little() -> None:
+    assert not covers("/**" * 80 + "/b", "/a" * 120)
