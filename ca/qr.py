@@ -93,8 +93,7 @@ def terminal(text: str) -> str:
         list(row)
         for row in segno.make_qr(text, error="l", boost_error=False).matrix_iter(border=_BORDER)
     ]
-    if len(rows) % 2:
-        rows.append([0] * len(rows[0]))
+    rows.append([0] * len(rows[0]))  # a QR code has an odd number of rows
     lines = (
         "".join(_HALF_BLOCKS[int(above), int(below)] for above, below in zip(*pair, strict=True))
         for pair in zip(rows[::2], rows[1::2], strict=True)
