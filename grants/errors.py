@@ -1,4 +1,3 @@
-# ruff: noqa: N818  (a refusal is named for what happened: GrantExpired, not GrantExpiredError)
 """Every way a grant, a condition, a filter or a policy can be refused.
 
 The leaves say whose fault it is: the issuer (malformed), the peer (forged, not its own, missing),
@@ -13,7 +12,7 @@ class GrantError(HintedError):
 
 
 class PatternRefused(GrantError):
-    """A name or name pattern that is not exactly in its syntax."""
+    """A name pattern that is not exactly in its syntax."""
 
 
 class GrantMalformed(GrantError):
