@@ -38,7 +38,7 @@ _METHODS: Final[dict[str, Callable[[str, str], bool]]] = {
     "contains": operator.contains,
 }
 _NUMBERS: Final = ("int", "double")
-_ERRORS: Final = (*MISFIT, ArithmeticError)
+_ERRORS: Final = (*MISFIT, ArithmeticError, OSError)  # OSError: a moment beyond the calendar
 
 
 @dataclass(frozen=True)
