@@ -15,7 +15,7 @@ import cbor2
 
 from ca.errors import EncodingError
 
-Value: TypeAlias = "int | float | str | bytes | bool | None | list[Value] | dict[int | str, Value]"
+Value: TypeAlias = "int | float | str | bytes | bool | list[Value] | dict[int | str, Value] | None"
 
 MAX_SIZE: Final = 16 * 1024
 MAX_DEPTH: Final = 16
@@ -105,10 +105,14 @@ def _check(value: object, depth: int) -> None:
             for item in value:
                 _check(item, depth - 1)
         case dict():
-            for key, item in value.items():
-                if isinstance(key, bool) or not isinstance(key, int | str):
-                    raise EncodingError("map key that is neither integer nor text")
-                _check(key, depth)
-                _check(item, depth - 1)
+            _check_map(value, depth)
         case _:
             raise EncodingError(f"{type(value).__name__} is not in rossec's CBOR subset")
+
+
+def _check_map(value: dict[object, object], depth: int) -> None:
+    for key, item in value.items():
+        if isinstance(key, bool) or not isinstance(key, int | str):
+            raise EncodingError("map key that is neither integer nor text")
+        _check(key, depth)
+        _check(item, depth - 1)

@@ -1,10 +1,10 @@
 """The text in a node's QR code, and its rendering.
 
 A code vouches for a request that travels over an untrusted network: it holds the request's
-SHA-256. A *label code* holds nothing else and may be printed. A *screen code* adds a one-time secret,
-its end, and the address the request can be fetched from. The text is `ROSSEC:` + base45 (RFC 9285) of
-fixed binary, so that it stays in the QR alphanumeric mode; it is never a URL, which a phone's camera
-would follow by itself.
+SHA-256. A *label code* holds nothing else and may be printed. A *screen code* adds a one-time
+secret, its end, and the address the request can be fetched from. The text is `ROSSEC:` + base45
+(RFC 9285) of fixed binary, so that it stays in the QR alphanumeric mode; it is never a URL, which
+a phone's camera would follow by itself.
 """
 
 from dataclasses import dataclass
@@ -63,9 +63,7 @@ def screen_code(request: bytes, secret: bytes, expires: int, address: str) -> st
     where = address.encode("ascii", "replace")
     if len(secret) != SECRET_SIZE or not 0 < len(where) <= _MAX_ADDRESS:
         raise CodeRefused("a screen code needs 16 bytes of secret and an address of 1 to 64")
-    return _text(
-        bytes([_SCREEN]) + sha256(request).digest() + secret + expires.to_bytes(4) + where
-    )
+    return _text(bytes([_SCREEN]) + sha256(request).digest() + secret + expires.to_bytes(4) + where)
 
 
 def parse(text: str) -> Code:
@@ -83,13 +81,18 @@ def parse(text: str) -> Code:
     if len(data) > _SCREEN_MINIMUM and data[0] == _SCREEN:
         return _screen(data)
     if data and data[0] & 0x0F != _VERSION:
-        raise CodeRefused("a code of another version of rossec", "update the older of the two sides")
+        raise CodeRefused(
+            "a code of another version of rossec", "update the older of the two sides"
+        )
     raise CodeRefused("the code is incomplete or damaged", _HINT)
 
 
 def terminal(text: str) -> str:
     """The code as half blocks with explicit colours: two modules a line, 19 lines for a label."""
-    rows = [list(row) for row in segno.make_qr(text, error="l", boost_error=False).matrix_iter(border=_BORDER)]
+    rows = [
+        list(row)
+        for row in segno.make_qr(text, error="l", boost_error=False).matrix_iter(border=_BORDER)
+    ]
     if len(rows) % 2:
         rows.append([0] * len(rows[0]))
     lines = (

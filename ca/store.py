@@ -160,9 +160,7 @@ class Store:
         Raises:
             StoreError: there is none.
         """
-        alive = [
-            row for row in self.certificates() if row.name == name and now <= row.not_after
-        ]
+        alive = [row for row in self.certificates() if row.name == name and now <= row.not_after]
         if not alive:
             raise StoreError(
                 f"{name} has no valid identity here",

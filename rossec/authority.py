@@ -1,7 +1,7 @@
 """The authority in action: its directory, its key unlocked, its record of what it signed.
 
-A shell around `ca.authority` (what is signed) and `ca.store` (what was signed): nothing is handed out
-that is not recorded first.
+A shell around `ca.authority` (what is signed) and `ca.store` (what was signed): nothing is handed
+out that is not recorded first.
 """
 
 import secrets
@@ -48,7 +48,7 @@ class OpenAuthority:
     def issue(
         self, request: bytes, now: int, lifetime: int = LIFETIME, *, allow_new_key: bool = False
     ) -> bytes:
-        """Sign and record an identity; returns the bundle for the node (PEM, leaf and authority)."""
+        """Sign and record an identity; returns the node's bundle (PEM, leaf and authority)."""
         der = self.authority.issue(
             request, now=now, serial=secrets.randbits(127) + 1, lifetime=lifetime
         )
@@ -63,7 +63,9 @@ class OpenAuthority:
     def grant(self, draft: Draft, now: int) -> bytes:
         """Sign and record a grant."""
         data = document.sign(self.signer, draft)
-        row = GrantRow(document.grant_id(data), draft.subject, data, draft.not_before, draft.expires)
+        row = GrantRow(
+            document.grant_id(data), draft.subject, data, draft.not_before, draft.expires
+        )
         self.store.add_grant(row, now)
         return data
 
@@ -75,9 +77,7 @@ class OpenAuthority:
     def sign_list(self, now: int) -> RevocationList:
         """Sign the list of everything revoked, with the next number."""
         epoch, seq = self.store.next_number()
-        listed = RevocationList(
-            epoch, seq, now, now + _LIST_LIFETIME, self.store.revoked_entries()
-        )
+        listed = RevocationList(epoch, seq, now, now + _LIST_LIFETIME, self.store.revoked_entries())
         self.store.save_list(listed.number, sign_list(self.signer, listed), now)
         return listed
 
@@ -97,7 +97,9 @@ class AuthorityHome:
         """
         path = home / "ca"
         if not (path / "ca.pem").exists():
-            raise ConfigurationError(f"there is no authority in {home}", "next: rossec ca init DOMAIN")
+            raise ConfigurationError(
+                f"there is no authority in {home}", "next: rossec ca init DOMAIN"
+            )
         return cls(path)
 
     @classmethod
@@ -169,6 +171,6 @@ class AuthorityHome:
 
 
 def fingerprint(anchor: TrustAnchor) -> str:
-    """What two people compare to be sure of an authority: its key's thumbprint in groups of four."""
+    """What two people compare to be sure of an authority: half its key's thumbprint, in fours."""
     digits = anchor.thumbprint.hex()
     return " ".join(digits[start : start + 4] for start in range(0, 32, 4))

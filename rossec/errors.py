@@ -33,6 +33,8 @@ class NodeShutdown(RossecError):
 
 class NotDelivered(RossecError):
     """Done here, but the master could not be told."""
+
+
 class WireError(RossecError):
     """The peer sent bytes that are not the ROS protocol."""
 
@@ -74,6 +76,8 @@ class AnswerRefused(RossecError):
 
 class SettingsRefused(RossecError):
     """The command line or the environment of this program says something that cannot be meant."""
+
+
 class ChannelError(RossecError):
     """The secure connection cannot be made, or has ended."""
 

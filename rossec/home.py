@@ -1,7 +1,7 @@
 """The directory of a node below ROSSEC_HOME: which file is what.
 
-A shell. Keys are written by `ca.keys`, everything else by `rossec.files`; what is read is checked by
-the module that knows the format. Errors say which command comes next.
+A shell. Keys are written by `ca.keys`, everything else by `rossec.files`; what is read is checked
+by the module that knows the format. Errors say which command comes next.
 """
 
 from collections.abc import Mapping

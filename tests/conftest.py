@@ -1,4 +1,4 @@
-"""ROS tests are never silently passed: without ROS they are reported as not run, in CI they fail."""
+"""ROS tests never pass silently: without ROS they are reported as not run, in CI they fail."""
 
 import importlib.util
 import os

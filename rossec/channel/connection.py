@@ -7,34 +7,19 @@ A caller writes every byte it is handed, in order and at once, or drops the conn
 """
 
 from collections.abc import Collection, Iterator, Sequence
-from typing import Final, Generic, Self, cast
+from typing import Final, Generic, Self
 
 from rossec.channel.buffers import SMALL, ReceiveBuffer
 from rossec.channel.credentials import OwnCredential, PeerT, Verify
-from rossec.channel.handshake import Initiator, Party, Responder, WrongSuite
-from rossec.channel.messages import (
-    UNSPECIFIED,
-    WRONG_SUITE,
-    decode_error,
-    encode_error,
-    suites_item,
-)
-from rossec.channel.opening import (
-    MAX_OPENING,
-    Flavour,
-    Plain,
-    Verdict,
-    first_bytes,
-    judge_answer,
-    judge_caller,
-    refusal,
-)
+from rossec.channel.handshake import Party, Responder
+from rossec.channel.messages import UNSPECIFIED, encode_error
+from rossec.channel.negotiation import Negotiation, Preamble, Step
+from rossec.channel.opening import Flavour
 from rossec.channel.records import (
     HEADER,
     MAX_PLAINTEXT,
     TAG,
     Bytes,
-    Epochs,
     Frame,
     Limits,
     check_header,
@@ -43,6 +28,7 @@ from rossec.channel.records import (
 from rossec.channel.session import Session
 from rossec.channel.states import (
     DEAD,
+    HANDSHAKING,
     PREAMBLE,
     SENDING,
     TABLE,
@@ -62,8 +48,6 @@ from rossec.errors import (
     HandshakeTimeout,
     IdentityExpired,
     LimitExceeded,
-    PeerRefused,
-    PlainPeer,
     ProtocolViolation,
 )
 
@@ -71,7 +55,7 @@ _OPEN_BUFFER: Final = 64 * 1024
 _FULL_BUFFER: Final = 2 * (HEADER + MAX_PLAINTEXT + TAG)  # two whole records stay aligned
 _REFUSED: Final = frame(Frame.ERROR, encode_error(UNSPECIFIED, "handshake refused"))
 _DEFAULTS: Final = Limits()
-_HINT_REFUSED: Final = "see the peer's log: it does not say why to one it does not trust"
+_HINT_SILENT: Final = "it may be a plain ROS node (start it with `rossec run`), or overloaded"
 _BOTH: Final = frozenset(Flavour)
 
 
@@ -79,27 +63,19 @@ class Connection(Generic[PeerT]):
     """A connection of either role: make one with `initiator` or `responder`."""
 
     def __init__(
-        self,
-        party: Party[PeerT],
-        side: Initiator[PeerT] | Responder[PeerT],
-        now: int,
-        limits: Limits,
+        self, preamble: Preamble, negotiation: Negotiation[PeerT], now: int, limits: Limits
     ) -> None:
-        self._party = party
-        self._side = side
+        self._preamble = preamble
+        self._negotiation = negotiation
         self._limits = limits
         self._now = now
         self._give_up_at = now + limits.handshake_seconds
         self._inbox = ReceiveBuffer(SMALL)
-        self._drain = 0
         self._out: list[bytes | bytearray] = []
         self._events: list[Event[PeerT]] = []
-        self._retried = False
-        self._mute = False  # an error is never answered with an error
         self._peer: PeerT | None = None
         self._session: Session | None = None
-        self._accept: Collection[Flavour] = _BOTH
-        self.flavour = Flavour.TCPROS
+        self._sealing = False
         self.state = State.OPENING
 
     @classmethod
@@ -115,11 +91,10 @@ class Connection(Generic[PeerT]):
         limits: Limits = _DEFAULTS,
     ) -> Self:
         """The side that connected; its first flight is ready to send."""
-        party = Party(credentials, verify, random, suites)
-        side = Initiator(party)
-        connection = cls(party, side, now, limits)
-        connection.flavour = opening
-        connection._out += [first_bytes(opening), frame(Frame.HANDSHAKE, side.message_1())]
+        negotiation, message_1 = Negotiation.begin(Party(credentials, verify, random, suites))
+        preamble = Preamble(opening, None)
+        connection = cls(preamble, negotiation, now, limits)
+        connection._out += [preamble.take(), message_1]
         return connection
 
     @classmethod
@@ -136,9 +111,13 @@ class Connection(Generic[PeerT]):
     ) -> Self:
         """The side that was connected to; `accept` says which openings may lead on."""
         party = Party(credentials, verify, random, suites)
-        connection = cls(party, Responder(party), now, limits)
-        connection._accept = accept
-        return connection
+        preamble = Preamble(Flavour.TCPROS, accept)
+        return cls(preamble, Negotiation(Responder(party)), now, limits)
+
+    @property
+    def flavour(self) -> Flavour:
+        """How the connection introduced itself."""
+        return self._preamble.flavour
 
     # -- receiving
 
@@ -173,8 +152,8 @@ class Connection(Generic[PeerT]):
         events = self._events = []
         try:
             self._run()
-        except ChannelError as error:
-            self._last_flight(error)
+        except ChannelError:
+            self._last_flight()
             raise
         except BaseException:
             self._die()  # a bug is a flaw like any other
@@ -200,134 +179,59 @@ class Connection(Generic[PeerT]):
             )
         raise HandshakeFailed(
             "the peer ended the connection during the handshake",
-            "it may be a plain ROS node (start it with `rossec run`), or overloaded",
+            _HINT_SILENT,
         )
 
     def _run(self) -> None:
         if self.state in PREAMBLE:
-            self._preamble()
+            self._introduce()
         inbox = self._inbox
         while self.state not in DEAD and self.state not in PREAMBLE:
             view = inbox.unread()
             if len(view) < HEADER:
                 return
             head = bytes(view[:HEADER])
+            row = self._row(head)
             size = HEADER + int.from_bytes(head[1:])
-            step = _ROWS[self.state].get(head[0] >> 4)
-            if step is None:
-                raise ProtocolViolation(
-                    f"frame of type {head[0] >> 4} in state: {self.state.value}"
-                )
-            check_header(head, 0 if self._session is None else self._session.receive_epoch)
             if len(view) < size:
                 inbox.reserve(size, _OPEN_BUFFER if size < _OPEN_BUFFER else _FULL_BUFFER)
                 return
-            name, following = step
-            state: State = getattr(self, name)(head, view[HEADER:size])
-            assert state in following  # noqa: S101 - the table is the truth, tests run with it
-            self.state = state
+            self._take(row, head, view[HEADER:size])
             inbox.consume(size)
         if self.state in DEAD:
             inbox.consume(len(inbox))
 
-    # -- the first bytes
-
-    def _preamble(self) -> None:
-        if self.state is State.OPENING:
-            prefix = bytes(self._inbox.unread()[:MAX_OPENING])
-            if isinstance(self._side, Initiator):
-                self._preamble_answer(judge_answer(prefix, self.flavour))
-            else:
-                self._preamble_call(judge_caller(prefix))
-        if self.state is State.DRAINING:
-            count = min(self._drain, len(self._inbox))
-            self._inbox.consume(count)
-            self._drain -= count
-            if self._drain == 0:
-                self._refuse_plain()
-
-    def _preamble_answer(self, length: int | None) -> None:
-        if length is not None:
-            self._inbox.consume(length)
-            self.state = State.WAIT_2
-
-    def _preamble_call(self, verdict: Verdict) -> None:
-        if verdict is None:
-            return
-        self.flavour = verdict.flavour
-        if isinstance(verdict, Plain):
-            self._drain = verdict.drain
-            self.state = State.DRAINING
-        elif verdict.flavour not in self._accept:
-            self._refuse_plain()
-        else:
-            self._inbox.consume(verdict.consumed)
-            self._out.append(verdict.reply)
-            self.state = State.WAIT_1
-
-    def _refuse_plain(self) -> None:
-        self._out.append(refusal(self.flavour))
-        raise PlainPeer(
-            f"a plain {self.flavour.name} peer called and was refused",
-            "start the peer with `rossec run`, or call `rossec.secure()` in it",
-        )
-
-    # -- the handshake
-
-    def _on_message_1(self, _: bytes, body: memoryview) -> State:
-        side = cast("Responder[PeerT]", self._side)
+    def _introduce(self) -> None:
         try:
-            message_2 = side.message_1(bytes(body))
-        except WrongSuite as error:
-            if self._retried:
-                raise
-            self._retried = True
-            self._out.append(
-                frame(Frame.ERROR, encode_error(WRONG_SUITE, suites_item(error.suites)))
-            )
-            return State.WAIT_1
-        self._out.append(frame(Frame.HANDSHAKE, message_2))
-        return State.WAIT_3
+            self.state = self._preamble.feed(self._inbox, self.state)
+        finally:
+            self._out.append(self._preamble.take())
 
-    def _on_message_2(self, _: bytes, body: memoryview) -> State:
-        side = cast("Initiator[PeerT]", self._side)
-        message_3, peer = side.message_2(bytes(body), self._now)
-        self._out.append(frame(Frame.HANDSHAKE, message_3))
-        self._authenticated(peer)
-        return State.WAIT_4
+    def _row(self, head: bytes) -> tuple[str, tuple[State, ...]]:
+        row = _ROWS[self.state].get(head[0] >> 4)
+        if row is None:
+            raise ProtocolViolation(f"frame of type {head[0] >> 4} in state: {self.state.value}")
+        check_header(head, 0 if self._session is None else self._session.receive_epoch)
+        return row
 
-    def _on_message_3(self, _: bytes, body: memoryview) -> State:
-        side = cast("Responder[PeerT]", self._side)
-        message_4, peer = side.message_3(bytes(body), self._now)
-        self._out.append(frame(Frame.HANDSHAKE, message_4))
-        self._authenticated(peer)
-        return State.OPEN
+    def _take(self, row: tuple[str, tuple[State, ...]], head: bytes, body: memoryview) -> None:
+        name, following = row
+        if self.state in HANDSHAKING:
+            state = self._advance(getattr(self._negotiation, name)(bytes(body), self._now))
+        else:
+            state = getattr(self, name)(head, body)
+        assert state in following  # noqa: S101 - the table is the truth, and tests run with it
+        self.state = state
 
-    def _on_message_4(self, _: bytes, body: memoryview) -> State:
-        side = cast("Initiator[PeerT]", self._side)
-        side.message_4(bytes(body))
-        return State.OPEN
+    def _advance(self, step: Step[PeerT]) -> State:
+        if step.peer is not None:
+            self._peer = step.peer
+            self._session = self._negotiation.session(self._limits, self._now)
+            self._events.append(Authenticated(step.peer))
+        self._out.append(step.reply)
+        return step.state
 
-    def _on_error(self, _: bytes, body: memoryview) -> State:
-        self._mute = True
-        code, reason, suites = decode_error(bytes(body))
-        if code != WRONG_SUITE or self.state is not State.WAIT_2 or self._retried:
-            raise PeerRefused(f"the peer refused the handshake: {reason}", _HINT_REFUSED)
-        side = cast("Initiator[PeerT]", self._side)
-        self._retried = True
-        self._side = side = side.after_wrong_suite(suites)
-        self._mute = False
-        self._out.append(frame(Frame.HANDSHAKE, side.message_1()))
-        return State.WAIT_2
-
-    def _authenticated(self, peer: PeerT) -> None:
-        side = self._side
-        epochs = Epochs(side.suite, side.exporter, initiator=isinstance(side, Initiator))
-        self._session = Session(epochs, self._limits, self._now)
-        self._peer = peer
-        self._events.append(Authenticated(peer))
-
-    # -- records
+    # -- records: the rows of the table for an open connection
 
     def _open_session(self) -> Session:
         if self._session is None:
@@ -364,16 +268,37 @@ class Connection(Generic[PeerT]):
         Raises:
             LimitExceeded: too long, at once, and nothing has happened.
             ChannelClosed: there is no open connection (any more).
+            ProtocolViolation: a unit begun before is not finished.
         """
         self._sendable().check_unit(pieces)
         return self._sealed(pieces)
 
+    def seal_small(self, unit: bytes) -> bytes | bytearray | None:
+        """Seal a unit in one record: the short way, where nothing else has to be done.
+
+        None means that something has: use `seal_unit`.
+        """
+        small = 0 < len(unit) <= min(_OPEN_BUFFER, self._limits.unit)
+        if (
+            self._out
+            or self._sealing
+            or not small
+            or self.state not in SENDING
+            or self._session is None
+        ):
+            return None
+        return self._session.seal_small(unit)
+
     def _sealed(self, pieces: Sequence[Bytes]) -> Iterator[bytes | bytearray]:
+        if self._sealing:
+            raise ProtocolViolation("a second unit in the middle of the first")
+        self._sealing = True
         try:
             for record in self._sendable().seal_unit(pieces):
                 # Whatever was sealed meanwhile has the smaller counter: it goes first.
                 yield self.data_to_send() + record if self._out else record
                 self._sendable()
+            self._sealing = False  # and stays set when a unit is given up half-way
         except LimitExceeded:
             self._die()
             raise
@@ -389,7 +314,8 @@ class Connection(Generic[PeerT]):
         Raises:
             LimitExceeded, ChannelClosed: as for `seal_unit`.
         """
-        self._out += list(self.seal_unit(*pieces))
+        records = list(self.seal_unit(*pieces))  # takes what was queued before
+        self._out += records
 
     def data_to_send(self) -> bytes | bytearray:
         """Return, once, everything queued for the peer."""
@@ -435,23 +361,23 @@ class Connection(Generic[PeerT]):
         if self.state is not State.OPEN or self._session is None or self._peer is None:
             raise HandshakeTimeout(
                 "the peer did not finish the handshake in time",
-                "it may be a plain ROS node (start it with `rossec run`), or overloaded",
+                _HINT_SILENT,
             )
         if now >= self._peer.not_after:
             raise IdentityExpired("the peer's certificate ran out", "renew it")
         self._out.append(self._session.renew(now))
 
-    def _last_flight(self, error: ChannelError) -> None:
+    def _last_flight(self) -> None:
         """Die; tell a peer that is still unproven, unless it told us first."""
-        tell = self.state in UNPROVEN and not self._mute
-        out = self._out if self.state in UNPROVEN or isinstance(error, PlainPeer) else []
+        tell = self.state in UNPROVEN and not self._negotiation.told
+        out = self._out if self.state in UNPROVEN | PREAMBLE else []
         self._die()
         self._out = [*out, _REFUSED] if tell else out
 
     def _die(self) -> None:
         self.state = State.CLOSED
         self._session = None
-        self._side.forget()
+        self._negotiation.forget()
         self._out = []
 
 

@@ -185,6 +185,11 @@ class Initiator(_Side[PeerT]):
         """Return message_1; the same bytes every time."""
         return self._message_1
 
+    @property
+    def answered(self) -> bool:
+        """Whether message_2 has been accepted; after it no retry makes sense."""
+        return self._exporter is not None
+
     def after_wrong_suite(self, offered: tuple[int, ...]) -> "Initiator[PeerT]":
         """Return a new attempt, with a new key, for SUITES_R of error 2.
 

@@ -47,6 +47,13 @@ class Session:
                 "send it in parts",
             )
 
+    def seal_small(self, unit: bytes) -> bytes | bytearray | None:
+        """Seal a unit of one record at once, unless a renewal is due."""
+        limits, sender = self._limits, self._epochs.sender
+        if sender.records >= limits.records or sender.octets >= limits.octets:
+            return None
+        return sender.seal(Frame.DATA_END, unit)
+
     def seal_unit(self, pieces: Sequence[Bytes]) -> Iterator[bytes | bytearray]:
         """Yield the records of a unit, and REKEY records where they are due.
 

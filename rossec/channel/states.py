@@ -1,6 +1,7 @@
 """The life of a connection as one table, and the events it hands out.
 
-`TABLE` says what a frame does in a state (the name of a method of `Connection`) and which states
+`TABLE` says what a frame does in a state (a method of `Negotiation`, later of
+`Connection`) and which states
 may follow. A frame that is not in the table ends the connection. The diagram in
 docs/spec/channel.md is drawn from it.
 """
@@ -28,13 +29,13 @@ class State(Enum):
 
 
 TABLE: Final[dict[tuple[State, Frame], tuple[str, tuple[State, ...]]]] = {
-    (State.WAIT_1, Frame.HANDSHAKE): ("_on_message_1", (State.WAIT_3, State.WAIT_1)),
-    (State.WAIT_2, Frame.HANDSHAKE): ("_on_message_2", (State.WAIT_4,)),
-    (State.WAIT_2, Frame.ERROR): ("_on_error", (State.WAIT_2,)),
-    (State.WAIT_3, Frame.HANDSHAKE): ("_on_message_3", (State.OPEN,)),
-    (State.WAIT_3, Frame.ERROR): ("_on_error", ()),
-    (State.WAIT_4, Frame.HANDSHAKE): ("_on_message_4", (State.OPEN,)),
-    (State.WAIT_4, Frame.ERROR): ("_on_error", ()),
+    (State.WAIT_1, Frame.HANDSHAKE): ("on_message_1", (State.WAIT_3, State.WAIT_1)),
+    (State.WAIT_2, Frame.HANDSHAKE): ("on_message_2", (State.WAIT_4,)),
+    (State.WAIT_2, Frame.ERROR): ("on_error", (State.WAIT_2,)),
+    (State.WAIT_3, Frame.HANDSHAKE): ("on_message_3", (State.OPEN,)),
+    (State.WAIT_3, Frame.ERROR): ("on_error", ()),
+    (State.WAIT_4, Frame.HANDSHAKE): ("on_message_4", (State.OPEN,)),
+    (State.WAIT_4, Frame.ERROR): ("on_error", ()),
     (State.OPEN, Frame.DATA): ("_on_data", (State.OPEN,)),
     (State.OPEN, Frame.DATA_END): ("_on_data_end", (State.OPEN,)),
     (State.OPEN, Frame.REKEY): ("_on_rekey", (State.OPEN,)),
@@ -44,6 +45,7 @@ TABLE: Final[dict[tuple[State, Frame], tuple[str, tuple[State, ...]]]] = {
 
 PREAMBLE: Final = frozenset({State.OPENING, State.DRAINING})
 UNPROVEN: Final = frozenset({State.WAIT_1, State.WAIT_2, State.WAIT_3})
+HANDSHAKING: Final = UNPROVEN | {State.WAIT_4}
 SENDING: Final = frozenset({State.WAIT_4, State.OPEN})
 DEAD: Final = frozenset({State.CLOSING, State.CLOSED})
 

@@ -8,12 +8,12 @@ import click
 from ca import qr
 from ca.certificates import Request, check_request
 from ca.names import spiffe_id
+from rossec.authority import AuthorityHome, fingerprint
 from rossec.cli import passphrase
 from rossec.cli.context import Duration, Environment, confirm, moment, now, pass_environment
 from rossec.cli.publish import deliver
 from rossec.cli.voice import printable, say, say_json
 from rossec.errors import ConfigurationError
-from rossec.authority import AuthorityHome, fingerprint
 
 _MAX_REQUEST = 16 * 1024
 
@@ -36,9 +36,23 @@ def init(environment: Environment, domain: str, passphrase_file: Path | None) ->
 
 
 @ca.command()
-@click.argument("requests", nargs=-1, required=True, type=click.Path(path_type=Path, exists=True, dir_okay=False))
-@click.option("--code", "codes", multiple=True, help="text of the QR code the node shows; one per request")
-@click.option("--for", "lifetime", type=Duration(), default="30d", show_default=True, help="how long the identity lasts")
+@click.argument(
+    "requests",
+    nargs=-1,
+    required=True,
+    type=click.Path(path_type=Path, exists=True, dir_okay=False),
+)
+@click.option(
+    "--code", "codes", multiple=True, help="text of the QR code the node shows; one per request"
+)
+@click.option(
+    "--for",
+    "lifetime",
+    type=Duration(),
+    default="30d",
+    show_default=True,
+    help="how long the identity lasts",
+)
 @click.option("--new-key", is_flag=True, help="allow a known name to come with another key")
 @click.option("--yes", is_flag=True, help="do not ask")
 @passphrase.option
@@ -81,8 +95,13 @@ def show(environment: Environment, as_json: bool) -> None:
     home = AuthorityHome.at(environment.home)
     rows = home.store().certificates()
     if as_json:
-        nodes = [{"name": row.name, "expires": row.not_after, "key": row.thumbprint.hex()} for row in rows]
-        say_json({"domain": home.domain, "fingerprint": fingerprint(home.anchor()), "identities": nodes})
+        nodes = [
+            {"name": row.name, "expires": row.not_after, "key": row.thumbprint.hex()}
+            for row in rows
+        ]
+        say_json(
+            {"domain": home.domain, "fingerprint": fingerprint(home.anchor()), "identities": nodes}
+        )
         return
     say(f"authority of {home.domain} in {home.path}")
     say(f"fingerprint {fingerprint(home.anchor())}")
@@ -111,7 +130,11 @@ def _check_codes(codes: tuple[str, ...], requests: list[bytes]) -> None:
 
 
 def _introduce(path: Path, request: Request, home: AuthorityHome, *, vouched: bool) -> None:
-    how = "its code fits" if vouched else "no code was checked: compare the fingerprint with the node's"
+    how = (
+        "its code fits"
+        if vouched
+        else "no code was checked: compare the fingerprint with the node's"
+    )
     say(f"{printable(spiffe_id(home.domain, request.name))} asks for an identity ({path})")
     say(f"  key {request.thumbprint.hex()}")
     say(f"  {how}")

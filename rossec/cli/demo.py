@@ -14,7 +14,9 @@ from rossec.errors import ConfigurationError
 
 
 @click.command()
-@click.option("--keep", type=click.Path(path_type=Path), help="new directory to leave everything in")
+@click.option(
+    "--keep", type=click.Path(path_type=Path), help="new directory to leave everything in"
+)
 def demo(keep: Path | None) -> None:
     """Show the main job: enroll, grant, filter, refuse, revoke. Needs no ROS, ends by itself."""
     if keep is None:
@@ -49,5 +51,5 @@ Everything is in {directory}. To go on, in three terminals:
 The authority's passphrase is in {directory}/passphrase. Try
 
     rossec grant list
-    rossec grant sign /heating --subscribe /robot/scan --for 1h --passphrase-file {directory}/passphrase
+    rossec grant sign /heating --subscribe /robot/scan --passphrase-file {directory}/passphrase
 """

@@ -3,6 +3,7 @@
 import asyncio
 import secrets
 from pathlib import Path
+from typing import Final
 
 import click
 
@@ -11,14 +12,16 @@ from grants.conditions import compile_condition
 from grants.filters import compile_filter
 from grants.layout import parse
 from grants.model import Draft, Permission, Restriction, Right, filter_rules
+from rossec.authority import AuthorityHome
 from rossec.cli import passphrase
-from rossec.cli.context import Duration, Environment, confirm, moment, now, pass_environment
+from rossec.cli.context import Duration, Environment, moment, now, pass_environment
 from rossec.cli.publish import deliver
 from rossec.cli.voice import note, say, say_json
 from rossec.errors import ConfigurationError
-from rossec.authority import AuthorityHome
 from rossec.home import NodeHome
 from rossec.node.messages import message_type
+
+SKEW: Final = 60  # seconds another host's clock may be behind: it must not find the grant too new
 
 
 @click.group()
@@ -34,12 +37,21 @@ def grant() -> None:
 @click.option("--type", "type_name", metavar="PKG/TYPE", help="message type of the restrictions")
 @click.option("--clear", multiple=True, metavar="FIELD", help="clear this field")
 @click.option("--round", "rounds", multiple=True, metavar="FIELD=STEP", help="round this field")
-@click.option("--when", multiple=True, metavar="CONDITION", help="only messages and times for which this holds")
-@click.option("--for", "lifetime", type=Duration(), default="7d", show_default=True, help="how long it holds")
-@click.option("--out", type=click.Path(path_type=Path), help="also write the grant to this new file")
+@click.option(
+    "--when",
+    multiple=True,
+    metavar="CONDITION",
+    help="only messages and times for which this holds",
+)
+@click.option(
+    "--for", "lifetime", type=Duration(), default="7d", show_default=True, help="how long it holds"
+)
+@click.option(
+    "--out", type=click.Path(path_type=Path), help="also write the grant to this new file"
+)
 @passphrase.option
 @pass_environment
-def sign(  # noqa: PLR0917 - one parameter per option of the command
+def sign(
     environment: Environment,
     node: str,
     publish: tuple[str, ...],
@@ -62,13 +74,13 @@ def sign(  # noqa: PLR0917 - one parameter per option of the command
     home = AuthorityHome.at(environment.home)
     holder = home.store().live_certificate(node, now()).thumbprint
     authority = home.unlock(passphrase.read(passphrase_file, environment.variables))
-    begin = now()
+    signed = now()
     draft = Draft(
-        domain=authority.domain, subject=node, holder=holder, not_before=begin,
-        expires=begin + lifetime, cap=begin + lifetime,
+        domain=authority.domain, subject=node, holder=holder, not_before=signed - SKEW,
+        expires=signed + lifetime, cap=signed + lifetime,
         serial=secrets.token_bytes(16), permissions=permissions,
     )  # fmt: skip
-    data = authority.grant(draft, begin)
+    data = authority.grant(draft, signed)
     say(f"grant {document.grant_id(data).hex()} for {node} until {moment(draft.expires)}")
     _hand_over(environment, node, data, out)
 
@@ -199,7 +211,9 @@ def _hand_over(environment: Environment, node: str, data: bytes, out: Path | Non
         home.add_grant(document.grant_id(data), data)
         say(f"given to {node} in {home.path}")
     elif out is None:
-        note(f"{node} lives elsewhere: sign again with --out FILE, then `rossec grant install FILE` there")
+        note(
+            f"{node} lives elsewhere: sign with --out FILE, then `rossec grant install FILE` there"
+        )
 
 
 def _full_id(home: AuthorityHome, beginning: str) -> bytes:

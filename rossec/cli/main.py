@@ -1,4 +1,4 @@
-"""The `rossec` command: nouns with verbs. Every refusal leaves as error and hint, never a traceback."""
+"""The `rossec` command: nouns with verbs. A refusal leaves as error and hint, never a traceback."""
 
 import logging
 import os
@@ -51,15 +51,8 @@ def run(arguments: Sequence[str], environ: Mapping[str, str]) -> int:
     except HintedError as error:
         fail(str(error), error.hint)
         return UNDELIVERED if isinstance(error, NotDelivered) else REFUSED
-    except click.exceptions.NoArgsIsHelpError as error:
-        click.echo(error.format_message())
-        return USAGE
-    except click.UsageError as error:
-        fail(_plain(error.format_message()), _usage_hint(error))
-        return USAGE
     except click.ClickException as error:
-        fail(_plain(error.format_message()))
-        return REFUSED
+        return _complain(error)
     except (KeyboardInterrupt, click.Abort, EOFError):
         return INTERRUPTED
     except OSError as error:
@@ -68,11 +61,22 @@ def run(arguments: Sequence[str], environ: Mapping[str, str]) -> int:
     return 0
 
 
+def _complain(error: click.ClickException) -> int:
+    """What click found wrong with the command line, in our voice."""
+    if isinstance(error, click.exceptions.NoArgsIsHelpError):
+        click.echo(error.format_message())
+        return USAGE
+    usage = isinstance(error, click.UsageError)
+    fail(_plain(error.format_message()), _usage_hint(error) if usage else "")
+    return USAGE if usage else REFUSED
+
+
 def _plain(message: str) -> str:
     first = message.splitlines()[0]
     return (first[:1].lower() + first[1:]).rstrip(".")
 
 
-def _usage_hint(error: click.UsageError) -> str:
-    path = error.ctx.command_path if error.ctx is not None else "rossec"
+def _usage_hint(error: click.ClickException) -> str:
+    context = getattr(error, "ctx", None)
+    path = context.command_path if context is not None else "rossec"
     return f"see: {path} --help"

@@ -15,7 +15,12 @@ from rossec.ros import settings
 
 
 @click.command()
-@click.option("--port", "-p", type=click.IntRange(0, 65535), help="instead of the one in ROS_MASTER_URI; 0 for any")
+@click.option(
+    "--port",
+    "-p",
+    type=click.IntRange(0, 65535),
+    help="instead of the one in ROS_MASTER_URI; 0 for any",
+)
 @click.option("--json", "as_json", is_flag=True, help="say the address as a line of JSON")
 @pass_environment
 def master(environment: Environment, port: int | None, as_json: bool) -> None:

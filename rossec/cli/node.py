@@ -5,9 +5,9 @@ from pathlib import Path
 import click
 
 from ca import qr
+from rossec.authority import fingerprint
 from rossec.cli.context import Environment, confirm, moment, now, pass_environment
 from rossec.cli.voice import say
-from rossec.authority import fingerprint
 from rossec.home import NodeHome
 
 _MAX_BUNDLE = 64 * 1024

@@ -35,11 +35,23 @@ def echo(environment: Environment, name: str, type_name: str, node: str, count: 
 @click.argument("type_name", metavar="TYPE")
 @click.argument("content", default="{}")
 @click.option("--as", "node", required=True, metavar="NODE", help="identity to use")
-@click.option("--rate", type=click.FloatRange(min=0, min_open=True), default=1.0, show_default=True, help="messages per second")
+@click.option(
+    "--rate",
+    type=click.FloatRange(min=0, min_open=True),
+    default=1.0,
+    show_default=True,
+    help="messages per second",
+)
 @click.option("--count", "-n", type=click.IntRange(min=1), help="end after this many messages")
 @pass_environment
 def pub(
-    environment: Environment, name: str, type_name: str, content: str, node: str, rate: float, count: int | None
+    environment: Environment,
+    name: str,
+    type_name: str,
+    content: str,
+    node: str,
+    rate: float,
+    count: int | None,
 ) -> None:
     """Publish CONTENT (YAML, as in rostopic) on the topic NAME."""
     message = message_type(type_name).create()
@@ -71,8 +83,14 @@ async def _print(subscriber: Any, count: int | None) -> None:
 
 
 async def _pub(
-    environment: Environment, name: str, type_name: str, node: str, message: Message, period: float, count: int | None
-) -> None:  # fmt: skip
+    environment: Environment,
+    name: str,
+    type_name: str,
+    node: str,
+    message: Message,
+    period: float,
+    count: int | None,
+) -> None:
     async with Node(node, environ=environment.variables) as running:
         publisher = await running.publisher(name, type_name)
         await publisher.wait_for_subscribers()
@@ -127,4 +145,6 @@ def _parse(text: str) -> object:
     try:
         return YAML(typ="safe").load(text)
     except YAMLError as error:
-        raise ConfigurationError(f"this is no YAML: {text}", "for example '{data: hello}'") from error
+        raise ConfigurationError(
+            f"this is no YAML: {text}", "for example '{data: hello}'"
+        ) from error

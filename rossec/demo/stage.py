@@ -119,7 +119,12 @@ class Actor:
         self._reader = asyncio.get_running_loop().create_task(self._read())
 
     async def expect(
-        self, what: str, wanted: Callable[[Report], bool], *, after: int = 0, within: float = DEADLINE
+        self,
+        what: str,
+        wanted: Callable[[Report], bool],
+        *,
+        after: int = 0,
+        within: float = DEADLINE,
     ) -> Report:
         """Return the first report past number `after` that is `wanted`.
 

@@ -9,6 +9,7 @@ import math
 import secrets
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -55,7 +56,7 @@ async def found_authority(stage: Stage) -> None:
 
 
 async def enroll(stage: Stage) -> None:
-    """Each key stays in its node's directory; what travels is the request, the code vouches for it."""
+    """Each key stays in its node's directory; the request travels, and its code vouches for it."""
     codes = []
     for name in NODES:
         await stage.command("node", "request", name, "--domain", "home", quiet=True)
@@ -64,9 +65,13 @@ async def enroll(stage: Stage) -> None:
     stage.narrator.tell("this is what the robot shows to the camera of the phone:")
     await stage.command("node", "code", "/robot")
     scanned = [item for code in codes for item in ("--code", code)]
-    await stage.command("ca", "sign", *map(_request_of(stage), NODES), *scanned, "--yes", *_passphrase(stage))
+    await stage.command(
+        "ca", "sign", *map(_request_of(stage), NODES), *scanned, "--yes", *_passphrase(stage)
+    )
     for name in NODES:
-        await stage.command("node", "install", str(_directory(stage, name) / "node.pem"), "--yes", quiet=True)
+        await stage.command(
+            "node", "install", str(_directory(stage, name) / "node.pem"), "--yes", quiet=True
+        )
 
 
 async def sign_grants(stage: Stage) -> str:
@@ -79,7 +84,8 @@ async def sign_grants(stage: Stage) -> str:
     told = await stage.command(*sign, "/doctor", "--subscribe", CAMERA[0], *always)
     await stage.command(
         *sign, "/heating", "--subscribe", POSE[0], "--type", POSE[1],
-        "--round", f"pose.position={COARSE:g}", "--clear", "pose.orientation", "--clear", "header.frame_id",
+        "--round", f"pose.position={COARSE:g}",
+        "--clear", "pose.orientation", "--clear", "header.frame_id",
         "--when", f'msg.header.frame_id == "{FRAME}"', *always,
     )  # fmt: skip
     return told.split()[1]
@@ -107,13 +113,15 @@ async def compare(stage: Stage, doctor: Actor, heating: Actor) -> None:
     """The same message, side by side, as each of the two got it."""
     for _ in range(3):
         coarse = await heating.expect("a pose", _on(POSE[0]), after=len(heating.reports))
-        exact = await doctor.expect("the same pose", lambda seen: _same(seen, coarse))
+        exact = await doctor.expect("the same pose", partial(_same, coarse))
         _check_coarse(exact, coarse)
         stage.narrator.tell(f"message {coarse['seq']}:")
         stage.narrator.tell(f"  doctor   {_describe(exact)}")
         stage.narrator.tell(f"  heating  {_describe(coarse)}")
     image, scan = doctor.about(CAMERA[0])[-1], doctor.about(SCAN[0])[-1]
-    stage.narrator.tell(f"the doctor also sees {scan['ranges']} laser rays and images of {image['bytes']} bytes")
+    stage.narrator.tell(
+        f"the doctor also sees {scan['ranges']} laser rays and images of {image['bytes']} bytes"
+    )
 
 
 async def knock(stage: Stage, door: int) -> None:
@@ -124,11 +132,15 @@ async def knock(stage: Stage, door: int) -> None:
     quiet = {"quiet": True}
     await other.command("ca", "init", "home", *_passphrase(other), **quiet)
     await other.command("node", "request", "/doctor", "--domain", "home", **quiet)
-    await other.command("ca", "sign", _request_of(other)("/doctor"), "--yes", *_passphrase(other), **quiet)
-    await other.command("node", "install", str(_directory(other, "/doctor") / "node.pem"), "--yes", **quiet)
+    await other.command(
+        "ca", "sign", _request_of(other)("/doctor"), "--yes", *_passphrase(other), **quiet
+    )
+    await other.command(
+        "node", "install", str(_directory(other, "/doctor") / "node.pem"), "--yes", **quiet
+    )
     try:
         stranger = await other.actor("rossec.demo.stranger", "/doctor", str(door), name="stranger")
-        answer = await stranger.expect("an answer", lambda report: True)
+        answer = await stranger.expect("an answer", bool)
     finally:
         await other.clear()
     if "refused" not in answer:
@@ -140,7 +152,9 @@ async def revoke(stage: Stage, doctor: Actor, grant: str) -> None:
     """Revoke while images arrive, and measure when the last one came."""
     await doctor.expect("an image", _on(CAMERA[0]), after=len(doctor.reports))
     given = time.time()
-    await stage.command("grant", "revoke", grant, "--reason", "the visit is over", *_passphrase(stage))
+    await stage.command(
+        "grant", "revoke", grant, "--reason", "the visit is over", *_passphrase(stage)
+    )
     finished = time.time()
     before = len(doctor.about(POSE[0]))
     await asyncio.sleep(_SILENCE)
@@ -151,7 +165,7 @@ async def revoke(stage: Stage, doctor: Actor, grant: str) -> None:
         raise DemoFailed("the pose stopped as well, though its grant was not revoked")
     stage.narrator.tell(
         f"last image {1000 * (last - given):.0f} ms after the command was given"
-        f" (it took {1000 * (finished - given):.0f} ms in all, most of them to unlock the authority's key)"
+        f" (it took {1000 * (finished - given):.0f} ms in all, most to unlock the authority's key)"
     )
     stage.narrator.tell("poses and laser scans go on: their grant is another one")
 
@@ -172,8 +186,8 @@ def _on(topic: str) -> Callable[[Report], bool]:
     return lambda report: report.get("topic") == topic
 
 
-def _same(seen: Report, other: Report) -> bool:
-    return (seen.get("topic"), seen.get("seq")) == (other["topic"], other["seq"])
+def _same(one: Report, other: Report) -> bool:
+    return (one["topic"], one["seq"]) == (other.get("topic"), other.get("seq"))
 
 
 def _check_coarse(exact: Report, coarse: Report) -> None:

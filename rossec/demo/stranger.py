@@ -1,7 +1,7 @@
 """The demo's intruder: an identity of another authority, knocking at the robot's own door.
 
 It does not check who answers (an attacker would not); the refusal is the robot's.
-Run as `python -I -m rossec.demo.stranger NAME PORT`; reports `{"refused": TEXT}` or `{"admitted": ...}`.
+Run as `python -I -m rossec.demo.stranger NAME PORT`; reports what became of it.
 """
 
 import asyncio

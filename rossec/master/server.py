@@ -106,11 +106,15 @@ class MasterServer:
         self._stopping = asyncio.Event()
 
     @property
+    def port(self) -> int:
+        """The port listened on."""
+        return self._listen[1] if self._server is None else self._server.port
+
+    @property
     def uri(self) -> str:
         """What ROS_MASTER_URI must be set to."""
-        port = self._listen[1] if self._server is None else self._server.port
         host = f"[{self._advertise}]" if ":" in self._advertise else self._advertise
-        return f"http://{host}:{port}/"
+        return f"http://{host}:{self.port}/"
 
     async def start(self) -> None:
         """Listen.

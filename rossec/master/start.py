@@ -1,16 +1,22 @@
 """Making a master from the directory of its node."""
 
+import ipaddress
+import socket
+
 from ca.revocation import Revocations
 from rossec.home import NodeHome
 from rossec.master.server import MasterServer
 from rossec.master.trust import Trust
 
 
-def master_of(home: NodeHome, *, host: str | None, port: int, newest: bytes | None, now: int) -> MasterServer:
+def master_of(
+    home: NodeHome, *, host: str | None, port: int, newest: bytes | None, now: int
+) -> MasterServer:
     """The master whose identity is in `home`, not yet started.
 
     Args:
-        host: address to advertise, and to listen on alone when it is loopback; None: any.
+        host: address to advertise (ROS_HOSTNAME or ROS_IP), and to listen on alone when it is
+            loopback, as in ROS; None: this machine's name, and any address.
         newest: a revocation list that may be newer than the one saved, when the authority lives on
             this host; otherwise the master waits until one is published.
 
@@ -27,6 +33,18 @@ def master_of(home: NodeHome, *, host: str | None, port: int, newest: bytes | No
         revocations.update(newest, now, home.save_revocations)
     trust = Trust(anchor.public_key, credentials.signer, revocations, home.save_revocations)
     return MasterServer(
-        credentials, anchor.verify, trust,
-        name=home.name, host=host, port=port, advertise=host or "localhost",
-    )  # fmt: skip
+        credentials,
+        anchor.verify,
+        trust,
+        name=home.name,
+        host=host if host is not None and _is_loopback(host) else None,
+        port=port,
+        advertise=host or socket.gethostname(),
+    )
+
+
+def _is_loopback(host: str) -> bool:
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"

@@ -19,7 +19,7 @@ from ca.signer import Signer
 from grants.decision import Check, authorize
 from grants.document import open_grant
 from grants.errors import GrantError, GrantNotHeld
-from grants.model import MESSAGE_RIGHTS, Grant, Right
+from grants.model import Grant, Right
 from rossec.master.api import Presented
 from rossec.master.gatekeeper import Caller
 
@@ -50,13 +50,7 @@ class GrantAccess:
 
     def require(self, right: Right, name: str) -> None:
         """Raise the `GrantError` that says what is missing."""
-        decision = authorize(
-            self.grants, right, name, holder=self.holder, now=self.now, check=self.check
-        )
-        if (
-            right not in MESSAGE_RIGHTS
-        ):  # filters and conditions are for messages: others apply none
-            decision.require_unrestricted()
+        authorize(self.grants, right, name, holder=self.holder, now=self.now, check=self.check)
 
 
 @dataclass

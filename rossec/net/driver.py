@@ -5,6 +5,7 @@ lags, writing waits while the peer does. `rossec.net.secure.SecureStream` is wha
 """
 
 import asyncio
+import socket
 import time
 from collections import deque
 from collections.abc import Callable
@@ -54,6 +55,7 @@ class Driver(asyncio.BufferedProtocol, Generic[PeerT]):
         self._writable = asyncio.Event()
         self._writable.set()
         self._lost = asyncio.Event()
+        self.ended = asyncio.Event()
         self._when_writable: list[Callable[[], None]] = []
         self.authenticated = False
         self.error: ChannelError | None = None
@@ -66,6 +68,9 @@ class Driver(asyncio.BufferedProtocol, Generic[PeerT]):
         """Send the first flight, start the clock."""
         self._transport = cast("asyncio.Transport", transport)
         self.learn_address(transport)
+        # asyncio does this only for sockets made with an explicit IPPROTO_TCP; ours are not.
+        sock = transport.get_extra_info("socket")
+        sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self.flush()
         self._arm()
 
@@ -219,6 +224,7 @@ class Driver(asyncio.BufferedProtocol, Generic[PeerT]):
         if self.error is not None:
             return
         self.error = error
+        self.ended.set()
         self._cancel_timer()
         self._arrived.set()
         self._writable.set()

@@ -61,10 +61,23 @@ class SecureStream(Generic[PeerT]):
             ChannelError: the connection is at its end.
             LimitExceeded: the unit is too long; the connection is untouched.
         """
+        if len(pieces) == 1 and not self._queue and self._send_small(pieces[0]):
+            return
         async with self._turn:
             await self._driver.drain()
             self._flush_queue()
             await self._write(self._driver.connection.seal_unit(*pieces))
+
+    def _send_small(self, unit: Bytes) -> bool:
+        """Send a unit of one record if nobody has to wait for anything."""
+        driver = self._driver
+        if self._turn.locked() or not driver.writable or not isinstance(unit, bytes):
+            return False
+        record = driver.connection.seal_small(unit)
+        if record is None:
+            return False
+        driver.write(record)
+        return True
 
     async def _write(self, records: Iterator[Bytes]) -> None:
         """Write each record as it is sealed: another one sealed meanwhile must come after it."""
@@ -131,13 +144,17 @@ class SecureStream(Generic[PeerT]):
         """
         return await self._driver.receive()
 
+    async def wait_ended(self) -> None:
+        """Return when the connection is at its end, whoever ended it; takes no unit."""
+        await self._driver.ended.wait()
+
     def abort(self, reason: str) -> None:
         """Cut the connection at once, for example because the peer's right was revoked."""
         self._driver.abort(ChannelClosed(reason))
 
     async def close(self) -> None:
         """Send what is queued, then close in order."""
-        if self._driver.error is None:
+        if self._driver.error is None and not self._turn.locked():
             self._flush_queue()
         await self._driver.close()
 

@@ -1,6 +1,6 @@
 """When a live connection must end: its grant or key is revoked or expired, or nobody knows.
 
-Pure: the shell asks about each link and cuts it. A link is anything that was admitted by a decision.
+Pure: the shell asks about each link and cuts it. A link is what was admitted by a decision.
 """
 
 from typing import Final, Protocol

@@ -53,7 +53,7 @@ class MessageType:
         """
         try:
             data: memoryview = _store().serialize_ros1(message, _inner(self.name))
-        except Exception as error:  # noqa: BLE001 - generated code raises whatever the value raises
+        except Exception as error:
             raise MessageError(
                 f"cannot serialize this as {self.name}: {error}", "check the types of its fields"
             ) from error
@@ -67,7 +67,7 @@ class MessageType:
         """
         try:
             return _store().deserialize_ros1(data, _inner(self.name))
-        except Exception as error:  # noqa: BLE001 - generated code meets arbitrary bytes
+        except Exception as error:
             raise MessageError(f"bytes that are not one {self.name}: {error}") from error
 
 

@@ -107,9 +107,7 @@ class Node:
         self._publishers[endpoint.topic] = publisher
         return publisher
 
-    async def subscriber(
-        self, topic: str, type_name: str, *, queue_size: int = 10
-    ) -> Subscriber:
+    async def subscriber(self, topic: str, type_name: str, *, queue_size: int = 10) -> Subscriber:
         """Receive messages of `type_name` on `topic`: `async for message in subscriber`.
 
         Raises:
@@ -152,9 +150,11 @@ class Node:
         """Take over a newer list and a fresh timestamp, then cut what they end."""
         now = int(time.time())
         self.revocations.update(revocations, now, self.home.save_revocations)
-        self._cut(now)
-        self.revocations.confirm(open_timestamp(timestamp, master.public_key), now)
-        self.revocations.check(master.thumbprint, now)
+        try:
+            self.revocations.confirm(open_timestamp(timestamp, master.public_key), now)
+            self.revocations.check(master.thumbprint, now)
+        finally:  # what the list revokes ends, whatever is wrong with the timestamp
+            self._cut(now)
 
     def shutdown_requested(self, reason: str) -> None:
         """End the node: another one took its name, or an administrator wants it so."""
@@ -202,9 +202,7 @@ class Node:
 
     async def _dial_master(self) -> SecureStream[Identity]:
         where = self.settings.master_host, self.settings.master_port
-        return await connect(
-            *where, self.credentials, self.anchor.verify, opening=Flavour.HTTP
-        )
+        return await connect(*where, self.credentials, self.anchor.verify, opening=Flavour.HTTP)
 
     async def _dial_topic(self, uri: str, topic: str) -> SecureStream[Identity]:
         """Ask the node at `uri` where its topics are, then connect there."""
@@ -213,9 +211,7 @@ class Node:
             host, port, self.credentials, self.anchor.verify, opening=Flavour.HTTP
         )
         try:
-            answer = await RpcClient(stream).ask(
-                "requestTopic", self.name, topic, [["TCPROS"]]
-            )
+            answer = await RpcClient(stream).ask("requestTopic", self.name, topic, [["TCPROS"]])
         finally:
             await stream.close()
         match answer:

@@ -150,9 +150,7 @@ class Publisher:
         """
         return Guard(self._layout, decision)
 
-    async def serve(
-        self, stream: SecureStream[Identity], decision: Decision, guard: Guard
-    ) -> None:
+    async def serve(self, stream: SecureStream[Identity], decision: Decision, guard: Guard) -> None:
         """Feed one admitted subscriber until its stream ends."""
         link = SubscriberLink(stream, decision, guard, self._queue_size)
         self.links.add(link)

@@ -7,6 +7,7 @@ alone could be suppressed without a trace (RFC 9770 section 11 asks the same).
 """
 
 import asyncio
+import contextlib
 import logging
 from collections.abc import Awaitable, Callable
 from typing import Final
@@ -47,7 +48,7 @@ class MasterSession:
         self._refresh = refresh
         self._restore = restore
         self._client: RpcClient | None = None
-        self._master: Identity | None = None
+        self._stream: SecureStream[Identity] | None = None
 
     async def call(self, method: str, *params: object) -> object:
         """Value of `[1, status, value]` that the master answers.
@@ -72,7 +73,7 @@ class MasterSession:
                 f"the node at the master's address is {stream.peer.name}, not {MASTER}",
                 "check ROS_MASTER_URI",
             )
-        self._client, self._master = RpcClient(stream), stream.peer
+        self._client, self._stream = RpcClient(stream), stream
         await self._beat()
         await self._restore(self)
         return stream
@@ -85,7 +86,7 @@ class MasterSession:
                 if self._client is None or self._client.closed:
                     await self.open()
                     _log.info("%s: connected to the master again", self._name)
-                await asyncio.sleep(HEARTBEAT)
+                await self._pause()
                 await self._beat()
                 pause = _FIRST_PAUSE
             except (HintedError, OSError, TimeoutError) as error:
@@ -98,6 +99,13 @@ class MasterSession:
         """End the control connection; the master then forgets nothing until told to."""
         await self._drop()
 
+    async def _pause(self) -> None:
+        """Until the next beat, or until the connection ends: a restarted master is met at once."""
+        if self._stream is not None:
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(HEARTBEAT):
+                    await self._stream.wait_ended()
+
     async def _drop(self) -> None:
         client, self._client = self._client, None
         if client is not None:
@@ -105,8 +113,8 @@ class MasterSession:
 
     async def _beat(self) -> None:
         answer = await self.call("rossec.revocations")
-        match answer, self._master:
-            case [bytes() as revocations, bytes() as timestamp], Identity() as master:
+        match answer, self._stream:
+            case [bytes() as revocations, bytes() as timestamp], SecureStream(peer=master):
                 self._refresh(revocations, timestamp, master)
             case _:
                 raise CAError("the master has no revocation list", "give it one: rossec ca publish")

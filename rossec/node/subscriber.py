@@ -17,9 +17,9 @@ from ca.errors import HintedError
 from grants.decision import Decision
 from rossec.errors import TopicRefused
 from rossec.net.stream import SecureStream
+from rossec.node.access import Access
 from rossec.node.messages import Message
 from rossec.node.topics import Endpoint, admit_publisher, subscriber_header
-from rossec.node.access import Access
 from rossec.ros import header
 from rossec.ros.header import FrameReader
 

@@ -4,8 +4,14 @@ import pytest
 from rossec.errors import MessageError
 from rossec.node.messages import MessageType, message_type, register_type
 
-STANDARD = ["std_msgs/String", "geometry_msgs/PoseStamped", "sensor_msgs/LaserScan",
-            "sensor_msgs/Image", "diagnostic_msgs/DiagnosticArray", "nav_msgs/Odometry"]  # fmt: skip
+STANDARD = [
+    "std_msgs/String",
+    "geometry_msgs/PoseStamped",
+    "sensor_msgs/LaserScan",
+    "sensor_msgs/Image",
+    "diagnostic_msgs/DiagnosticArray",
+    "nav_msgs/Odometry",
+]
 
 
 @pytest.mark.parametrize("name", STANDARD)

@@ -1,0 +1,165 @@
+"""What happens before records flow: the preamble, then the handshake message by message.
+
+Each step takes what the peer sent and says which state follows and what to send back; the
+connection does both. `Preamble` is for the bytes before the first frame, `Negotiation` holds the
+rows of `states.TABLE` that concern the handshake.
+"""
+
+from collections.abc import Collection
+from dataclasses import dataclass
+from typing import Final, Generic, cast
+
+from rossec.channel.buffers import ReceiveBuffer
+from rossec.channel.credentials import PeerT
+from rossec.channel.handshake import Initiator, Party, Responder, WrongSuite
+from rossec.channel.messages import WRONG_SUITE, decode_error, encode_error, suites_item
+from rossec.channel.opening import (
+    MAX_OPENING,
+    Flavour,
+    Plain,
+    Verdict,
+    first_bytes,
+    judge_answer,
+    judge_caller,
+    refusal,
+)
+from rossec.channel.records import Epochs, Frame, Limits, frame
+from rossec.channel.session import Session
+from rossec.channel.states import State
+from rossec.errors import PeerRefused, PlainPeer
+
+_HINT_REFUSED: Final = "see the peer's log: it does not say why to one it does not trust"
+_HINT_PLAIN: Final = "start the peer with `rossec run`, or call `rossec.secure()` in it"
+
+
+class Preamble:
+    """The bytes before the first frame, of either role; `accept` makes it a responder's."""
+
+    def __init__(self, flavour: Flavour, accept: Collection[Flavour] | None) -> None:
+        self.flavour = flavour
+        self._reply = b"" if accept is not None else first_bytes(flavour)
+        self._accept = accept
+        self._drain = 0
+
+    def take(self) -> bytes:
+        """Return, once, what to send."""
+        reply, self._reply = self._reply, b""
+        return reply
+
+    def feed(self, inbox: ReceiveBuffer, state: State) -> State:
+        """Consume what belongs to the preamble; return the state that follows.
+
+        Raises:
+            PlainPeer: the peer speaks plain ROS; `take` may hold a readable refusal.
+            ProtocolViolation: the peer speaks neither.
+        """
+        if state is State.OPENING:
+            prefix = bytes(inbox.unread()[:MAX_OPENING])
+            if self._accept is None:
+                return self._answer(inbox, judge_answer(prefix, self.flavour))
+            state = self._call(inbox, judge_caller(prefix), self._accept)
+        if state is State.DRAINING:
+            count = min(self._drain, len(inbox))
+            inbox.consume(count)
+            self._drain -= count
+            if self._drain == 0:
+                self._refuse()
+        return state
+
+    def _answer(self, inbox: ReceiveBuffer, length: int | None) -> State:
+        if length is None:
+            return State.OPENING
+        inbox.consume(length)
+        return State.WAIT_2
+
+    def _call(self, inbox: ReceiveBuffer, verdict: Verdict, accept: Collection[Flavour]) -> State:
+        if verdict is None:
+            return State.OPENING
+        self.flavour = verdict.flavour
+        if isinstance(verdict, Plain):
+            self._drain = verdict.drain
+            return State.DRAINING
+        if verdict.flavour not in accept:
+            self._refuse()
+        inbox.consume(verdict.consumed)
+        self._reply = verdict.reply
+        return State.WAIT_1
+
+    def _refuse(self) -> None:
+        self._reply = refusal(self.flavour)
+        raise PlainPeer(f"a plain {self.flavour.name} peer called and was refused", _HINT_PLAIN)
+
+
+@dataclass(frozen=True)
+class Step(Generic[PeerT]):
+    """What a message led to; `peer` once it is authenticated."""
+
+    state: State
+    reply: bytes = b""
+    peer: PeerT | None = None
+
+
+class Negotiation(Generic[PeerT]):
+    """The handshake of one connection, with at most one retry for another cipher suite."""
+
+    def __init__(self, side: Initiator[PeerT] | Responder[PeerT]) -> None:
+        self._side = side
+        self._retried = False
+        self.told = False  # the peer sent an error, which is never answered with one
+
+    @classmethod
+    def begin(cls, party: Party[PeerT]) -> tuple["Negotiation[PeerT]", bytes]:
+        """An initiator's, and the frame with its message_1."""
+        side = Initiator(party)
+        return cls(side), frame(Frame.HANDSHAKE, side.message_1())
+
+    def session(self, limits: Limits, now: int) -> Session:
+        """The record layer under the secret both sides now share."""
+        side = self._side
+        epochs = Epochs(side.suite, side.exporter, initiator=isinstance(side, Initiator))
+        return Session(epochs, limits, now)
+
+    def forget(self) -> None:
+        """Drop the secrets."""
+        self._side.forget()
+
+    def on_message_1(self, body: bytes, _: int) -> Step[PeerT]:
+        """Answer message_1 with message_2, or once with the suites this side uses."""
+        side = cast("Responder[PeerT]", self._side)
+        try:
+            return Step(State.WAIT_3, frame(Frame.HANDSHAKE, side.message_1(body)))
+        except WrongSuite as error:
+            if self._retried:
+                raise
+            self._retried = True
+            text = encode_error(WRONG_SUITE, suites_item(error.suites))
+            return Step(State.WAIT_1, frame(Frame.ERROR, text))
+
+    def on_message_2(self, body: bytes, now: int) -> Step[PeerT]:
+        """Answer message_2 with message_3; the responder is authenticated."""
+        side = cast("Initiator[PeerT]", self._side)
+        message_3, peer = side.message_2(body, now)
+        return Step(State.WAIT_4, frame(Frame.HANDSHAKE, message_3), peer)
+
+    def on_message_3(self, body: bytes, now: int) -> Step[PeerT]:
+        """Answer message_3 with message_4; the initiator is authenticated."""
+        side = cast("Responder[PeerT]", self._side)
+        message_4, peer = side.message_3(body, now)
+        return Step(State.OPEN, frame(Frame.HANDSHAKE, message_4), peer)
+
+    def on_message_4(self, body: bytes, _: int) -> Step[PeerT]:
+        """The responder accepted this side and holds the same key."""
+        cast("Initiator[PeerT]", self._side).message_4(body)
+        return Step(State.OPEN)
+
+    def on_error(self, body: bytes, _: int) -> Step[PeerT]:
+        """Give up, or try again where the peer only wants another suite."""
+        self.told = True
+        code, reason, suites = decode_error(body)
+        side = self._side
+        fresh = isinstance(side, Initiator) and not side.answered and not self._retried
+        if code != WRONG_SUITE or not fresh:
+            raise PeerRefused(f"the peer refused the handshake: {reason}", _HINT_REFUSED)
+        self._side = renewed = cast("Initiator[PeerT]", side).after_wrong_suite(suites)
+        self._retried, self.told = True, False
+        return Step(State.WAIT_2, frame(Frame.HANDSHAKE, renewed.message_1()))

@@ -1,0 +1,46 @@
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rossec.channel.buffers import ReceiveBuffer
+
+
+def put(buffer: ReceiveBuffer, data: bytes) -> int:
+    room = buffer.free()
+    count = min(len(room), len(data))
+    room[:count] = data[:count]
+    buffer.filled(count)
+    return count
+
+
+def test_it_moves_before_it_grows() -> None:
+    buffer = ReceiveBuffer(8)
+    assert put(buffer, b"abcdefgh") == 8
+    buffer.consume(6)
+    buffer.reserve(8)
+    assert buffer.capacity == 8
+    assert put(buffer, b"ijklmnop") == 6
+    assert bytes(buffer.unread()) == b"ghijklmn"
+    buffer.reserve(9, grow_to=100)
+    assert buffer.capacity == 100
+    assert bytes(buffer.unread()) == b"ghijklmn"
+
+
+def test_free_is_never_empty() -> None:
+    buffer = ReceiveBuffer(4)
+    put(buffer, b"abcd")
+    assert len(buffer.free()) > 0
+    buffer.consume(4)
+    assert len(buffer.free()) == buffer.capacity
+
+
+@given(st.lists(st.tuples(st.binary(max_size=40), st.integers(0, 40), st.integers(0, 60))))
+def test_it_is_a_queue(steps: list[tuple[bytes, int, int]]) -> None:
+    buffer, model = ReceiveBuffer(16), b""
+    for data, drop, reserve in steps:
+        count = put(buffer, data)
+        model += data[:count]
+        buffer.consume(min(drop, len(model)))
+        model = model[drop:]
+        buffer.reserve(reserve)
+        assert bytes(buffer.unread()) == model
+        assert len(buffer) == len(model)

@@ -1,0 +1,450 @@
+import pytest
+
+from rossec.channel.connection import Connection
+from rossec.channel.messages import encode_error
+from rossec.channel.opening import REFUSAL, Flavour, tcpros_refusal
+from rossec.channel.records import Bytes, Frame, Limits, frame
+from rossec.channel.states import TABLE, Authenticated, Closed, State
+from rossec.errors import (
+    ChannelClosed,
+    ChannelError,
+    ConnectionTruncated,
+    HandshakeFailed,
+    HandshakeTimeout,
+    IdentityExpired,
+    IdentityRefused,
+    LimitExceeded,
+    PeerRefused,
+    PlainPeer,
+    ProtocolViolation,
+    RecordForged,
+)
+from tests.support.wire import (
+    ALICE,
+    NOT_AFTER,
+    NOW,
+    STRANGER,
+    End,
+    FakeIdentity,
+    Wire,
+    alice,
+    bob,
+    dice,
+    joined,
+    wire,
+)
+
+SMALL = Limits(records=4, octets=1 << 20, seconds=100, unit=1 << 20)
+
+
+def names(end: End) -> list[str]:
+    return [event.identity.name for event in end.events if isinstance(event, Authenticated)]
+
+
+@pytest.mark.parametrize("step", [0, 1, 7])
+@pytest.mark.parametrize("flavour", list(Flavour))
+def test_a_connection_from_end_to_end(flavour: Flavour, step: int) -> None:
+    w = wire(alice(flavour), step=step).pump()
+    assert names(w.left) == ["/bob"]
+    assert names(w.right) == ["/alice"]
+    w.left.core.send_unit(b"hello ", bytearray(b"bob"))
+    w.right.core.send_unit(b"hello ", memoryview(b"alice"))
+    w.pump()
+    assert w.right.units == [b"hello bob"]
+    assert w.left.units == [b"hello alice"]
+    w.left.core.close()
+    w.pump()
+    assert w.right.events[-1] == Closed()
+    w.left.core.receive_eof()
+    w.right.core.receive_eof()
+    assert w.left.core.state is State.CLOSED
+    assert w.right.core.state is State.CLOSED
+    assert w.right.core.flavour is flavour
+    assert w.left.error is None
+    assert w.right.error is None
+
+
+def test_the_first_record_may_travel_with_message_3() -> None:
+    w = wire()
+    w.right.give(w.left.take())
+    w.left.give(w.right.take())
+    w.left.core.send_unit(b"early")
+    w.right.give(w.left.take())
+    assert w.right.units == [b"early"]
+
+
+def test_large_units_of_many_pieces() -> None:
+    w = joined()
+    pieces: list[Bytes] = [
+        b"a",
+        b"b" * 300_000,
+        bytearray(b"c" * 20_000),
+        b"",
+        b"d",
+        memoryview(b"e" * 700_000),
+    ]
+    w.right.core.send_unit(*pieces)
+    w.right.core.send_unit(b"f" * 600_000)
+    w.pump()
+    assert w.left.units == [b"".join(pieces), b"f" * 600_000]
+
+
+def test_an_empty_unit_sends_nothing() -> None:
+    w = joined()
+    w.left.core.send_unit()
+    w.left.core.send_unit(b"")
+    assert w.left.take() == b""
+
+
+def test_a_unit_beyond_the_limit_is_refused_before_anything_happens() -> None:
+    w = joined(left=alice(limits=Limits(unit=10)))
+    with pytest.raises(LimitExceeded, match="11 bytes"):
+        w.left.core.send_unit(b"x" * 11)
+    w.left.core.send_unit(b"x" * 10)
+    assert w.pump().right.units == [b"x" * 10]
+
+
+@pytest.mark.parametrize("size", [11, 300_000])
+def test_a_peer_that_sends_a_unit_beyond_the_limit(size: int) -> None:
+    w = joined(right=bob(limits=Limits(unit=10)))
+    w.left.core.send_unit(b"x" * size)
+    assert isinstance(w.pump().right.error, LimitExceeded)
+    assert w.right.units == []
+
+
+def test_sending_before_the_handshake_and_after_the_close() -> None:
+    w = wire()
+    with pytest.raises(ChannelClosed):
+        w.right.core.send_unit(b"too early")
+    w.pump()
+    w.left.core.close()
+    with pytest.raises(ChannelClosed):
+        w.left.core.send_unit(b"too late")
+    w.left.core.close()
+    assert w.left.core.state is State.CLOSING
+
+
+def test_closing_during_the_handshake_sends_nothing() -> None:
+    core = bob()
+    core.close()
+    assert core.state is State.CLOSED
+    assert core.data_to_send() == b""
+    assert core.receive_data(b"whatever", NOW) == []
+
+
+def test_the_close_in_the_middle_of_a_unit_is_a_truncation() -> None:
+    w = joined()
+    records = w.left.core.seal_unit(b"x" * 600_000)
+    w.right.give(bytes(next(records)))
+    w.left.core.close()
+    with pytest.raises(ChannelClosed):
+        next(records)
+    assert isinstance(w.pump().right.error, ConnectionTruncated)
+    assert w.right.units == []
+
+
+def test_records_sealed_meanwhile_go_first() -> None:
+    w = joined(left=alice(limits=SMALL), right=bob(limits=SMALL))
+    for _ in range(4):
+        w.right.core.send_unit(b"to alice")
+    records = w.left.core.seal_unit(b"x" * 300_000)
+    sent = [next(records)]
+    w.right.core.send_unit(b"after the rekey")
+    w.left.give(w.right.take())  # alice follows the rekey, in the middle of her unit
+    sent += records
+    w.right.give(b"".join(sent))
+    assert w.pump().right.units == [b"x" * 300_000]
+    assert w.left.units[-1] == b"after the rekey"
+
+
+# -- the end without a close
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_the_end_without_close_is_a_truncation(side: str) -> None:
+    end: End = getattr(joined(), side)
+    with pytest.raises(ConnectionTruncated, match="without the peer's close"):
+        end.core.receive_eof()
+    assert end.core.deadline() is None
+
+
+def test_the_end_during_the_handshake() -> None:
+    with pytest.raises(HandshakeFailed, match="during the handshake"):
+        alice().receive_eof()
+
+
+# -- whom to talk to
+
+
+def test_the_responder_refuses_a_stranger_without_saying_why() -> None:
+    w = wire(alice(credentials=STRANGER)).pump()
+    assert isinstance(w.right.error, IdentityRefused)
+    assert "not signed by this site's authority" in str(w.right.error)
+    assert w.right.error.hint == "enroll the node"
+    assert isinstance(w.left.error, PeerRefused)
+    assert str(w.left.error) == "the peer refused the handshake: handshake refused"
+    assert names(w.right) == []
+
+
+def test_the_initiator_refuses_a_stranger() -> None:
+    w = wire(right=bob(credentials=STRANGER)).pump()
+    assert isinstance(w.left.error, IdentityRefused)
+    assert isinstance(w.right.error, PeerRefused)
+    assert names(w.left) == []
+
+
+def test_ones_own_certificate_is_refused() -> None:
+    w = wire(alice(), bob(credentials=ALICE)).pump()
+    assert isinstance(w.left.error, IdentityRefused)
+    assert "own certificate" in str(w.left.error)
+
+
+def test_a_bug_in_verify_ends_the_connection() -> None:
+    def broken(chain: tuple[bytes, ...], now: int) -> FakeIdentity:
+        raise ZeroDivisionError
+
+    w = wire()
+    core = Connection[FakeIdentity].initiator(ALICE, broken, random=dice("x"), now=NOW)
+    w.right.give(bytes(core.data_to_send()))
+    with pytest.raises(ZeroDivisionError):
+        core.receive_data(w.right.take(), NOW)
+    assert core.state is State.CLOSED
+    assert core.data_to_send() == b""
+
+
+# -- cipher suites
+
+
+def test_the_initiator_tries_once_more_with_the_suite_of_the_responder() -> None:
+    w = wire(alice(suites=(4, 6)), bob(suites=(6,))).pump()
+    assert names(w.left) == ["/bob"]
+    assert names(w.right) == ["/alice"]
+
+
+def test_no_common_suite() -> None:
+    w = wire(alice(suites=(4,)), bob(suites=(6,))).pump()
+    assert isinstance(w.left.error, HandshakeFailed)
+    assert "no cipher suite" in str(w.left.error)
+
+
+def test_a_responder_answers_a_wrong_suite_once() -> None:
+    flight = bytes(alice(suites=(4,)).data_to_send())
+    core = bob()
+    core.receive_data(flight, NOW)
+    assert core.data_to_send() == frame(Frame.ERROR, encode_error(2, 6))
+    with pytest.raises(HandshakeFailed):
+        core.receive_data(flight[16:], NOW)
+
+
+def test_an_initiator_does_not_retry_twice() -> None:
+    w = wire(alice(suites=(4, 6)))
+    w.left.take()
+    w.left.give(frame(Frame.ERROR, encode_error(2, 6)))
+    assert w.left.take()
+    w.left.give(frame(Frame.ERROR, encode_error(2, 6)))
+    assert isinstance(w.left.error, PeerRefused)
+    assert w.left.take() == b""
+
+
+def test_an_error_message_is_never_answered() -> None:
+    w = wire()
+    w.left.take()
+    w.left.give(frame(Frame.ERROR, b"\xff"))
+    assert isinstance(w.left.error, HandshakeFailed)
+    assert w.left.take() == b""
+
+
+# -- plain peers
+
+
+def test_a_plain_caller_hears_why() -> None:
+    core = bob()
+    request = b"\x0a\0\0\0" + b"\x06\0\0\0a=bcde"
+    core.receive_data(request[:-1], NOW)
+    assert core.state is State.DRAINING
+    with pytest.raises(PlainPeer):
+        core.receive_data(request[-1:], NOW)
+    assert core.data_to_send() == tcpros_refusal(REFUSAL)
+
+
+def test_an_opening_that_is_not_accepted_hears_the_refusal() -> None:
+    w = wire(alice(Flavour.HTTP), bob(accept=frozenset({Flavour.TCPROS}))).pump()
+    assert isinstance(w.right.error, PlainPeer)
+    assert isinstance(w.left.error, PlainPeer)
+    assert "200 OK" in str(w.left.error)
+
+
+def test_a_plain_node_answers() -> None:
+    core = alice()
+    with pytest.raises(PlainPeer, match="no topic or service name detected"):
+        core.receive_data(tcpros_refusal("no topic or service name detected"), NOW)
+
+
+def test_garbage_is_dropped_silently() -> None:
+    core = bob()
+    with pytest.raises(ProtocolViolation):
+        core.receive_data(b"\xff" * 100, NOW)
+    assert core.data_to_send() == b""
+
+
+# -- the table
+
+
+@pytest.mark.parametrize("kind", list(Frame))
+@pytest.mark.parametrize("state", [State.WAIT_1, State.WAIT_2, State.WAIT_3, State.WAIT_4])
+def test_what_is_not_in_the_table_ends_the_connection(state: State, kind: Frame) -> None:
+    if (state, kind) in TABLE:
+        pytest.skip("in the table")
+    end = _in_state(state)
+    end.give(frame(kind, b"\0" * 20))
+    assert isinstance(end.error, ProtocolViolation)
+    assert end.core.state is State.CLOSED
+    told = end.take()
+    assert (told == frame(Frame.ERROR, encode_error(1, "handshake refused"))) == (
+        state is not State.WAIT_4
+    )
+
+
+@pytest.mark.parametrize("kind", [0, 1, 2, 7, 15])
+def test_frames_that_an_open_connection_does_not_know(kind: int) -> None:
+    w = joined()
+    w.right.give(bytes([kind << 4, 0, 0, 20]) + bytes(20))
+    assert isinstance(w.right.error, ProtocolViolation)
+    assert w.right.take() == b""
+
+
+def _in_state(state: State) -> End:
+    w = wire()
+    if state is State.WAIT_2:
+        w.left.take()
+        w.left.core.state = State.WAIT_2
+        return w.left
+    if state is State.WAIT_1:
+        w.right.give(w.left.take()[:16])
+        return w.right
+    w.right.give(w.left.take())
+    w.left.give(w.right.take())
+    w.left.take()
+    return w.right if state is State.WAIT_3 else w.left
+
+
+# -- time
+
+
+def test_the_handshake_has_one_deadline() -> None:
+    core = bob()
+    assert core.deadline() == NOW + 5
+    core.tick(NOW + 4)
+    with pytest.raises(HandshakeTimeout):
+        core.tick(NOW + 5)
+    core.tick(NOW + 6)
+
+
+def test_the_connection_ends_with_the_peers_certificate() -> None:
+    w = joined(right=bob(limits=Limits(seconds=1 << 40)))
+    assert w.right.core.deadline() == NOT_AFTER
+    with pytest.raises(IdentityExpired):
+        w.right.core.tick(NOT_AFTER)
+    assert w.right.core.state is State.CLOSED
+
+
+def test_keys_are_renewed_by_time() -> None:
+    w = joined(left=alice(limits=SMALL), right=bob(limits=SMALL))
+    assert w.left.core.deadline() == NOW + 100
+    w.left.core.tick(NOW + 100)
+    assert w.left.take() == b""  # not used: nothing to renew
+    w.left.core.send_unit(b"a")
+    w.left.core.tick(NOW + 200)
+    w.pump()
+    w.left.core.send_unit(b"b")
+    w.right.core.send_unit(b"c")
+    assert w.pump().right.units == [b"a", b"b"]
+    assert w.left.units == [b"c"]
+
+
+def test_a_peer_that_does_not_follow_is_left() -> None:
+    w = joined(left=alice(limits=SMALL), right=bob(limits=SMALL))
+    w.left.core.send_unit(b"a")
+    w.left.core.tick(NOW + 100)
+    with pytest.raises(LimitExceeded):
+        w.left.core.tick(NOW + 200)
+    assert w.left.core.state is State.CLOSED
+
+
+def test_renewal_both_ways_and_one_way() -> None:
+    w = joined(left=alice(limits=SMALL), right=bob(limits=SMALL))
+    for count in range(50):
+        w.left.core.send_unit(b"left %d" % count)
+        if count % 3 == 0:
+            w.right.core.send_unit(b"right %d" % count)
+        w.pump()
+    assert len(w.right.units) == 50
+    assert len(w.left.units) == 17
+    assert w.left.error is None
+    assert w.right.error is None
+
+
+def test_the_hard_stop_of_the_sender() -> None:
+    w = joined(left=alice(limits=SMALL), right=bob(limits=SMALL))
+    for _ in range(4 + 8):
+        w.left.core.send_unit(b"x")
+    with pytest.raises(LimitExceeded, match="does not follow"):
+        w.left.core.send_unit(b"x")
+    assert w.left.take() == b""
+    assert w.left.core.state is State.CLOSED
+
+
+def test_the_hard_stop_of_the_receiver() -> None:
+    w = joined(right=bob(limits=SMALL))
+    for _ in range(9):
+        w.left.core.send_unit(b"x")
+        w.pump()
+    assert isinstance(w.right.error, LimitExceeded)
+    assert len(w.right.units) == 8
+
+
+def test_a_forged_record_ends_the_connection_for_ever() -> None:
+    w = joined()
+    w.left.core.send_unit(b"x")
+    record = w.left.take()
+    w.right.give(record[:-1] + bytes([record[-1] ^ 1]))
+    assert isinstance(w.right.error, RecordForged)
+    assert w.right.core.receive_data(record, NOW) == []
+    with pytest.raises(ChannelError):
+        w.right.core.send_unit(b"y")
+    assert w.right.take() == b""
+
+
+def test_secrets_do_not_appear_in_representations() -> None:
+    w: Wire = joined()
+    side = w.left.core._negotiation._side
+    assert repr(side.exporter) == "Exporter(...)"
+
+
+def test_the_short_way_for_small_units() -> None:
+    w = joined(left=alice(limits=SMALL), right=bob(limits=SMALL))
+    for count in range(4):
+        record = w.left.core.seal_small(b"%d" % count)
+        assert record is not None
+        w.right.give(bytes(record))
+    assert w.left.core.seal_small(b"a renewal is due") is None
+    assert w.left.core.seal_small(b"") is None
+    assert w.left.core.seal_small(b"x" * 100_000) is None
+    w.left.core.send_unit(b"4")
+    assert w.left.core.seal_small(b"something is queued") is None
+    w.pump()
+    assert w.right.units == [b"0", b"1", b"2", b"3", b"4"]
+    w.left.core.close()
+    assert w.left.core.seal_small(b"closed") is None
+
+
+def test_units_never_interleave() -> None:
+    w = joined()
+    records = w.left.core.seal_unit(b"x" * 600_000)
+    w.right.give(bytes(next(records)))
+    assert w.left.core.seal_small(b"y") is None
+    with pytest.raises(ProtocolViolation, match="second unit"):
+        w.left.core.send_unit(b"y")
+    w.right.give(b"".join(records))
+    w.left.core.send_unit(b"y")
+    assert w.pump().right.units == [b"x" * 600_000, b"y"]

@@ -1,0 +1,38 @@
+import pytest
+
+from ca.encoding import Value
+from rossec.channel.credentials import MAX_CHAIN, Credentials, x5chain
+from rossec.errors import HandshakeFailed
+from tests.support.wire import ALICE
+
+
+@pytest.mark.parametrize("length", range(1, MAX_CHAIN + 1))
+def test_a_chain_there_and_back(length: int) -> None:
+    chain = tuple(b"certificate %d" % number for number in range(length))
+    credentials = Credentials(ALICE.signer, chain)
+    assert x5chain(credentials.id_cred) == chain
+    assert credentials.certificate == chain[0]
+
+
+@pytest.mark.parametrize(
+    "id_cred",
+    [
+        {},
+        {4: b"kid"},
+        {34: [-15, b"12345678"]},
+        {33: b"a", 4: b"kid"},
+        {33: []},
+        {33: [b"a"]},  # one alone is a byte string
+        {33: [b"a"] * (MAX_CHAIN + 1)},
+        {33: [b"a", 1]},
+        {33: [b"a", b""]},
+        {33: b""},
+        {33: b"x" * 8000},
+        {33: "text"},
+        b"kid",
+        7,
+    ],
+)
+def test_what_is_no_chain(id_cred: Value) -> None:
+    with pytest.raises(HandshakeFailed):
+        x5chain(id_cred)

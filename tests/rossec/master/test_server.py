@@ -1,0 +1,225 @@
+"""The running master over real secure connections on loopback, with a real authority."""
+
+import asyncio
+import socket
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import AsyncExitStack
+from typing import Any
+
+import pytest
+
+from ca.certificates import Identity
+from ca.revocation import digest, open_timestamp
+from grants.model import Right
+from rossec.errors import AnswerRefused, RossecError
+from rossec.master.server import PEER_CONNECTIONS, MasterServer
+from rossec.master.trust import Trust
+from rossec.net.rpc import RpcClient, serve_calls
+from rossec.net.stream import Flavour, SecureStream, connect, serve
+from rossec.ros.settings import parse_uri
+from tests.support.authority import Member, Site
+
+T = "std_msgs/String"
+EVERYTHING = {"/**": Right(255)}
+
+
+class SlaveNode:
+    """An enrolled node: a control connection, and a slave API that records what it is told."""
+
+    def __init__(self, world: "World", member: Member) -> None:
+        self.world = world
+        self.member = member
+        self.told: list[tuple[Any, ...]] = []
+
+    async def start(self, rights: dict[str, Right]) -> None:
+        self.server = await serve(
+            self.handle, "127.0.0.1", 0, self.member.credentials, self.world.site.anchor.verify
+        )
+        self.world.exit.push_async_callback(self.server.close)
+        self.uri = f"http://127.0.0.1:{self.server.port}/"
+        self.grant = self.world.site.grant(self.member, rights)
+        self.client = await self.world.call_as(self.member)
+        await self.ask("rossec.presentGrants", [self.grant])
+
+    async def handle(self, stream: SecureStream[Identity]) -> None:
+        await serve_calls(stream, self.dispatch)
+
+    async def dispatch(self, method: str, params: tuple[object, ...], peer: Identity) -> object:
+        self.told.append((peer.name, method, *params[1:]))
+        return [1, "", 0]
+
+    async def ask(self, method: str, *params: object) -> Any:
+        return await self.client.ask(method, self.member.name, *params)
+
+    def heard(self, method: str) -> list[tuple[Any, ...]]:
+        return [call[2:] for call in self.told if call[1] == method]
+
+
+class World:
+    def __init__(self, exit_stack: AsyncExitStack) -> None:
+        self.exit = exit_stack
+        self.site = Site()
+        self.master = self.site.enroll("/master")
+        self.trust = Trust(
+            self.site.anchor.public_key,
+            self.master.credentials.signer,
+            self.site.revocations(),
+            lambda _: None,
+        )
+        self.trust.update(self.site.revoke(), self.site.now)
+
+    async def start(self) -> None:
+        self.server = MasterServer(
+            self.master.credentials,
+            self.site.anchor.verify,
+            self.trust,
+            host="127.0.0.1",
+            port=0,
+            advertise="127.0.0.1",
+        )
+        await self.server.start()
+        self.exit.push_async_callback(self.server.close)
+
+    async def node(self, name: str, rights: dict[str, Right] = EVERYTHING) -> SlaveNode:
+        node = SlaveNode(self, self.site.enroll(name))
+        await node.start(rights)
+        return node
+
+    async def call_as(self, member: Member) -> RpcClient:
+        host, port = parse_uri(self.server.uri)
+        stream = await connect(
+            host, port, member.credentials, self.site.anchor.verify, opening=Flavour.HTTP
+        )
+        client = RpcClient(stream)
+        self.exit.push_async_callback(client.close)
+        return client
+
+
+@pytest.fixture
+async def world() -> AsyncIterator[World]:
+    async with AsyncExitStack() as stack:
+        world = World(stack)
+        await world.start()
+        yield world
+
+
+async def until(condition: Callable[[], bool]) -> None:
+    async with asyncio.timeout(10):
+        while not condition():  # noqa: ASYNC110 - the condition is in another task's hands
+            await asyncio.sleep(0.005)
+
+
+async def ends(call: Awaitable[object]) -> None:
+    with pytest.raises(RossecError):
+        async with asyncio.timeout(10):
+            await call
+
+
+async def test_a_subscriber_hears_of_its_publishers(world: World) -> None:
+    camera, viewer = await world.node("/camera"), await world.node("/viewer")
+    assert await viewer.ask("registerSubscriber", "/image", T, viewer.uri) == []
+    assert await camera.ask("registerPublisher", "/image", T, camera.uri) == [viewer.uri]
+    await until(lambda: viewer.heard("publisherUpdate") == [("/image", [camera.uri])])
+    assert viewer.told[0][0] == "/master"
+    await camera.ask("unregisterPublisher", "/image", camera.uri)
+    await until(lambda: viewer.heard("publisherUpdate")[1:] == [("/image", [])])
+    assert await camera.ask("getUri") == world.server.uri
+
+
+async def test_three_dead_subscribers_do_not_delay_a_live_one(world: World) -> None:
+    """Attack M9: ports that accept and never answer."""
+    with socket.create_server(("0.0.0.0", 0), backlog=64) as silent:
+        for n in range(2, 5):  # loopback has 16 million addresses: one per dead node
+            dead = await world.node(f"/dead{n}")
+            uri = f"http://127.0.0.{n}:{silent.getsockname()[1]}/"
+            await dead.ask("registerSubscriber", "/t", T, uri)
+        live, talker = await world.node("/live"), await world.node("/talker")
+        await live.ask("registerSubscriber", "/t", T, live.uri)
+        await talker.ask("registerPublisher", "/t", T, talker.uri)
+        await until(lambda: live.heard("publisherUpdate") == [("/t", [talker.uri])])
+
+
+async def test_whoever_answers_must_be_the_registered_node(world: World) -> None:
+    """Attack M8: the master never tells a node's news to somebody else."""
+    liar, victim = await world.node("/liar"), await world.node("/victim")
+    await liar.ask("registerSubscriber", "/t", T, victim.uri)
+    await victim.ask("registerPublisher", "/t", T, "http://127.0.0.1:9/")
+    other = await world.node("/other")
+    await other.ask("registerSubscriber", "/t", T, other.uri)
+    await other.ask("registerPublisher", "/t", T, other.uri)
+    await until(lambda: other.heard("publisherUpdate") != [])
+    assert victim.told == []
+
+
+async def test_a_restarted_node_replaces_itself(world: World) -> None:
+    node = await world.node("/node")
+    await node.ask("registerPublisher", "/t", T, node.uri)
+    await node.ask("registerPublisher", "/t", T, "http://127.0.0.1:9/")
+    await until(lambda: node.heard("shutdown") != [])
+    assert node.heard("shutdown") == [("[/node] Reason: new node registered with same name",)]
+
+
+async def test_parameters_are_passed_on(world: World) -> None:
+    one, two = await world.node("/one"), await world.node("/two")
+    assert await one.ask("subscribeParam", one.uri, "/rate") == {}
+    await two.ask("setParam", "/rate", 5)
+    await until(lambda: one.heard("paramUpdate") == [("/rate/", 5)])
+
+
+async def test_a_node_cannot_act_as_another(world: World) -> None:
+    eve = await world.node("/eve")
+    with pytest.raises(AnswerRefused, match="belongs to /eve"):
+        await eve.client.ask("registerPublisher", "/victim", "/t", T, eve.uri)
+
+
+async def test_a_revoked_grant_takes_the_registration_with_it(world: World) -> None:
+    camera, viewer = await world.node("/camera"), await world.node("/viewer")
+    await viewer.ask("registerSubscriber", "/image", T, viewer.uri)
+    await camera.ask("registerPublisher", "/image", T, camera.uri)
+    revocations = world.site.revoke(camera.grant)
+    assert await viewer.ask("rossec.updateRevocations", revocations) == 1
+    await until(lambda: viewer.heard("publisherUpdate")[-1:] == [("/image", [])])
+    with pytest.raises(AnswerRefused, match="is revoked"):
+        await camera.ask("registerPublisher", "/image", T, camera.uri)
+    await until(lambda: len(viewer.heard("rossec.revocationUpdate")) > 0)
+    data, stamp = viewer.heard("rossec.revocationUpdate")[-1]
+    assert data == revocations
+    opened = open_timestamp(stamp, world.master.identity.public_key)
+    assert opened.digest == digest(revocations)
+
+
+async def test_a_revoked_identity_is_cut_off_and_stays_out(world: World) -> None:
+    camera, viewer = await world.node("/camera"), await world.node("/viewer")
+    await viewer.ask("registerSubscriber", "/image", T, viewer.uri)
+    await camera.ask("registerPublisher", "/image", T, camera.uri)
+    await viewer.ask("rossec.updateRevocations", world.site.revoke(camera.member))
+    await ends(camera.ask("getPid"))
+    await until(lambda: viewer.heard("publisherUpdate")[-1:] == [("/image", [])])
+    again = await world.call_as(camera.member)
+    await ends(again.ask("getPid", "/camera"))
+    state = await viewer.ask("getSystemState")
+    assert state == [[], [["/image", ["/viewer"]]], []]
+
+
+async def test_an_identity_has_so_many_connections(world: World) -> None:
+    member = world.site.enroll("/many")
+    clients = [await world.call_as(member) for _ in range(PEER_CONNECTIONS)]
+    for client in clients:
+        assert await client.ask("getUri", "/many") == world.server.uri
+    await ends((await world.call_as(member)).ask("getUri", "/many"))
+    other = await world.node("/other")
+    assert await other.ask("getUri") == world.server.uri
+
+
+async def test_an_administrator_stops_it(world: World) -> None:
+    admin = await world.node("/admin", {"/master": Right.ADMIN})
+    await admin.ask("shutdown", "maintenance")
+    async with asyncio.timeout(5):
+        await world.server.stopped()
+
+
+async def test_denials_are_audited(world: World, caplog: pytest.LogCaptureFixture) -> None:
+    eve = await world.node("/eve", {"/t": Right.CALL})
+    with pytest.raises(AnswerRefused):
+        await eve.ask("registerPublisher", "/t", T, eve.uri)
+    assert "/eve may not registerPublisher: rossec: /eve needs the right publish" in caplog.text

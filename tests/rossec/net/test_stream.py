@@ -1,0 +1,355 @@
+"""The asyncio shell: clients and servers over real sockets on loopback."""
+
+import asyncio
+import contextlib
+import logging
+import socket
+from collections.abc import AsyncIterator
+
+import pytest
+
+from rossec.channel.opening import REFUSAL, Flavour
+from rossec.channel.records import Limits
+from rossec.errors import (
+    ChannelClosed,
+    ChannelError,
+    ConnectionTruncated,
+    HandshakeFailed,
+    IdentityExpired,
+    IdentityRefused,
+    PeerRefused,
+    PeerUnreachable,
+    PlainPeer,
+    SendQueueFull,
+)
+from rossec.net.server import bind, source_of
+from rossec.net.stream import HalfOpen, SecureServer, SecureStream, connect, serve
+from rossec.net.tasks import TaskSet
+from tests.support.wire import ALICE, BOB, STRANGER, FakeIdentity, trust
+
+Stream = SecureStream[FakeIdentity]
+LIVE = 1 << 40  # a not_after which the host's clock does not reach
+
+
+def live(chain: tuple[bytes, ...], now: int) -> FakeIdentity:
+    found = trust(chain, now)
+    return FakeIdentity(found.name, found.public_key, found.certificate, LIVE)
+
+
+async def echo(stream: Stream) -> None:
+    while True:
+        await stream.send(await stream.receive())
+
+
+@pytest.fixture
+async def server() -> AsyncIterator[SecureServer[FakeIdentity]]:
+    async with await serve(echo, "127.0.0.1", 0, BOB, live) as running:
+        yield running
+
+
+async def call(server: SecureServer[FakeIdentity], opening: Flavour = Flavour.TCPROS) -> Stream:
+    return await connect("127.0.0.1", server.port, ALICE, live, opening=opening)
+
+
+async def still_works(server: SecureServer[FakeIdentity]) -> None:
+    async with await call(server) as stream:
+        await stream.send(b"ping")
+        assert await stream.receive() == b"ping"
+
+
+@pytest.mark.parametrize("opening", list(Flavour))
+@pytest.mark.parametrize("size", [1, 70_000, 3_000_000])
+async def test_units_there_and_back(
+    server: SecureServer[FakeIdentity], opening: Flavour, size: int
+) -> None:
+    async with await call(server, opening) as stream:
+        assert stream.peer.name == "/bob"
+        assert stream.opening is opening
+        assert stream.address == "127.0.0.1"
+        await stream.send(b"x" * size, b"tail")
+        assert await stream.receive() == b"x" * size + b"tail"
+    with pytest.raises(ChannelClosed):
+        await stream.receive()
+    with pytest.raises(ChannelClosed):
+        await stream.send(b"late")
+    with pytest.raises(ChannelClosed):
+        stream.send_nowait(b"late")
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1", "::1", "localhost"])
+async def test_both_families_on_one_port(host: str) -> None:
+    async with await serve(echo, None, 0, BOB, live) as server:
+        stream = await connect(host, server.port, ALICE, live)
+        await stream.send(b"x")
+        assert await stream.receive() == b"x"
+        await stream.close()
+
+
+async def test_nothing_waits_for_nagle(server: SecureServer[FakeIdentity]) -> None:
+    async with await call(server) as stream:
+        for driver in (stream._driver, *server._drivers):
+            assert driver._transport is not None
+            sock = driver._transport.get_extra_info("socket")
+            assert sock.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
+
+
+async def test_small_units_queued_together_arrive_together(
+    server: SecureServer[FakeIdentity],
+) -> None:
+    async with await call(server) as stream:
+        for count in range(100):
+            stream.send_nowait(b"%02d" % count, b";")
+        assert stream.backlog == 300
+        unit = await stream.receive()
+        assert unit == b"".join(b"%02d;" % count for count in range(100))
+        stream.send_nowait(b"first ")
+        await stream.send(b"second")
+        assert await stream.receive() == b"first "
+        assert await stream.receive() == b"second"
+
+
+async def test_a_slow_reader_stops_the_writer() -> None:
+    go = asyncio.Event()
+    got = 0
+
+    async def slow(stream: Stream) -> None:
+        nonlocal got
+        await go.wait()
+        while True:
+            got += len(await stream.receive())
+
+    async with await serve(slow, "127.0.0.1", 0, BOB, live) as server:
+        stream = await call(server)
+        sent = 0
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(1):
+                while True:
+                    await asyncio.shield(asyncio.ensure_future(stream.send(b"x" * 500_000)))
+                    sent += 500_000
+        assert sent < 64_000_000
+        with pytest.raises(SendQueueFull):  # noqa: PT012 - fills whatever is left
+            while True:
+                stream.send_nowait(b"y" * 10_000)
+        backlog = stream.backlog
+        go.set()
+        await stream.send(b"z")
+        await stream.close()
+        await asyncio.sleep(0.1)
+        assert got == sent + 500_000 + backlog + 1
+
+
+async def test_a_send_given_up_half_way_ends_the_connection() -> None:
+    async def deaf(stream: Stream) -> None:
+        await asyncio.sleep(60)
+
+    async with await serve(deaf, "127.0.0.1", 0, BOB, live) as server:
+        stream = await call(server)
+        await stream.send(b"x" * 3_000_000)  # more than the peer takes unread: it stops reading
+        with pytest.raises(TimeoutError):
+            async with asyncio.timeout(0.5):
+                await stream.send(b"x" * 100_000_000)
+        with pytest.raises(ChannelClosed, match="half-way"):
+            await stream.send(b"y")
+
+
+async def test_a_crashing_handler_ends_only_its_connection(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    async def picky(stream: Stream) -> None:
+        unit = await stream.receive()
+        await stream.send(bytes([100 // unit[0]]))
+        await echo(stream)
+
+    async with await serve(picky, "127.0.0.1", 0, BOB, live) as server:
+        bad, good = await call(server), await call(server)
+        await bad.send(b"\x00")
+        with pytest.raises(ChannelError):
+            await bad.receive()
+        await good.send(b"\x0a")
+        assert await good.receive() == b"\x0a"
+        await good.close()
+    assert "crashed" in caplog.text
+    assert "ZeroDivisionError" in caplog.text
+
+
+async def test_closing_the_server_ends_everything() -> None:
+    server = await serve(echo, "127.0.0.1", 0, BOB, live)
+    stream = await call(server)
+    await stream.send(b"x")
+    await stream.receive()
+    await server.close()
+    with pytest.raises(ConnectionTruncated):
+        await stream.receive()
+    assert server.connections == 0
+    with pytest.raises(PeerUnreachable, match="cannot connect") as caught:
+        await call(server)
+    assert "ROS_HOSTNAME" in caught.value.hint
+
+
+async def test_an_abort_is_a_truncation_for_the_peer(server: SecureServer[FakeIdentity]) -> None:
+    stream = await call(server)
+    stream.abort("revoked")
+    with pytest.raises(ChannelClosed, match="revoked"):
+        await stream.receive()
+    with contextlib.suppress(ZeroDivisionError):
+        async with await call(server) as other:
+            raise ZeroDivisionError
+    with pytest.raises(ChannelClosed, match="failed"):
+        await other.receive()
+    await still_works(server)
+
+
+# -- identities
+
+
+async def test_a_stranger_is_refused_on_either_side(server: SecureServer[FakeIdentity]) -> None:
+    stream = await connect("127.0.0.1", server.port, STRANGER, live)
+    with pytest.raises(PeerRefused):
+        await stream.receive()
+    async with await serve(echo, "127.0.0.1", 0, STRANGER, live) as false:
+        with pytest.raises(IdentityRefused):
+            await call(false)
+    await still_works(server)
+
+
+async def test_a_certificate_that_runs_out_ends_the_connection() -> None:
+    def short(chain: tuple[bytes, ...], now: int) -> FakeIdentity:
+        found = trust(chain, now)
+        return FakeIdentity(found.name, found.public_key, found.certificate, now + 1)
+
+    async with await serve(echo, "127.0.0.1", 0, BOB, short) as server:
+        stream = await connect("127.0.0.1", server.port, ALICE, short)
+        with pytest.raises((IdentityExpired, ConnectionTruncated)):
+            await stream.receive()
+
+
+# -- those who do not speak it
+
+
+async def raw(server: SecureServer[FakeIdentity], data: bytes) -> bytes:
+    reader, writer = await asyncio.open_connection("127.0.0.1", server.port)
+    writer.write(data)
+    answer = await reader.read()
+    writer.close()
+    with contextlib.suppress(OSError):
+        await writer.wait_closed()
+    return answer
+
+
+async def test_a_plain_tcpros_client_reads_why(server: SecureServer[FakeIdentity]) -> None:
+    fields = [b"callerid=/listener", b"topic=/secret", b"message_definition=" + b"x" * 6000]
+    body = b"".join(len(field).to_bytes(4, "little") + field for field in fields)
+    answer = await raw(server, len(body).to_bytes(4, "little") + body)
+    assert answer[8:] == b"error=" + REFUSAL.encode()
+    assert int.from_bytes(answer[:4], "little") == len(answer) - 4
+    assert b"secret" not in answer
+    await still_works(server)
+
+
+async def test_a_plain_xmlrpc_client_reads_why(server: SecureServer[FakeIdentity]) -> None:
+    from xmlrpc.client import ServerProxy
+
+    def ask() -> object:
+        with ServerProxy(f"http://127.0.0.1:{server.port}/RPC2") as proxy:
+            return proxy.requestTopic("/listener", "/secret" * 20000, [["TCPROS"]])
+
+    assert await asyncio.to_thread(ask) == [-1, REFUSAL, 0]
+    await still_works(server)
+
+
+@pytest.mark.parametrize("data", [b"\xff" * 64, b"\x16\x03\x01\x02\x00\x01", b"GET " + b"x" * 9000])
+async def test_garbage_is_dropped(server: SecureServer[FakeIdentity], data: bytes) -> None:
+    with contextlib.suppress(OSError):
+        assert await raw(server, data) == b""
+    await still_works(server)
+
+
+async def test_calling_a_plain_server() -> None:
+    async def plain(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        await reader.read(100)
+        writer.write(b"\x10\0\0\0\x0c\0\0\0error=go off")
+        writer.close()
+
+    async with await asyncio.start_server(plain, "127.0.0.1", 0) as server:
+        port = server.sockets[0].getsockname()[1]
+        with pytest.raises(PlainPeer, match="go off"):
+            await connect("127.0.0.1", port, ALICE, live)
+
+
+async def test_the_handshake_deadline(caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.INFO)
+    limits = Limits(handshake_seconds=1)
+    async with await serve(echo, "127.0.0.1", 0, BOB, live, limits=limits) as server:
+        stream = await call(server)
+        assert await raw(server, b"\x0c\0\0") == b""
+        assert "did not finish the handshake in time" in caplog.text
+        await stream.send(b"x")
+        assert await stream.receive() == b"x"
+        await stream.close()
+
+
+@pytest.mark.parametrize("caps", [HalfOpen(per_address=3), HalfOpen(total=3)])
+async def test_half_open_caps_spare_the_others(caps: HalfOpen) -> None:
+    async with await serve(echo, "127.0.0.1", 0, BOB, live, half_open=caps) as server:
+        stream = await call(server)
+        idle = [await asyncio.open_connection("127.0.0.1", server.port) for _ in range(3)]
+        with contextlib.suppress(OSError):
+            assert await raw(server, b"") == b""
+        with pytest.raises(HandshakeFailed):
+            await call(server)
+        await stream.send(b"x")
+        assert await stream.receive() == b"x"
+        for _, writer in idle:
+            writer.close()
+        await asyncio.sleep(0.05)
+        await still_works(server)
+        await stream.close()
+
+
+# -- small parts
+
+
+def test_what_counts_as_one_source() -> None:
+    assert source_of("192.0.2.1") == "192.0.2.1"
+    assert source_of("::ffff:192.0.2.1") == "192.0.2.1"
+    assert source_of("2001:db8::1") == source_of("2001:db8::2")
+    assert source_of("fe80::1%eth0") == "fe80::/64"
+    assert source_of("") == ""
+
+
+def test_binding_by_name_shares_the_port() -> None:
+    sockets = bind("localhost", 0)
+    assert len({sock.getsockname()[1] for sock in sockets}) == 1
+    for sock in sockets:
+        sock.close()
+
+
+def test_binding_without_ipv6(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(socket, "has_ipv6", False)
+    monkeypatch.setattr(socket, "has_dualstack_ipv6", lambda: False)
+    real = socket.create_server
+
+    def no_ipv6(*args: object, **options: object) -> socket.socket:
+        if options["family"] == socket.AF_INET6:
+            raise OSError
+        return real(*args, **options)  # type: ignore[arg-type]  # passes everything on
+
+    monkeypatch.setattr(socket, "create_server", no_ipv6)
+    (sock,) = bind(None, 0)
+    assert sock.family == socket.AF_INET
+    sock.close()
+
+
+def test_a_port_that_is_taken() -> None:
+    taken = socket.create_server(("127.0.0.1", 0))
+    with taken, pytest.raises(OSError, match="in use"):
+        bind("127.0.0.1", taken.getsockname()[1])
+
+
+async def test_a_task_set_cancels_what_still_runs() -> None:
+    tasks = TaskSet()
+    running = tasks.spawn(asyncio.sleep(60), name="sleeper")
+    assert len(tasks) == 1
+    await tasks.close()
+    assert running.cancelled()
+    assert len(tasks) == 0

@@ -1,0 +1,84 @@
+"""A site for tests: a real authority, real certificates, grants and revocation lists."""
+
+import itertools
+import secrets
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from ca.authority import Authority, create_root
+from ca.certificates import Identity, TrustAnchor, build_request
+from ca.keys import generate
+from ca.revocation import RevocationList, Revocations, sign_list
+from ca.signer import KeySigner
+from grants.document import grant_id, sign
+from grants.model import Draft, Permission, Right
+from rossec.channel.credentials import Credentials
+
+DAY = 86400
+
+
+@dataclass(frozen=True)
+class Member:
+    """An enrolled node."""
+
+    identity: Identity
+    credentials: Credentials
+
+    @property
+    def name(self) -> str:
+        return self.identity.name
+
+    @property
+    def thumbprint(self) -> bytes:
+        return self.identity.thumbprint
+
+
+@dataclass
+class Site:
+    """One trust domain."""
+
+    now: int = field(default_factory=lambda: int(time.time()))
+    domain: str = "home"
+
+    def __post_init__(self) -> None:
+        self.signer = KeySigner(generate())
+        root = create_root(self.signer, self.domain, now=self.now, serial=secrets.randbits(127))
+        self.authority = Authority(self.signer, root)
+        self.anchor = TrustAnchor.load(root)
+        self._numbers = itertools.count(1)
+
+    def enroll(self, name: str) -> Member:
+        signer = KeySigner(generate())
+        request = build_request(signer, self.domain, name)
+        certificate = self.authority.issue(request, now=self.now, serial=secrets.randbits(127))
+        identity = self.anchor.verify([certificate], self.now)
+        return Member(identity, Credentials(signer, (certificate,)))
+
+    def grant(
+        self, to: Member, rights: Mapping[str, Right], *, lifetime: int = DAY, start: int = 0
+    ) -> bytes:
+        begin = self.now + start
+        draft = Draft(
+            domain=self.domain,
+            subject=to.name,
+            holder=to.thumbprint,
+            not_before=begin,
+            expires=begin + lifetime,
+            cap=begin + lifetime,
+            serial=secrets.token_bytes(16),
+            permissions=tuple(Permission(name, right) for name, right in rights.items()),
+        )
+        return sign(self.signer, draft)
+
+    def revoke(self, *entries: bytes | Member, lifetime: int = DAY) -> bytes:
+        """The next list; entries are grants as signed, or members."""
+        ids = (e.thumbprint if isinstance(e, Member) else grant_id(e) for e in entries)
+        return sign_list(
+            self.signer,
+            RevocationList(1, next(self._numbers), self.now, self.now + lifetime, frozenset(ids)),
+        )
+
+    def revocations(self) -> Revocations:
+        """A state that knows the authority and no list."""
+        return Revocations(self.anchor.public_key)
