@@ -38,6 +38,8 @@ APPLIED: list[tuple[str, dict[str, object], bytes, bytes]] = [
     ("int16[] x", {"zero": True}, u32(2) + b"1234", u32(2) + bytes(4)),
     ("int16[2] x", {"zero": True}, b"1234", bytes(4)),
     ("float64 x", {"round": {"step": 0.5}}, floats(1.3), floats(1.5)),
+    ("time x", {"round": {"step": 60}}, u32(90) + u32(5), u32(120) + u32(0)),
+    ("uint8 x", {"round": {"step": 10}}, b"\xff", b"\xfa"),
     ("float64 x", {"clamp": {"low": 0, "high": 1}}, floats(7), floats(1)),
     ("float64 x", {"clamp": {"low": 0, "high": 1}}, floats(-7), floats(0)),
     ("float64 x", {"clamp": {"low": 0, "high": 1}}, floats(math.nan), floats(0)),
