@@ -25,7 +25,7 @@ TOPIC = "/robot/pose"
 
 @pytest.fixture
 def site(tmp_path: Path) -> Site:
-    site = Site(tmp_path / "site")
+    site = Site(tmp_path / "site", clock=lambda: NOW)
     site.enroll("/viewer")
     return site
 
@@ -89,7 +89,7 @@ def test_an_expired_grant_stays_expired_though_it_was_good_once(site: Site) -> N
 
 
 def test_a_grant_of_another_authority(site: Site, tmp_path: Path) -> None:
-    stranger = Site(tmp_path / "stranger")
+    stranger = Site(tmp_path / "stranger", clock=lambda: NOW)
     with pytest.raises(GrantForged):
         judge(site, field(stranger.subscribe("/viewer", TOPIC)))
 

@@ -23,7 +23,7 @@ class Linked:
 
 @pytest.fixture
 def site(tmp_path: Path) -> Site:
-    return Site(tmp_path / "site")
+    return Site(tmp_path / "site", clock=lambda: NOW)
 
 
 def revocations(site: Site) -> Revocations:

@@ -21,7 +21,7 @@ class Pair:
     """A publisher and a subscriber that hold the grants they need."""
 
     def __init__(self, root: Path) -> None:
-        site = Site(root)
+        site = Site(root, clock=lambda: NOW)
         site.publish("/robot", ENDPOINT.topic)
         site.subscribe("/viewer", ENDPOINT.topic)
         self.robot, self.viewer = site.identity("/robot"), site.identity("/viewer")
