@@ -76,15 +76,16 @@ class Site:
     ) -> bytes:
         """Sign a grant for `name` and put it into the node's home; returns the signed grant."""
         home = self.enroll(name)
-        begin = int(time.time()) if begin is None else begin
+        now = int(time.time())
+        begin = now - 60 if begin is None else begin
         draft = Draft(
             domain=self.anchor.domain, subject=name,
             holder=holder or self.identity(name).thumbprint,
-            not_before=begin, expires=begin + lifetime, cap=begin + lifetime,
+            not_before=begin, expires=now + lifetime, cap=now + lifetime,
             serial=secrets.token_bytes(16),
             permissions=(Permission(pattern, right, restriction),),
         )  # fmt: skip
-        data = self.authority.grant(draft, int(time.time()))
+        data = self.authority.grant(draft, now)
         home.add_grant(document.grant_id(data), data)
         return data
 
