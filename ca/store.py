@@ -7,7 +7,6 @@ transaction, and is on the disk when the call returns.
 
 import os
 import sqlite3
-import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -28,17 +27,14 @@ _SCHEMA: Final = (
         id BLOB PRIMARY KEY, name TEXT NOT NULL, data BLOB NOT NULL,
         not_before INTEGER NOT NULL, expires INTEGER NOT NULL, at INTEGER NOT NULL
     ) STRICT""",
-    """CREATE TABLE revocation (
-        entry BLOB PRIMARY KEY, reason TEXT NOT NULL, at INTEGER NOT NULL
-    ) STRICT""",
+    """CREATE TABLE revocation (entry BLOB PRIMARY KEY, reason TEXT NOT NULL, at INTEGER NOT NULL)
+        STRICT""",
     """CREATE TABLE list (
         epoch INTEGER NOT NULL, seq INTEGER NOT NULL, data BLOB NOT NULL, at INTEGER NOT NULL,
         PRIMARY KEY (epoch, seq)
     ) STRICT""",
-    """CREATE TABLE log (
-        number INTEGER PRIMARY KEY, at INTEGER NOT NULL, what TEXT NOT NULL,
-        subject TEXT NOT NULL, detail TEXT NOT NULL
-    ) STRICT""",
+    """CREATE TABLE log (number INTEGER PRIMARY KEY, at INTEGER NOT NULL, what TEXT NOT NULL,
+        subject TEXT NOT NULL, detail TEXT NOT NULL) STRICT""",
 )
 _APPEND_ONLY: Final = """
 CREATE TRIGGER {table}_no_{verb} BEFORE {verb} ON {table}
@@ -114,12 +110,11 @@ class Store:
         try:
             _check_kind(db, path)
             _configure(db)
-        except sqlite3.Error as error:
+        except (sqlite3.Error, StoreError) as error:
             db.close()
+            if isinstance(error, StoreError):
+                raise
             raise StoreError(f"{path} is damaged: {error}", "restore it from a backup") from error
-        except StoreError:
-            db.close()
-            raise
         return cls(db)
 
     def close(self) -> None:
@@ -259,13 +254,9 @@ _RESTORE: Final = "is the disk full, or another command at work? else restore a 
 
 
 def _check_file(path: Path) -> None:
-    try:
-        status = path.stat()
-    except OSError:
-        raise StoreError(f"there is no record at {path}", "restore it from a backup") from None
-    if not stat.S_ISREG(status.st_mode):
-        raise StoreError(f"{path} is not a plain file", "restore it from a backup")
-    if status.st_mode & 0o077:
+    if not path.is_file():
+        raise StoreError(f"there is no record at {path}", "restore it from a backup")
+    if path.stat().st_mode & 0o077:
         raise StoreError(
             f"{path} can be read or written by others",
             f"it tells who may see what: chmod 600 {path}",

@@ -185,7 +185,7 @@ def test_nothing_to_open(path: Path) -> None:
     with pytest.raises(StoreError, match="there is no record at"):
         Store.open(path)
     path.mkdir()
-    with pytest.raises(StoreError, match="is not a plain file"):
+    with pytest.raises(StoreError, match="there is no record at"):
         Store.open(path)
 
 
