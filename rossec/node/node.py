@@ -6,6 +6,7 @@ who may do what, `topics` checks headers, `links` says what must end.
 """
 
 import asyncio
+import contextlib
 import logging
 import os
 import time
@@ -266,6 +267,18 @@ class Node:
             soonest = min((link.ends for link in self._links()), default=now + _WATCH)
             await asyncio.sleep(max(0.0, min(_WATCH, soonest - now)))
             self._cut(int(time.time()))
+            await self._take_new_grants()
+
+    async def _take_new_grants(self) -> None:
+        """A grant that arrives in the node's directory counts without a restart."""
+        new = [data for data in self.home.grants() if data not in self.access.held]
+        if not new:
+            return
+        for data in new:
+            self.access.hold(data)
+        _log.info("%s: %d new grants", self.name, len(new))
+        with contextlib.suppress(HintedError):  # else presented with the next connection
+            await self._session.call("rossec.presentGrants", new)
 
     def _cut(self, now: int) -> None:
         for link in self._links():
