@@ -61,7 +61,9 @@ class Node:
         self.anchor = self.home.anchor()
         self.credentials = self.home.credentials()
         self.revocations = self._load_revocations()
-        self.access = Access(self.anchor, self.revocations, self.home.grants())
+        self.access = Access(self.anchor, self.revocations)
+        self._seen_grants: set[bytes] = set()
+        self._load_grants()
         self._publishers: dict[str, Publisher] = {}
         self._subscribers: dict[str, list[Subscriber]] = {}
         self._tasks = TaskSet(on_crash=self._crashed)
@@ -271,14 +273,27 @@ class Node:
 
     async def _take_new_grants(self) -> None:
         """A grant that arrives in the node's directory counts without a restart."""
-        new = [data for data in self.home.grants() if data not in self.access.held]
-        if not new:
-            return
-        for data in new:
-            self.access.hold(data)
-        _log.info("%s: %d new grants", self.name, len(new))
-        with contextlib.suppress(HintedError):  # else presented with the next connection
-            await self._session.call("rossec.presentGrants", new)
+        new = self._load_grants()
+        if new:
+            _log.info("%s: %d new grants", self.name, len(new))
+            with contextlib.suppress(HintedError):  # else presented with the next connection
+                await self._session.call("rossec.presentGrants", new)
+
+    def _load_grants(self) -> list[bytes]:
+        """Hold what is in the directory and was not seen before; a bad file is told once."""
+        try:
+            found = [data for data in self.home.grants() if data not in self._seen_grants]
+        except (OSError, HintedError) as error:
+            _log.warning("%s: cannot read the grants: %s", self.name, error)
+            return []
+        self._seen_grants.update(found)
+        held = len(self.access.held)
+        for data in found:
+            try:
+                self.access.hold(data)
+            except HintedError as error:
+                _log.warning("%s: a file in %s is no grant: %s", self.name, self.home.path, error)
+        return self.access.held[held:]
 
     def _cut(self, now: int) -> None:
         for link in self._links():

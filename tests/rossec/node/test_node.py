@@ -256,3 +256,15 @@ async def test_a_node_whose_watch_dies_ends(site: Site, monkeypatch: pytest.Monk
             async with asyncio.timeout(5):
                 await robot.wait_ended()
         await until(lambda: not publisher.links)
+
+
+async def test_a_bad_grant_file_is_told_and_does_no_harm(
+    site: Site, caplog: pytest.LogCaptureFixture
+) -> None:
+    site.publish("/robot", "/robot/pose")
+    (site.enroll("/robot").path / "grants" / "bad.grant").write_bytes(b"no grant")
+    async with site.node("/robot") as robot:
+        await robot.publisher("/robot/pose", POSE)
+        (robot.home.path / "grants" / "huge.grant").write_bytes(bytes(300_000))
+        await until(lambda: "cannot read the grants" in caplog.text)
+        assert caplog.text.count("is no grant") == 1
