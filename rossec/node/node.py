@@ -29,6 +29,7 @@ from rossec.node.listener import Listener
 from rossec.node.messages import message_type
 from rossec.node.publisher import Publisher
 from rossec.node.session import MasterSession
+from rossec.node.shelf import Shelf
 from rossec.node.slave import SlaveApi
 from rossec.node.subscriber import Subscriber
 from rossec.node.topics import Endpoint
@@ -62,8 +63,8 @@ class Node:
         self.credentials = self.home.credentials()
         self.revocations = self._load_revocations()
         self.access = Access(self.anchor, self.revocations)
-        self._seen_grants: set[bytes] = set()
-        self._load_grants()
+        self._shelf = Shelf(self.home, self.access)
+        self._shelf.take_new()
         self._publishers: dict[str, Publisher] = {}
         self._subscribers: dict[str, list[Subscriber]] = {}
         self._tasks = TaskSet(on_crash=self._crashed)
@@ -273,27 +274,11 @@ class Node:
 
     async def _take_new_grants(self) -> None:
         """A grant that arrives in the node's directory counts without a restart."""
-        new = self._load_grants()
+        new = self._shelf.take_new()
         if new:
             _log.info("%s: %d new grants", self.name, len(new))
             with contextlib.suppress(HintedError):  # else presented with the next connection
                 await self._session.call("rossec.presentGrants", new)
-
-    def _load_grants(self) -> list[bytes]:
-        """Hold what is in the directory and was not seen before; a bad file is told once."""
-        try:
-            found = [data for data in self.home.grants() if data not in self._seen_grants]
-        except (OSError, HintedError) as error:
-            _log.warning("%s: cannot read the grants: %s", self.name, error)
-            return []
-        self._seen_grants.update(found)
-        held = len(self.access.held)
-        for data in found:
-            try:
-                self.access.hold(data)
-            except HintedError as error:
-                _log.warning("%s: a file in %s is no grant: %s", self.name, self.home.path, error)
-        return self.access.held[held:]
 
     def _cut(self, now: int) -> None:
         for link in self._links():
