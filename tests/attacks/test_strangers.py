@@ -72,7 +72,7 @@ def own_key(site: Site) -> bytes:
 
 def in_the_name_of_the_authority(site: Site) -> bytes:
     """Signed by a node, but naming the authority as its issuer (attack D5)."""
-    issuer = document.key_thumbprint(site.anchor.public_key)
+    issuer = site.anchor.thumbprint
     return document.GRANT.sign(credentials(site).signer, document._claims(drafted(site), issuer))
 
 
