@@ -111,7 +111,9 @@ def fill(message: Message, content: object) -> None:
         raise ConfigurationError("a message is a mapping of fields", "for example '{data: hello}'")
     for field, value in content.items():
         if field not in message.__dataclass_fields__:
-            raise ConfigurationError(f"no field {field!r} in {message.__msgtype__}")
+            known = (name for name in message.__dataclass_fields__ if not name.startswith("__"))
+            kind = message.__msgtype__.replace("/msg/", "/")
+            raise ConfigurationError(f"no field {field!r} in {kind}", f"it has {', '.join(known)}")
         current = getattr(message, field)
         if hasattr(current, "__msgtype__"):
             fill(current, value)
