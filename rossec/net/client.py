@@ -80,7 +80,8 @@ async def _reach(
             _, driver = await loop.create_connection(
                 factory, host, port, happy_eyeballs_delay=_HAPPY_EYEBALLS
             )
-    except (OSError, TimeoutError) as error:
+    except (OSError, TimeoutError, ValueError, IndexError, OverflowError) as error:
+        # A host or port that cannot be one: UnicodeError, IndexError and so on, by Python version.
         reason = "it does not answer" if isinstance(error, TimeoutError) else str(error)
         raise PeerUnreachable(
             f"cannot connect to {host} port {port}: {reason}",
