@@ -258,6 +258,12 @@ def test_claims(name: str) -> None:
         opened(signed_claims(change(payload())))
 
 
+def test_claims_beyond_the_usual_form() -> None:
+    """Other texts, lengths and times than the quick comparison expects are read all the same."""
+    far = draft(domain="zuh\u00e4use", not_before=0, expires=1 << 40, cap=1 << 41)
+    assert document.open_grant(document.sign(CA, far), CA.public_key, NOW).domain == "zuh\u00e4use"
+
+
 def test_what_nobody_accepts_is_not_signed() -> None:
     with pytest.raises(ConditionRefused):
         document.sign(CA, draft(Permission("/a", Right.CALL, Restriction(conditions=("1 +",)))))
