@@ -61,8 +61,8 @@ def _us(seconds: float, *actions: Callable[[], object]) -> list[float]:
     return best
 
 
-def _message(name: str, **fields: Any) -> Any:
-    package, kind = name.split("/")
+def _message(type_name: str, /, **fields: Any) -> Any:
+    package, kind = type_name.split("/")
     return getattr(importlib.import_module(f"{package}.msg"), kind)(**fields)
 
 
@@ -132,6 +132,10 @@ def _cases() -> dict[str, Case]:
     def clear_data(message: Any) -> None:
         message.data = ""
 
+    def drop_values(message: Any) -> None:
+        for item in message.status:
+            item.values = []
+
     scan = _message("sensor_msgs/LaserScan", ranges=[0.013 * n for n in range(720)])
     scan.intensities = scan.ranges
     image = _message("sensor_msgs/Image", data=bytes(1 << 20), encoding="rgb8")
@@ -146,6 +150,11 @@ def _cases() -> dict[str, Case]:
             change_odometry,
         ),
         "Image 1 MiB": (image, {"header.frame_id": clear}, clear_frame),
+        "DiagnosticArray": (
+            _diagnostics(),
+            {"status[*].values": {"drop": True}},
+            drop_values,
+        ),
         "Path 200": (
             _message("nav_msgs/Path", poses=[pose] * 200),
             {"poses[*].pose.position": half},
@@ -157,6 +166,13 @@ def _cases() -> dict[str, Case]:
             change_poses,
         ),
     }
+
+
+def _diagnostics() -> Any:
+    values = [_message("diagnostic_msgs/KeyValue", key=f"key {n}", value="1.5") for n in range(4)]
+    parts = {"name": "motor", "message": "ok", "hardware_id": "a1", "values": values}
+    status = [_message("diagnostic_msgs/DiagnosticStatus", **parts) for _ in range(10)]
+    return _message("diagnostic_msgs/DiagnosticArray", status=status)
 
 
 def _conditions(seconds: float) -> dict[str, float]:

@@ -17,7 +17,6 @@ from grants.operators import Treat, treatment
 from grants.rewriting import generate
 from grants.treatments import DESCEND, Each, Keep, Node, Parts, Treated
 
-MAX_PIECES: Final = 64  # far below IOV_MAX (1024); more of them cost more than they save
 _SMALL: Final = 2048  # bytes; below it a copy is cheaper than a view
 
 
@@ -35,10 +34,9 @@ class Filter:
             MessageRefused: the message does not have the layout of the type.
         """
         try:
-            pieces = self._rewrite(message if len(message) < _SMALL else memoryview(message))
+            return self._rewrite(message if len(message) < _SMALL else memoryview(message))
         except MISFIT:
             raise misfit(self.type_name) from None
-        return pieces if len(pieces) <= MAX_PIECES else [b"".join(pieces)]
 
 
 def compile_filter(layout: Layout, rules: Iterable[FilterRule]) -> Filter:

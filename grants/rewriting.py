@@ -12,11 +12,14 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from grants.codegen import Buffer, Cursor, Position, Source, expression
+from grants.gathering import Collector, gathers
 from grants.layout import Array, Primitive, Type
 from grants.tables import table_rewriter
 from grants.treatments import Body, Constant, Each, Keep, Node, Numbers, Parts
 
+MAX_PIECES: Final = 64  # far below IOV_MAX (1024); more of them cost more than they save
 _UNROLL: Final = range(1, 9)  # fixed arrays of these lengths are cheaper without numpy
+_GATHER: Final = 24  # from so many elements on, numpy's fixed costs pay
 
 
 def generate(node: Node) -> Callable[[Buffer], list[Buffer]]:
@@ -24,9 +27,17 @@ def generate(node: Node) -> Callable[[Buffer], list[Buffer]]:
     source = Source("b")
     writer = _Writer(source)
     writer.write(node)
+    pieces = writer.finish()
+    # Only a loop can make many pieces; beyond some of them a copy is cheaper than a long list.
+    many = len(pieces) > MAX_PIECES or any(piece.startswith("*") for piece in pieces)
+    made = f"[{','.join(pieces)}]"
     source.line(f"if len(b)!={writer.at()}: raise ValueError")
-    source.line(f"return [{','.join(writer.finish())}]")
+    source.line(f"return {source.bind(_few)}({made})" if many else f"return {made}")
     return source.compile()
+
+
+def _few(pieces: list[Buffer]) -> list[Buffer]:
+    return pieces if len(pieces) <= MAX_PIECES else [b"".join(pieces)]
 
 
 @dataclass
@@ -63,7 +74,8 @@ class _Writer(Cursor):
         """All pieces as expressions, the rest of the message last."""
         self._flush()
         pieces, self._pieces = self._pieces, []
-        pieces.append(f"b[{expression(self._kept)}:]")
+        if self._kept != self.position or not pieces:
+            pieces.append(f"b[{expression(self._kept)}:]")
         return pieces
 
     def _treated(self, kind: Type, treatment: Constant | Numbers | Body) -> None:
@@ -171,13 +183,37 @@ class _Writer(Cursor):
         pieces, kept = self.source.new("l"), self.source.new("s")
         self.source.line(f"{pieces}=[]")
         self.source.line(f"{kept}={expression(self._kept)}")
-        outer, self._pieces, self._kept = self._pieces, [], (kept, 0)
-        with self.each(kind):
+        outer, self._pieces = self._pieces, []
+        gather = not self.source.nested and gathers(element)
+        count = self.count(kind)
+        mark = self.mark()
+        if gather:
+            with self.source.block(f"if {count}<{_GATHER}"):
+                self._one_by_one(element, count, mark, pieces, kept)
+            with self.source.block("else"):
+                self._gathered(element, count, mark, pieces, kept)
+        else:
+            self._one_by_one(element, count, mark, pieces, kept)
+        self._pieces, self._kept = [*outer, f"*{pieces}"], (kept, 0)
+
+    def _one_by_one(self, element: Node, count: str, mark: str, pieces: str, kept: str) -> None:
+        self._kept = (kept, 0)
+        with self.times(count, mark):
             self.write(element)
             self._close()
             self.source.line(f"{pieces}+=[{','.join(self._pieces)}]")
             self.source.line(f"{kept}={expression(self._kept)}")
-        self._pieces, self._kept = [*outer, f"*{pieces}"], (kept, 0)
+            self._pieces = []
+
+    def _gathered(self, element: Node, count: str, mark: str, pieces: str, kept: str) -> None:
+        """Only find the places in the loop; numpy treats all of them in one copy after it."""
+        collector = Collector(self.source)
+        collector.position = (mark, 0)
+        with collector.times(count, mark):
+            collector.collect(element)
+        self.source.line(f"{pieces}.append({collector.finish()}(b,{kept},{mark}))")
+        self.source.line(f"{kept}={mark}")
+        self.position = (mark, 0)
 
 
 def _prefixed(
