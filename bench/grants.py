@@ -126,16 +126,6 @@ def _cases() -> dict[str, Case]:
         for item in message.poses:
             _round_point(item.position)
 
-    def clear_frame(message: Any) -> None:
-        message.header.frame_id = ""
-
-    def clear_data(message: Any) -> None:
-        message.data = ""
-
-    def drop_values(message: Any) -> None:
-        for item in message.status:
-            item.values = []
-
     scan = _message("sensor_msgs/LaserScan", ranges=[0.013 * n for n in range(720)])
     scan.intensities = scan.ranges
     image = _message("sensor_msgs/Image", data=bytes(1 << 20), encoding="rgb8")
@@ -166,6 +156,19 @@ def _cases() -> dict[str, Case]:
             change_poses,
         ),
     }
+
+
+def clear_frame(message: Any) -> None:
+    message.header.frame_id = ""
+
+
+def clear_data(message: Any) -> None:
+    message.data = ""
+
+
+def drop_values(message: Any) -> None:
+    for item in message.status:
+        item.values = []
 
 
 def _diagnostics() -> Any:

@@ -45,8 +45,9 @@ _CLAIMS: Final = {_ISS, _SUB, _AUD, _EXP, _NBF, _CTI, _CNF, _SCOPE, _CAP}
 _CKT: Final = 5  # confirmation by COSE key thumbprint, RFC 9679 section 6
 _CKT_URI: Final = "urn:ietf:params:oauth:ckt:sha-256:"  # RFC 9679 section 5: `iss` must be text
 
-_TYPE, _CONDITIONS, _FILTERS = 0, 1, 2  # 3 is kept for limits (rates)
-_RESTRICTIONS: Final = {_TYPE, _CONDITIONS, _FILTERS}
+_TYPE, _CONDITIONS, _FILTERS, _LIMITS = 0, 1, 2, 3
+_RESTRICTIONS: Final = {_TYPE, _CONDITIONS, _FILTERS, _LIMITS}
+_RATE: Final = "rate"
 
 _UINT, _BYTES, _TEXT = 0x00, 0x40, 0x60  # major types
 
@@ -182,6 +183,8 @@ def _restriction_claims(restriction: Restriction) -> Value:
         claims[_CONDITIONS] = list(restriction.conditions)
     if restriction.filters:
         claims[_FILTERS] = {rule.path: _treatment(rule) for rule in restriction.filters}
+    if restriction.rate is not None:
+        claims[_LIMITS] = {_RATE: restriction.rate}
     return claims
 
 
@@ -291,7 +294,18 @@ def _restriction(value: Value) -> Restriction:
     rules = filter_rules(filters)
     for rule in rules:
         treatment(rule)
-    return Restriction(kind, tuple(_typed(text, str, "a condition") for text in conditions), rules)
+    texts = tuple(_typed(text, str, "a condition") for text in conditions)
+    return Restriction(kind, texts, rules, _rate(claims))
+
+
+def _rate(claims: dict[Any, Any]) -> float | None:
+    limits = _filled(claims, _LIMITS, dict)
+    if unknown := limits.keys() - {_RATE}:
+        raise GrantMalformed(f"unknown limit {min(map(str, unknown))[:40]} in a grant")
+    rate: float | None = limits.get(_RATE)
+    if rate is not None and type(rate) not in (int, float):
+        raise GrantMalformed("rate of a grant is of a wrong type")
+    return rate
 
 
 def _filled(claims: dict[Any, Any], key: int, kind: type[Any]) -> Any:

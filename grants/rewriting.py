@@ -9,13 +9,23 @@ numpy. It raises one of `codegen.MISFIT` when the message does not have the layo
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Final
+from typing import Any, Final
 
 from grants.codegen import Buffer, Cursor, Position, Source, expression
 from grants.gathering import Collector, gathers
-from grants.layout import Array, Primitive, Type
+from grants.layout import Array, Primitive, Struct, Type
 from grants.tables import table_rewriter
-from grants.treatments import Body, Constant, Each, Keep, Node, Numbers, Parts
+from grants.treatments import (
+    Body,
+    Constant,
+    Each,
+    Inside,
+    Keep,
+    Node,
+    Numbers,
+    Parts,
+    Treated,
+)
 
 MAX_PIECES: Final = 64  # far below IOV_MAX (1024); more of them cost more than they save
 _UNROLL: Final = range(1, 9)  # fixed arrays of these lengths are cheaper without numpy
@@ -62,13 +72,35 @@ class _Writer(Cursor):
         match node:
             case Keep(kind):
                 self.skip(kind)
-            case Parts(_, parts):
-                for part in parts:
-                    self.write(part)
+            case Parts(kind, parts):
+                self._parts(kind, parts)
             case Each(kind, element):
                 self._array(kind, element)
             case _:
                 self._treated(node.kind, node.treatment)
+
+    def _parts(self, kind: Struct, parts: tuple[Node, ...]) -> None:
+        needed = {name for part in parts for name in _beside(part)}
+        values: dict[str, str] = {}
+        for (name, member), part in zip(kind.fields, parts, strict=True):
+            start = self.position
+            match part:
+                case Treated(_, Inside(beside=beside, rewrite=rewrite)):
+                    self._body(member, rewrite, [values[other] for other, _ in beside])
+                case _:
+                    self.write(part)
+            if name in needed:
+                values[name] = self._value(member, start)
+
+    def _value(self, kind: Type, start: Position) -> str:
+        """A variable with the value that begins at `start`, before the present position."""
+        name = self.source.new("v")
+        if isinstance(kind, Primitive):
+            read = self.source.bind(struct.Struct(f"<{kind.code}").unpack_from)
+            self.source.line(f"{name},={read}(b,{expression(start)})")
+        else:
+            self.source.line(f"{name}=str(b[{expression(start, 4)}:{self.at()}],'utf-8')")
+        return name
 
     def finish(self) -> list[str]:
         """All pieces as expressions, the rest of the message last."""
@@ -78,7 +110,7 @@ class _Writer(Cursor):
             pieces.append(f"b[{expression(self._kept)}:]")
         return pieces
 
-    def _treated(self, kind: Type, treatment: Constant | Numbers | Body) -> None:
+    def _treated(self, kind: Type, treatment: Constant | Numbers | Body | Inside) -> None:
         match treatment:
             case Constant(data):
                 if kind.size is None:
@@ -88,8 +120,8 @@ class _Writer(Cursor):
             case Numbers():
                 assert isinstance(kind, Primitive)  # noqa: S101
                 self._extend(kind, (kind, treatment))
-            case _:
-                self._body(kind, treatment.rewrite)
+            case _:  # `Inside` is never met outside of its message
+                self._body(kind, treatment.rewrite, [])
 
     def _replace(self, kind: Type, *pieces: str) -> None:
         """Other pieces in place of one value of `kind`."""
@@ -98,12 +130,14 @@ class _Writer(Cursor):
         self._pieces.extend(pieces)
         self._kept = self.position
 
-    def _body(self, kind: Type, rewrite: Callable[[Buffer], tuple[Buffer, int]]) -> None:
+    def _body(
+        self, kind: Type, rewrite: Callable[..., tuple[Buffer, int]], beside: list[str]
+    ) -> None:
         start = self.position
         self._flush()
         self.skip(kind)
         head, body = self.source.new("h"), self.source.new("c")
-        content = f"b[{expression(start, 4)}:{self.at()}]"
+        content = ",".join([f"b[{expression(start, 4)}:{self.at()}]", *beside])
         self.source.line(f"{head},{body}={self.source.bind(_prefixed(rewrite))}({content})")
         self._pieces += [head, body]
         self._kept = self.position
@@ -148,7 +182,8 @@ class _Writer(Cursor):
             names = [self.source.new("x") for _ in kind.code]
             values += names
             star = "*" if len(names) > 1 else ""
-            results.append(f"{star}{self.source.bind(numbers.scalar)}({','.join(names)})")
+            scalar = numbers.remembering() if numbers.remembering else numbers.scalar
+            results.append(f"{star}{self.source.bind(scalar)}({','.join(names)})")
         if not values:
             return self.source.bind(b"".join(item for item in run.items if isinstance(item, bytes)))
         read = self.source.bind(struct.Struct(unpack).unpack_from)
@@ -216,11 +251,20 @@ class _Writer(Cursor):
         self.position = (mark, 0)
 
 
+def _beside(node: Node) -> tuple[str, ...]:
+    """The fields that must be known to treat `node`."""
+    match node:
+        case Treated(_, Inside(beside=beside)):
+            return tuple(name for name, _ in beside)
+        case _:
+            return ()
+
+
 def _prefixed(
-    rewrite: Callable[[Buffer], tuple[Buffer, int]],
-) -> Callable[[Buffer], tuple[bytes, Buffer]]:
-    def rewritten(content: Buffer) -> tuple[bytes, Buffer]:
-        body, length = rewrite(content)
+    rewrite: Callable[..., tuple[Buffer, int]],
+) -> Callable[..., tuple[bytes, Buffer]]:
+    def rewritten(*values: Any) -> tuple[bytes, Buffer]:
+        body, length = rewrite(*values)
         return length.to_bytes(4, "little"), body
 
     return rewritten

@@ -116,3 +116,31 @@ def _exact(step: int, low: int, high: int) -> Callable[[int], int]:
         return min(max((2 * value + step) // (2 * step) * step, first), last)
 
     return scalar
+
+
+def hold(
+    scalar: Callable[[float], float], step: float, hysteresis: float
+) -> Callable[[], Callable[[float], float]]:
+    """Rounding that stays in its cell until the value is `hysteresis` beyond the border.
+
+    A value that trembles about a border would tell, by the flips, exactly where it is. Returns a
+    maker of functions with a memory, one for each field of each receiver.
+    """
+    reach = step / 2 + hysteresis
+
+    def fresh() -> Callable[[float], float]:
+        held: float | None = None
+
+        def remembering(value: float) -> float:
+            nonlocal held
+            # With NaN the comparison is false; NaN and infinities pass and are not remembered.
+            if held is not None and abs(value - held) <= reach:
+                return held
+            rounded = scalar(value)
+            if math.isfinite(rounded):
+                held = rounded
+            return rounded
+
+        return remembering
+
+    return fresh
