@@ -119,6 +119,11 @@ class Connection(Generic[PeerT]):
         """How the connection introduced itself."""
         return self._preamble.flavour
 
+    @property
+    def unit_limit(self) -> int:
+        """How long a unit may be."""
+        return self._limits.unit
+
     # -- receiving
 
     def get_buffer(self) -> memoryview:
@@ -270,8 +275,16 @@ class Connection(Generic[PeerT]):
             ChannelClosed: there is no open connection (any more).
             ProtocolViolation: a unit begun before is not finished.
         """
-        self._sendable().check_unit(pieces)
+        self.check_unit(pieces)
         return self._sealed(pieces)
+
+    def check_unit(self, pieces: Sequence[Bytes]) -> None:
+        """Refuse a unit that `seal_unit` would refuse; nothing has happened to the connection.
+
+        Raises:
+            LimitExceeded, ChannelClosed: as for `seal_unit`.
+        """
+        self._sendable().check_unit(pieces)
 
     def seal_small(self, unit: bytes) -> bytes | bytearray | None:
         """Seal a unit in one record: the short way, where nothing else has to be done.

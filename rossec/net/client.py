@@ -2,7 +2,7 @@
 
 import asyncio
 import secrets
-from collections.abc import Callable
+import socket
 from typing import Final
 
 from rossec.channel.connection import Connection
@@ -10,11 +10,11 @@ from rossec.channel.credentials import OwnCredential, PeerT, Verify
 from rossec.channel.opening import Flavour
 from rossec.channel.records import Limits
 from rossec.errors import ChannelClosed, ChannelError, PeerUnreachable
+from rossec.net.dial import dial
 from rossec.net.driver import Driver, wall_clock
 from rossec.net.secure import SecureStream
 
 _CONNECT_TIMEOUT: Final = 10.0
-_HAPPY_EYEBALLS: Final = 0.25  # RFC 8305 section 5
 _DEFAULTS: Final = Limits()
 
 
@@ -41,17 +41,6 @@ async def connect(
     loop = asyncio.get_running_loop()
     ready: asyncio.Future[SecureStream[PeerT]] = loop.create_future()
 
-    def factory() -> Driver[PeerT]:
-        core = Connection[PeerT].initiator(
-            credentials,
-            verify,
-            random=secrets.token_bytes,
-            now=wall_clock(),
-            opening=opening,
-            limits=limits,
-        )
-        return Driver(core, on_authenticated, on_end)
-
     def on_authenticated(driver: Driver[PeerT], peer: PeerT) -> None:
         if not ready.done():
             ready.set_result(SecureStream(driver, peer))
@@ -60,7 +49,16 @@ async def connect(
         if not ready.done():
             ready.set_exception(error)
 
-    driver = await _reach(factory, host, port, timeout)
+    sock = await _reach(host, port, timeout)
+    core = Connection[PeerT].initiator(
+        credentials,
+        verify,
+        random=secrets.token_bytes,
+        now=wall_clock(),
+        opening=opening,
+        limits=limits,
+    )
+    driver = Driver(core, sock, on_authenticated, on_end)
     try:
         return await ready
     except BaseException:
@@ -68,22 +66,13 @@ async def connect(
         raise
 
 
-async def _reach(
-    factory: Callable[[], Driver[PeerT]],
-    host: str,
-    port: int,
-    timeout: float,  # noqa: ASYNC109 - passed on by `connect`
-) -> Driver[PeerT]:
-    loop = asyncio.get_running_loop()
+async def _reach(host: str, port: int, timeout: float) -> socket.socket:  # noqa: ASYNC109 - passed on by `connect`
     try:
         async with asyncio.timeout(timeout):
-            _, driver = await loop.create_connection(
-                factory, host, port, happy_eyeballs_delay=_HAPPY_EYEBALLS
-            )
+            return await dial(host, port)
     except (OSError, TimeoutError) as error:
         reason = "it does not answer" if isinstance(error, TimeoutError) else str(error)
         raise PeerUnreachable(
             f"cannot connect to {host} port {port}: {reason}",
             "is the peer running, and ROS_HOSTNAME or ROS_IP right on its side?",
         ) from error
-    return driver
