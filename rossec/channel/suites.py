@@ -7,6 +7,7 @@ a hybrid one fits without a change to the handshake.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Final, Protocol, TypeAlias
 
 from cryptography.exceptions import InvalidSignature
@@ -20,27 +21,29 @@ from rossec.errors import HandshakeFailed
 PublicKey: TypeAlias = ec.EllipticCurvePublicKey | ed25519.Ed25519PublicKey
 Aead: TypeAlias = AESGCM | AESCCM | ChaCha20Poly1305
 Random: TypeAlias = Callable[[int], bytes]
+Finish: TypeAlias = Callable[[bytes], bytes]
+"""From the responder's half of an exchange to the shared secret; holds the ephemeral key."""
 
 HASH_LENGTH: Final = 32  # SHA-256 in every suite of the table
 SIGNATURE_LENGTH: Final = 64  # EdDSA and ES256 alike
 
 
 class KeyExchange(Protocol):
-    """An ephemeral exchange in three steps; the first and last belong to the initiator."""
+    """An ephemeral exchange in three steps; the first and last belong to the initiator.
+
+    Raises:
+        HandshakeFailed: from the later two, when the peer's half is not usable.
+    """
 
     initiator_length: int
     responder_length: int
 
-    def start(self, random: Random) -> tuple[bytes, bytes]:
-        """Return the secret to keep and G_X to send."""
+    def start(self, random: Random) -> tuple[Finish, bytes]:
+        """Return what turns G_Y into the shared secret, and G_X to send."""
         ...
 
     def answer(self, random: Random, g_x: bytes) -> tuple[bytes, bytes]:
         """Return G_Y to send and the shared secret."""
-        ...
-
-    def finish(self, secret: bytes, g_y: bytes) -> bytes:
-        """Return the shared secret."""
         ...
 
 
@@ -50,28 +53,22 @@ class X25519Exchange:
     initiator_length = 32
     responder_length = 32
 
-    def start(self, random: Random) -> tuple[bytes, bytes]:
-        """Return the private key and G_X."""
-        secret = random(32)
-        key = x25519.X25519PrivateKey.from_private_bytes(secret)
-        return secret, key.public_key().public_bytes_raw()
+    def start(self, random: Random) -> tuple[Finish, bytes]:
+        """Return what finishes the exchange, and G_X."""
+        key = x25519.X25519PrivateKey.from_private_bytes(random(32))
+        return partial(_x25519, key), key.public_key().public_bytes_raw()
 
     def answer(self, random: Random, g_x: bytes) -> tuple[bytes, bytes]:
         """Return G_Y and the shared secret."""
-        secret, g_y = self.start(random)
-        return g_y, self.finish(secret, g_x)
+        finish, g_y = self.start(random)
+        return g_y, finish(g_x)
 
-    def finish(self, secret: bytes, g_y: bytes) -> bytes:
-        """Return the shared secret.
 
-        Raises:
-            HandshakeFailed: the peer's key is of low order.
-        """
-        own = x25519.X25519PrivateKey.from_private_bytes(secret)
-        try:
-            return own.exchange(x25519.X25519PublicKey.from_public_bytes(g_y))
-        except ValueError:
-            raise HandshakeFailed("the peer's ephemeral key is not a usable point") from None
+def _x25519(own: x25519.X25519PrivateKey, peer: bytes) -> bytes:
+    try:
+        return own.exchange(x25519.X25519PublicKey.from_public_bytes(peer))
+    except ValueError:
+        raise HandshakeFailed("the peer's ephemeral key is not a usable point") from None
 
 
 def verify_es256(key: PublicKey, signature: bytes, message: bytes) -> None:
