@@ -71,7 +71,7 @@ def _decode_item(stream: BytesIO) -> Value:
     decoder = cbor2.CBORDecoder(
         stream,
         tag_hook=_refuse_tag,
-        semantic_decoders=dict.fromkeys(_BUILT_IN_TAGS, _refuse_tag),
+        semantic_decoders=_NO_TAGS,
         max_depth=MAX_DEPTH,
         allow_indefinite=False,
         allow_duplicate_keys=False,
@@ -85,6 +85,9 @@ def _decode_item(stream: BytesIO) -> Value:
 
 def _refuse_tag(*_: object) -> NoReturn:
     raise ValueError("tags are outside the subset")
+
+
+_NO_TAGS: Final = dict.fromkeys(_BUILT_IN_TAGS, _refuse_tag)
 
 
 def _check(value: object, depth: int) -> None:

@@ -58,7 +58,7 @@ async def connect(
         opening=opening,
         limits=limits,
     )
-    driver = Driver(core, sock, on_authenticated, on_end)
+    driver = Driver(core, sock, sock.getpeername()[0], on_authenticated, on_end)
     try:
         return await ready
     except BaseException:

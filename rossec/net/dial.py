@@ -1,6 +1,7 @@
 """A TCP connection to a host: whichever of its addresses answers first (RFC 8305)."""
 
 import asyncio
+import errno
 import socket
 from typing import Final, TypeAlias
 
@@ -37,11 +38,21 @@ async def _attempt(family: int, where: tuple[str, int]) -> socket.socket:
     sock = socket.socket(family, socket.SOCK_STREAM)
     try:
         sock.setblocking(False)
-        await asyncio.get_running_loop().sock_connect(sock, where)
+        if sock.connect_ex(where) != errno.EINPROGRESS or not _connected(sock):
+            await asyncio.get_running_loop().sock_connect(sock, where)
     except BaseException:
         sock.close()
         raise
     return sock
+
+
+def _connected(sock: socket.socket) -> bool:
+    """On loopback the connection is there when the call returns: no turn of the loop is needed."""
+    try:
+        sock.getpeername()
+    except OSError:
+        return False
+    return True
 
 
 async def _race(addresses: list[_Address]) -> socket.socket:

@@ -34,6 +34,7 @@ class Driver(Generic[PeerT]):
     Args:
         connection: the core.
         sock: a connected TCP socket.
+        address: the peer's IP address.
         on_authenticated: called once, with the peer.
         on_end: called once, when the handshake or the connection is over, with the reason.
     """
@@ -42,6 +43,7 @@ class Driver(Generic[PeerT]):
         self,
         connection: Connection[PeerT],
         sock: socket.socket,
+        address: str,
         on_authenticated: Callable[["Driver[PeerT]", PeerT], None],
         on_end: Callable[["Driver[PeerT]", ChannelError], None],
     ) -> None:
@@ -58,7 +60,7 @@ class Driver(Generic[PeerT]):
         self.ended = asyncio.Event()
         self.authenticated = False
         self.error: ChannelError | None = None
-        self.address, self.local_address = _addresses(sock)
+        self.address = address
         self.transport = Transport(sock, self)
         self.get_buffer = connection.get_buffer  # the socket's reader calls the core itself
         self.flush()
@@ -113,6 +115,15 @@ class Driver(Generic[PeerT]):
         self._lost.set()
 
     # -- called by the stream
+
+    @property
+    def local_address(self) -> str:
+        """This side's IP address; empty when the connection is gone."""
+        try:
+            host: str = self.transport.socket.getsockname()[0]
+        except OSError:
+            return ""
+        return host
 
     @property
     def writable(self) -> bool:
@@ -241,11 +252,3 @@ class Driver(Generic[PeerT]):
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None
-
-
-def _addresses(sock: socket.socket) -> tuple[str, str]:
-    """The IP addresses of both ends; empty for a peer that has left already."""
-    try:
-        return sock.getpeername()[0], sock.getsockname()[0]
-    except OSError:
-        return "", ""

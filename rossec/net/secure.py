@@ -60,10 +60,10 @@ class SecureStream(Generic[PeerT]):
     async def send(self, *pieces: Bytes) -> None:
         """Send the pieces as one unit, after what is queued; waits while the peer lags.
 
-        A small unit leaves at the end of this turn of the loop, in one record with the other small
-        ones of the turn. A large one must not change until this returns, and a `send` of one that
-        is cancelled while it waits for the peer drops the connection: half a unit cannot be taken
-        back.
+        The first small unit of a turn of the loop leaves at once, the others at the turn's end,
+        joined in one record. A large one must not change until this returns, and a `send` of one
+        that is cancelled while it waits for the peer drops the connection: half a unit cannot be
+        taken back.
 
         Raises:
             ChannelError: the connection is at its end.
@@ -73,12 +73,13 @@ class SecureStream(Generic[PeerT]):
         size = _size(pieces)
         free = driver.error is None and driver.transport.writable and not self._turn.locked()
         if free and size < self._small:
-            self._enqueue(pieces, size)
+            self._enqueue(pieces, size, now=True)
             return
         async with self._turn:
             await driver.drain()
             self._flush_queue()
             await self._write(driver.connection.seal_unit(*pieces))
+            self._flush_queue()  # what came meanwhile
 
     async def _write(self, records: Iterator[Bytes]) -> None:
         """Write each record as it is sealed: another one sealed meanwhile must come after it."""
@@ -108,16 +109,23 @@ class SecureStream(Generic[PeerT]):
                 "send less often, or drop old messages as ROS queues do",
             )
         self._driver.connection.check_unit(pieces)
-        self._enqueue(pieces, _size(pieces))
+        self._enqueue(pieces, _size(pieces), now=False)
 
-    def _enqueue(self, pieces: tuple[Bytes, ...], size: int) -> None:
+    def _enqueue(self, pieces: tuple[Bytes, ...], size: int, *, now: bool) -> None:
         """Queue a small unit, to be flushed with others of this turn of the loop, or at once."""
-        if self._queued + size > self._join:
-            self._try_flush()
         if size == 0:
             return
         piece = pieces[0] if len(pieces) == 1 else b"".join(pieces)
-        self._queue.append(piece if isinstance(piece, bytes) else bytes(piece))
+        unit = piece if isinstance(piece, bytes) else bytes(piece)
+        if now and not self._flush_due and not self._queue:
+            # The first of a turn does not wait for others; from the second on they are joined.
+            self._flush_due = True
+            self._loop.call_soon(self._flush_soon)
+            self._write_now(unit)
+            return
+        if self._queued + size > self._join:
+            self._try_flush()
+        self._queue.append(unit)
         self._queued += size
         if not self._flush_due:
             self._flush_due = True
@@ -144,20 +152,18 @@ class SecureStream(Generic[PeerT]):
         queue, self._queue = self._queue, []
         units = queue if self._queued > self._limit else [b"".join(queue)]
         self._queued = 0
-        try:
-            for unit in units:
-                self._write_now(unit)
-        except ChannelError as error:
-            self._driver.fail(error)
-            raise
+        for unit in units:
+            self._write_now(unit)
 
     def _write_now(self, unit: bytes) -> None:
-        record = self._driver.connection.seal_small(unit)
-        if record is not None:
-            self._driver.write(record)
-            return
-        for each in self._driver.connection.seal_unit(unit):
-            self._driver.write(each)
+        driver = self._driver
+        try:
+            record = driver.connection.seal_small(unit)
+            for each in driver.connection.seal_unit(unit) if record is None else (record,):
+                driver.write(each)
+        except ChannelError as error:
+            driver.fail(error)
+            raise
 
     def receive(self) -> Coroutine[Any, Any, bytes]:
         """Return the next unit.

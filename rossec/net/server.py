@@ -123,9 +123,8 @@ class SecureServer(Generic[PeerT]):
         return False
 
     def _begin(self, sock: socket.socket, address: str) -> None:
-        driver = Driver(self._make_core(), sock, self.on_authenticated, self.on_end)
+        driver = Driver(self._make_core(), sock, address, self.on_authenticated, self.on_end)
         self._half_open[source_of(address)] += 1
-        driver.address = address  # even of a peer that has left already
         self._drivers.add(driver)
 
     def _settle(self, driver: Driver[PeerT]) -> None:
