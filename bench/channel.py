@@ -29,6 +29,8 @@ from cryptography.x509.oid import NameOID
 from ca.signer import KeySigner
 from rossec.channel.connection import Connection
 from rossec.channel.credentials import Credentials
+from rossec.channel.known import KnownCertificates
+from rossec.channel.suites import HYBRID, POST_QUANTUM
 from rossec.errors import ChannelError
 from rossec.net.stream import SecureStream, connect, serve
 
@@ -198,7 +200,15 @@ def _server_process(folder: Path, ports: "Queue[tuple[int, int, int]]") -> None:
         limit = 2 << 20
         a = await asyncio.start_server(plain, "127.0.0.1", 0, limit=limit)
         b = await asyncio.start_server(plain, "127.0.0.1", 0, limit=limit, ssl=context)
-        c = await serve(secure, "127.0.0.1", 0, credentials(folder, "server"), verifier(folder))
+        c = await serve(
+            secure,
+            "127.0.0.1",
+            0,
+            credentials(folder, "server"),
+            verifier(folder),
+            suites=POST_QUANTUM["prefer"],
+            known=KnownCertificates(),
+        )
         ports.put((*(s.sockets[0].getsockname()[1] for s in (a, b)), c.port))
         await asyncio.Event().wait()
 
@@ -255,6 +265,15 @@ async def _measure(folder: Path, ports: tuple[int, int, int], seconds: float) ->
     async def rossec() -> Pipe:
         return Pipe(await connect("127.0.0.1", ports[2], own, verify))
 
+    async def hybrid() -> Pipe:
+        suites = POST_QUANTUM["require"]
+        return Pipe(await connect("127.0.0.1", ports[2], own, verify, suites=suites))
+
+    known = KnownCertificates()
+
+    async def brief() -> Pipe:
+        return Pipe(await connect("127.0.0.1", ports[2], own, verify, known=known))
+
     makers: dict[str, Callable[[], Awaitable[Pipe]]] = {
         "plain": plain,
         "tls": secured,
@@ -268,6 +287,8 @@ async def _measure(folder: Path, ports: tuple[int, int, int], seconds: float) ->
         for name, make in makers.items():
             samples[name, "latency"].append(await latency(pipes[name]))
             samples[name, "handshake"].append(await handshakes(make))
+        samples["rossec", "handshake hybrid"].append(await handshakes(hybrid))
+        samples["rossec", "handshake x5t"].append(await handshakes(brief))
         if time.monotonic() >= end:
             break
     for pipe in pipes.values():
@@ -284,14 +305,31 @@ async def _throughput_round(pipes: dict[str, Pipe], samples: Samples) -> None:
             samples[name, f"{size} paced"].append(await throughput(pipe, size, paced=True))
 
 
-def _handshake_bytes(folder: Path) -> int:
+def _handshake_bytes(folder: Path) -> dict[str, int]:
     """What both sides send until the connection is open, openings and frames included."""
-    verify, now = verifier(folder), int(time.time())
+    memories = KnownCertificates(), KnownCertificates()
+    return {
+        "handshake_bytes_x5chain": _one_handshake(folder, *memories, (6,), brief=False),
+        "handshake_bytes_x5t": _one_handshake(folder, *memories, (6,), brief=True),
+        "handshake_bytes_hybrid": _one_handshake(folder, None, None, (HYBRID,), brief=False),
+    }
+
+
+def _one_handshake(
+    folder: Path,
+    ours: KnownCertificates | None,
+    theirs: KnownCertificates | None,
+    suites: tuple[int, ...],
+    *,
+    brief: bool,
+) -> int:
+    verify, now, random = verifier(folder), int(time.time()), secrets.token_bytes
+    client, server = credentials(folder, "client"), credentials(folder, "server")
     left = Connection[Peer].initiator(
-        credentials(folder, "client"), verify, random=secrets.token_bytes, now=now
+        client, verify, random=random, now=now, suites=suites, known=ours, brief=brief
     )
     right = Connection[Peer].responder(
-        credentials(folder, "server"), verify, random=secrets.token_bytes, now=now
+        server, verify, random=random, now=now, suites=suites, known=theirs
     )
     total = 0
     for _ in range(2):
@@ -302,10 +340,10 @@ def _handshake_bytes(folder: Path) -> int:
     return total
 
 
-def _report(samples: Samples, size_x5chain: int) -> dict[str, object]:
-    def ratio(other: str, what: str) -> float:
-        pairs = zip(samples[other, what], samples["rossec", what], strict=True)
-        return round(median(theirs / ours for theirs, ours in pairs), 2)
+def _report(samples: Samples, sizes_on_the_wire: dict[str, int]) -> dict[str, object]:
+    def ratio(other: str, what: str, ours: str = "") -> float:
+        pairs = zip(samples[other, what], samples["rossec", ours or what], strict=True)
+        return round(median(a / b for a, b in pairs), 2)
 
     sizes = [str(size) for size in SIZES]
     return {
@@ -314,7 +352,9 @@ def _report(samples: Samples, size_x5chain: int) -> dict[str, object]:
         "paced_vs_tls": {size: ratio("tls", f"{size} paced") for size in sizes[:2]},
         "latency_vs_tls": ratio("tls", "latency"),
         "handshake_rate_vs_tls": ratio("tls", "handshake"),
-        "handshake_bytes_x5chain": size_x5chain,
+        "handshake_rate_vs_tls_hybrid": ratio("tls", "handshake", "handshake hybrid"),
+        "handshake_rate_vs_tls_x5t": ratio("tls", "handshake", "handshake x5t"),
+        **sizes_on_the_wire,
         "rounds": len(samples["rossec", "latency"]),
         "median_microseconds": {
             name: {

@@ -11,7 +11,8 @@ from typing import Final, Self
 
 from rossec.channel.credentials import OwnCredential, PeerT, Verify
 from rossec.channel.handshake import Party, Responder
-from rossec.channel.messages import UNSPECIFIED, encode_error
+from rossec.channel.known import KnownCertificates
+from rossec.channel.messages import UNKNOWN_CREDENTIAL, UNSPECIFIED, encode_error
 from rossec.channel.negotiation import Negotiation, Preamble, Step
 from rossec.channel.opening import Flavour
 from rossec.channel.outbound import HINT_SILENT, Outbound
@@ -43,11 +44,13 @@ from rossec.errors import (
     ConnectionTruncated,
     HandshakeFailed,
     ProtocolViolation,
+    UnknownCredential,
 )
 
 _OPEN_BUFFER: Final = 64 * 1024
 _FULL_BUFFER: Final = 2 * (HEADER + MAX_PLAINTEXT + TAG)  # two whole records stay aligned
 _REFUSED: Final = frame(Frame.ERROR, encode_error(UNSPECIFIED, "handshake refused"))
+_UNKNOWN: Final = frame(Frame.ERROR, encode_error(UNKNOWN_CREDENTIAL, info=True))
 _DEFAULTS: Final = Limits()
 _BOTH: Final = frozenset(Flavour)
 
@@ -66,9 +69,17 @@ class Connection(Outbound[PeerT]):
         opening: Flavour = Flavour.TCPROS,
         suites: tuple[int, ...] = PRODUCTION,
         limits: Limits = _DEFAULTS,
+        known: KnownCertificates | None = None,
+        brief: bool = False,
     ) -> Self:
-        """The side that connected; its first flight is ready to send."""
-        negotiation, message_1 = Negotiation.begin(Party(credentials, verify, random, suites))
+        """The side that connected; its first flight is ready to send.
+
+        With `known` certificates are remembered, and `brief` asks the responder to name its own by
+        a hash: for a place where one was met before. `CredentialUnknown` and `UnknownCredential`
+        mean: forget the introductions, and begin again without `brief`.
+        """
+        party = Party(credentials, verify, random, suites, known=known, brief=brief)
+        negotiation, message_1 = Negotiation.begin(party)
         preamble = Preamble(opening, None)
         connection = cls(preamble, negotiation, now, limits)
         connection._out += [preamble.take(), message_1]
@@ -85,9 +96,10 @@ class Connection(Outbound[PeerT]):
         accept: Collection[Flavour] = _BOTH,
         suites: tuple[int, ...] = PRODUCTION,
         limits: Limits = _DEFAULTS,
+        known: KnownCertificates | None = None,
     ) -> Self:
         """The side that was connected to; `accept` says which openings may lead on."""
-        party = Party(credentials, verify, random, suites)
+        party = Party(credentials, verify, random, suites, known=known)
         preamble = Preamble(Flavour.TCPROS, accept)
         return cls(preamble, Negotiation(Responder(party)), now, limits)
 
@@ -124,8 +136,8 @@ class Connection(Outbound[PeerT]):
         events = self._events = []
         try:
             self._run()
-        except ChannelError:
-            self._last_flight()
+        except ChannelError as error:
+            self._last_flight(_UNKNOWN if isinstance(error, UnknownCredential) else _REFUSED)
             raise
         except BaseException:
             self._die()  # a bug is a flaw like any other
@@ -225,12 +237,12 @@ class Connection(Outbound[PeerT]):
         self._events.append(Closed())
         return State.CLOSED
 
-    def _last_flight(self) -> None:
+    def _last_flight(self, refusal: bytes) -> None:
         """Die; tell a peer that is still unproven, unless it told us first."""
         tell = self.state in UNPROVEN and not self._negotiation.told
         out = self._out if self.state in UNPROVEN | PREAMBLE else []
         self._die()
-        self._out = [*out, _REFUSED] if tell else out
+        self._out = [*out, refusal] if tell else out
 
 
 _ROWS: Final = {

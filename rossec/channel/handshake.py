@@ -25,6 +25,7 @@ from rossec.channel.keyschedule import (
     transcript_2,
     transcript_next,
 )
+from rossec.channel.known import KnownCertificates, reference
 from rossec.channel.messages import (
     MAX_PLAINTEXT_2,
     Message1,
@@ -49,6 +50,7 @@ from rossec.errors import HandshakeFailed, IdentityRefused
 METHOD: Final = 0
 # Correlation is TCP's; the identifiers only have to be there (RFC 9528 section 3.3).
 C_I: Final = b"\x00"
+C_I_BRIEF: Final = b"\x01"  # "I may know your certificate: name it by its hash" (spec section 4)
 C_R: Final = b"\x01"
 # The beginnings of Sig_structure and Enc_structure (RFC 9052 sections 4.4 and 5.3).
 _SIGNATURE1: Final = b"\x84" + encode("Signature1")
@@ -72,6 +74,8 @@ class Party(Generic[PeerT]):
     random: Random
     suites: tuple[int, ...] = PRODUCTION
     find_chain: FindChain = x5chain
+    known: KnownCertificates | None = None  # with it, references to certificates are spoken
+    brief: bool = False  # an initiator's: ask the responder for a reference
     ead: bytes = b""
     c_i: bytes = C_I
     c_r: bytes = C_R
@@ -103,6 +107,8 @@ class _Side(Generic[PeerT]):
         self._prk = b""
         self._th = b""
         self._exporter: Exporter | None = None
+        self._chain: tuple[bytes, ...] = ()
+        self.brief = False  # this side names its certificate by a hash
 
     @property
     def suite(self) -> Suite:
@@ -130,9 +136,10 @@ class _Side(Generic[PeerT]):
         own = self._party.credential
         prefix = b"" if c_r is None else encode_identifier(c_r)
         cred, ead = bstr(own.certificate), self._party.ead
-        statement = _Statement(label, prefix, encode(own.id_cred), self._th, cred, ead)
+        id_cred = reference(own.certificate) if self.brief else own.id_cred
+        statement = _Statement(label, prefix, encode(id_cred), self._th, cred, ead)
         signature = own.sign(statement.to_be_signed(self._prk))
-        plaintext = Plaintext(c_r, own.id_cred, signature, ead).encode()
+        plaintext = Plaintext(c_r, id_cred, signature, ead).encode()
         self._th = transcript_next(self._th, plaintext, cred)
         return plaintext
 
@@ -149,7 +156,9 @@ class _Side(Generic[PeerT]):
         return peer
 
     def _identify(self, id_cred: Value, now: int) -> tuple[bytes, PeerT]:
-        chain = self._party.find_chain(id_cred)
+        known = self._party.known
+        chain = self._party.find_chain(id_cred) if known is None else known.find(id_cred)
+        self._chain = chain
         if chain[0] == self._party.credential.certificate:
             # Reflection: nobody else can hold this certificate's key (notes: selfie attack).
             raise IdentityRefused("the peer shows this node's own certificate")
@@ -179,6 +188,8 @@ class _Side(Generic[PeerT]):
 
     def _finish(self) -> None:
         self._exporter = Exporter.derive(self._prk, self._th)
+        if self._party.known is not None:
+            self._party.known.remember(self._chain)
 
 
 class Initiator(_Side[PeerT]):
@@ -192,7 +203,8 @@ class Initiator(_Side[PeerT]):
         self._finish_exchange, self._g_x = self._suite.exchange.start(party.random)
         # The list keeps its order up to the selected one: the responder checks against downgrade.
         suites = party.suites[: party.suites.index(number) + 1]
-        self._message_1 = Message1(METHOD, suites, self._g_x, party.c_i).encode()
+        c_i = C_I_BRIEF if party.brief else party.c_i
+        self._message_1 = Message1(METHOD, suites, self._g_x, c_i).encode()
 
     def message_1(self) -> bytes:
         """Return message_1; the same bytes every time."""
@@ -233,6 +245,8 @@ class Initiator(_Side[PeerT]):
         self._agree(shared, g_y, self._message_1)
         plaintext = _xor(ciphertext, keystream_2(self._prk, self._th, len(ciphertext)))
         peer = self._check(Label.MAC_2, plaintext, now)
+        known = self._party.known
+        self.brief = known is not None and known.is_introduced(self._chain[0])
         return self._message_3(), peer
 
     def _message_3(self) -> bytes:
@@ -252,6 +266,8 @@ class Initiator(_Side[PeerT]):
         """
         decode_plaintext_4(self._open(Label.K_4, Label.IV_4, decode_bytes(data)))
         self._prk = b""
+        if self._party.known is not None:
+            self._party.known.introduce(self._chain[0])
 
 
 class Responder(_Side[PeerT]):
@@ -271,6 +287,7 @@ class Responder(_Side[PeerT]):
         if len(parsed.g_x) != suite.exchange.initiator_length:
             raise HandshakeFailed("ephemeral key of a wrong length")
         self._suite = suite
+        self.brief = self._party.known is not None and parsed.c_i == C_I_BRIEF
         g_y, shared = suite.exchange.answer(self._party.random, parsed.g_x)
         self._agree(shared, g_y, data)
         return self._message_2(g_y)

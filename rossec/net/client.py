@@ -7,9 +7,17 @@ from typing import Final
 
 from rossec.channel.connection import Connection
 from rossec.channel.credentials import OwnCredential, PeerT, Verify
+from rossec.channel.known import KnownCertificates
 from rossec.channel.opening import Flavour
 from rossec.channel.records import Limits
-from rossec.errors import ChannelClosed, ChannelError, PeerUnreachable
+from rossec.channel.suites import PRODUCTION
+from rossec.errors import (
+    ChannelClosed,
+    ChannelError,
+    CredentialUnknown,
+    PeerUnreachable,
+    UnknownCredential,
+)
 from rossec.net.dial import dial
 from rossec.net.driver import Driver, wall_clock
 from rossec.net.secure import SecureStream
@@ -27,19 +35,50 @@ async def connect(
     opening: Flavour = Flavour.TCPROS,
     limits: Limits = _DEFAULTS,
     timeout: float = _CONNECT_TIMEOUT,  # noqa: ASYNC109 - one deadline over TCP and handshake
+    suites: tuple[int, ...] = PRODUCTION,
+    known: KnownCertificates | None = None,
 ) -> SecureStream[PeerT]:
     """Connect and authenticate; one round trip after TCP's own.
 
     The responder's verdict on this side's certificate arrives later, as `PeerRefused` from
     `receive` or `send`.
 
+    `suites` is the policy (`rossec.channel.suites.POST_QUANTUM`). With `known`, certificates of
+    peers met before are named by a hash; whoever does not know one is called again, by value.
+
     Raises:
         PeerUnreachable: no TCP connection.
         PlainPeer: a plain ROS node answered.
         ChannelError: the handshake failed; the leaf says how.
     """
-    loop = asyncio.get_running_loop()
-    ready: asyncio.Future[SecureStream[PeerT]] = loop.create_future()
+
+    def core(*, brief: bool) -> Connection[PeerT]:
+        return Connection[PeerT].initiator(
+            credentials,
+            verify,
+            random=secrets.token_bytes,
+            now=wall_clock(),
+            opening=opening,
+            suites=suites,
+            limits=limits,
+            known=known,
+            brief=brief,
+        )
+
+    sock = await _reach(host, port, timeout)
+    if known is None:
+        return await _introduce(sock, core(brief=False))
+    try:
+        stream = await _introduce(sock, core(brief=known.was_at((host, port))))
+    except (UnknownCredential, CredentialUnknown):
+        known.forget_introductions()
+        stream = await _introduce(await _reach(host, port, timeout), core(brief=False))
+    known.visit((host, port))
+    return stream
+
+
+async def _introduce(sock: socket.socket, core: Connection[PeerT]) -> SecureStream[PeerT]:
+    ready: asyncio.Future[SecureStream[PeerT]] = asyncio.get_running_loop().create_future()
 
     def on_authenticated(driver: Driver[PeerT], peer: PeerT) -> None:
         if not ready.done():
@@ -49,15 +88,6 @@ async def connect(
         if not ready.done():
             ready.set_exception(error)
 
-    sock = await _reach(host, port, timeout)
-    core = Connection[PeerT].initiator(
-        credentials,
-        verify,
-        random=secrets.token_bytes,
-        now=wall_clock(),
-        opening=opening,
-        limits=limits,
-    )
     driver = Driver(core, sock, sock.getpeername()[0], on_authenticated, on_end)
     try:
         return await ready

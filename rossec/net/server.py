@@ -20,8 +20,10 @@ from typing import Final, Generic, Self, TypeAlias
 
 from rossec.channel.connection import Connection
 from rossec.channel.credentials import OwnCredential, PeerT, Verify
+from rossec.channel.known import KnownCertificates
 from rossec.channel.opening import Flavour
 from rossec.channel.records import Limits
+from rossec.channel.suites import PRODUCTION
 from rossec.errors import ChannelClosed, ChannelError, PlainPeer
 from rossec.net.driver import Driver, wall_clock
 from rossec.net.secure import SecureStream
@@ -192,6 +194,8 @@ async def serve(
     accept: Collection[Flavour] = frozenset(Flavour),
     limits: Limits = _DEFAULTS,
     half_open: HalfOpen = _CAPS,
+    suites: tuple[int, ...] = PRODUCTION,
+    known: KnownCertificates | None = None,
 ) -> SecureServer[PeerT]:
     """Listen on `host` (None or "": every address, IPv4 and IPv6) and `port` (0: any free one).
 
@@ -209,7 +213,9 @@ async def serve(
             random=secrets.token_bytes,
             now=wall_clock(),
             accept=accept,
+            suites=suites,
             limits=limits,
+            known=known,
         )
 
     server = SecureServer(handler, make_core, half_open)
