@@ -128,6 +128,11 @@ class Outbound(Generic[PeerT]):
         records = list(self.seal_unit(*pieces))  # takes what was queued before
         self._out += records
 
+    @property
+    def has_data_to_send(self) -> bool:
+        """Whether `data_to_send` has something to return."""
+        return any(self._out)
+
     def data_to_send(self) -> bytes | bytearray:
         """Return, once, everything queued for the peer."""
         out, self._out = self._out, []

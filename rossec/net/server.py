@@ -6,15 +6,11 @@ closes that connection only.
 """
 
 import asyncio
-import functools
-import ipaddress
 import logging
 import secrets
 import socket
-from collections import Counter
 from collections.abc import Awaitable, Callable, Collection
 from contextlib import suppress
-from dataclasses import dataclass
 from types import TracebackType
 from typing import Final, Generic, Self, TypeAlias
 
@@ -26,6 +22,7 @@ from rossec.channel.records import Limits
 from rossec.channel.suites import PRODUCTION
 from rossec.errors import ChannelClosed, ChannelError, PlainPeer
 from rossec.net.driver import Driver, wall_clock
+from rossec.net.halfopen import HalfOpen, HalfOpenCount
 from rossec.net.secure import SecureStream
 from rossec.net.tasks import TaskSet
 
@@ -37,14 +34,6 @@ _REST: Final = 1.0  # seconds, when the host is out of descriptors
 _REPORT_EVERY: Final = 10.0
 
 Handler: TypeAlias = Callable[[SecureStream[PeerT]], Awaitable[None]]
-
-
-@dataclass(frozen=True)
-class HalfOpen:
-    """How many handshakes may be unfinished at a time (attacks N8, M11)."""
-
-    per_address: int = 128
-    total: int = 512
 
 
 _CAPS: Final = HalfOpen()
@@ -61,8 +50,7 @@ class SecureServer(Generic[PeerT]):
     ) -> None:
         self._handler = handler
         self._make_core = make_core
-        self._caps = caps
-        self._half_open: Counter[str] = Counter()
+        self._half_open = HalfOpenCount(caps)
         self._drivers: set[Driver[PeerT]] = set()
         self._tasks = TaskSet()
         self._loop = asyncio.get_running_loop()
@@ -112,9 +100,7 @@ class SecureServer(Generic[PeerT]):
 
     def _admit(self, address: str) -> bool:
         """Whether one more unfinished handshake is bearable; nothing was spent on it yet."""
-        caps = self._caps
-        full = self._half_open.total() >= caps.total
-        if not full and self._half_open[source_of(address)] < caps.per_address:
+        if self._half_open.admit(address):
             return True
         self._refused += 1
         if self._loop.time() >= self._report_again:  # a flood of callers is no flood of lines
@@ -126,19 +112,11 @@ class SecureServer(Generic[PeerT]):
 
     def _begin(self, sock: socket.socket, address: str) -> None:
         driver = Driver(self._make_core(), sock, address, self.on_authenticated, self.on_end)
-        self._half_open[source_of(address)] += 1
         self._drivers.add(driver)
-
-    def _settle(self, driver: Driver[PeerT]) -> None:
-        """The handshake of `driver` is over, one way or the other."""
-        source = source_of(driver.address)
-        self._half_open[source] -= 1
-        if self._half_open[source] <= 0:
-            del self._half_open[source]
 
     def on_authenticated(self, driver: Driver[PeerT], peer: PeerT) -> None:
         """Start the handler."""
-        self._settle(driver)
+        self._half_open.settle(driver.address)
         stream = SecureStream(driver, peer)
         self._tasks.spawn(self._handle(stream), name=f"rossec connection from {driver.address}")
 
@@ -148,7 +126,7 @@ class SecureServer(Generic[PeerT]):
             return
         self._drivers.discard(driver)
         if not driver.authenticated:
-            self._settle(driver)
+            self._half_open.settle(driver.address)
             level = logging.WARNING if isinstance(error, PlainPeer) else logging.INFO
             _log.log(level, "connection from %s refused: %s", driver.address, error)
 
@@ -247,17 +225,3 @@ def _bind_one(family: int, address: str, port: int, *, dual: bool = False) -> so
     return socket.create_server(
         (address, port), family=family, backlog=_BACKLOG, dualstack_ipv6=dual
     )
-
-
-@functools.lru_cache(maxsize=256)
-def source_of(address: str) -> str:
-    """What counts as one source: an IPv4 address, or the /64 of an IPv6 address."""
-    try:
-        parsed = ipaddress.ip_address(address.partition("%")[0])
-    except ValueError:
-        return address
-    if isinstance(parsed, ipaddress.IPv4Address):
-        return str(parsed)
-    if parsed.ipv4_mapped is not None:
-        return str(parsed.ipv4_mapped)
-    return str(ipaddress.ip_network((parsed, 64), strict=False))

@@ -25,7 +25,8 @@ from rossec.errors import (
     PlainPeer,
     SendQueueFull,
 )
-from rossec.net.server import bind, source_of
+from rossec.net.halfopen import source_of
+from rossec.net.server import bind
 from rossec.net.stream import HalfOpen, SecureServer, SecureStream, connect, serve
 from rossec.net.tasks import TaskSet
 from tests.support.wire import ALICE, BOB, STRANGER, FakeIdentity, trust
