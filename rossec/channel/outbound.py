@@ -24,7 +24,7 @@ from rossec.errors import (
 )
 
 _ONE_RECORD: Final = 64 * 1024
-HINT_SILENT: Final = "it may be a plain ROS node (start it with `rossec run`), or overloaded"
+HINT_SILENT: Final = "it may be a plain ROS node, which has no identity, or overloaded"
 
 
 class Outbound(Generic[PeerT]):

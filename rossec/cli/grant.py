@@ -3,11 +3,13 @@
 import asyncio
 import secrets
 from pathlib import Path
+from typing import Final
 
 import click
 
 from grants import document
 from grants.conditions import compile_condition
+from grants.errors import ConditionRefused, FilterRefused
 from grants.filters import compile_filter
 from grants.layout import parse
 from grants.model import Draft, Permission, Restriction, Right, filter_rules
@@ -19,6 +21,12 @@ from rossec.cli.voice import note, say, say_json
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
 from rossec.node.messages import message_type
+
+SKEW: Final = 60  # seconds another host's clock may be behind: it must not find the grant too new
+_EXAMPLES: Final = (
+    "for example --clear header.frame_id, --round pose.position=2.0,"
+    " --when 'msg.header.frame_id == \"map\"'"
+)
 
 
 @click.group()
@@ -71,13 +79,13 @@ def sign(
     home = AuthorityHome.at(environment.home)
     holder = home.store().live_certificate(node, now()).thumbprint
     authority = home.unlock(passphrase.read(passphrase_file, environment.variables))
-    begin = now()
+    signed = now()
     draft = Draft(
-        domain=authority.domain, subject=node, holder=holder, not_before=begin,
-        expires=begin + lifetime, cap=begin + lifetime,
+        domain=authority.domain, subject=node, holder=holder, not_before=signed - SKEW,
+        expires=signed + lifetime, cap=signed + lifetime,
         serial=secrets.token_bytes(16), permissions=permissions,
     )  # fmt: skip
-    data = authority.grant(draft, begin)
+    data = authority.grant(draft, signed)
     say(f"grant {document.grant_id(data).hex()} for {node} until {moment(draft.expires)}")
     _hand_over(environment, node, data, out)
 
@@ -159,11 +167,15 @@ def _restriction(
         raise ConfigurationError(
             "restrictions need the message type they are for", "add --type PKG/TYPE"
         )
-    restriction = Restriction(type=type_name, conditions=when, filters=filter_rules(rules))
     shape = parse(type_name, message_type(type_name).definition)
-    compile_filter(shape, restriction.filters)
-    for text in when:
-        compile_condition(shape, text)
+    try:
+        restriction = Restriction(type=type_name, conditions=when, filters=filter_rules(rules))
+        compile_filter(shape, restriction.filters)
+        for text in when:
+            compile_condition(shape, text)
+    except (ConditionRefused, FilterRefused) as error:
+        error.hint = error.hint or _EXAMPLES
+        raise
     return restriction
 
 
