@@ -47,9 +47,13 @@ class Guard:
         return self._treat(message)
 
 
+def no_keys(name: str) -> bytes:
+    raise AssertionError(f"no filter needs the key {name}")
+
+
 def publisher(**options: Any) -> Publisher:
     shape = layout.parse(STRING.name, STRING.definition)
-    return Publisher(Endpoint("/t", STRING), shape, **{"latch": False, **options})
+    return Publisher(Endpoint("/t", STRING), shape, no_keys, **{"latch": False, **options})
 
 
 def decision(seconds: int = 99) -> Any:
