@@ -1,0 +1,240 @@
+"""One rule of a policy: for whom, which rights on which names, and how restricted.
+
+The restriction of a rule is worked out for every topic of the rule by itself, against the type of
+that topic: a filter that fits one of two topics is a mistake, not half a filter.
+"""
+
+import re
+from collections.abc import Mapping
+from typing import Final
+
+from grants.errors import GrantError
+from grants.layout import Layout
+from grants.model import ALL_RIGHTS, MESSAGE_RIGHTS, Restriction, Right
+from grants.policy import words
+from grants.policy.fields import FieldRule, When, check_fields, check_when, read_fields, read_when
+from grants.policy.mistakes import Mistakes, Place, nearest
+from grants.policy.model import EVERYONE, Clause, Defaults, Effect, Rule, Who, type_of
+from grants.policy.source import Part, Table, Word
+
+_ID: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,79}", re.ASCII)
+_EFFECTS: Final = tuple(effect.value for effect in Effect)
+_RESTRICTING: Final = ("when", "filter", "limit", "lifetime", "renew_until")
+_KEYS: Final = ("id", "why", "who", "except", *_EFFECTS, *_RESTRICTING)
+RIGHTS: Final = {right.label: right for right in ALL_RIGHTS}
+
+_Fields = tuple[FieldRule, ...]
+
+
+class RuleReader:
+    """Reads rules in the light of the rest of the policy."""
+
+    def __init__(
+        self,
+        mistakes: Mistakes,
+        defaults: Defaults,
+        identities: Mapping[str, Who],
+        types: Mapping[str, str],
+        layouts: Mapping[str, Layout],
+        filters: Mapping[str, _Fields],
+    ) -> None:
+        self._mistakes = mistakes
+        self._defaults = defaults
+        self._identities = identities
+        self._types = types
+        self._layouts = layouts
+        self._filters = filters
+
+    def read(self, part: Part) -> Rule | None:
+        """One rule, or None if not even its outline is right."""
+        table = words.table(part, "a rule", self._mistakes)
+        if table is None:
+            return None
+        name = words.text(table.get("id"), "id", self._mistakes) or "?"
+        if name != "?" and _ID.fullmatch(name) is None:
+            self._mistakes.add(table, f"not an id: {name[:60]!r}", "letters, digits and dashes")
+        words.closed(table, f"rule {name}", _KEYS, ("id", "who"), self._mistakes)
+        effect, rights = self._effect(table, name)
+        if effect is None or rights is None:
+            return None
+        lifetime = words.duration(table.get("lifetime"), "lifetime", self._mistakes)
+        renew = words.duration(table.get("renew_until"), "renew_until", self._mistakes, never=True)
+        return Rule(
+            id=name,
+            effect=effect,
+            who=self._people(table.get("who")),
+            spared=self._people(table.get("except")),
+            why=words.text(table.get("why"), "why", self._mistakes) or "",
+            clauses=self._clauses(table, rights, name),
+            lifetime=self._defaults.lifetime if lifetime is None else lifetime,
+            renew_until=self._defaults.renew_until if renew is None else renew,
+            own_lifetime=lifetime is not None,
+            line=table.line,
+        )
+
+    def _effect(self, table: Table, name: str) -> tuple[Effect | None, Table | None]:
+        said = [effect for effect in Effect if effect.value in table.entries]
+        if len(said) != 1:
+            hint = "write it as two rules" if said else "for example allow: {subscribe: [/topic]}"
+            self._mistakes.add(table, f"rule {name} needs one of allow, deny and prompt", hint)
+            return None, None
+        [effect] = said
+        for word in _RESTRICTING if effect is Effect.DENY else ():
+            if word in table.entries:
+                place = table.entries[word][0]
+                message = f"rule {name}: a denial has no {word!r}, it always holds"
+                self._mistakes.add(place, message, "take it out, or write an allow rule")
+        rights = table.get(effect.value)
+        return effect, words.table(rights, f"{effect.value} of rule {name}", self._mistakes)
+
+    def _people(self, part: Part | None) -> tuple[Who, ...]:
+        people = (self._person(item) for item in words.words(part))
+        return tuple(who for who in people if who is not None)
+
+    def _person(self, part: Part) -> Who | None:
+        label = words.text(part, "who", self._mistakes)
+        if label is None:
+            return None
+        if label == EVERYONE:
+            return Who(label, "/**")
+        if label.startswith("/"):
+            node = words.pattern(part, "who", self._mistakes)
+            return Who(label, node) if node is not None else None
+        if label not in self._identities:
+            message = f"unknown identity {label[:60]!r}"
+            self._mistakes.add(part, message, nearest(label, self._identities))
+            return None
+        return self._identities[label]
+
+    def _clauses(self, table: Table, rights: Table, name: str) -> tuple[Clause, ...]:
+        named = self._named(rights, name)
+        whens = [read_when(item, self._mistakes) for item in words.words(table.get("when"))]
+        conditions = [when for when in whens if when is not None]
+        topics = [pattern for right, pattern, _ in named if right is Right.SUBSCRIBE]
+        filters = self._filters_of(table.get("filter"), topics, name)
+        rate = self._rate(table.get("limit"), topics, name)
+        clauses: list[Clause] = []
+        for right, pattern, place in named:
+            clauses += self._clause(right, pattern, place, conditions, filters, rate)
+        if (conditions or filters or rate) and any(
+            right & ~MESSAGE_RIGHTS for right, _, _ in named
+        ):
+            self._mistakes.add(
+                rights,
+                f"rule {name}: parameters, graph and admin cannot be restricted by messages",
+                "put these rights into a rule of their own",
+            )
+        return tuple(clauses)
+
+    def _named(self, rights: Table, name: str) -> list[tuple[Right, str, Place]]:
+        """Every right and pattern the rule names."""
+        if not rights.entries:
+            self._mistakes.add(rights, f"rule {name} names no right", nearest("", RIGHTS))
+        found: list[tuple[Right, str, Place]] = []
+        for label, (key, value) in rights.entries.items():
+            if label not in RIGHTS:
+                message = f"unknown right {label[:60]!r} in rule {name}"
+                self._mistakes.add(key, message, nearest(label, RIGHTS))
+                continue
+            items = words.words(value)
+            if not items:
+                self._mistakes.add(value, f"rule {name}: {label} of nothing", "add a name")
+            for item in items:
+                pattern = words.pattern(item, label, self._mistakes)
+                if pattern is not None:
+                    found.append((RIGHTS[label], pattern, item))
+        return found
+
+    def _clause(
+        self,
+        right: Right,
+        pattern: str,
+        place: Place,
+        conditions: list[When],
+        filters: Mapping[str, tuple[Place, _Fields]],
+        rate: float | None,
+    ) -> list[Clause]:
+        where, fields = (
+            filters.get(pattern, (place, ())) if right is Right.SUBSCRIBE else (place, ())
+        )
+        kind = type_of(self._types, pattern)
+        if not conditions and not fields:
+            own = rate if right is Right.SUBSCRIBE else None
+            return [Clause(right, pattern, None, own, kind)]
+        if fields or any(when.message for when in conditions):
+            if not self._fits(right, pattern, place, kind, conditions, where, fields):
+                return []
+        else:
+            kind = None
+        try:
+            restriction = Restriction(
+                kind,
+                tuple(when.text for when in conditions),
+                tuple(sorted(item.rule for item in fields)),
+            )
+        except GrantError as error:
+            self._mistakes.add(where, str(error), error.hint)
+            return []
+        own = rate if right is Right.SUBSCRIBE else None
+        return [Clause(right, pattern, restriction, own, type_of(self._types, pattern))]
+
+    def _fits(
+        self, right: Right, pattern: str, place: Place, kind: str | None,
+        conditions: list[When], where: Place, fields: _Fields,
+    ) -> bool:  # fmt: skip
+        """Whether what looks into the messages of `pattern` fits their type."""
+        if not right & (Right.SUBSCRIBE | Right.PUBLISH):
+            message = f"{right.label} {pattern}: conditions on messages are for topics"
+            self._mistakes.add(place, message, "put this right into a rule of its own")
+            return False
+        if kind is None:
+            message = f"the message type of {pattern} is not known here"
+            hint = f"add it to types: {{{pattern}: package/Type}}"
+            self._mistakes.add(place, message, hint)
+            return False
+        if kind not in self._layouts:
+            return False  # the type itself is the mistake, and noted
+        layout = self._layouts[kind]
+        checked = [check_when(layout, when, self._mistakes) for when in conditions]
+        return (not fields or check_fields(layout, fields, where, self._mistakes)) and all(checked)
+
+    def _filters_of(
+        self, part: Part | None, topics: list[str], name: str
+    ) -> dict[str, tuple[Place, _Fields]]:
+        """The filter of every topic: `{use: NAME}`, fields, or either of them by topic."""
+        table = words.table(part, f"filter of rule {name}", self._mistakes)
+        if table is None:
+            return {}
+        if not topics or not table.entries:
+            hint = "add a subscribe right, or take the filter out"
+            self._mistakes.add(table, f"rule {name}: nothing to filter", hint)
+            return {}
+        if not any(key.startswith("/") for key in table.entries):
+            fields = self._fields(table)
+            return {topic: (table, fields) for topic in topics}
+        found: dict[str, tuple[Place, _Fields]] = {}
+        for topic, (key, value) in table.entries.items():
+            if topic not in topics:
+                message = f"rule {name} does not let subscribe {topic[:80]!r}"
+                self._mistakes.add(key, message, nearest(topic, topics))
+                continue
+            inner = words.table(value, f"filter of {topic}", self._mistakes)
+            if inner is not None:
+                found[topic] = (key, self._fields(inner))
+        return found
+
+    def _fields(self, table: Table) -> _Fields:
+        if "use" not in table.entries:
+            return read_fields(table, self._mistakes)
+        words.closed(table, "a filter with use", ("use",), (), self._mistakes)
+        name = words.choice(table.get("use"), "filter", self._filters, self._mistakes)
+        return self._filters[name] if name is not None else ()
+
+    def _rate(self, part: Part | None, topics: list[str], name: str) -> float | None:
+        table = words.table(part, f"limit of rule {name}", self._mistakes)
+        if table is None:
+            return None
+        words.closed(table, f"limit of rule {name}", ("rate",), ("rate",), self._mistakes)
+        if not topics:
+            self._mistakes.add(table, f"rule {name}: nothing to limit", "add a subscribe right")
+        return words.number(table.get("rate"), "rate", self._mistakes)
