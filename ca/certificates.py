@@ -73,8 +73,8 @@ class TrustAnchor:
             CertificateRefused: not an authority's certificate of rossec's form.
         """
         certificate = svid.parse(der)
-        key = svid.key_of(certificate)
-        if not svid.is_signed_by(certificate, certificate.subject, key):
+        key, subject = svid.key_of(certificate), svid.subject(certificate)
+        if not svid.is_signed_by(certificate, subject, key):
             raise CertificateRefused(
                 "the authority's certificate is not signed by itself",
                 "take the ca.pem that `rossec ca create` wrote",
@@ -83,7 +83,7 @@ class TrustAnchor:
         svid.check_authority(extensions)
         domain = _domain_of(svid.only_uri(extensions))
         start, end = svid.validity(certificate)
-        return cls(domain, key, thumbprint(key), start, end, der, certificate.subject)
+        return cls(domain, key, thumbprint(key), start, end, der, subject)
 
     def verify(self, chain: Sequence[bytes], now: int) -> Identity:
         """Return the identity of the one certificate in `chain`, a sequence of DER.
@@ -152,7 +152,7 @@ def from_pem(data: bytes) -> tuple[bytes, ...]:
         )
     try:
         certificates = x509.load_pem_x509_certificates(data)
-    except ValueError as error:
+    except svid.PARSE_ERRORS as error:
         raise CertificateRefused(
             "this is not a PEM certificate", "name the file that `rossec ca sign` wrote"
         ) from error

@@ -91,28 +91,24 @@ def _check(value: object, depth: int) -> None:
     """Raise unless `value` lies in the subset: `encode` and `decode` share this one gate."""
     if depth < 0:
         raise EncodingError(f"CBOR nested deeper than {MAX_DEPTH}")
-    match value:
-        case bool() | None | str() | bytes():
-            pass
-        case int():
-            if not -_INT_LIMIT <= value < _INT_LIMIT:
-                raise EncodingError("integer beyond 64 bits")
-        case float():
-            # NaN has many encodings and no meaning in anything we sign.
-            if math.isnan(value):
-                raise EncodingError("NaN has no deterministic encoding")
-        case list():
-            for item in value:
-                _check(item, depth - 1)
-        case dict():
-            _check_map(value, depth)
-        case _:
-            raise EncodingError(f"{type(value).__name__} is not in rossec's CBOR subset")
+    if isinstance(value, list):
+        for item in value:
+            _check(item, depth - 1)
+    elif isinstance(value, dict):
+        for key, item in value.items():
+            if isinstance(key, bool) or not isinstance(key, int | str):
+                raise EncodingError("map key that is neither integer nor text")
+            _check_leaf(key)
+            _check(item, depth - 1)
+    else:
+        _check_leaf(value)
 
 
-def _check_map(value: dict[object, object], depth: int) -> None:
-    for key, item in value.items():
-        if isinstance(key, bool) or not isinstance(key, int | str):
-            raise EncodingError("map key that is neither integer nor text")
-        _check(key, depth)
-        _check(item, depth - 1)
+def _check_leaf(value: object) -> None:
+    if not isinstance(value, bool | int | float | str | bytes | None):
+        raise EncodingError(f"{type(value).__name__} is not in rossec's CBOR subset")
+    if isinstance(value, int) and not -_INT_LIMIT <= value < _INT_LIMIT:
+        raise EncodingError("integer beyond 64 bits")
+    # NaN has many encodings and no meaning in anything we sign.
+    if isinstance(value, float) and math.isnan(value):
+        raise EncodingError("NaN has no deterministic encoding")

@@ -7,7 +7,7 @@ secret, its end, and the address the request can be fetched from. The text is `R
 a phone's camera would follow by itself.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from hashlib import sha256
 from hmac import compare_digest
 from io import BytesIO
@@ -15,7 +15,7 @@ from typing import Final
 
 import segno
 
-from ca.errors import CodeRefused
+from ca.errors import CodeExpired, CodeRefused
 
 PREFIX: Final = "ROSSEC:"
 MAX_TEXT: Final = 512
@@ -40,13 +40,24 @@ class Code:
     """What a code says. A label code has neither secret nor end nor address."""
 
     digest: bytes
-    secret: bytes = b""
+    secret: bytes = field(default=b"", repr=False)
     expires: int = 0
     address: str = ""
 
     def matches(self, request: bytes) -> bool:
         """Whether `request` (a CSR, DER) is the one the code was made for."""
         return compare_digest(self.digest, sha256(request).digest())
+
+    def check_time(self, now: int) -> None:
+        """Return if the code may still be used; a label code has no end.
+
+        Raises:
+            CodeExpired: a screen code after its last second.
+        """
+        if self.secret and now > self.expires:
+            raise CodeExpired(
+                f"the code ended {now - self.expires} s ago", "have the node show a new one"
+            )
 
 
 def label_code(request: bytes) -> str:
@@ -60,9 +71,11 @@ def screen_code(request: bytes, secret: bytes, expires: int, address: str) -> st
     Raises:
         CodeRefused: a secret of another length than 16 bytes, or an address that does not fit.
     """
-    where = address.encode("ascii", "replace")
-    if len(secret) != SECRET_SIZE or not 0 < len(where) <= _MAX_ADDRESS:
+    if len(secret) != SECRET_SIZE or not 0 < len(address) <= _MAX_ADDRESS or not address.isascii():
         raise CodeRefused("a screen code needs 16 bytes of secret and an address of 1 to 64")
+    if not 0 <= expires < 1 << 32:
+        raise CodeRefused("the end of a screen code is out of range")
+    where = address.encode()
     return _text(bytes([_SCREEN]) + sha256(request).digest() + secret + expires.to_bytes(4) + where)
 
 
@@ -93,8 +106,7 @@ def terminal(text: str) -> str:
         list(row)
         for row in segno.make_qr(text, error="l", boost_error=False).matrix_iter(border=_BORDER)
     ]
-    if len(rows) % 2:
-        rows.append([0] * len(rows[0]))
+    rows.append([0] * len(rows[0]))  # a QR code has an odd number of rows
     lines = (
         "".join(_HALF_BLOCKS[int(above), int(below)] for above, below in zip(*pair, strict=True))
         for pair in zip(rows[::2], rows[1::2], strict=True)

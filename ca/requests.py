@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from typing import Final
 
 from cryptography import x509
-from cryptography.exceptions import UnsupportedAlgorithm
 from cryptography.hazmat.primitives import hashes
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.serialization import Encoding
@@ -20,6 +19,7 @@ from ca.errors import KeyRefused, NameRefused, RequestRefused
 from ca.names import parse_spiffe_id, spiffe_id
 from ca.publickey import require_p256, thumbprint
 from ca.signer import Signer
+from ca.svid import PARSE_ERRORS, ends_with_whole_octets
 from ca.x509signer import X509Signer
 
 MAX_REQUEST: Final = 2048  # a request for the longest name has about 800 bytes
@@ -66,9 +66,11 @@ def check_request(csr: bytes, domain: str) -> Request:
         )
     try:
         request = x509.load_der_x509_csr(csr)
+        if not ends_with_whole_octets(csr, request.signature):
+            raise RequestRefused("the request's signature is not in whole octets", _HINT)
         key = _check_key(request)
         name = _check_name(_only_uri(request), domain)
-    except (ValueError, TypeError, UnsupportedAlgorithm) as error:
+    except PARSE_ERRORS as error:
         raise RequestRefused("this is not a certificate request", _HINT) from error
     return Request(domain, name, key, thumbprint(key), hashlib.sha256(csr).digest())
 

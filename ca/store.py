@@ -27,17 +27,14 @@ _SCHEMA: Final = (
         id BLOB PRIMARY KEY, name TEXT NOT NULL, data BLOB NOT NULL,
         not_before INTEGER NOT NULL, expires INTEGER NOT NULL, at INTEGER NOT NULL
     ) STRICT""",
-    """CREATE TABLE revocation (
-        entry BLOB PRIMARY KEY, reason TEXT NOT NULL, at INTEGER NOT NULL
-    ) STRICT""",
+    """CREATE TABLE revocation (entry BLOB PRIMARY KEY, reason TEXT NOT NULL, at INTEGER NOT NULL)
+        STRICT""",
     """CREATE TABLE list (
         epoch INTEGER NOT NULL, seq INTEGER NOT NULL, data BLOB NOT NULL, at INTEGER NOT NULL,
         PRIMARY KEY (epoch, seq)
     ) STRICT""",
-    """CREATE TABLE log (
-        number INTEGER PRIMARY KEY, at INTEGER NOT NULL, what TEXT NOT NULL,
-        subject TEXT NOT NULL, detail TEXT NOT NULL
-    ) STRICT""",
+    """CREATE TABLE log (number INTEGER PRIMARY KEY, at INTEGER NOT NULL, what TEXT NOT NULL,
+        subject TEXT NOT NULL, detail TEXT NOT NULL) STRICT""",
 )
 _APPEND_ONLY: Final = """
 CREATE TRIGGER {table}_no_{verb} BEFORE {verb} ON {table}
@@ -93,6 +90,7 @@ class Store:
         except OSError as error:
             raise StoreError(f"cannot create {path}: {error.strerror}") from error
         store = cls(_connect(path))
+        _configure(store._db)
         with store._changing() as db:
             for statement in (*_SCHEMA, *_triggers()):
                 db.execute(statement)
@@ -107,20 +105,16 @@ class Store:
         Raises:
             StoreError: no file, not a record of rossec, damaged, or of a newer version.
         """
-        if not path.is_file():
-            raise StoreError(f"there is no record at {path}", "restore it from a backup")
+        _check_file(path)
         db = _connect(path)
         try:
-            (application,) = db.execute("PRAGMA application_id").fetchone()
-            (version,) = db.execute("PRAGMA user_version").fetchone()
-        except sqlite3.Error as error:
+            _check_kind(db, path)
+            _configure(db)
+        except (sqlite3.Error, StoreError) as error:
             db.close()
+            if isinstance(error, StoreError):
+                raise
             raise StoreError(f"{path} is damaged: {error}", "restore it from a backup") from error
-        if application != APPLICATION_ID or version != VERSION:
-            db.close()
-            raise StoreError(
-                f"{path} is not a record of this version of rossec", "restore it, or update rossec"
-            )
         return cls(db)
 
     def close(self) -> None:
@@ -134,9 +128,13 @@ class Store:
 
         Raises:
             KeyChanged: the name is alive with another key, and that was not explicitly allowed.
-            StoreError: the serial is taken.
+            StoreError: the key is revoked, or the serial is taken.
         """
         with self._changing() as db:
+            if row.thumbprint in self.revoked_entries():
+                raise StoreError(
+                    f"the key of {row.name} is revoked", "have the node make a new key and request"
+                )
             if not allow_new_key:
                 self._check_key(row, now)
             serial = row.serial.to_bytes(20)
@@ -223,9 +221,11 @@ class Store:
         return [LogRow(*row) for row in rows]
 
     def _check_key(self, row: CertificateRow, now: int) -> None:
+        """A name changes its key only when the operator says so, or the old key is revoked."""
+        revoked = self.revoked_entries()
         for known in self.certificates():
             alive = known.name == row.name and now <= known.not_after
-            if alive and known.thumbprint != row.thumbprint:
+            if alive and known.thumbprint not in {row.thumbprint, *revoked}:
                 raise KeyChanged(
                     f"{row.name} has an identity with another key until it expires",
                     "was the node set up anew? then say so with --new-key; if not, refuse",
@@ -253,14 +253,38 @@ class Store:
 _RESTORE: Final = "is the disk full, or another command at work? else restore a backup"
 
 
+def _check_file(path: Path) -> None:
+    if not path.is_file():
+        raise StoreError(f"there is no record at {path}", "restore it from a backup")
+    if path.stat().st_mode & 0o077:
+        raise StoreError(
+            f"{path} can be read or written by others",
+            f"it tells who may see what: chmod 600 {path}",
+        )
+
+
 def _connect(path: Path) -> sqlite3.Connection:
     try:
-        db = sqlite3.connect(path, timeout=10, isolation_level=None)
-        for pragma in ("journal_mode = WAL", "synchronous = FULL", "trusted_schema = OFF"):
-            db.execute(f"PRAGMA {pragma}")
+        return sqlite3.connect(
+            f"{path.absolute().as_uri()}?mode=rw", timeout=10, isolation_level=None, uri=True
+        )
     except sqlite3.Error as error:
-        raise StoreError(f"{path} is no database: {error}", "restore it from a backup") from error
-    return db
+        raise StoreError(f"{path} cannot be opened: {error}", _RESTORE) from error
+
+
+def _check_kind(db: sqlite3.Connection, path: Path) -> None:
+    """Before anything is set: another program's database must be left as it is."""
+    (application,) = db.execute("PRAGMA application_id").fetchone()
+    (version,) = db.execute("PRAGMA user_version").fetchone()
+    if application != APPLICATION_ID or version != VERSION:
+        raise StoreError(
+            f"{path} is not a record of this version of rossec", "restore it, or update rossec"
+        )
+
+
+def _configure(db: sqlite3.Connection) -> None:
+    for pragma in ("journal_mode = WAL", "synchronous = FULL", "trusted_schema = OFF"):
+        db.execute(f"PRAGMA {pragma}")
 
 
 def _log(db: sqlite3.Connection, now: int, what: str, subject: str, detail: str) -> None:

@@ -20,11 +20,10 @@ from grants.codegen import MISFIT, Buffer, Cursor, Source, expression
 from grants.errors import ConditionRefused
 from grants.expressions import (
     COMPARISONS,
+    Among,
     Binary,
-    Call,
     Expression,
     Literal,
-    Members,
     Now,
     Path,
     Unary,
@@ -38,7 +37,7 @@ _METHODS: Final[dict[str, Callable[[str, str], bool]]] = {
     "contains": operator.contains,
 }
 _NUMBERS: Final = ("int", "double")
-_ERRORS: Final = (*MISFIT, ArithmeticError)
+_ERRORS: Final = (*MISFIT, ArithmeticError, OSError)  # OSError: a moment beyond the calendar
 
 
 @dataclass(frozen=True)
@@ -104,15 +103,14 @@ class _Compiler:
                 return "timestamp", "now"
             case Unary():
                 return self._unary(node)
-            case Binary("in", left, Members(items)):
-                return self._member_of(left, items)
+            case Among():
+                return self._among(node)
             case Binary():
                 return self._binary(node)
-            case Call(None, name, arguments):
-                return self._timestamp(name, arguments)
-            case Call(target, name, arguments) if target is not None:
-                return self._method(target, name, arguments)
-        raise ConditionRefused("a list may only stand to the right of in")
+            case _ if node.target is None:
+                return self._timestamp(node.name, node.arguments)
+            case _:
+                return self._method(node.target, node.name, node.arguments)
 
     def _path(self, names: tuple[str, ...]) -> tuple[str, str]:
         if self._layout is None:
@@ -149,9 +147,9 @@ class _Compiler:
         check = _in_64_bits if kind == "int" else _finite
         return f"{self._source.bind(check)}({code})"
 
-    def _member_of(self, left: Expression, items: tuple[Expression, ...]) -> tuple[str, str]:
-        kind, code = self.compile(left)
-        compiled = [self.compile(item) for item in items]
+    def _among(self, node: Among) -> tuple[str, str]:
+        kind, code = self.compile(node.operand)
+        compiled = [self.compile(item) for item in node.items]
         for other, _ in compiled:
             if not _comparable(kind, other):
                 raise ConditionRefused(f"in compares {kind} with {other}")

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from ca.errors import HintedError
+from ca.names import check_name
 from grants.errors import (
     GrantError,
     GrantExpired,
@@ -22,7 +23,6 @@ from grants.errors import (
     RestrictionMismatch,
 )
 from grants.model import Grant, Restriction, Right, merge
-from grants.names import check_name
 from grants.validity import check_time, moment
 
 Check = Callable[[bytes, int], None]
@@ -97,7 +97,7 @@ def authorize(
     Raises:
         GrantMissing: nothing presented covers this; `near_misses` says what does nearly.
         GrantNotHeld, GrantNotYetValid, GrantExpired, GrantRevoked: something does, but is unusable.
-        PatternRefused: `name` is not an absolute name.
+        NameRefused: `name` is not an absolute name.
     """
     check_name(name)
     if right.bit_count() != 1:

@@ -15,7 +15,8 @@ from cryptography.hazmat.primitives.asymmetric import ec
 
 from ca.cose import Profile
 from ca.encoding import Value, decode, encode
-from ca.errors import EncodingError, SignatureError
+from ca.errors import EncodingError, NameRefused, SignatureError
+from ca.publickey import thumbprint
 from ca.signer import Signer
 from grants.conditions import check_syntax
 from grants.errors import FilterRefused, GrantForged, GrantMalformed, PatternRefused
@@ -55,7 +56,7 @@ def sign(signer: Signer, draft: Draft) -> bytes:
         GrantMalformed: too large, or a condition or filter outside the language.
         ConditionRefused: a condition that is not in the language.
     """
-    issuer = key_thumbprint(signer.public_key)
+    issuer = thumbprint(signer.public_key)
     for permission in draft.permissions:
         if permission.restriction is not None:
             for text in permission.restriction.conditions:
@@ -88,7 +89,7 @@ def open_grant(
     except EncodingError as error:
         raise GrantMalformed(f"not a grant: {error}") from None
     grant = _grant(payload)
-    if grant.issuer != key_thumbprint(ca_key):
+    if grant.issuer != thumbprint(ca_key):
         raise GrantForged("signed by this authority in the name of another one")
     if domain is not None and grant.domain != domain:
         raise GrantForged(f"a grant for the trust domain {grant.domain!r}, not {domain!r}")
@@ -112,13 +113,6 @@ def grant_id(data: bytes) -> bytes:
         GrantMalformed: not a grant.
     """
     return _id(_payload(data))
-
-
-def key_thumbprint(key: ec.EllipticCurvePublicKey) -> bytes:
-    """SHA-256 over the deterministic COSE_Key of a P-256 key (RFC 9679 section 4)."""
-    numbers = key.public_numbers()
-    x, y = numbers.x.to_bytes(32), numbers.y.to_bytes(32)
-    return hashlib.sha256(b"\xa4\x01\x02\x20\x01\x21\x58\x20" + x + b"\x22\x58\x20" + y).digest()
 
 
 def _payload(data: bytes) -> Value:
@@ -175,7 +169,7 @@ def _grant(payload: Value) -> Grant:
     """Read the claims; every refusal of the parts becomes one of the grant."""
     try:
         return _read(_closed(payload, _CLAIMS, _CLAIMS, "claim"), _id(payload))
-    except (FilterRefused, PatternRefused, EncodingError) as error:
+    except (FilterRefused, PatternRefused, NameRefused, EncodingError) as error:
         raise GrantMalformed(f"in a grant: {error}", error.hint) from None
 
 
@@ -208,8 +202,8 @@ def _issuer(text: str) -> bytes:
     return issuer
 
 
-def _uri(thumbprint: bytes) -> str:
-    return _CKT_URI + base64.urlsafe_b64encode(thumbprint).decode().rstrip("=")
+def _uri(issuer: bytes) -> str:
+    return _CKT_URI + base64.urlsafe_b64encode(issuer).decode().rstrip("=")
 
 
 def _permission(entry: Value) -> Permission:

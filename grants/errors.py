@@ -12,7 +12,7 @@ class GrantError(HintedError):
 
 
 class PatternRefused(GrantError):
-    """A name or name pattern that is not exactly in its syntax."""
+    """A name pattern that is not exactly in its syntax."""
 
 
 class GrantMalformed(GrantError):

@@ -80,13 +80,14 @@ class Binary:
 
 
 @dataclass(frozen=True)
-class Members:
-    """`[a, b]`, only to the right of `in`."""
+class Among:
+    """`operand in [a, b]`."""
 
+    operand: "Expression"
     items: tuple["Expression", ...]
 
 
-Expression: TypeAlias = Literal | Path | Now | Call | Unary | Binary | Members
+Expression: TypeAlias = Literal | Path | Now | Call | Unary | Binary | Among
 
 
 class Token(NamedTuple):
@@ -185,7 +186,8 @@ class _Parser:
     def _relation(self) -> Expression:
         left = self._sum()
         if self._take("in"):
-            return self._node(Binary("in", left, self._members()))
+            self._need("[")
+            return self._node(Among(left, self._items("]")))
         if sign := self._take(*COMPARISONS):
             left = self._node(Binary(sign, left, self._sum()))
         return left
@@ -247,10 +249,6 @@ class _Parser:
             f"unknown name {token.text!r} at character {token.at}",
             "there are msg, now, timestamp()",
         )
-
-    def _members(self) -> Expression:
-        self._need("[")
-        return self._node(Members(self._items("]")))
 
     def _items(self, end: str) -> tuple[Expression, ...]:
         items: list[Expression] = []

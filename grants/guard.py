@@ -69,9 +69,7 @@ class Guard:
             raise
         except Exception as error:
             # Fail closed on our own mistakes too: an exception never lets a message through.
-            raise MessageRefused(
-                f"a message could not be treated: {type(error).__name__}"
-            ) from error
+            raise MessageRefused(f"treating a message failed: {type(error).__name__}") from error
 
     def __call__(self, message: Buffer, now: int) -> list[Buffer] | None:
         """`check`, then `treat`.

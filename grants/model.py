@@ -11,8 +11,9 @@ from dataclasses import dataclass
 from enum import IntFlag
 from typing import Final, Self, TypeAlias
 
+from ca.names import check_name
 from grants.errors import FilterRefused, GrantMalformed
-from grants.names import check_name, check_pattern, covers, covers_tree
+from grants.names import check_pattern, covers, covers_tree
 
 Scalar: TypeAlias = bool | int | float | str
 

@@ -6,43 +6,27 @@ names must be resolved before they come here, or they are refused. Names are ASC
 letter can never reach a decision.
 """
 
-import re
-from typing import Final
-
+from ca.errors import NameRefused
+from ca.names import check_name
 from grants.errors import PatternRefused
 
-MAX_LENGTH: Final = 255
-
-_SEGMENT: Final = r"[A-Za-z0-9_]+"
-_NAME: Final = re.compile(rf"(?:/{_SEGMENT})+", re.ASCII)
-_PATTERN: Final = re.compile(rf"(?:/(?:{_SEGMENT}|\*\*?))+", re.ASCII)
-
-
-def check_name(text: str) -> str:
-    """Return `text` if it is an absolute ROS name of at least one segment.
-
-    Raises:
-        PatternRefused: relative, private, empty, too long, or with other characters.
-    """
-    if len(text) > MAX_LENGTH or _NAME.fullmatch(text) is None:
-        raise PatternRefused(
-            f"not an absolute ROS name: {text[:MAX_LENGTH]!r}",
-            "resolve relative and private names first, for example /robot1/scan",
-        )
-    return text
+_WILDCARDS = ("*", "**")
 
 
 def check_pattern(text: str) -> str:
     """Return `text` if it is a name in which whole segments may be `*` or `**`.
 
     Raises:
-        PatternRefused: as for `check_name`, or a wildcard beside other characters.
+        PatternRefused: not a name (see `ca.names`), or a wildcard beside other characters.
     """
-    if len(text) > MAX_LENGTH or _PATTERN.fullmatch(text) is None:
+    segments = ["x" if segment in _WILDCARDS else segment for segment in text.split("/")]
+    try:
+        check_name("/".join(segments))
+    except NameRefused as error:
         raise PatternRefused(
-            f"not a name pattern: {text[:MAX_LENGTH]!r}",
+            f"not a name pattern: {error}",
             "* stands for one whole segment, ** for one or more: /robot1/*/scan, /robot1/**",
-        )
+        ) from None
     return text
 
 
@@ -50,7 +34,7 @@ def covers(pattern: str, name: str) -> bool:
     """Whether `pattern` stands for `name`, whole segment by whole segment.
 
     Raises:
-        PatternRefused: either is not in its syntax.
+        PatternRefused, NameRefused: one of them is not in its syntax.
     """
     check_pattern(pattern)
     check_name(name)
@@ -67,7 +51,7 @@ def covers_tree(pattern: str, name: str) -> bool:
     tree. So a right to a key is always a right to all of its descendants, and never to a parent.
 
     Raises:
-        PatternRefused: either is not in its syntax.
+        PatternRefused, NameRefused: one of them is not in its syntax.
     """
     check_pattern(pattern)
     check_name(name)

@@ -216,10 +216,12 @@ def _expect(parameters: Parameters, *names: str) -> None:
 
 def _number(parameters: Parameters, name: str) -> float:
     value = parameters.get(name)
-    if isinstance(value, bool) or not isinstance(value, int | float) or math.isnan(value):
+    if isinstance(value, bool) or not isinstance(value, int | float):
         raise FilterRefused(f"{name} must be a number")
     if isinstance(value, int) and abs(value) >= 1 << 64:
         raise FilterRefused(f"{name} is beyond 64 bits")
+    if math.isnan(value):
+        raise FilterRefused(f"{name} must be a number")
     return value
 
 

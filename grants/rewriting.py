@@ -14,7 +14,7 @@ from typing import Final
 from grants.codegen import Buffer, Cursor, Position, Source, expression
 from grants.layout import Array, Primitive, Type
 from grants.tables import table_rewriter
-from grants.treatments import Body, Constant, Each, Keep, Node, Numbers, Parts, Treated
+from grants.treatments import Body, Constant, Each, Keep, Node, Numbers, Parts
 
 _UNROLL: Final = range(1, 9)  # fixed arrays of these lengths are cheaper without numpy
 
@@ -56,8 +56,8 @@ class _Writer(Cursor):
                     self.write(part)
             case Each(kind, element):
                 self._array(kind, element)
-            case Treated(kind, treatment):
-                self._treated(kind, treatment)
+            case _:
+                self._treated(node.kind, node.treatment)
 
     def finish(self) -> list[str]:
         """All pieces as expressions, the rest of the message last."""
@@ -76,8 +76,8 @@ class _Writer(Cursor):
             case Numbers():
                 assert isinstance(kind, Primitive)  # noqa: S101
                 self._extend(kind, (kind, treatment))
-            case Body(rewrite):
-                self._body(kind, rewrite)
+            case _:
+                self._body(kind, treatment.rewrite)
 
     def _replace(self, kind: Type, *pieces: str) -> None:
         """Other pieces in place of one value of `kind`."""

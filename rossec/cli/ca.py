@@ -121,6 +121,8 @@ def publish(environment: Environment, master_uri: str | None) -> None:
 def _check_codes(codes: tuple[str, ...], requests: list[bytes]) -> None:
     """Every request needs its code, and every code its request."""
     parsed = [qr.parse(text) for text in codes]
+    for code in parsed:
+        code.check_time(now())
     unmatched = [data for data in requests if not any(code.matches(data) for code in parsed)]
     if unmatched or len(parsed) != len(requests):
         raise ConfigurationError(

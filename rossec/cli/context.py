@@ -13,6 +13,7 @@ from rossec.errors import ConfigurationError
 from rossec.home import rossec_home
 
 _UNITS: Final = {"s": 1, "m": 60, "h": 3600, "d": 86400, "w": 7 * 86400}
+_ANSWER: Final = "answer y, or give --yes where there is nobody to ask"
 _DURATION: Final = re.compile(r"([1-9][0-9]{0,5})([smhdw])", re.ASCII)
 
 
@@ -64,5 +65,11 @@ def confirm(question: str, *, yes: bool) -> None:
     Raises:
         ConfigurationError: the answer was no, or there is nobody to ask.
     """
-    if not yes and not click.confirm(question, default=False, err=True):
-        raise ConfigurationError("nothing was done", "answer y, or give --yes")
+    if yes:
+        return
+    try:
+        agreed = click.confirm(question, default=False, err=True)
+    except click.Abort:
+        raise ConfigurationError("there was no answer, nothing was done", _ANSWER) from None
+    if not agreed:
+        raise ConfigurationError("nothing was done", _ANSWER)

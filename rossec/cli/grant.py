@@ -3,6 +3,7 @@
 import asyncio
 import secrets
 from pathlib import Path
+from typing import Final
 
 import click
 
@@ -19,6 +20,8 @@ from rossec.cli.voice import note, say, say_json
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
 from rossec.node.messages import message_type
+
+SKEW: Final = 60  # seconds another host's clock may be behind: it must not find the grant too new
 
 
 @click.group()
@@ -71,13 +74,13 @@ def sign(
     home = AuthorityHome.at(environment.home)
     holder = home.store().live_certificate(node, now()).thumbprint
     authority = home.unlock(passphrase.read(passphrase_file, environment.variables))
-    begin = now()
+    signed = now()
     draft = Draft(
-        domain=authority.domain, subject=node, holder=holder, not_before=begin,
-        expires=begin + lifetime, cap=begin + lifetime,
+        domain=authority.domain, subject=node, holder=holder, not_before=signed - SKEW,
+        expires=signed + lifetime, cap=signed + lifetime,
         serial=secrets.token_bytes(16), permissions=permissions,
     )  # fmt: skip
-    data = authority.grant(draft, begin)
+    data = authority.grant(draft, signed)
     say(f"grant {document.grant_id(data).hex()} for {node} until {moment(draft.expires)}")
     _hand_over(environment, node, data, out)
 

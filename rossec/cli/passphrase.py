@@ -35,8 +35,7 @@ def read(file: Path | None, environ: Mapping[str, str]) -> str:
     given = _given(file, environ)
     if given is not None:
         return given
-    answer: str = click.prompt("passphrase of the authority's key", hide_input=True, err=True)
-    return answer
+    return _ask("passphrase of the authority's key")
 
 
 def choose(file: Path | None, environ: Mapping[str, str]) -> str:
@@ -47,16 +46,24 @@ def choose(file: Path | None, environ: Mapping[str, str]) -> str:
     """
     given = _given(file, environ)
     if given is None:
-        given = click.prompt(
-            f"new passphrase for the authority's key (at least {MINIMUM} characters)",
-            hide_input=True, confirmation_prompt=True, err=True,
-        )  # fmt: skip
+        question = f"new passphrase for the authority's key (at least {MINIMUM} characters)"
+        given = _ask(question, twice=True)
     if len(given) < MINIMUM:
         raise ConfigurationError(
             f"a passphrase of {len(given)} characters protects nothing",
             f"use at least {MINIMUM}, for example four random words",
         )
     return given
+
+
+def _ask(question: str, *, twice: bool = False) -> str:
+    try:
+        answer: str = click.prompt(question, hide_input=True, confirmation_prompt=twice, err=True)
+    except click.Abort:
+        raise ConfigurationError(
+            "no passphrase was given", "type it, or give --passphrase-file FILE"
+        ) from None
+    return answer
 
 
 def _given(file: Path | None, environ: Mapping[str, str]) -> str | None:

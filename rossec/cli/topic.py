@@ -1,9 +1,11 @@
 """`rossec topic`: publish and listen from the command line, with an identity."""
 
 import asyncio
+from dataclasses import fields
 from typing import Any
 
 import click
+import numpy as np
 from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
@@ -110,28 +112,40 @@ def fill(message: Message, content: object) -> None:
     if not isinstance(content, dict):
         raise ConfigurationError("a message is a mapping of fields", "for example '{data: hello}'")
     for field, value in content.items():
-        if field not in message.__dataclass_fields__:
-            raise ConfigurationError(f"no field {field!r} in {message.__msgtype__}")
+        if field not in _fields(message):
+            name = message.__msgtype__.replace("/msg/", "/")
+            raise ConfigurationError(f"no field {field!r} in {name}", f"it has {_fields(message)}")
         current = getattr(message, field)
         if hasattr(current, "__msgtype__"):
             fill(current, value)
         else:
-            setattr(message, field, _like(current, value))
+            setattr(message, field, _like(field, current, value))
 
 
-def _like(current: Any, value: object) -> object:
-    dtype = getattr(current, "dtype", None)
-    if dtype is None:
-        return type(current)(value) if isinstance(value, int | float) else value
-    return current.__class__.__array_wrap__(current, __import__("numpy").asarray(value, dtype))
+def _fields(message: Message) -> list[str]:
+    return [field.name for field in fields(message) if not field.name.startswith("__")]
+
+
+def _like(field: str, current: Any, value: object) -> object:
+    """`value` as the type the field has."""
+    try:
+        if isinstance(current, np.ndarray):
+            return np.asarray(value, dtype=current.dtype)
+        if isinstance(current, float) and isinstance(value, int):
+            return float(value)
+    except (ValueError, TypeError, OverflowError) as error:
+        raise ConfigurationError(f"{field}: {error}") from error
+    if type(value) is not type(current):
+        raise ConfigurationError(
+            f"{field} is of type {type(current).__name__}, not {type(value).__name__}"
+        )
+    return value
 
 
 def render(message: Message, indent: int = 0) -> str:
     """The message as rostopic prints it: one `field: value` a line, nested by two spaces."""
     lines = []
-    for field in message.__dataclass_fields__:
-        if field.startswith("__"):
-            continue
+    for field in _fields(message):
         value = getattr(message, field)
         if hasattr(value, "__msgtype__"):
             lines.append(" " * indent + f"{field}:")

@@ -19,6 +19,7 @@ from typing import Any, Final
 from rossec.errors import RossecError
 
 DEADLINE: Final = 15.0
+PATIENCE: Final = 3.0  # seconds a process has to end when asked
 Report = dict[str, Any]
 
 
@@ -155,7 +156,7 @@ class Actor:
         if self._process.returncode is None:
             self._process.terminate()
             try:
-                await asyncio.wait_for(self._process.wait(), 3)
+                await asyncio.wait_for(self._process.wait(), PATIENCE)
             except TimeoutError:
                 self._process.kill()
                 await self._process.wait()

@@ -15,7 +15,7 @@ from ca.errors import EncodingError
 from ca.revocation import Revocations
 from grants.decision import Decision, authorize
 from grants.document import open_grant, peek
-from grants.errors import GrantMalformed, GrantMissing
+from grants.errors import GrantError, GrantMalformed, GrantMissing
 from grants.model import Grant, Right
 
 FIELD: Final = "rossec_grants"
@@ -67,10 +67,26 @@ class Access:
                 f"{peer.name} shows no grant to {right.label} {name}",
                 (f"sign one: rossec grant sign {peer.name} --{right.label} {name}",),
             )
-        grants = [self._open(data, now) for data in _unpack(presented)]
-        return authorize(
-            grants, right, name, holder=peer.thumbprint, now=now, check=self._revocations.check
-        )
+        grants, refusals = self._open_all(_unpack(presented), now)
+        try:
+            return authorize(
+                grants, right, name, holder=peer.thumbprint, now=now, check=self._revocations.check
+            )
+        except GrantMissing:
+            if refusals:  # an expired or forged one says more than "none"
+                raise refusals[0] from None
+            raise
+
+    def _open_all(self, presented: list[bytes], now: int) -> tuple[list[Grant], list[GrantError]]:
+        """One grant that is refused does not spoil the others: it just does not count."""
+        grants: list[Grant] = []
+        refusals: list[GrantError] = []
+        for data in presented:
+            try:
+                grants.append(self._open(data, now))
+            except GrantError as error:
+                refusals.append(error)
+        return grants, refusals
 
     def _open(self, data: bytes, now: int) -> Grant:
         """Verify a grant once; the signature of one seen before is not checked again."""

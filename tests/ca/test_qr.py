@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ca import qr
-from ca.errors import CodeRefused
+from ca.errors import CodeExpired, CodeRefused
 
 REQUEST = b"any bytes serve as a request here"
 
@@ -147,3 +147,28 @@ def enlarge(
     return np.pad(
         np.kron(255 * (1 - modules), np.ones((6, 6), dtype=np.uint8)), 24, constant_values=255
     )
+
+
+def test_a_screen_code_ends() -> None:
+    code = qr.parse(qr.screen_code(REQUEST, b"s" * 16, 1000, "robot:1"))
+    code.check_time(1000)
+    with pytest.raises(CodeExpired, match="the code ended 1 s ago") as caught:
+        code.check_time(1001)
+    assert "show a new one" in caught.value.hint
+    qr.parse(qr.label_code(REQUEST)).check_time(1001)
+
+
+@pytest.mark.parametrize("expires", [-1, 1 << 32])
+def test_ends_that_do_not_fit(expires: int) -> None:
+    with pytest.raises(CodeRefused, match="the end of a screen code is out of range"):
+        qr.screen_code(REQUEST, b"s" * 16, expires, "robot:1")
+
+
+def test_an_address_is_ascii() -> None:
+    with pytest.raises(CodeRefused, match="an address of 1 to 64"):
+        qr.screen_code(REQUEST, b"s" * 16, 9, "r\u00f6bot:1")
+
+
+def test_the_secret_is_not_on_show() -> None:
+    code = qr.parse(qr.screen_code(REQUEST, b"s" * 16, 1000, "robot:1"))
+    assert "sss" not in repr(code)

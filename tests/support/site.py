@@ -3,7 +3,7 @@
 import contextlib
 import secrets
 import time
-from collections.abc import AsyncIterator, Mapping
+from collections.abc import AsyncIterator, Callable, Mapping
 from pathlib import Path
 
 from ca import keys
@@ -27,10 +27,13 @@ DAY = 86400
 class Site:
     """One trust domain below `root`; its authority's key is in memory, unencrypted."""
 
-    def __init__(self, root: Path, domain: str = "home") -> None:
+    def __init__(
+        self, root: Path, domain: str = "home", clock: Callable[[], float] = time.time
+    ) -> None:
         self.root = root
+        self._clock = clock
         key = KeySigner(keys.generate())
-        now = int(time.time())
+        now = self.now()
         certificate = create_root(key, domain, now=now, serial=secrets.randbits(127) + 1)
         root.mkdir(mode=0o700, parents=True, exist_ok=True)
         self.authority = OpenAuthority(
@@ -38,6 +41,10 @@ class Site:
         )
         self.authority.sign_list(now)
         self.master: MasterServer | None = None
+
+    def now(self) -> int:
+        """Seconds since the epoch, by this site's clock."""
+        return int(self._clock())
 
     @property
     def anchor(self) -> TrustAnchor:
@@ -55,13 +62,13 @@ class Site:
         home = NodeHome.of(self.root, name)
         if not (home.path / "node.pem").exists():
             home.create_request(self.anchor.domain)
-            now = int(time.time())
+            now = self.now()
             home.install(self.authority.issue(home.request(), now, lifetime), now)
         return home
 
     def identity(self, name: str) -> Identity:
         """The verified identity of an enrolled node."""
-        return self.enroll(name).identity(int(time.time()))
+        return self.enroll(name).identity(self.now())
 
     def grant(
         self,
@@ -76,15 +83,16 @@ class Site:
     ) -> bytes:
         """Sign a grant for `name` and put it into the node's home; returns the signed grant."""
         home = self.enroll(name)
-        begin = int(time.time()) if begin is None else begin
+        now = self.now()
+        begin = now - 60 if begin is None else begin
         draft = Draft(
             domain=self.anchor.domain, subject=name,
             holder=holder or self.identity(name).thumbprint,
-            not_before=begin, expires=begin + lifetime, cap=begin + lifetime,
+            not_before=begin, expires=now + lifetime, cap=now + lifetime,
             serial=secrets.token_bytes(16),
             permissions=(Permission(pattern, right, restriction),),
         )  # fmt: skip
-        data = self.authority.grant(draft, int(time.time()))
+        data = self.authority.grant(draft, now)
         home.add_grant(document.grant_id(data), data)
         return data
 
@@ -104,7 +112,7 @@ class Site:
     def revoke(self, grant_or_key: bytes) -> bytes:
         """Revoke a signed grant, or a key by its thumbprint; returns the new signed list."""
         entry = grant_or_key if len(grant_or_key) == 32 else document.grant_id(grant_or_key)
-        self.authority.revoke(entry, "test", int(time.time()))
+        self.authority.revoke(entry, "test", self.now())
         data = self.authority.store.newest_list()
         assert data is not None
         return data
@@ -131,7 +139,7 @@ class Site:
         """Start a master on `port` of loopback."""
         self.master = master_of(
             self.enroll(MASTER), host="127.0.0.1", port=port,
-            newest=self.authority.store.newest_list(), now=int(time.time()),
+            newest=self.authority.store.newest_list(), now=self.now(),
         )  # fmt: skip
         await self.master.start()
 

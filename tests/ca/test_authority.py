@@ -1,0 +1,142 @@
+import secrets
+import subprocess
+from datetime import UTC, datetime
+from pathlib import Path
+
+import pytest
+from cryptography import x509
+from cryptography.x509 import verification
+
+from ca.authority import LIFETIME, MAX_LIFETIME, ROOT_LIFETIME, Authority, create_root
+from ca.certificates import TrustAnchor, build_request, to_pem
+from ca.errors import CertificateRefused, IssueRefused, KeyRefused, NameRefused, RequestRefused
+from tests.support.pki import DAY, NOW, Site, new_signer
+
+SITE = Site.create()
+CSR = build_request(new_signer(), "home", "/robot1/camera")
+
+
+def issue(now: int = NOW, serial: int = 5, lifetime: int = LIFETIME) -> x509.Certificate:
+    return x509.load_der_x509_certificate(
+        SITE.authority.issue(CSR, now=now, serial=serial, lifetime=lifetime)
+    )
+
+
+def seconds(moment: datetime) -> int:
+    return int(moment.timestamp())
+
+
+def test_issues_what_the_request_shows() -> None:
+    signer = new_signer()
+    csr = build_request(signer, "home", "/master")
+    serial = secrets.randbits(128) | 1
+    identity = SITE.anchor.verify([SITE.authority.issue(csr, now=NOW, serial=serial)], NOW)
+    assert (identity.name, identity.serial) == ("/master", serial)
+    assert identity.public_key == signer.public_key
+
+
+def test_thirty_days_from_an_hour_ago() -> None:
+    certificate = issue(now=NOW + DAY)
+    assert seconds(certificate.not_valid_before_utc) == NOW + DAY - 3600
+    assert seconds(certificate.not_valid_after_utc) == NOW + DAY + 30 * DAY
+
+
+def test_never_before_the_authority() -> None:
+    assert seconds(issue(now=NOW - 1800).not_valid_before_utc) == NOW - 3600
+
+
+def test_never_beyond_the_authority() -> None:
+    end = NOW + ROOT_LIFETIME
+    assert seconds(issue(now=end - DAY).not_valid_after_utc) == end
+
+
+@pytest.mark.parametrize("now", [NOW - 3601, NOW + ROOT_LIFETIME + 1])
+def test_an_authority_out_of_time_issues_nothing(now: int) -> None:
+    with pytest.raises(IssueRefused, match="own certificate is not valid now") as caught:
+        issue(now=now)
+    assert "clock" in caught.value.hint
+
+
+@pytest.mark.parametrize("lifetime", [0, -1, MAX_LIFETIME + 1])
+def test_lifetimes_out_of_range(lifetime: int) -> None:
+    with pytest.raises(IssueRefused, match=f"a lifetime of {lifetime} s where 1 to"):
+        issue(lifetime=lifetime)
+
+
+@pytest.mark.parametrize("lifetime", [1, MAX_LIFETIME])
+def test_lifetimes_at_the_border(lifetime: int) -> None:
+    assert seconds(issue(lifetime=lifetime).not_valid_after_utc) == NOW + lifetime
+
+
+@pytest.mark.parametrize("serial", [0, -1, 1 << 128])
+def test_serials_out_of_range(serial: int) -> None:
+    with pytest.raises(IssueRefused, match="a serial is a positive number of 128 bits"):
+        issue(serial=serial)
+    with pytest.raises(IssueRefused, match="a serial is a positive number of 128 bits"):
+        create_root(new_signer(), "home", now=NOW, serial=serial)
+
+
+@pytest.mark.parametrize("serial", [1, (1 << 128) - 1])
+def test_serials_at_the_border(serial: int) -> None:
+    assert issue(serial=serial).serial_number == serial
+
+
+def test_requests_are_checked() -> None:
+    with pytest.raises(RequestRefused, match="trust domain 'lab', this authority is 'home'"):
+        SITE.authority.issue(build_request(new_signer(), "lab", "/a"), now=NOW, serial=5)
+
+
+def test_key_and_certificate_must_fit() -> None:
+    with pytest.raises(IssueRefused, match="belongs to another key") as caught:
+        Authority(new_signer(), SITE.root)
+    assert "same backup" in caught.value.hint
+    with pytest.raises(CertificateRefused):
+        Authority(new_signer(), SITE.leaf())
+
+
+def test_no_root_without_a_domain() -> None:
+    with pytest.raises(NameRefused, match="'Home' is not a trust domain"):
+        create_root(new_signer(), "Home", now=NOW, serial=1)
+
+
+def test_roots_of_one_domain_have_different_subjects() -> None:
+    first, second = (
+        TrustAnchor.load(create_root(new_signer(), "home", now=NOW, serial=1)) for _ in "ab"
+    )
+    assert first.subject != second.subject
+    assert first.not_after - first.not_before == 3650 * DAY + 3600
+
+
+def test_openssl_accepts_it_strictly(tmp_path: Path) -> None:
+    (tmp_path / "ca.pem").write_bytes(to_pem(SITE.root))
+    longest = build_request(new_signer(), "home", "/" + "a" * 254)
+    for number, csr in enumerate((CSR, longest)):
+        leaf = tmp_path / f"{number}.pem"
+        leaf.write_bytes(to_pem(SITE.authority.issue(csr, now=NOW, serial=5)))
+        command = ["openssl", "verify", "-x509_strict", "-check_ss_sig", "-policy_check"]
+        arguments = ["-attime", str(NOW), "-CAfile", str(tmp_path / "ca.pem"), str(leaf)]
+        done = subprocess.run([*command, *arguments], capture_output=True, check=False, text=True)
+        assert done.stdout.strip().endswith("OK"), done.stderr
+
+
+def test_the_verifier_of_cryptography_accepts_it() -> None:
+    root = x509.load_der_x509_certificate(SITE.root)
+    verifier = (
+        verification.PolicyBuilder()
+        .store(verification.Store([root]))
+        .time(datetime.fromtimestamp(NOW, UTC))
+        .build_client_verifier()
+    )
+    verified = verifier.verify(issue(), [])
+    assert verified.subjects is not None
+    assert [name.value for name in verified.subjects] == ["spiffe://home/robot1/camera"]
+
+
+def test_only_p256_authorities() -> None:
+    from cryptography.hazmat.primitives.asymmetric import ec
+
+    from ca.signer import KeySigner
+
+    signer = KeySigner(ec.generate_private_key(ec.SECP384R1()))
+    with pytest.raises(KeyRefused):
+        create_root(signer, "home", now=NOW, serial=1)

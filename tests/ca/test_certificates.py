@@ -1,0 +1,208 @@
+import dataclasses
+
+import pytest
+from cryptography import x509
+from cryptography.hazmat.primitives.asymmetric import ec
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ca.certificates import MAX_CERTIFICATE, Identity, TrustAnchor, from_pem, to_pem
+from ca.errors import (
+    CertificateExpired,
+    CertificateNotYetValid,
+    CertificateRefused,
+    ForeignCertificate,
+)
+from ca.publickey import thumbprint
+from tests.support.pki import (
+    DAY,
+    NOW,
+    Extensions,
+    Site,
+    draft_leaf,
+    draft_root,
+    leaf_extensions,
+    root_extensions,
+    uris,
+)
+
+SITE = Site.create()
+LEAF = SITE.leaf()
+
+
+def test_an_identity_in_full() -> None:
+    identity = SITE.anchor.verify([LEAF], NOW)
+    assert identity == Identity(
+        domain="home",
+        name="/robot1/camera",
+        public_key=identity.public_key,
+        thumbprint=thumbprint(identity.public_key),
+        not_before=NOW - 3600,
+        not_after=NOW + 30 * DAY,
+        serial=2,
+        certificate=LEAF,
+    )
+    assert identity.public_key == x509.load_der_x509_certificate(LEAF).public_key()
+
+
+def test_an_anchor_in_full() -> None:
+    anchor = TrustAnchor.load(SITE.root)
+    assert (anchor.domain, anchor.certificate) == ("home", SITE.root)
+    assert anchor.thumbprint == thumbprint(SITE.key.public_key())
+    assert (anchor.not_before, anchor.not_after) == (NOW - 3600, NOW + 3650 * DAY)
+
+
+@pytest.mark.parametrize("count", [0, 2, 3])
+def test_a_chain_is_one_certificate(count: int) -> None:
+    message = f"a chain of {count} certificates where exactly one is expected"
+    with pytest.raises(CertificateRefused, match=message):
+        SITE.anchor.verify([LEAF] * count, NOW)
+
+
+def test_strangers_are_strangers() -> None:
+    stranger = Site.create()
+    with pytest.raises(ForeignCertificate, match=r"not signed by the authority of .* 'home'"):
+        SITE.anchor.verify([stranger.leaf()], NOW)
+
+
+def test_a_stranger_who_copies_the_name_of_the_authority() -> None:
+    draft = draft_leaf(SITE)
+    forged = dataclasses.replace(draft, key=ec.generate_private_key(ec.SECP256R1())).build()
+    with pytest.raises(ForeignCertificate):
+        SITE.anchor.verify([forged], NOW)
+
+
+def test_a_node_is_no_authority() -> None:
+    """A node signs a certificate with its own key, under its own certificate."""
+    node = draft_leaf(SITE)
+    forged = dataclasses.replace(node, issuer=node.subject, key=draft_root().key).build()
+    with pytest.raises(ForeignCertificate):
+        SITE.anchor.verify([forged], NOW)
+
+
+def test_the_root_is_not_a_node() -> None:
+    with pytest.raises(CertificateRefused, match="does not say, critically, that it is no CA"):
+        SITE.anchor.verify([SITE.root], NOW)
+
+
+@pytest.mark.parametrize("now", [NOW - 3600, NOW, NOW + 30 * DAY])
+def test_valid_from_the_first_to_the_last_second(now: int) -> None:
+    assert SITE.anchor.verify([LEAF], now).name == "/robot1/camera"
+
+
+def test_expired() -> None:
+    with pytest.raises(CertificateExpired, match="certificate of /robot1/camera expired 1 s ago"):
+        SITE.anchor.verify([LEAF], NOW + 30 * DAY + 1)
+
+
+def test_not_yet_valid() -> None:
+    leaf = SITE.leaf(now=NOW + DAY)
+    message = "certificate of /robot1/camera becomes valid in 82800 s"
+    with pytest.raises(CertificateNotYetValid, match=message) as caught:
+        SITE.anchor.verify([leaf], NOW)
+    assert "clock" in caught.value.hint
+
+
+def test_the_authority_has_its_time_too() -> None:
+    leaf = dataclasses.replace(draft_leaf(SITE), start=NOW - 9 * DAY, end=NOW + 4000 * DAY).build()
+    with pytest.raises(CertificateExpired, match="the authority's certificate expired 1 s ago"):
+        SITE.anchor.verify([leaf], NOW + 3650 * DAY + 1)
+    with pytest.raises(
+        CertificateNotYetValid, match="authority's certificate becomes valid in 1 s"
+    ):
+        SITE.anchor.verify([leaf], NOW - 3601)
+
+
+@pytest.mark.parametrize(
+    ("extensions", "message"),
+    [
+        (leaf_extensions("spiffe://lab/a"), "is for trust domain 'lab', not 'home'"),
+        (leaf_extensions("spiffe://home/a/"), "the certificate's name is none: '/a/' is not"),
+        (leaf_extensions("spiffe://home"), "the certificate's name is none: '' is not"),
+        (leaf_extensions("https://home/a"), "the certificate's name is none: 'https://home/a'"),
+        ([*leaf_extensions()[:2], (uris(), True)], "has 0 names where exactly one"),
+    ],
+)
+def test_names_that_are_none(extensions: Extensions, message: str) -> None:
+    with pytest.raises(CertificateRefused, match=message):
+        SITE.anchor.verify([draft_leaf(SITE, extensions).build()], NOW)
+
+
+def test_every_byte_of_a_certificate_counts() -> None:
+    for position in range(len(LEAF)):
+        for change in (0x01, 0x80, 0xFF):
+            damaged = bytearray(LEAF)
+            damaged[position] ^= change
+            with pytest.raises(CertificateRefused):
+                SITE.anchor.verify([bytes(damaged)], NOW)
+
+
+def test_every_byte_of_an_anchor_counts() -> None:
+    for position in range(len(SITE.root)):
+        for change in (0x01, 0x80, 0xFF):
+            damaged = bytearray(SITE.root)
+            damaged[position] ^= change
+            with pytest.raises(CertificateRefused):
+                TrustAnchor.load(bytes(damaged))
+
+
+def test_every_truncation_and_a_tail() -> None:
+    for size in range(len(LEAF)):
+        with pytest.raises(CertificateRefused):
+            SITE.anchor.verify([LEAF[:size]], NOW)
+    with pytest.raises(CertificateRefused):
+        SITE.anchor.verify([LEAF + b"\0"], NOW)
+
+
+@settings(max_examples=200)
+@given(st.binary(max_size=600))
+def test_garbage(data: bytes) -> None:
+    with pytest.raises(CertificateRefused, match="this is not a well-formed certificate"):
+        SITE.anchor.verify([data], NOW)
+
+
+def test_size_comes_first() -> None:
+    with pytest.raises(CertificateRefused, match="a certificate of 2049 bytes where at most 2048"):
+        SITE.anchor.verify([bytes(MAX_CERTIFICATE + 1)], NOW)
+
+
+def test_an_anchor_signs_itself() -> None:
+    with pytest.raises(CertificateRefused, match="is not signed by itself") as caught:
+        TrustAnchor.load(LEAF)
+    assert "ca.pem" in caught.value.hint
+
+
+@pytest.mark.parametrize(
+    ("uri", "message"),
+    [
+        ("spiffe://Home", "the authority's name is none: 'Home' is not a trust domain"),
+        ("spiffe://home/a", "the authority's name is none: 'home/a' is not a trust domain"),
+        ("https://home", "the authority's name is not a SPIFFE trust domain"),
+    ],
+)
+def test_anchors_without_a_domain(uri: str, message: str) -> None:
+    with pytest.raises(CertificateRefused, match=message):
+        TrustAnchor.load(draft_root(root_extensions(uri)).build())
+
+
+def test_pem_round_trip() -> None:
+    bundle = to_pem(LEAF, SITE.root)
+    assert bundle.count(b"BEGIN CERTIFICATE") == 2
+    assert from_pem(bundle) == (LEAF, SITE.root)
+
+
+@pytest.mark.parametrize("data", [b"", b"garbage", to_pem(LEAF)[:-40], LEAF])
+def test_no_pem(data: bytes) -> None:
+    with pytest.raises(CertificateRefused, match="this is not a PEM certificate") as caught:
+        from_pem(data)
+    assert "rossec ca sign" in caught.value.hint
+
+
+def test_too_much_pem() -> None:
+    with pytest.raises(CertificateRefused, match="16385 bytes of PEM where at most 16384"):
+        from_pem(bytes(16385))
+
+
+def test_no_pem_of_garbage() -> None:
+    with pytest.raises(CertificateRefused, match="not a well-formed certificate"):
+        to_pem(b"garbage")

@@ -1,0 +1,48 @@
+import inspect
+
+import pytest
+
+from ca import errors
+
+ALL = [value for value in vars(errors).values() if inspect.isclass(value)]
+
+
+def test_the_corpus_is_not_empty() -> None:
+    assert len(ALL) > 15
+
+
+@pytest.mark.parametrize("kind", ALL)
+def test_every_error_carries_message_and_hint(kind: type[errors.HintedError]) -> None:
+    error = kind("what happened", "what to do")
+    assert str(error) == "what happened"
+    assert error.hint == "what to do"
+    assert kind("alone").hint == ""
+
+
+@pytest.mark.parametrize("kind", [kind for kind in ALL if kind is not errors.HintedError])
+def test_one_root(kind: type[errors.HintedError]) -> None:
+    assert issubclass(kind, errors.CAError)
+    assert kind.__doc__
+
+
+@pytest.mark.parametrize(
+    ("leaf", "parent"),
+    [
+        (errors.ForeignCertificate, errors.CertificateRefused),
+        (errors.CertificateExpired, errors.CertificateRefused),
+        (errors.CertificateNotYetValid, errors.CertificateRefused),
+        (errors.RollbackRefused, errors.RevocationRefused),
+        (errors.PassphraseRefused, errors.KeyRefused),
+        (errors.KeyChanged, errors.StoreError),
+        (errors.CodeExpired, errors.CodeRefused),
+    ],
+)
+def test_leaves_can_be_caught_together(
+    leaf: type[errors.CAError], parent: type[errors.CAError]
+) -> None:
+    assert issubclass(leaf, parent)
+
+
+def test_revoked_and_stale_are_told_apart() -> None:
+    assert not issubclass(errors.Revoked, errors.RevocationsStale)
+    assert not issubclass(errors.RevocationsStale, errors.Revoked)

@@ -1,0 +1,263 @@
+import os
+import sqlite3
+import stat
+from collections.abc import Iterator
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from ca.errors import KeyChanged, StoreError
+from ca.store import CertificateRow, GrantRow, LogRow, Store
+
+NOW, DAY = 1_800_000_000, 86_400
+KEY, OTHER = b"k" * 32, b"o" * 32
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "ca.db"
+
+
+@pytest.fixture
+def store(path: Path) -> Iterator[Store]:
+    store = Store.create(path)
+    yield store
+    store.close()
+
+
+def certificate(serial: int = 1, name: str = "/a", key: bytes = KEY) -> CertificateRow:
+    return CertificateRow(serial, name, key, b"der%d" % serial, NOW, NOW + DAY)
+
+
+def grant(number: int = 1) -> GrantRow:
+    return GrantRow(bytes([number]) * 16, "/a", b"signed", NOW, NOW + DAY)
+
+
+def test_the_file_is_the_owners_alone(store: Store, path: Path) -> None:
+    store.revoke(KEY, "lost", NOW)
+    for file in path.parent.iterdir():
+        assert stat.S_IMODE(file.stat().st_mode) == 0o600, file
+
+
+def test_durability_is_asked_for(path: Path) -> None:
+    Store.create(path).close()
+    store = Store.open(path)
+    (journal,) = store._db.execute("PRAGMA journal_mode").fetchone()
+    (synchronous,) = store._db.execute("PRAGMA synchronous").fetchone()
+    assert (journal, synchronous) == ("wal", 2)
+    store.close()
+
+
+def test_everything_is_there_after_reopening(store: Store, path: Path) -> None:
+    largest = certificate((1 << 128) - 1)
+    store.add_certificate(largest, NOW)
+    store.add_grant(grant(), NOW)
+    store.revoke(OTHER, "lost", NOW)
+    store.save_list((1, 1), b"list", NOW)
+    store.close()
+    again = Store.open(path)
+    assert again.certificates() == [largest]
+    assert again.grants() == [grant()]
+    assert again.revoked_entries() == {OTHER}
+    assert again.newest_list() == b"list"
+    assert [row.what for row in again.log()] == ["certificate", "grant", "revocation", "list"]
+    again.close()
+
+
+def test_every_change_leaves_a_line(store: Store) -> None:
+    store.add_certificate(certificate(), NOW)
+    store.add_grant(grant(), NOW + 1)
+    store.revoke(OTHER, "lost", NOW + 2)
+    store.save_list((1, 1), b"list", NOW + 3)
+    assert store.log() == [
+        LogRow(NOW, "certificate", "/a", KEY.hex()),
+        LogRow(NOW + 1, "grant", "/a", (b"\x01" * 16).hex()),
+        LogRow(NOW + 2, "revocation", OTHER.hex(), "lost"),
+        LogRow(NOW + 3, "list", "1.1", ""),
+    ]
+
+
+def test_revoking_twice_is_once(store: Store) -> None:
+    store.revoke(KEY, "lost", NOW)
+    store.revoke(KEY, "stolen", NOW + 1)
+    assert store.revoked_entries() == {KEY}
+    assert store.log() == [LogRow(NOW, "revocation", KEY.hex(), "lost")]
+
+
+def test_a_refused_entry_leaves_no_line(store: Store) -> None:
+    store.add_certificate(certificate(), NOW)
+    store.add_grant(grant(), NOW)
+    store.save_list((1, 1), b"list", NOW)
+    before = store.log()
+    with pytest.raises(StoreError, match="the record refuses the entry: UNIQUE"):
+        store.add_certificate(certificate(name="/b"), NOW)
+    with pytest.raises(StoreError, match="the record refuses the entry: UNIQUE"):
+        store.add_grant(grant(), NOW)
+    with pytest.raises(StoreError, match="the record refuses the entry: UNIQUE"):
+        store.save_list((1, 1), b"other", NOW)
+    assert store.log() == before
+    assert store.newest_list() == b"list"
+
+
+def test_a_name_keeps_its_key(store: Store) -> None:
+    store.add_certificate(certificate(), NOW)
+    store.add_certificate(certificate(2), NOW)
+    store.add_certificate(certificate(3, "/b", OTHER), NOW)
+    with pytest.raises(KeyChanged, match="/a has an identity with another key") as caught:
+        store.add_certificate(certificate(4, key=OTHER), NOW + DAY)
+    assert "--new-key" in caught.value.hint
+    assert [row.serial for row in store.certificates()] == [1, 2, 3]
+    store.add_certificate(certificate(4, key=OTHER), NOW, allow_new_key=True)
+
+
+def test_an_expired_or_revoked_key_may_be_followed_by_another(store: Store) -> None:
+    store.add_certificate(certificate(), NOW)
+    store.add_certificate(certificate(2, key=OTHER), NOW + DAY + 1)
+    store.revoke(OTHER, "lost", NOW + DAY + 1)
+    store.add_certificate(certificate(3, key=b"n" * 32), NOW + DAY + 1)
+
+
+def test_a_revoked_key_is_not_certified_again(store: Store) -> None:
+    store.revoke(KEY, "stolen", NOW)
+    with pytest.raises(StoreError, match="the key of /a is revoked") as caught:
+        store.add_certificate(certificate(), NOW, allow_new_key=True)
+    assert "new key" in caught.value.hint
+    assert store.certificates() == []
+
+
+def test_the_newest_live_certificate(store: Store) -> None:
+    with pytest.raises(StoreError, match="/a has no valid identity here") as caught:
+        store.live_certificate("/a", NOW)
+    assert "rossec node request /a" in caught.value.hint
+    store.add_certificate(certificate(), NOW)
+    store.add_certificate(certificate(2), NOW)
+    store.add_certificate(certificate(3, "/b", OTHER), NOW)
+    assert store.live_certificate("/a", NOW + DAY).serial == 2
+    with pytest.raises(StoreError, match="no valid identity"):
+        store.live_certificate("/a", NOW + DAY + 1)
+
+
+def test_lists_are_numbered(store: Store) -> None:
+    assert store.newest_list() is None
+    assert store.next_number() == (1, 1)
+    store.save_list((1, 1), b"first", NOW)
+    assert store.next_number() == (1, 2)
+    store.save_list((2, 7), b"new epoch", NOW)
+    store.save_list((1, 9), b"old epoch", NOW)
+    assert store.next_number() == (2, 8)
+    assert store.newest_list() == b"new epoch"
+
+
+TABLES = ("certificate", "grant_", "revocation", "list", "log")
+
+
+@pytest.mark.parametrize("table", TABLES)
+def test_nothing_is_ever_changed_or_deleted(store: Store, path: Path, table: str) -> None:
+    store.add_certificate(certificate(), NOW)
+    store.add_grant(grant(), NOW)
+    store.revoke(OTHER, "lost", NOW)
+    store.save_list((1, 1), b"list", NOW)
+    direct = sqlite3.connect(path)
+    for statement in (f"UPDATE {table} SET at = 0", f"DELETE FROM {table}"):
+        with pytest.raises(sqlite3.IntegrityError, match="the record is append-only"):
+            direct.execute(statement)
+    direct.close()
+
+
+def test_types_are_strict(path: Path, store: Store) -> None:
+    direct = sqlite3.connect(path)
+    with pytest.raises(sqlite3.IntegrityError, match="cannot store TEXT value in INTEGER"):
+        direct.execute("INSERT INTO revocation VALUES (x'00', 'reason', 'noon')")
+    direct.close()
+
+
+def test_never_overwrites(path: Path) -> None:
+    path.write_bytes(b"precious")
+    with pytest.raises(StoreError, match=r"cannot create .*File exists"):
+        Store.create(path)
+    assert path.read_bytes() == b"precious"
+    with pytest.raises(StoreError, match=r"cannot create .*No such file"):
+        Store.create(path.parent / "missing" / "ca.db")
+
+
+def test_nothing_to_open(path: Path) -> None:
+    with pytest.raises(StoreError, match="there is no record at"):
+        Store.open(path)
+    path.mkdir()
+    with pytest.raises(StoreError, match="there is no record at"):
+        Store.open(path)
+
+
+@pytest.mark.parametrize("mode", [0o640, 0o604, 0o622])
+def test_a_record_others_can_reach(path: Path, mode: int) -> None:
+    Store.create(path).close()
+    path.chmod(mode)
+    with pytest.raises(StoreError, match="can be read or written by others") as caught:
+        Store.open(path)
+    assert "chmod 600" in caught.value.hint
+
+
+def test_a_foreign_database_is_refused_and_left_as_it_is(path: Path) -> None:
+    foreign = sqlite3.connect(path)
+    foreign.execute("CREATE TABLE precious (id INTEGER)")
+    foreign.commit()
+    foreign.close()
+    path.chmod(0o600)
+    before = path.read_bytes()
+    with pytest.raises(StoreError, match="is not a record of this version of rossec"):
+        Store.open(path)
+    assert path.read_bytes() == before
+
+
+def test_a_record_from_the_future(path: Path) -> None:
+    store = Store.create(path)
+    store._db.execute("PRAGMA user_version = 2")
+    store.close()
+    with pytest.raises(StoreError, match="not a record of this version") as caught:
+        Store.open(path)
+    assert "update rossec" in caught.value.hint
+
+
+@pytest.mark.parametrize("data", [b"", b"garbage" * 1000])
+def test_no_database(path: Path, data: bytes) -> None:
+    path.write_bytes(data)
+    path.chmod(0o600)
+    with pytest.raises(StoreError, match=r"is damaged|is not a record") as caught:
+        Store.open(path)
+    assert "restore it" in caught.value.hint
+
+
+def test_damage_inside_is_our_error(path: Path) -> None:
+    store = Store.create(path)
+    for number in range(50):
+        store.add_certificate(certificate(number + 1), NOW)
+    store.close()
+    data = bytearray(path.read_bytes())
+    data[4096:] = b"\xff" * (len(data) - 4096)
+    path.write_bytes(data)
+    damaged = Store.open(path)
+    with pytest.raises(StoreError, match="the record cannot be read") as caught:
+        damaged.certificates()
+    assert "restore a backup" in caught.value.hint
+    with pytest.raises(StoreError, match="the record cannot be"):
+        damaged.revoke(KEY, "lost", NOW)
+    damaged.close()
+
+
+def test_a_closed_record_cannot_be_written(path: Path) -> None:
+    store = Store.create(path)
+    store.close()
+    with pytest.raises(StoreError, match="the record cannot be written"):
+        store.revoke(KEY, "lost", NOW)
+
+
+def test_a_file_that_goes_between_look_and_open(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """SQLite is told never to create a file: a vanished record is not an empty one."""
+    regular = SimpleNamespace(st_mode=stat.S_IFREG | 0o600)
+    monkeypatch.setattr(Path, "stat", lambda *_, **__: regular)
+    with pytest.raises(StoreError, match="cannot be opened: unable to open database file"):
+        Store.open(path)
+    assert not os.path.lexists(path)

@@ -1,0 +1,193 @@
+"""Decisions: what is covered, what is refused by which name, how restrictions add up."""
+
+from itertools import permutations
+
+import pytest
+
+from ca.errors import NameRefused, Revoked
+from grants.decision import Check, Decision, authorize
+from grants.errors import (
+    GrantError,
+    GrantExpired,
+    GrantMissing,
+    GrantNotHeld,
+    GrantNotYetValid,
+    GrantRevoked,
+    RestrictionMismatch,
+)
+from grants.model import Grant, Permission, Restriction, Right, filter_rules
+from grants.validity import moment
+from tests.grants.authority import COARSE, HOLDER, NOW, granted
+
+POSE, SUBSCRIBE, PUBLISH = "/robot/pose", Right.SUBSCRIBE, Right.PUBLISH
+DAY = Restriction(conditions=("now.getHours() >= 8",))
+
+
+def fine(grant_id: bytes, now: int) -> None:
+    assert (len(grant_id), now) == (16, NOW)
+
+
+def revoked(*grants: Grant) -> Check:
+    def check(grant_id: bytes, now: int) -> None:
+        if grant_id in [grant.id for grant in grants]:
+            raise Revoked("on the list", "ask for a new grant")
+
+    return check
+
+
+def decide(
+    *grants: Grant, right: Right = SUBSCRIBE, name: str = POSE, check: Check = fine
+) -> Decision:
+    return authorize(grants, right, name, holder=HOLDER, now=NOW, check=check)
+
+
+def test_a_covering_grant() -> None:
+    grant = granted()
+    decision = decide(grant)
+    assert decision.grant_ids == (grant.id,)
+    assert decision.expires == grant.expires
+    assert decision.restrictions == (COARSE,)
+    assert decision.explain() == [
+        f"subscribe /robot/pose until {moment(grant.expires)}",
+        f"grant {grant.short_id} to /heating",
+        'only when msg.header.frame_id == "map"',
+        "header.frame_id: clear",
+        "pose.position: round step 0.5",
+    ]
+    with pytest.raises(RestrictionMismatch, match="granted with restrictions"):
+        decision.require_unrestricted()
+
+
+def test_without_restrictions() -> None:
+    decision = decide(granted(), right=PUBLISH, name="/heating/state/x")
+    decision.require_unrestricted()
+    assert decision.explain()[-1] == "no restrictions"
+
+
+def test_nothing_presented() -> None:
+    with pytest.raises(GrantMissing, match="no grant for subscribe on /robot/pose") as refused:
+        decide()
+    assert refused.value.near_misses == ()
+    assert refused.value.hint == "ask the authority for a grant"
+
+
+def test_near_misses() -> None:
+    grant = granted(Permission("/scan", SUBSCRIBE), Permission("/pose", Right.CALL | PUBLISH))
+    with pytest.raises(GrantMissing) as refused:
+        decide(grant, right=PUBLISH, name="/scan")
+    short = grant.short_id
+    assert refused.value.near_misses == (
+        f"grant {short} gives subscribe, not publish, on /scan",
+        f"grant {short} is for /pose, not /scan",
+    )
+    assert refused.value.hint == "; ".join(refused.value.near_misses)
+    with pytest.raises(GrantMissing) as refused:
+        decide(granted(*[Permission(f"/n{n}", SUBSCRIBE) for n in range(9)]))
+    assert len(refused.value.near_misses) == 5
+
+
+@pytest.mark.parametrize("right", [Right(0), Right.PUBLISH | Right.SUBSCRIBE])
+def test_exactly_one_right(right: Right) -> None:
+    with pytest.raises(GrantMissing, match="is not one right"):
+        decide(granted(Permission("/**", Right(15))), right=right)
+
+
+@pytest.mark.parametrize("right", list(Right))
+def test_no_right_gives_another(right: Right) -> None:
+    for other in Right:
+        grant = granted(Permission("/**", other))
+        if other is right:
+            decide(grant, right=right)
+        else:
+            with pytest.raises(GrantMissing):
+                decide(grant, right=right)
+
+
+@pytest.mark.parametrize("name", ["", "/", "pose", "~pose", "/robot/pose/", "/*"])
+def test_only_absolute_names(name: str) -> None:
+    with pytest.raises(NameRefused):
+        decide(granted(Permission("/**", SUBSCRIBE)), name=name)
+
+
+def test_prefixes_are_not_covered() -> None:
+    for name in ("/robot/pose2", "/robot", "/robot/pose/x"):
+        with pytest.raises(GrantMissing):
+            decide(granted(), name=name)
+
+
+def test_parameters_are_trees() -> None:
+    grant = granted(Permission("/safety/max_speed", Right.PARAM_SET))
+    for name in ("/safety/max_speed", "/safety/max_speed/x"):
+        decide(grant, right=Right.PARAM_SET, name=name)
+    with pytest.raises(GrantMissing):
+        decide(grant, right=Right.PARAM_SET, name="/safety")
+    with pytest.raises(GrantMissing):
+        decide(grant, right=Right.PARAM_GET, name="/safety/max_speed")
+
+
+REFUSALS: list[tuple[Grant, type[GrantError], str]] = [
+    (granted(holder=bytes(32)), GrantNotHeld, "bound to another key"),
+    (granted(not_before=NOW + 1), GrantNotYetValid, "holds only from"),
+    (granted(not_before=1, expires=NOW), GrantExpired, "expired at"),
+]
+
+
+@pytest.mark.parametrize(("grant", "error", "message"), REFUSALS)
+def test_refusals(grant: Grant, error: type[GrantError], message: str) -> None:
+    with pytest.raises(error, match=message) as refused:
+        decide(grant)
+    assert refused.value.hint
+
+
+def test_a_revoked_grant() -> None:
+    grant = granted()
+    with pytest.raises(GrantRevoked, match=f"grant {grant.short_id}: on the list") as refused:
+        decide(grant, check=revoked(grant))
+    assert isinstance(refused.value.__cause__, Revoked)
+    assert refused.value.hint == "ask for a new grant"
+
+
+def test_an_unusable_grant_does_not_hide_a_good_one() -> None:
+    good = granted(serial=b"g" * 16)
+    unusable = [grant for grant, _, _ in REFUSALS]
+    for order in permutations([good, *unusable]):
+        assert decide(*order, check=revoked(*unusable)).grant_ids == (good.id,)
+
+
+def test_the_refusal_that_came_furthest_is_raised() -> None:
+    grants = [grant for grant, _, _ in REFUSALS]
+    for order in permutations(grants):
+        with pytest.raises(GrantExpired):
+            decide(*order)
+    for order in permutations([*grants, last := granted()]):
+        with pytest.raises(GrantRevoked):
+            decide(*order, check=revoked(last))
+
+
+def test_an_error_of_the_check_is_not_swallowed() -> None:
+    def broken(grant_id: bytes, now: int) -> None:
+        raise RuntimeError
+
+    with pytest.raises(RuntimeError):
+        decide(granted(), check=broken)
+
+
+def test_restrictions_add_up_whatever_the_order() -> None:
+    coarser = Restriction(
+        COARSE.type, (), filter_rules({"pose.position": {"round": {"step": 2.0}}})
+    )
+    grants = [
+        granted(Permission(POSE, SUBSCRIBE), expires=NOW + 50, serial=b"1" * 16),
+        granted(Permission("/robot/*", SUBSCRIBE, DAY), serial=b"2" * 16),
+        granted(Permission(POSE, SUBSCRIBE, coarser), Permission("/**", SUBSCRIBE, COARSE)),
+        granted(Permission("/other", SUBSCRIBE, DAY), serial=b"4" * 16),
+    ]
+    decisions = {decide(*order) for order in permutations(grants)}
+    (decision,) = decisions
+    assert set(decision.restrictions) == {DAY, coarser, COARSE}
+    assert decision.expires == NOW + 50
+    assert len(decision.grant_ids) == 3
+
+
+def test_the_same_grant_twice_counts_once() -> None:
+    assert decide(granted(), granted()) == decide(granted())

@@ -1,0 +1,160 @@
+"""Guards: expiry, conditions, filters, and nothing let through by mistake."""
+
+import importlib
+import struct
+from dataclasses import replace
+
+import pytest
+
+from grants.decision import Decision
+from grants.errors import (
+    ConditionRefused,
+    FilterRefused,
+    GrantExpired,
+    MessageRefused,
+    RestrictionMismatch,
+)
+from grants.guard import Guard
+from grants.model import Restriction, Right, filter_rules, merge
+from tests.grants.messages import layout, text
+
+LAYOUT = layout("float64 x\nfloat64 y\nstring frame\nP[] points", "MSG: t/P\nint32 a\nint32 b")
+NOW = 1_800_000_000
+
+
+def message(x: float = 1.3, frame: str = "map") -> bytes:
+    return struct.pack("<dd", x, 2.7) + text(frame) + struct.pack("<Iii", 1, 5, 6)
+
+
+def decision(*restrictions: Restriction) -> Decision:
+    return Decision(Right.SUBSCRIBE, "/a", (), NOW + 10, merge(restrictions))
+
+
+def filtered(**rules: dict[str, object]) -> Restriction:
+    return Restriction("t/T", (), filter_rules(rules))
+
+
+def when(*texts: str, type: str | None = "t/T") -> Restriction:  # noqa: A002
+    return Restriction(type, texts)
+
+
+def seen(guard: Guard, data: bytes) -> bytes | None:
+    pieces = guard(data, NOW)
+    return None if pieces is None else b"".join(pieces)
+
+
+def rounded(step: float) -> dict[str, object]:
+    return {"round": {"step": step}}
+
+
+def test_without_restrictions_the_message_is_untouched() -> None:
+    data = message()
+    for guard in (Guard(LAYOUT, decision()), Guard(None, decision())):
+        assert guard(data, NOW) == [data]
+
+
+def test_conditions_then_filters() -> None:
+    coarse = Restriction("t/T", ('msg.frame == "map"',), filter_rules({"x": rounded(0.5)}))
+    guard = Guard(LAYOUT, decision(coarse, when("msg.x < 1.4")))
+    assert seen(guard, message()) == message(1.5)  # the condition saw 1.3, the receiver 1.5
+    assert seen(guard, message(1.45)) is None
+    assert seen(guard, message(frame="odom")) is None
+
+
+def test_expiry() -> None:
+    guard = Guard(LAYOUT, decision())
+    guard.check(NOW + 9)
+    for check in (guard.check, lambda now: guard(message(), now)):
+        with pytest.raises(GrantExpired, match="the grant expired at"):
+            check(NOW + 10)
+    assert guard.treat(message(), NOW + 10) == [message()]  # expiry is `check`'s
+
+
+def test_another_type() -> None:
+    for shape in (replace(LAYOUT, type_name="t/Other"), None):
+        for restriction in (filtered(x=rounded(1)), when("true")):
+            with pytest.raises(RestrictionMismatch, match="for messages of type t/T, these are"):
+                Guard(shape, decision(restriction))
+
+
+def test_a_restriction_without_a_type_fits_all() -> None:
+    day = when("now.getHours() >= 9", type=None)
+    for shape in (LAYOUT, None):
+        assert Guard(shape, decision(day))(message(), NOW) is None
+    with pytest.raises(ConditionRefused, match="no message to look at"):
+        Guard(LAYOUT, decision(when("msg.x > 0.0", type=None)))
+
+
+def test_what_does_not_fit_is_refused_when_built() -> None:
+    with pytest.raises(ConditionRefused):
+        Guard(LAYOUT, decision(when("msg.z > 0.0")))
+    with pytest.raises(FilterRefused):
+        Guard(LAYOUT, decision(filtered(z={"clear": True})))
+
+
+@pytest.mark.parametrize(
+    ("one", "two"),
+    [
+        (filtered(x=rounded(0.5)), filtered(x=rounded(2.0))),
+        (filtered(x=rounded(0.5)), filtered(y=rounded(2.0))),
+        (filtered(x=rounded(0.5)), filtered(x=rounded(0.5), frame={"clear": True})),
+        (
+            Restriction("t/T", (), filter_rules({"points[*].a": {"clear": True}})),
+            filtered(points={"clear": True}),
+        ),
+    ],
+)
+def test_all_filters_apply_in_one_order(one: Restriction, two: Restriction) -> None:
+    both, swapped = Guard(LAYOUT, decision(one, two)), Guard(LAYOUT, decision(two, one))
+    assert both.key == swapped.key
+    result = seen(both, message(0.8))
+    assert result == seen(swapped, message(0.8))
+    assert result is not None
+    for alone in (one, two):  # either alone has nothing left to take away
+        assert seen(Guard(LAYOUT, decision(alone)), result) == result
+
+
+def test_fields_apart_share_one_pass() -> None:
+    guard = Guard(
+        LAYOUT, decision(filtered(x=rounded(0.5)), filtered(y=rounded(2.0)), when("true"))
+    )
+    assert len(guard._filters) == 1
+
+
+def test_keys() -> None:
+    guard = Guard(LAYOUT, decision(filtered(x=rounded(0.5))))
+    same = Guard(LAYOUT, replace(decision(filtered(x=rounded(0.5))), expires=NOW + 99))
+    assert {guard.key} == {same.key}
+    for other in (
+        Guard(LAYOUT, decision()),
+        Guard(LAYOUT, decision(filtered(x=rounded(0.25)))),
+        Guard(replace(LAYOUT, md5="0"), decision(filtered(x=rounded(0.5)))),
+        Guard(None, decision()),
+    ):
+        assert other.key != guard.key
+
+
+def test_a_message_that_does_not_fit() -> None:
+    guard = Guard(LAYOUT, decision(filtered(x=rounded(0.5))))
+    for data in (b"", message()[:-1], message() + b"\0"):
+        with pytest.raises(MessageRefused, match="not a t/T"):
+            guard(data, NOW)
+
+
+def test_the_unforeseen_withholds_the_message(monkeypatch: pytest.MonkeyPatch) -> None:
+    guard = Guard(LAYOUT, decision(when("true")))
+
+    def broken(*_: object) -> bool:
+        raise MemoryError
+
+    monkeypatch.setattr(guard, "_conditions", (broken,))
+    with pytest.raises(MessageRefused, match="treating a message failed: MemoryError"):
+        guard(message(), NOW)
+
+
+@pytest.mark.parametrize("answer", [1, "yes", None, 0])
+def test_only_true_admits(answer: object) -> None:
+    guard = Guard(LAYOUT, decision(when("true")))
+    conditions = importlib.import_module("grants.conditions")
+    guard._conditions = (conditions.Condition("", False, lambda *_: answer),)
+    assert guard(message(), NOW) is None

@@ -1,0 +1,126 @@
+"""Values that exist are well-formed."""
+
+from typing import Any
+
+import pytest
+
+from grants.errors import FilterRefused, GrantMalformed, PatternRefused
+from grants.model import (
+    Draft,
+    FilterRule,
+    Grant,
+    Permission,
+    Restriction,
+    Right,
+    filter_rules,
+    merge,
+)
+
+RULE = FilterRule("a.b[*].c", "round", (("step", 0.5),))
+DRAFT: dict[str, Any] = {
+    "domain": "home",
+    "subject": "/a",
+    "holder": bytes(32),
+    "not_before": 1,
+    "expires": 2,
+    "cap": 2,
+    "serial": bytes(16),
+    "permissions": (Permission("/a", Right.CALL),),
+}
+
+
+def test_rights_have_the_bits_of_the_format() -> None:
+    assert [int(right) for right in Right] == [1, 2, 4, 8, 16, 32, 64, 128]
+    assert Right.PARAM_GET.label == "param-get"
+    assert (Right.PUBLISH | Right.ADMIN).label == "publish, admin"
+
+
+def test_rules_are_read_in_one_order() -> None:
+    rules: dict[str, dict[str, object]] = {
+        "b": {"clear": True},
+        "a": {"clamp": {"low": 0, "high": 1}},
+    }
+    expected = (FilterRule("a", "clamp", (("high", 1), ("low", 0))), FilterRule("b", "clear"))
+    assert filter_rules(rules) == expected
+    assert [str(rule) for rule in expected] == ["a: clamp high 1 low 0", "b: clear"]
+
+
+@pytest.mark.parametrize(
+    ("rules", "message"),
+    [
+        ({"a": {}}, "a: exactly one operator per field"),
+        ({"a": {"clear": True, "drop": True}}, "exactly one operator"),
+        ({"a": {"clear": False}}, "parameters of clear must be named"),
+        ({"a": {"round": 0.5}}, "parameters of round must be named"),
+        ({"a": {"round": {}}}, "parameters of round must be named"),
+        ({"a": {"round": {"step": [1]}}}, "parameter 'step' is not a number, text"),
+        ({"a": {"round": {1: 1}}}, "parameter 1 is not"),
+        ({"a..b": {"clear": True}}, "not a field path: 'a..b'"),
+        ({"a[0]": {"clear": True}}, "not a field path"),
+        ({"a\n": {"clear": True}}, "not a field path"),
+        ({"": {"clear": True}}, "not a field path"),
+    ],
+)
+def test_refused_rules(rules: Any, message: str) -> None:
+    with pytest.raises(FilterRefused, match=message):
+        filter_rules(rules)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((None, (), ()), "restricts nothing"),
+        (("Pose", ("true",), ()), "not a message type"),
+        ((None, (), (RULE,)), "without the message type"),
+        (("a/B", (), (RULE, FilterRule(RULE.path, "clear"))), "two filters for one field"),
+        ((None, ("",), ()), "empty or longer than 1000"),
+        ((None, ("x" * 1001,), ()), "empty or longer than 1000"),
+    ],
+)
+def test_refused_restrictions(arguments: Any, message: str) -> None:
+    with pytest.raises(GrantMalformed, match=message):
+        Restriction(*arguments)
+
+
+def test_restrictions_for_people_and_merged() -> None:
+    one, two = Restriction("a/B", ("true",), (RULE,)), Restriction(conditions=("false",))
+    assert one.lines() == ["only when true", "a.b[*].c: round step 0.5"]
+    assert merge([one, None, two, one]) == merge([two, one])
+    assert set(merge([one, two])) == {one, two}
+
+
+def test_permissions() -> None:
+    permission = Permission("/a/*", Right.CALL | Right.PARAM_GET)
+    assert permission.covers(Right.CALL, "/a/b")
+    assert not permission.covers(Right.CALL, "/a/b/c")
+    assert permission.covers(Right.PARAM_GET, "/a/b/c")
+    assert not permission.covers(Right.PARAM_SET, "/a/b")
+    with pytest.raises(PatternRefused):
+        Permission("a", Right.CALL)
+    for bits in (Right(0), Right(256)):
+        with pytest.raises(GrantMalformed, match="unknown or no right"):
+            Permission("/a", bits)
+    with pytest.raises(GrantMalformed, match="graph on /a cannot be restricted"):
+        Permission("/a", Right.GRAPH, Restriction(conditions=("true",)))
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"domain": ""}, "trust domain"),
+        ({"holder": b""}, "holder must be 32 bytes"),
+        ({"serial": b""}, "serial 16"),
+        ({"expires": 1}, "not_before < expires <= cap"),
+        ({"cap": 1}, "not_before < expires <= cap"),
+        ({"permissions": ()}, "permits nothing"),
+    ],
+)
+def test_refused_drafts(changes: Any, message: str) -> None:
+    with pytest.raises(GrantMalformed, match=message):
+        Draft(**{**DRAFT, **changes})
+
+
+def test_a_grant_is_a_draft_with_a_name() -> None:
+    grant = Grant.of(Draft(**DRAFT), id=b"\xab" * 16, issuer=bytes(32))
+    assert grant == Grant(**DRAFT, id=b"\xab" * 16, issuer=bytes(32))
+    assert grant.short_id == "abababab"

@@ -1,0 +1,116 @@
+import io
+import json
+from pathlib import Path
+
+import pytest
+
+from tests.support.commands import Shell, refused
+
+
+def test_a_new_authority_shows_itself(empty: Shell) -> None:
+    shell = empty
+    made = shell.unlocked("ca", "init", "home")
+    said = shell("ca", "show")
+    assert said.out.startswith(made.out)
+    assert said.out.startswith(f"authority of home in {shell.root}/ca\nfingerprint ")
+    assert "/ca  until" in said.out
+    listed = json.loads(shell("ca", "show", "--json").out)
+    assert listed["domain"] == "home"
+    assert [node["name"] for node in listed["identities"]] == ["/ca"]
+
+
+def test_one_authority_per_home(shell: Shell) -> None:
+    refused(shell.unlocked("ca", "init", "home"), "there is an authority", "another ROSSEC_HOME")
+
+
+def test_a_trust_domain_has_its_syntax(empty: Shell) -> None:
+    refused(empty.unlocked("ca", "init", "My Home!"), "not a trust domain", "lower case")
+    refused(empty("ca", "show"), "there is no authority", "rossec ca init DOMAIN")
+
+
+def test_signing_shows_who_asks(shell: Shell) -> None:
+    shell("node", "request", "/robot")
+    request = shell.node("/robot") / "node.csr"
+    said = shell.unlocked("ca", "sign", str(request), "--yes")
+    assert "spiffe://home/robot asks for an identity" in said.out
+    assert "no code was checked" in said.out
+    assert said.out.endswith(f"signed /robot: {request.with_name('node.pem')}\n")
+
+
+def test_a_code_vouches_for_its_request(shell: Shell) -> None:
+    for name in ("/robot", "/other"):
+        shell("node", "request", name)
+    code = shell("node", "code", "/robot", "--text").out.strip()
+    right, wrong = (str(shell.node(name) / "node.csr") for name in ("/robot", "/other"))
+    sign = ("ca", "sign", "--yes", "--code", code)
+    refused(shell.unlocked(*sign, wrong), "does not fit the codes", "scan the code again")
+    refused(shell.unlocked(*sign, right, wrong), "does not fit the codes")
+    refused(shell.unlocked(*sign, right, "--code", code), "does not fit the codes")
+    assert "its code fits" in shell.unlocked(*sign, right).out
+    refused(shell.unlocked("ca", "sign", right, "--yes", "--code", "x"), "not the text of a rossec")
+
+
+def test_another_key_for_a_known_name_must_be_said(shell: Shell) -> None:
+    shell.enroll("/robot")
+    shell.node("/robot").rename(shell.root / "lost")
+    shell("node", "request", "/robot")
+    request = str(shell.node("/robot") / "node.csr")
+    refused(shell.unlocked("ca", "sign", request, "--yes"), "another key", "--new-key")
+    assert shell.unlocked("ca", "sign", request, "--yes", "--new-key").code == 0
+
+
+def test_what_is_no_request(shell: Shell, tmp_path: Path) -> None:
+    (tmp_path / "x.csr").write_bytes(b"nothing of the kind")
+    said = shell.unlocked("ca", "sign", str(tmp_path / "x.csr"), "--yes")
+    assert said.code == 1
+    (tmp_path / "big.csr").write_bytes(bytes(100_000))
+    assert shell.unlocked("ca", "sign", str(tmp_path / "big.csr"), "--yes").code == 1
+    refused(shell("ca", "sign", str(tmp_path / "none.csr")), "does not exist", code=2)
+
+
+def test_a_request_with_another_name_gets_another_file(shell: Shell, tmp_path: Path) -> None:
+    shell("node", "request", "/robot")
+    copy = tmp_path / "robot.csr"
+    copy.write_bytes((shell.node("/robot") / "node.csr").read_bytes())
+    shell.unlocked("ca", "sign", str(copy), "--yes")
+    assert (tmp_path / "robot.pem").exists()
+
+
+def test_the_passphrase(shell: Shell, tmp_path: Path) -> None:
+    shell("node", "request", "/robot")
+    request = str(shell.node("/robot") / "node.csr")
+    wrong = tmp_path / "wrong"
+    wrong.write_text("not the passphrase\n")
+    wrong.chmod(0o600)
+    sign = ("ca", "sign", request, "--yes", "--passphrase-file")
+    refused(shell(*sign, str(wrong)), "passphrase")
+    wrong.chmod(0o644)
+    refused(shell(*sign, str(wrong)), "can be read by others", "chmod 600")
+    empty = tmp_path / "empty"
+    empty.touch(0o600)
+    refused(shell(*sign, str(empty)), "is empty", "first line")
+
+
+def test_nobody_signs_without_being_asked(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.stdin", io.StringIO(""))
+    shell("node", "request", "/robot")
+    said = shell.unlocked("ca", "sign", str(shell.node("/robot") / "node.csr"))
+    assert "there was no answer, nothing was done" in said.err
+    assert "--yes" in said.err
+    assert not (shell.node("/robot") / "node.pem").exists()
+
+
+def test_a_list_without_a_master_stays_here(shell: Shell) -> None:
+    said = shell("ca", "publish", "--master", "http://127.0.0.1:1")
+    refused(said, "did not take the list", "rossec ca publish", code=3)
+    refused(shell("ca", "publish", "--master", "127.0.0.1"), "does not begin with http://")
+
+
+@pytest.mark.parametrize(("typed", "code"), [("y\n", 0), ("n\n", 1)])
+def test_the_answer_counts(
+    shell: Shell, monkeypatch: pytest.MonkeyPatch, typed: str, code: int
+) -> None:
+    shell("node", "request", "/robot")
+    monkeypatch.setattr("sys.stdin", io.StringIO(typed))
+    assert shell.unlocked("ca", "sign", str(shell.node("/robot") / "node.csr")).code == code
+    assert (shell.node("/robot") / "node.pem").exists() == (code == 0)

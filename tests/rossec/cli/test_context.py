@@ -1,0 +1,24 @@
+from typing import Any
+
+import click
+import pytest
+
+from rossec.cli import context
+
+
+@pytest.mark.parametrize(
+    ("text", "seconds"),
+    [("30s", 30), ("15m", 900), ("8h", 28800), ("7d", 604800), ("4w", 2419200), (5, 5)],
+)
+def test_durations(text: Any, seconds: int) -> None:
+    assert context.Duration().convert(text, None, None) == seconds
+
+
+@pytest.mark.parametrize("text", ["", "7", "d", "0d", "-1d", "1.5h", "1 h", "1y", "\u0661d", "7D"])
+def test_what_is_no_duration(text: str) -> None:
+    with pytest.raises(click.BadParameter, match="write 30s, 15m, 8h, 7d or 4w"):
+        context.Duration().convert(text, None, None)
+
+
+def test_moments_are_utc() -> None:
+    assert context.moment(1_795_000_000) == "2026-11-18 11:06:40 UTC"

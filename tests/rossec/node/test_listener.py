@@ -1,0 +1,153 @@
+"""The two ports of a node, spoken to directly by a node that does not play by the rules."""
+
+import asyncio
+import contextlib
+from collections.abc import AsyncIterator
+from pathlib import Path
+
+import pytest
+
+from ca.certificates import Identity
+from rossec.errors import ChannelError, PlainPeer
+from rossec.net.rpc import RpcClient
+from rossec.net.stream import Flavour, SecureStream, connect
+from rossec.node import Node, listener
+from rossec.node.listener import is_loopback
+from rossec.ros import header
+from tests.support.site import Site
+
+POSE = "geometry_msgs/PoseStamped"
+
+
+@pytest.fixture
+async def site(tmp_path: Path) -> AsyncIterator[Site]:
+    async with Site(tmp_path / "site").running() as site:
+        site.publish("/robot", "/robot/pose")
+        yield site
+
+
+@pytest.fixture
+async def robot(site: Site) -> AsyncIterator[Node]:
+    async with site.node("/robot") as robot:
+        await robot.publisher("/robot/pose", POSE)
+        yield robot
+
+
+async def knock(site: Site, robot: Node, *pieces: bytes) -> dict[str, bytes]:
+    """What the topic port answers to `/viewer` sending `pieces`, one unit each."""
+    credentials = site.enroll("/viewer").credentials()
+    _, port = robot.topic_endpoint()
+    stream = await connect("127.0.0.1", port, credentials, site.anchor.verify)
+    for piece in pieces:
+        await stream.send(piece)
+    reader = header.FrameReader()
+    while not (frames := reader.feed(await stream.receive())):
+        pass
+    await ended(stream)
+    return header.decode(frames[0])
+
+
+async def ended(stream: SecureStream[Identity]) -> None:
+    async with asyncio.timeout(5):
+        with contextlib.suppress(ChannelError):
+            while True:
+                await stream.receive()
+
+
+def hello(**fields: str) -> bytes:
+    return header.encode(
+        {"callerid": "/viewer", "topic": "/robot/pose", "md5sum": "*", "type": "*", **fields}
+    )
+
+
+async def test_without_a_grant_there_is_only_a_reason(site: Site, robot: Node) -> None:
+    answer = await knock(site, robot, hello())
+    assert answer == {"error": b"rossec: /viewer shows no grant to subscribe /robot/pose"}
+
+
+async def test_what_exists_cannot_be_told_from_what_does_not(site: Site, robot: Node) -> None:
+    there = await knock(site, robot, hello())
+    not_there = await knock(site, robot, hello(topic="/robot/none"))
+    assert there["error"].replace(b"/robot/pose", b"/robot/none") == not_there["error"]
+
+
+async def test_a_lie_about_the_name(site: Site, robot: Node) -> None:
+    answer = await knock(site, robot, hello(callerid="/robot"))
+    assert b"a node certified as /viewer calls itself /robot" in answer["error"]
+
+
+async def test_the_entitled_learn_what_is_not_published(site: Site, robot: Node) -> None:
+    site.subscribe("/viewer", "/robot/none")
+    (grant,) = site.enroll("/viewer").grants()
+    fields = {"rossec_grants": (b"\x81\x59" + len(grant).to_bytes(2) + grant)}
+    answer = await knock(
+        site, robot, header.encode({**header.decode(hello(topic="/robot/none")[4:]), **fields})
+    )
+    assert answer["error"] == b"rossec: /robot does not publish /robot/none"
+
+
+@pytest.mark.parametrize(
+    ("pieces", "error"),
+    [
+        ((b"\xff\xff\xff\x7f",), b""),
+        ((b"\4\0\0\0\xff\xff\xff\xff",), b""),
+        ((hello(), hello()), b""),
+        ((hello() + b"\1\0\0",), b"bytes after the connection header"),
+        ((b"\0\0\0\0",), b"has no 'callerid'"),
+    ],
+)
+async def test_headers_out_of_order(
+    site: Site, robot: Node, pieces: tuple[bytes, ...], error: bytes
+) -> None:
+    answer = await knock(site, robot, *pieces)
+    assert answer["error"].startswith(b"rossec: ")
+    assert error in answer["error"]
+
+
+async def test_a_header_may_come_in_pieces(site: Site, robot: Node) -> None:
+    data = hello()
+    answer = await knock(site, robot, *(data[i : i + 7] for i in range(0, len(data), 7)))
+    assert b"shows no grant" in answer["error"]
+
+
+async def test_silence_is_not_waited_for(
+    site: Site, robot: Node, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(listener, "HEADER_DEADLINE", 0.1)
+    credentials = site.enroll("/viewer").credentials()
+    _, port = robot.topic_endpoint()
+    stream = await connect("127.0.0.1", port, credentials, site.anchor.verify)
+    await ended(stream)
+
+
+async def test_each_port_speaks_one_protocol(site: Site, robot: Node) -> None:
+    credentials = site.enroll("/viewer").credentials()
+    _, topic_port = robot.topic_endpoint()
+    slave_port = int(robot.uri.rstrip("/").rpartition(":")[2])
+    for port, flavour in ((topic_port, Flavour.HTTP), (slave_port, Flavour.TCPROS)):
+        with pytest.raises(PlainPeer):
+            await connect("127.0.0.1", port, credentials, site.anchor.verify, opening=flavour)
+
+
+async def test_the_slave_api_answers_no_revoked_node(site: Site, robot: Node) -> None:
+    credentials = site.enroll("/viewer").credentials()
+    port = int(robot.uri.rstrip("/").rpartition(":")[2])
+    dial = (credentials, site.anchor.verify)
+    stream = await connect("127.0.0.1", port, *dial, opening=Flavour.HTTP)
+    answer = await RpcClient(stream).call("requestTopic", "/viewer", "/t", [["TCPROS"]])
+    assert isinstance(answer, list)
+    assert answer[0] == 1
+    await robot._session.call(
+        "rossec.updateRevocations", site.revoke(site.identity("/viewer").thumbprint)
+    )
+    stream = await connect("127.0.0.1", port, *dial, opening=Flavour.HTTP)
+    await ended(stream)
+
+
+@pytest.mark.parametrize(
+    ("address", "alone"),
+    [("127.0.0.1", True), ("127.1.2.3", True), ("::1", True), ("localhost", True),
+     ("192.168.1.5", False), ("robot.local", False), ("::", False)],
+)  # fmt: skip
+def test_loopback_listens_on_loopback_alone(address: str, alone: bool) -> None:
+    assert is_loopback(address) is alone

@@ -1,0 +1,173 @@
+import asyncio
+import time
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from grants import layout
+from grants.errors import MessageRefused
+from rossec.errors import ChannelClosed
+from rossec.node.messages import message_type
+from rossec.node.publisher import Publisher, SubscriberLink
+from rossec.node.topics import Endpoint
+
+STRING = message_type("std_msgs/String")
+
+
+class Stream:
+    """Collects what is sent; receives nothing until it is closed."""
+
+    def __init__(self) -> None:
+        self.peer = SimpleNamespace(name="/viewer", thumbprint=b"k", not_after=time.time() + 99)
+        self.sent: list[bytes] = []
+        self.open = asyncio.Event()
+        self.open.set()
+        self.closed = asyncio.Event()
+
+    async def send(self, *pieces: bytes) -> None:
+        await self.open.wait()
+        self.sent.append(b"".join(pieces))
+
+    async def receive(self) -> bytes:
+        await self.closed.wait()
+        raise ChannelClosed("the peer closed the connection")
+
+
+class Guard:
+    """Treats messages as a function says, and counts."""
+
+    def __init__(self, key: object = "k", treat: Any = lambda message: [message]) -> None:
+        self.key = key
+        self.treated = 0
+        self._treat = treat
+
+    def treat(self, message: Any, _now: int) -> Any:
+        self.treated += 1
+        return self._treat(message)
+
+
+def publisher(**options: Any) -> Publisher:
+    shape = layout.parse(STRING.name, STRING.definition)
+    return Publisher(Endpoint("/t", STRING), shape, **{"latch": False, **options})
+
+
+def decision(seconds: int = 99) -> Any:
+    return SimpleNamespace(expires=int(time.time()) + seconds, grant_ids=())
+
+
+async def serve(topic: Publisher, stream: Any, guard: Any, seconds: int = 99) -> asyncio.Task[None]:
+    task = asyncio.get_running_loop().create_task(topic.serve(stream, decision(seconds), guard))
+    await asyncio.sleep(0)
+    return task
+
+
+def text(data: str) -> bytes:
+    return len(data.encode()).to_bytes(4, "little") + data.encode()
+
+
+def framed(*texts: str) -> bytes:
+    return b"".join((len(data) + 4).to_bytes(4, "little") + text(data) for data in texts)
+
+
+async def settle() -> None:
+    for _ in range(10):
+        await asyncio.sleep(0)
+
+
+async def test_queued_messages_share_a_unit() -> None:
+    topic, stream = publisher(), Stream()
+    task = await serve(topic, stream, Guard())
+    for data in ("one", "two"):
+        topic.publish(topic.create(data=data))
+    await settle()
+    assert stream.sent == [framed("one", "two")]
+    stream.closed.set()
+    await task
+    assert topic.links == set()
+
+
+async def test_a_slow_subscriber_loses_the_oldest() -> None:
+    topic, stream = publisher(queue_size=2), Stream()
+    task = await serve(topic, stream, Guard())
+    stream.open.clear()
+    topic.publish_bytes(text("first"))
+    await settle()
+    for data in ("a", "b", "c"):
+        topic.publish_bytes(text(data))
+    (link,) = topic.links
+    assert link.dropped == 1
+    stream.open.set()
+    await settle()
+    assert stream.sent == [framed("first"), framed("b", "c")]
+    task.cancel()
+    await asyncio.gather(task, return_exceptions=True)
+
+
+async def test_equal_treatments_are_made_once() -> None:
+    topic = publisher()
+    guards = [Guard("same"), Guard("same"), Guard("other", lambda _: None)]
+    tasks = [await serve(topic, Stream(), guard) for guard in guards]
+    topic.publish_bytes(text("x"))
+    assert sorted(guard.treated for guard in guards) == [0, 1, 1]
+    assert sorted(link.withheld for link in topic.links) == [0, 0, 1]
+    for task in tasks:
+        task.cancel()
+    await asyncio.gather(*tasks, return_exceptions=True)
+
+
+async def test_a_message_that_cannot_be_judged_is_withheld() -> None:
+    def refuse(_: object) -> None:
+        raise MessageRefused("not its layout")
+
+    topic, stream = publisher(), Stream()
+    task = await serve(topic, stream, Guard(treat=refuse))
+    topic.publish_bytes(b"not a string")
+    await settle()
+    assert stream.sent == []
+    task.cancel()
+    await asyncio.gather(task, return_exceptions=True)
+
+
+async def test_an_expired_link_gets_nothing_more() -> None:
+    topic, stream = publisher(), Stream()
+    task = await serve(topic, stream, Guard(), seconds=0)
+    topic.publish_bytes(text("late"))
+    await settle()
+    assert stream.sent == []
+    task.cancel()
+    await asyncio.gather(task, return_exceptions=True)
+
+
+@pytest.mark.parametrize("withheld", [False, True])
+async def test_the_last_message_greets_newcomers(withheld: bool) -> None:
+    topic, stream = publisher(latch=True), Stream()
+    topic.publish_bytes(text("before"))
+    guard = Guard(treat=(lambda _: None) if withheld else (lambda message: [message]))
+    task = await serve(topic, stream, guard)
+    await settle()
+    assert stream.sent == ([] if withheld else [framed("before")])
+    task.cancel()
+    await asyncio.gather(task, return_exceptions=True)
+
+
+async def test_waiting_for_subscribers() -> None:
+    topic = publisher()
+    waiting = asyncio.get_running_loop().create_task(topic.wait_for_subscribers(2))
+    tasks = [await serve(topic, Stream(), Guard())]
+    await settle()
+    assert not waiting.done()
+    tasks.append(await serve(topic, Stream(), Guard()))
+    await asyncio.wait_for(waiting, 1)
+    for task in tasks:
+        task.cancel()
+    await asyncio.gather(*tasks, return_exceptions=True)
+
+
+async def test_a_batch_is_bounded() -> None:
+    topic, stream = publisher(queue_size=100), Stream()
+    link = SubscriberLink(stream, decision(), Guard(), 100)  # type: ignore[arg-type]  # stand-ins
+    for _ in range(5):
+        link.offer([bytes(100_000)])
+    assert [len(link._next_batch()) for _ in range(2)] == [6, 4]
+    assert topic.topic == "/t"

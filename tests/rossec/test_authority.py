@@ -1,0 +1,56 @@
+from pathlib import Path
+
+import pytest
+
+from ca.errors import PassphraseRefused
+from ca.revocation import open_list
+from rossec.authority import OWN_NODE, AuthorityHome, fingerprint
+from rossec.errors import ConfigurationError
+
+NOW = 1_800_000_000
+PASSPHRASE = "four random words here"
+
+
+@pytest.fixture(scope="module")
+def home(tmp_path_factory: pytest.TempPathFactory) -> AuthorityHome:
+    return AuthorityHome.create(tmp_path_factory.mktemp("home") / "x", "home", PASSPHRASE, NOW)
+
+
+def test_a_new_authority_has_a_node_and_an_empty_list(home: AuthorityHome) -> None:
+    assert home.domain == "home"
+    assert home.node().identity(NOW).name == OWN_NODE
+    listed = open_list(home.revocation_list(), home.anchor().public_key)
+    assert (listed.number, listed.entries) == ((1, 1), frozenset())
+
+
+def test_a_second_one_in_the_same_place_is_refused(home: AuthorityHome) -> None:
+    before = home.anchor()
+    with pytest.raises(ConfigurationError, match="there is an authority in"):
+        AuthorityHome.create(home.path.parent, "home", PASSPHRASE, NOW)
+    assert home.anchor() == before
+
+
+def test_no_authority_names_the_next_command(tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError) as caught:
+        AuthorityHome.at(tmp_path)
+    assert caught.value.hint == "next: rossec ca init DOMAIN"
+
+
+def test_the_passphrase_counts(home: AuthorityHome) -> None:
+    assert AuthorityHome.at(home.path.parent).unlock(PASSPHRASE).domain == "home"
+    with pytest.raises(PassphraseRefused):
+        home.unlock(PASSPHRASE + ".")
+
+
+def test_a_revocation_is_signed_and_numbered(home: AuthorityHome) -> None:
+    unlocked = home.unlock(PASSPHRASE)
+    listed = unlocked.revoke(b"g" * 16, "test", NOW)
+    assert open_list(home.revocation_list(), home.anchor().public_key) == listed
+    assert listed.entries == {b"g" * 16}
+    assert unlocked.revoke(b"g" * 16, "again", NOW).seq == listed.seq + 1
+
+
+def test_fingerprints_are_for_reading(home: AuthorityHome) -> None:
+    text = fingerprint(home.anchor())
+    assert text.replace(" ", "") == home.anchor().thumbprint.hex()[:32]
+    assert len(text.split()) == 8

@@ -1,0 +1,192 @@
+import secrets
+import stat
+from pathlib import Path
+
+import pytest
+
+from ca import keys
+from ca.certificates import check_request, to_pem
+from ca.errors import (
+    CertificateExpired,
+    CertificateRefused,
+    ForeignCertificate,
+    KeyRefused,
+    NameRefused,
+)
+from rossec.errors import ConfigurationError
+from rossec.home import NodeHome, rossec_home
+from tests.support.pki import DAY, NOW, Site
+
+NAME = "/robot1/camera"
+SITE = Site.create()
+
+
+def enrolled(root: Path, site: Site = SITE) -> NodeHome:
+    home = NodeHome.of(root, NAME)
+    home.create_request("home")
+    home.install(bundle(home, site), NOW)
+    return home
+
+
+def bundle(home: NodeHome, site: Site = SITE, now: int = NOW) -> bytes:
+    serial = secrets.randbits(127) + 1
+    leaf = site.authority.issue(home.request(), now=now, serial=serial)
+    return to_pem(leaf, site.root)
+
+
+def content(path: Path) -> dict[str, bytes]:
+    return {str(file): file.read_bytes() for file in path.rglob("*") if file.is_file()}
+
+
+def test_where_home_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HOME", "/home/user")
+    assert rossec_home({}) == Path("/home/user/.local/share/rossec")
+    assert rossec_home({"ROSSEC_HOME": "/srv/rossec"}) == Path("/srv/rossec")
+    assert rossec_home({"ROSSEC_HOME": "~/keys"}) == Path("/home/user/keys")
+
+
+@pytest.mark.parametrize("value", ["", ".", "keys"])
+def test_home_is_absolute(value: str) -> None:
+    with pytest.raises(ConfigurationError, match="ROSSEC_HOME is") as caught:
+        rossec_home({"ROSSEC_HOME": value})
+    assert "absolute path" in caught.value.hint
+
+
+def test_two_names_never_share_a_directory(tmp_path: Path) -> None:
+    names = ["/a/b", "/a__b", "/a_/b", "/a_b", "/a/b/c", "/A/b"]
+    assert len({NodeHome.of(tmp_path, name).path for name in names}) == len(set(names))
+
+
+@pytest.mark.parametrize("name", ["", "a", "/../x", "/a/../b", "/a.b", "/a\0b"])
+def test_only_names_lead_to_a_directory(tmp_path: Path, name: str) -> None:
+    with pytest.raises(NameRefused):
+        NodeHome.of(tmp_path, name)
+
+
+def test_a_request_and_its_key(tmp_path: Path) -> None:
+    home = NodeHome.of(tmp_path / "new", NAME)
+    request = home.create_request("home")
+    assert check_request(home.request(), "home") == request
+    key = keys.load_private(home.path / "node.key")
+    assert request.thumbprint == keys.thumbprint(key.public_key())
+    assert stat.S_IMODE(home.path.stat().st_mode) == 0o700
+    assert stat.S_IMODE((home.path / "node.key").stat().st_mode) == 0o600
+
+
+def test_an_existing_key_is_not_replaced(tmp_path: Path) -> None:
+    home = enrolled(tmp_path)
+    before = content(tmp_path)
+    with pytest.raises(KeyRefused, match=r"node\.key exists and is not overwritten"):
+        home.create_request("home")
+    assert content(tmp_path) == before
+
+
+def test_errors_say_which_command_comes_next(tmp_path: Path) -> None:
+    home = NodeHome.of(tmp_path, NAME)
+    for ask in (home.request, home.anchor, home.credentials):
+        with pytest.raises(ConfigurationError, match="/robot1/camera has no") as caught:
+            ask()
+        assert caught.value.hint == "next: rossec node request /robot1/camera"
+    home.create_request("home")
+    for ask in (home.anchor, home.credentials):
+        with pytest.raises(ConfigurationError, match="/robot1/camera has no") as caught:
+            ask()
+        sign = f"rossec ca sign {home.request_path}, then rossec node install FILE"
+        assert caught.value.hint == f"next: {sign}"
+
+
+def test_an_enrolled_node(tmp_path: Path) -> None:
+    home = enrolled(tmp_path)
+    identity = home.identity(NOW)
+    credentials = home.credentials()
+    assert identity.name == NAME
+    assert home.anchor().thumbprint == SITE.anchor.thumbprint
+    assert SITE.anchor.verify(credentials.chain, NOW) == identity
+    assert credentials.signer.public_key == identity.public_key
+    assert home.grants() == []
+    assert home.load_revocations() is None
+
+
+def test_the_bundle_finds_its_directory(tmp_path: Path) -> None:
+    home = NodeHome.of(tmp_path, NAME)
+    home.create_request("home")
+    found, anchor = NodeHome.for_bundle(tmp_path, bundle(home), NOW)
+    assert (found.path, found.name) == (home.path, NAME)
+    assert anchor.thumbprint == SITE.anchor.thumbprint
+
+
+def test_renewal_replaces_the_certificate(tmp_path: Path) -> None:
+    home = enrolled(tmp_path)
+    home.install(bundle(home, now=NOW + DAY), NOW + DAY)
+    assert home.identity(NOW + 31 * DAY).not_after == NOW + 31 * DAY
+
+
+def test_what_is_not_installed_leaves_no_trace(tmp_path: Path) -> None:
+    home = NodeHome.of(tmp_path, NAME)
+    home.create_request("home")
+    other = NodeHome.of(tmp_path / "other", NAME)
+    other.create_request("home")
+    elsewhere = NodeHome.of(tmp_path / "other", "/robot2")
+    elsewhere.create_request("home")
+    before = content(home.path)
+    for wrong in (bundle(other), bundle(elsewhere)):
+        with pytest.raises(ConfigurationError, match="this identity is for /robot") as caught:
+            home.install(wrong, NOW)
+        assert "sign the request in" in caught.value.hint
+    leaf, root = bundle(home).split(b"-----END CERTIFICATE-----\n", 1)
+    with pytest.raises(ConfigurationError, match="a bundle of 1 certificates where two") as caught:
+        home.install(root, NOW)
+    assert "rossec ca sign" in caught.value.hint
+    with pytest.raises(CertificateRefused, match="not a PEM certificate"):
+        home.install(leaf[:40], NOW)
+    with pytest.raises(CertificateExpired):
+        home.install(bundle(home), NOW + 31 * DAY)
+    with pytest.raises(CertificateRefused, match="not signed by itself"):
+        home.install(to_pem(SITE.root, SITE.leaf(NAME)), NOW)
+    with pytest.raises(ForeignCertificate):
+        home.install(to_pem(SITE.leaf(NAME), Site.create().root), NOW)
+    with pytest.raises(CertificateRefused, match="it is no CA"):
+        home.install(to_pem(SITE.root, SITE.root), NOW)
+    assert content(home.path) == before
+
+
+def test_a_name_of_another_node_with_our_key(tmp_path: Path) -> None:
+    home = NodeHome.of(tmp_path, NAME)
+    home.create_request("home")
+    borrowed = NodeHome(home.path, "/robot2")
+    with pytest.raises(ConfigurationError, match="this identity is for /robot1/camera"):
+        borrowed.install(bundle(home), NOW)
+
+
+def test_another_authority_is_not_trusted_silently(tmp_path: Path) -> None:
+    home = enrolled(tmp_path)
+    before = content(tmp_path)
+    stranger = Site.create()
+    with pytest.raises(ConfigurationError, match="trusts another authority already") as caught:
+        home.install(bundle(home, stranger), NOW)
+    assert "enroll the node anew" in caught.value.hint
+    assert content(tmp_path) == before
+
+
+def test_grants_are_kept_once(tmp_path: Path) -> None:
+    home = enrolled(tmp_path)
+    home.add_grant(b"\2" * 16, b"second")
+    home.add_grant(b"\1" * 16, b"first")
+    home.add_grant(b"\1" * 16, b"first")
+    assert home.grants() == [b"first", b"second"]
+
+
+def test_revocations_are_replaced_in_one_step(tmp_path: Path) -> None:
+    home = enrolled(tmp_path)
+    for data in (b"one", b"two"):
+        home.save_revocations(data)
+        assert home.load_revocations() == data
+    assert not [path for path in home.path.iterdir() if path.name.startswith(".")]
+
+
+def test_what_is_too_large_is_not_read(tmp_path: Path) -> None:
+    home = enrolled(tmp_path)
+    home.save_revocations(bytes(256 * 1024 + 1))
+    with pytest.raises(ConfigurationError, match=r"revocations\.cose is larger than") as caught:
+        home.load_revocations()
+    assert "right file" in caught.value.hint
