@@ -1,1 +1,1 @@
-"""What an owner wants: who may do what and how precisely, written once, decided everywhere alike."""
+"""What an owner wants: who may do what, how precisely, and why; written once."""

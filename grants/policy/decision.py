@@ -9,9 +9,10 @@ from collections.abc import Collection, Iterable
 from dataclasses import dataclass, replace
 from typing import Final
 
+from ca.names import check_name
 from grants.errors import PolicyRefused
 from grants.model import Restriction, Right, merge
-from grants.names import check_name, check_pattern
+from grants.names import check_pattern
 from grants.policy.index import Hit, Index, hits
 from grants.policy.model import DAY, HOUR, MINUTE, Clause, Effect, Policy, Rule, Subject
 from grants.policy.patterns import concerns, gives
@@ -69,7 +70,8 @@ class Decider:
         """Say what the policy says about one right on one name (or a whole pattern).
 
         Raises:
-            PatternRefused: `name` is in no syntax, or `subject.name` is no absolute name.
+            PatternRefused: `name` is in no syntax.
+            NameRefused: `subject.name` is no absolute name.
             PolicyRefused: not exactly one right.
         """
         check_name(subject.name)

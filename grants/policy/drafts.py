@@ -115,11 +115,9 @@ def permissions(verdict: Verdict) -> list[Permission]:
     Raises:
         PolicyRefused: a rate, where grants know none.
     """
-    restrictions = list(verdict.restrictions)
+    restrictions: list[Restriction | None] = list(verdict.restrictions) or [None]
     if verdict.rate is not None:
-        restrictions = [_limited(item, verdict.rate) for item in restrictions or [None]]
-    if not restrictions:
-        return [Permission(verdict.name, verdict.right)]
+        restrictions = [_limited(item, verdict.rate) for item in restrictions]
     return [Permission(verdict.name, verdict.right, item) for item in restrictions]
 
 

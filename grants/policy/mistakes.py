@@ -7,7 +7,7 @@ refused as a whole. A policy that exists has none.
 import difflib
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import NoReturn, Protocol
 
 from grants.errors import PolicyRefused
 
@@ -59,8 +59,11 @@ class Mistakes:
         Raises:
             PolicyRefused: with all of them, in the order of the file.
         """
-        if not self.found:
-            return
+        if self.found:
+            self.refuse()
+
+    def refuse(self) -> NoReturn:
+        """Raise `PolicyRefused` with everything found so far, which is something."""
         ordered = tuple(sorted(set(self.found)))
         more = len(ordered) - 1
         rest = f" (and {more} more, see: rossec policy check {self.file})" if more else ""

@@ -20,8 +20,8 @@ def segments(pattern: str) -> tuple[str, ...]:
 
 
 @lru_cache(maxsize=4096)
-def includes(outer: str, inner: str) -> bool:
-    """Whether every name `inner` stands for is one `outer` stands for."""
+def includes(outer: str, inner: str, *, tree: bool = False) -> bool:
+    """Whether every name `inner` stands for is one `outer` stands for (`tree`: or lies below)."""
     wide, narrow = segments(outer), segments(inner)
     seen: set[tuple[int, frozenset[int]]] = set()
     todo = [(0, frozenset({0}))]
@@ -31,6 +31,8 @@ def includes(outer: str, inner: str) -> bool:
             continue
         seen.add(state)
         at, reached = state
+        if tree and len(wide) in reached:
+            continue  # whatever follows lies below
         if at == len(narrow) and len(wide) not in reached:
             return False
         for letter, after in _moves(narrow, at):
@@ -57,11 +59,7 @@ def concerns(pattern: str, right: Right, asked: str) -> bool:
 
 def gives(pattern: str, right: Right, asked: str) -> bool:
     """Whether a rule about `pattern` gives all of what is `asked`."""
-    if includes(pattern, asked):
-        return True
-    # A key stands for all keys below it, so whatever includes a key above gives this one too.
-    tree = right & TREE_RIGHTS and not pattern.endswith("/**")
-    return bool(tree) and includes(f"{pattern}/**", asked)
+    return includes(pattern, asked, tree=bool(right & TREE_RIGHTS))
 
 
 def _walk(one: tuple[str, ...], other: tuple[str, ...], ends: Callable[[bool, bool], bool]) -> bool:

@@ -8,14 +8,13 @@ import re
 from collections.abc import Mapping
 from typing import Final
 
-from grants.errors import GrantError
 from grants.layout import Layout
 from grants.model import ALL_RIGHTS, MESSAGE_RIGHTS, Restriction, Right
 from grants.policy import words
 from grants.policy.fields import FieldRule, When, check_fields, check_when, read_fields, read_when
 from grants.policy.mistakes import Mistakes, Place, nearest
 from grants.policy.model import EVERYONE, Clause, Defaults, Effect, Rule, Who, type_of
-from grants.policy.source import Part, Table, Word
+from grants.policy.source import Part, Table
 
 _ID: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,79}", re.ASCII)
 _EFFECTS: Final = tuple(effect.value for effect in Effect)
@@ -166,15 +165,11 @@ class RuleReader:
                 return []
         else:
             kind = None
-        try:
-            restriction = Restriction(
-                kind,
-                tuple(when.text for when in conditions),
-                tuple(sorted(item.rule for item in fields)),
-            )
-        except GrantError as error:
-            self._mistakes.add(where, str(error), error.hint)
-            return []
+        restriction = Restriction(
+            kind,
+            tuple(dict.fromkeys(when.text for when in conditions)),
+            tuple(sorted(item.rule for item in fields)),
+        )
         own = rate if right is Right.SUBSCRIBE else None
         return [Clause(right, pattern, restriction, own, type_of(self._types, pattern))]
 
@@ -211,7 +206,7 @@ class RuleReader:
             return {}
         if not any(key.startswith("/") for key in table.entries):
             fields = self._fields(table)
-            return {topic: (table, fields) for topic in topics}
+            return dict.fromkeys(topics, (table, fields))
         found: dict[str, tuple[Place, _Fields]] = {}
         for topic, (key, value) in table.entries.items():
             if topic not in topics:

@@ -96,8 +96,7 @@ def read_source(text: str, mistakes: Mistakes) -> Part | None:
         mistakes.add(place, f"not YAML: {error.problem or error.context}", "check the indentation")
     except (YAMLError, RecursionError, ValueError) as error:
         mistakes.add(_Start(), f"not YAML: {str(error).splitlines()[0]}")
-    mistakes.refuse_any()
-    return None
+    return mistakes.refuse()
 
 
 def _place(mark: Any) -> _Start:

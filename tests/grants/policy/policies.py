@@ -16,29 +16,29 @@ OTHER_KEY = bytes(32)
 HEADER = """rossec: 1
 robot: test
 """
-SMALL = """rossec: 1
+SMALL = f"""rossec: 1
 robot: test-robot
-defaults: {decision: prompt, lifetime: 7d, renew_until: 180d, prompt_timeout: 60s}
+defaults: {{decision: prompt, lifetime: 7d, renew_until: 180d, prompt_timeout: 60s}}
 identities:
-  heating: {node: /heating, key: "sha256:%s"}
-  navigation: {node: "/nav/**"}
-types: {/robot/pose: geometry_msgs/PoseStamped, /camera/image: sensor_msgs/Image}
+  heating: {{node: /heating, key: "sha256:{HEATING_KEY.hex()}"}}
+  navigation: {{node: "/nav/**"}}
+types: {{/robot/pose: geometry_msgs/PoseStamped, /camera/image: sensor_msgs/Image}}
 filters:
   room:
-    pose.position: {round: 2.0}
-    pose.orientation: {clear: true}
+    pose.position: {{round: 2.0}}
+    pose.orientation: {{clear: true}}
 rules:
   - id: heating-room
     why: "Heating lowers rooms."
     who: heating
-    allow: {subscribe: [/robot/pose]}
+    allow: {{subscribe: [/robot/pose]}}
     when: 'now.getHours("Europe/Zurich") >= 6 && msg.header.frame_id == "map"'
-    filter: {use: room}
-    limit: {rate: 0.2}
-  - {id: heating-own, who: heating, allow: {publish: ["/heating/**"]}}
-  - {id: nav-full, who: navigation, allow: {publish: [/cmd_vel], subscribe: [/robot/pose]}}
-  - {id: no-camera, who: "*", except: navigation, deny: {subscribe: ["/camera/**"]}, why: "no"}
-""" % HEATING_KEY.hex()
+    filter: {{use: room}}
+    limit: {{rate: 0.2}}
+  - {{id: heating-own, who: heating, allow: {{publish: ["/heating/**"]}}}}
+  - {{id: nav-full, who: navigation, allow: {{publish: [/cmd_vel], subscribe: [/robot/pose]}}}}
+  - {{id: no-camera, who: "*", except: navigation, deny: {{subscribe: ["/camera/**"]}}, why: "no"}}
+"""
 
 
 def definition(name: str) -> str:
@@ -55,7 +55,8 @@ def policy(text: str = SMALL, types: Callable[[str], str] = definition) -> Polic
 
 def rules(*lines: str, head: str = HEADER) -> Policy:
     """A policy of these rules, one flow mapping each."""
-    return policy(head + "rules:\n" + "".join(f"  - {line}\n" for line in lines))
+    listed = "".join(f"\n  - {line}" for line in lines) or " []"
+    return policy(f"{head}rules:{listed}\n")
 
 
 def mistakes(text: str) -> list[Mistake]:
