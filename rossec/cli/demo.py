@@ -28,7 +28,7 @@ def demo(keep: Path | None) -> None:
     except FileExistsError:
         raise ConfigurationError(f"{keep} exists", "give a directory that does not exist") from None
     asyncio.run(_play(keep.resolve()))
-    say(_GO_ON.format(directory=keep.resolve()))
+    say(_GO_ON.format(directory=keep.resolve(), programs=Path(sys.executable).parent))
 
 
 async def _play(directory: Path) -> None:
@@ -43,7 +43,7 @@ async def _play(directory: Path) -> None:
 _GO_ON = """
 Everything is in {directory}. To go on, in three terminals:
 
-    export ROSSEC_HOME={directory} ROS_IP=127.0.0.1
+    export ROSSEC_HOME={directory} ROS_IP=127.0.0.1 PATH="{programs}:$PATH"
     rossec master
     python -I -m rossec.demo.robot
     rossec topic echo /robot/pose geometry_msgs/PoseStamped --as /heating

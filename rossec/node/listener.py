@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from typing import Final
 
 from ca.certificates import Identity, TrustAnchor
-from ca.errors import HintedError
+from ca.errors import HintedError, RevocationsStale
 from grants.decision import Decision
 from grants.guard import Guard
 from rossec.channel.credentials import Credentials
@@ -20,7 +20,7 @@ from rossec.net.rpc import serve_calls
 from rossec.net.stream import Flavour, SecureServer, SecureStream, serve
 from rossec.node.access import Access
 from rossec.node.publisher import Publisher
-from rossec.node.slave import SlaveApi
+from rossec.node.slave import REVOCATION_UPDATE, SlaveApi
 from rossec.node.topics import admit_subscriber, check_type, publisher_header, requested_topic
 from rossec.ros import header
 
@@ -77,8 +77,18 @@ class Listener:
             await server.close()
 
     async def _serve_slave(self, stream: SecureStream[Identity]) -> None:
-        self._access.check_peer(stream.peer, int(time.time()))
-        await serve_calls(stream, self._slave)
+        await serve_calls(stream, self._call)
+
+    async def _call(self, method: str, params: tuple[object, ...], peer: Identity) -> object:
+        """Ask at every call: a peer, also the master, may be revoked while it is connected."""
+        try:
+            self._access.check_peer(peer, int(time.time()))
+        except RevocationsStale as error:
+            if method != REVOCATION_UPDATE:  # what ends the staleness must get through
+                return _refused(peer, error)
+        except HintedError as error:
+            return _refused(peer, error)
+        return await self._slave(method, params, peer)
 
     async def _serve_topic(self, stream: SecureStream[Identity]) -> None:
         try:
@@ -107,6 +117,11 @@ class Listener:
             raise TopicRefused(f"{self._name} does not publish {requested_topic(fields)}")
         check_type(fields, publisher.endpoint)
         return publisher, decision, publisher.guard(decision)
+
+
+def _refused(peer: Identity, error: HintedError) -> list[object]:
+    _log.warning("refused %s: %s (%s)", peer.name, error, error.hint)
+    return [-1, f"rossec: {error}", 0]
 
 
 async def first_frame(stream: SecureStream[Identity]) -> bytes:

@@ -6,6 +6,7 @@ who may do what, `topics` checks headers, `links` says what must end.
 """
 
 import asyncio
+import contextlib
 import logging
 import os
 import time
@@ -28,6 +29,7 @@ from rossec.node.listener import Listener
 from rossec.node.messages import message_type
 from rossec.node.publisher import Publisher
 from rossec.node.session import MasterSession
+from rossec.node.shelf import Shelf
 from rossec.node.slave import SlaveApi
 from rossec.node.subscriber import Subscriber
 from rossec.node.topics import Endpoint
@@ -60,7 +62,9 @@ class Node:
         self.anchor = self.home.anchor()
         self.credentials = self.home.credentials()
         self.revocations = self._load_revocations()
-        self.access = Access(self.anchor, self.revocations, self.home.grants())
+        self.access = Access(self.anchor, self.revocations)
+        self._shelf = Shelf(self.home, self.access)
+        self._shelf.take_new()
         self._publishers: dict[str, Publisher] = {}
         self._subscribers: dict[str, list[Subscriber]] = {}
         self._tasks = TaskSet(on_crash=self._crashed)
@@ -266,6 +270,15 @@ class Node:
             soonest = min((link.ends for link in self._links()), default=now + _WATCH)
             await asyncio.sleep(max(0.0, min(_WATCH, soonest - now)))
             self._cut(int(time.time()))
+            await self._take_new_grants()
+
+    async def _take_new_grants(self) -> None:
+        """A grant that arrives in the node's directory counts without a restart."""
+        new = self._shelf.take_new()
+        if new:
+            _log.info("%s: %d new grants", self.name, len(new))
+            with contextlib.suppress(HintedError):  # else presented with the next connection
+                await self._session.call("rossec.presentGrants", new)
 
     def _cut(self, now: int) -> None:
         for link in self._links():

@@ -16,6 +16,7 @@ from ca.errors import HintedError
 
 Answer = list[object]
 MASTER: Final = "/master"
+REVOCATION_UPDATE: Final = "rossec.revocationUpdate"
 _ERROR: Final = -1
 
 
@@ -55,7 +56,7 @@ class SlaveApi:
             "publisherUpdate": _Method(self._publisher_update, (str, list), 0),
             "paramUpdate": _Method(self._param_update, (str, object), 0),
             "shutdown": _Method(self._shutdown, (str,), 0),
-            "rossec.revocationUpdate": _Method(self._revocation_update, (bytes, bytes), 0),
+            REVOCATION_UPDATE: _Method(self._revocation_update, (bytes, bytes), 0),
             "requestTopic": _Method(self._request_topic, (str, list), [], master_only=False),
             "getMasterUri": _Method(partial(self._describe, "getMasterUri"), (), ""),
             "getPid": _Method(partial(self._describe, "getPid"), (), -1),

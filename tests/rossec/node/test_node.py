@@ -215,3 +215,56 @@ async def test_graph_right_is_a_right_of_its_own(site: Site) -> None:
     async with site.node("/tool") as tool:
         state = await tool._session.call("getSystemState")
     assert state == [[], [], []]
+
+
+async def test_a_grant_that_arrives_later_counts(site: Site) -> None:
+    site.publish("/robot", "/robot/pose")
+    async with site.node("/robot") as robot, site.node("/viewer") as viewer:
+        publisher = await robot.publisher("/robot/pose", POSE)
+        with pytest.raises(RossecError, match="subscribe"):
+            await viewer.subscriber("/robot/pose", POSE)
+        site.subscribe("/viewer", "/robot/pose")
+        await until(lambda: viewer.access.held)
+        await until_registered(viewer)
+        await publisher.wait_for_subscribers()
+
+
+async def until_registered(viewer: Node) -> None:
+    async with asyncio.timeout(5):
+        while True:
+            try:
+                await viewer.subscriber("/robot/pose", POSE)
+            except RossecError:
+                await asyncio.sleep(0.05)
+            else:
+                return
+
+
+async def test_a_node_whose_watch_dies_ends(site: Site, monkeypatch: pytest.MonkeyPatch) -> None:
+    site.publish("/robot", "/robot/pose")
+    site.subscribe("/viewer", "/robot/pose")
+    async with site.node("/robot") as robot, site.node("/viewer") as viewer:
+        publisher = await robot.publisher("/robot/pose", POSE)
+        await viewer.subscriber("/robot/pose", POSE)
+        await publisher.wait_for_subscribers()
+
+        def break_down(_: int) -> None:
+            raise ValueError("boom")
+
+        monkeypatch.setattr(robot, "_cut", break_down)
+        with pytest.raises(ValueError, match="boom"):
+            async with asyncio.timeout(5):
+                await robot.wait_ended()
+        await until(lambda: not publisher.links)
+
+
+async def test_a_bad_grant_file_is_told_and_does_no_harm(
+    site: Site, caplog: pytest.LogCaptureFixture
+) -> None:
+    site.publish("/robot", "/robot/pose")
+    (site.enroll("/robot").path / "grants" / "bad.grant").write_bytes(b"no grant")
+    async with site.node("/robot") as robot:
+        await robot.publisher("/robot/pose", POSE)
+        (robot.home.path / "grants" / "huge.grant").write_bytes(bytes(300_000))
+        await until(lambda: "cannot read the grants" in caplog.text)
+        assert caplog.text.count("is no grant") == 1
