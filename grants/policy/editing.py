@@ -31,6 +31,7 @@ class NewRule:
     effect: str
     rights: Mapping[str, Iterable[str]]
     types: Mapping[str, str] = field(default_factory=dict)
+    filter: str | None = None
 
 
 def empty(robot: str = "robot") -> str:
@@ -73,7 +74,8 @@ def _add_types(data: Any, types: Mapping[str, str]) -> None:
     if types and not data.get("types"):
         data["types"] = CommentedMap()
     for topic, kind in types.items():
-        data["types"].setdefault(topic, kind)
+        if topic not in data["types"]:  # before the rest: comments hang on the last
+            data["types"].insert(0, topic, kind)
 
 
 def _add_rule(data: Any, rule: NewRule) -> None:
@@ -85,6 +87,8 @@ def _add_rule(data: Any, rule: NewRule) -> None:
     if known is None:
         known = CommentedMap(id=rule.id, why=rule.why, who=rule.who)
         known[rule.effect] = CommentedMap()
+        if rule.filter is not None:
+            known["filter"] = CommentedMap(use=rule.filter)
         data["rules"].append(known)
     rights = known[rule.effect]
     for label, patterns in rule.rights.items():

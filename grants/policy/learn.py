@@ -111,17 +111,22 @@ def _decided(decider: Decider, seen: Seen) -> bool:
 
 def _line(number: int, line: str) -> Seen:
     try:
-        if len(line) > MAX_LINE:
-            raise ValueError("too long")
-        row = json.loads(line)
-        if not isinstance(row, dict) or not {"node", "right", "name"} <= row.keys() <= _FIELDS:
-            raise ValueError("other fields than at, node, right, name, type")
+        row = _row(line)
         return _seen(row["node"], RIGHTS[row["right"]], row["name"], row.get("type", ""))
     except (ValueError, TypeError, KeyError, RecursionError, GrantError) as error:
         raise PolicyRefused(
             f"line {number} of the complain log is none: {error}",
             '{"at": 0, "node": "/a", "right": "publish", "name": "/b"}',
         ) from error
+
+
+def _row(line: str) -> dict[str, Any]:
+    if len(line) > MAX_LINE:
+        raise ValueError(f"more than {MAX_LINE} characters")
+    row = json.loads(line)
+    if not isinstance(row, dict) or not {"node", "right", "name"} <= row.keys() <= _FIELDS:
+        raise ValueError("other fields than at, node, right, name, type")
+    return row
 
 
 def _seen(node: object, right: Right, name: object, kind: object) -> Seen:

@@ -9,11 +9,10 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Final
 
-from grants.layout import Layout
-from grants.model import Right
-from grants.operators import OPERATORS, treatment
 from grants.errors import GrantError
-from grants.model import FilterRule
+from grants.layout import Layout
+from grants.model import FilterRule, Right
+from grants.operators import OPERATORS, treatment
 from grants.policy.decision import Decider
 from grants.policy.model import Clause, Effect, Policy, Rule, Subject, Who
 from grants.policy.privacy import leaves, treats

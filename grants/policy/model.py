@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Final
 
-from grants.model import Restriction, Right
+from grants.model import FilterRule, Restriction, Right
 from grants.names import covers
 
 EVERYONE: Final = "*"
@@ -139,7 +139,7 @@ class Policy:
     types: Mapping[str, str]
     rules: tuple[Rule, ...]
     file: str = "policy.yaml"
-    filters: Mapping[str, object] = field(default_factory=dict)
+    filters: Mapping[str, tuple[FilterRule, ...]] = field(default_factory=dict)
 
     def type_of(self, name: str) -> str | None:
         """The message type of the topic or pattern `name`, if the policy says one."""

@@ -13,7 +13,7 @@ from typing import Final
 from grants.layout import Array, Layout, Struct, Type
 from grants.model import FilterRule, Restriction, Right
 from grants.policy.decision import Decider, span
-from grants.policy.model import Effect, Rule, Subject, Who
+from grants.policy.model import Effect, Subject, Who
 
 AS_IT_IS: Final = "as it is"
 WHOLE: Final = "(everything)"
@@ -29,7 +29,7 @@ class Access:
     receiver: str
     why: str
     until: str
-    rule: str = ""
+    by: str = ""
     restrictions: tuple[Restriction, ...] = ()
     rate: float | None = None
 
@@ -46,7 +46,7 @@ class Row:
     when: str
     why: str
     until: str
-    rule: str
+    by: str
 
 
 def from_policy(decider: Decider) -> list[Access]:
@@ -57,13 +57,13 @@ def from_policy(decider: Decider) -> list[Access]:
             continue
         for clause in rule.clauses:
             for who in rule.who if clause.right is Right.SUBSCRIBE else ():
-                access = _access(decider, rule, who, clause.pattern)
+                access = _access(decider, who, clause.pattern)
                 if access is not None:
                     found.setdefault((access.topic, access.receiver), access)
     return list(found.values())
 
 
-def _access(decider: Decider, rule: Rule, who: Who, pattern: str) -> Access | None:
+def _access(decider: Decider, who: Who, pattern: str) -> Access | None:
     node = (who.node or "/x").replace("**", "x").replace("*", "x")
     verdict = decider.decide(Subject(node, who.key or bytes(32)), Right.SUBSCRIBE, pattern)
     if not verdict:
@@ -75,7 +75,7 @@ def _access(decider: Decider, rule: Rule, who: Who, pattern: str) -> Access | No
         who.node or who.label,
         "; ".join(dict.fromkeys(item.why for item in verdict.rules if item.why)),
         f"{span(verdict.lifetime)} at a time{renewed}",
-        ", ".join(dict.fromkeys(item.id for item in verdict.rules)) or rule.id,
+        "rule " + ", ".join(dict.fromkeys(item.id for item in verdict.rules)),
         verdict.restrictions,
         verdict.rate,
     )
@@ -91,7 +91,7 @@ def rows(accesses: Iterable[Access], layout_of: Callable[[str], Layout]) -> list
         found += [
             Row(access.topic, kind or "type not known", access.receiver, path,
                 ", then ".join(map(_words, treats(filters, path))) or AS_IT_IS, _when(access),
-                access.why, access.until, access.rule)
+                access.why, access.until, access.by)
             for path in fields
         ]  # fmt: skip
     return sorted(found)
@@ -142,11 +142,11 @@ def lines(found: Sequence[Row]) -> list[str]:
     said: list[str] = []
     groups: dict[tuple[str, ...], dict[str, list[str]]] = {}
     for row in found:
-        key = (row.topic, row.type, row.receiver, row.when, row.why, row.until, row.rule)
+        key = (row.topic, row.type, row.receiver, row.when, row.why, row.until, row.by)
         groups.setdefault(key, {}).setdefault(row.treatment, []).append(row.field)
-    for (topic, kind, receiver, when, why, until, rule), treatments in groups.items():
+    for (topic, kind, receiver, when, why, until, by), treatments in groups.items():
         said.append(f"{topic} ({kind}) -> {receiver}")
-        said.append(f"  why: {why or 'no reason given'} (rule {rule})" if rule else f"  why: {why}")
+        said.append(f"  why: {why or 'no reason given'} ({by})")
         said += [f"  when: {when}", f"  until: {until}"]
         said += [f"  {name}: {', '.join(fields)}" for name, fields in treatments.items()]
     return said or ["nobody sees anything"]

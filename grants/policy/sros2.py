@@ -17,7 +17,7 @@ from grants.names import check_pattern
 from grants.policy.editing import NewRule, add_rules, empty, free_id
 
 MAX_SIZE: Final = 4 * 1024 * 1024
-_KINDS: Final = {
+_KINDS: Final[dict[str, tuple[str, dict[str, tuple[str, ...]]]]] = {
     "topics": ("topic", {"publish": ("publish",), "subscribe": ("subscribe",)}),
     "services": ("service", {"reply": ("provide",), "request": ("call",)}),
     "actions": ("action", {"execute": (), "call": ()}),
