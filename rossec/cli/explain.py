@@ -49,7 +49,8 @@ def explain(
     """Say whether NODE may use RIGHT (subscribe, publish, call, ...) on NAME, and why."""
     read = options.read_policy(environment, policy_path)
     decider = read.decider
-    verdict = decider.decide(subject_of(environment, node), _right(right), name)
+    asked = _right(right)
+    verdict = decider.decide(subject_of(environment, node), asked, name)
     tried: dict[str, object] = {}
     if message_file is not None:
         kind = read.policy.type_of(name)
@@ -113,7 +114,7 @@ def _fields(kind: MessageType, data: bytes) -> dict[str, str]:
         if not colon or depth > len(path):
             continue
         path = [*path[:depth], field]
-        if value:
+        if not line.endswith(":"):
             found[".".join(path)] = value.strip()
     return found
 

@@ -12,7 +12,7 @@ from grants.policy.learn import Seen, from_graph, from_log
 from grants.policy.learn import learn as learn_from
 from grants.policy.lint import Finding
 from grants.policy.lint import lint as advise
-from grants.policy.mistakes import nearest
+from grants.policy.mistakes import Mistake, nearest
 from grants.policy.read import mistakes_in
 from grants.policy.sros2 import MAX_SIZE, import_sros2
 from rossec import files
@@ -45,13 +45,8 @@ def check(environment: Environment, file: Path | None, as_json: bool) -> None:
     try:
         read = PolicyFile.read(path)
     except PolicyRefused as error:
-        found = mistakes_in(error)
-        if as_json:
-            say_json([vars(item) for item in found])
-        else:
-            for item in found:
-                fail(str(item), item.hint)
-        raise click.exceptions.Exit(1) from None
+        _complain(mistakes_in(error), as_json=as_json)
+        raise PolicyRefused(f"{path} is not a policy", "correct it, and check again") from None
     if as_json:
         say_json([])
     else:
@@ -134,6 +129,14 @@ def import_(xml: Path, out: Path | None) -> None:
         return
     files.create(out, text.encode(), 0o644)
     say(f"written to {out}")
+
+
+def _complain(found: tuple[Mistake, ...], *, as_json: bool) -> None:
+    if as_json:
+        say_json([vars(item) for item in found])
+        return
+    for item in found:
+        fail(str(item), item.hint)
 
 
 def _advice(path: Path, item: Finding) -> str:

@@ -189,6 +189,7 @@ def _collect(desk: Desk) -> None:
 
 
 def _chosen(desk: Desk, beginning: str) -> list[Question]:
+    _collect(desk)
     found = [
         item
         for item in desk.questions()

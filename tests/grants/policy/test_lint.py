@@ -2,6 +2,7 @@
 
 import pytest
 
+from grants.errors import GrantError
 from grants.layout import parse
 from grants.policy import lint as module
 from grants.policy.lint import lint
@@ -110,7 +111,7 @@ def test_whether_round_knows_hysteresis_is_asked_of_the_operator(
     assert module._knows_hysteresis()
 
     def refuse(_: object) -> None:
-        raise module.GrantError("no such parameter")
+        raise GrantError("no such parameter")
 
     monkeypatch.setattr(module, "treatment", refuse)
     assert not module._knows_hysteresis()
