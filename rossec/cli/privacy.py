@@ -184,6 +184,7 @@ def _access(grant: Grant, permission: Permission, decider: Decider) -> Access:
         moment(grant.expires),
         f"grant {grant.short_id}",
         () if restriction is None else (restriction,),
+        getattr(restriction, "rate", None),
     )
 
 

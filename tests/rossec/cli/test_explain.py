@@ -3,6 +3,7 @@
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from rossec.cli.explain import changes
@@ -94,6 +95,14 @@ def test_mistakes(shell: Shell, file: str, message: Path) -> None:
     refused(shell("explain", "/heating", "subscribe", "/pose"), "there is no policy", "learn")
     said = shell("explain", "/heating", "subscribe", "/untyped", *ask, "--message", str(message))
     assert (said.code, "does not say the type of /untyped" in said.err) == (1, True)
+
+
+def test_arrays_that_fill_lines_are_shown_by_their_first() -> None:
+    kind = message_type("sensor_msgs/LaserScan")
+    scans = [kind.create(ranges=np.full(50, value, np.float32)) for value in (1.23456, 2.5)]
+    before, after = (bytes(kind.serialize(scan)) for scan in scans)
+    (line,) = changes("sensor_msgs/LaserScan", before, after)
+    assert line.startswith("ranges: [1.23456")
 
 
 def test_changes_are_shortened() -> None:

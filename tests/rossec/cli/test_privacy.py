@@ -77,8 +77,11 @@ def test_opting_out_of_a_topic(site: Shell) -> None:
 
 
 def test_opting_out_of_a_node(site: Shell) -> None:
-    site.unlocked("grant", "sign", "/viewer", "--subscribe", "/pose")
-    site.unlocked("privacy", "opt-out", "/viewer", "--master", "http://127.0.0.1:1/")
+    site.enroll("/other")
+    for node in ("/viewer", "/other"):
+        site.unlocked("grant", "sign", node, "--subscribe", "/pose")
+    said = site.unlocked("privacy", "opt-out", "/viewer", "--master", "http://127.0.0.1:1/")
+    assert said.out.count("revoked grant") == 1
     for topic in ("/pose", "/anything"):
         assert "DENY" in site("explain", "/viewer", "subscribe", topic).out
     said = site.unlocked("privacy", "opt-out", "/stranger", "--node")
