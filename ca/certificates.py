@@ -77,7 +77,7 @@ class TrustAnchor:
         if not svid.is_signed_by(certificate, subject, key):
             raise CertificateRefused(
                 "the authority's certificate is not signed by itself",
-                "take the ca.pem that `rossec ca create` wrote",
+                "take the ca.pem that `rossec ca init` wrote",
             )
         extensions = svid.extensions(certificate)
         svid.check_authority(extensions)

@@ -26,7 +26,7 @@ def require_p256(key: object) -> ec.EllipticCurvePublicKey:
         KeyRefused: another curve or another algorithm.
     """
     if not isinstance(key, ec.EllipticCurvePublicKey) or not isinstance(key.curve, ec.SECP256R1):
-        raise KeyRefused("the key is not a P-256 key", "create the key with `rossec node create`")
+        raise KeyRefused("the key is not a P-256 key", "create the key with `rossec node request`")
     return key
 
 

@@ -24,7 +24,7 @@ from ca.x509signer import X509Signer
 
 MAX_REQUEST: Final = 2048  # a request for the longest name has about 800 bytes
 _EXTENSION_REQUEST: Final = x509.ObjectIdentifier("1.2.840.113549.1.9.14")
-_HINT: Final = "make the request on the node with `rossec node create`"
+_HINT: Final = "make the request on the node with `rossec node request`"
 
 
 @dataclass(frozen=True)

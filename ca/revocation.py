@@ -152,7 +152,7 @@ class Revocations:
         if now >= self._list.expires:
             raise RevocationsStale(
                 f"the revocation list expired {now - self._list.expires} s ago",
-                "have the authority sign a new one: `rossec revoke refresh`",
+                "have the authority sign a new one: `rossec ca refresh`",
             )
         if self._confirmed is None:
             raise RevocationsStale(

@@ -12,7 +12,7 @@ from typing import Final, Self
 from ca import keys
 from ca.authority import LIFETIME, Authority, create_root
 from ca.certificates import TrustAnchor, from_pem, to_pem
-from ca.revocation import RevocationList, sign_list
+from ca.revocation import RevocationList, open_list, sign_list
 from ca.signer import KeySigner, Signer
 from ca.store import CertificateRow, GrantRow, Store
 from grants import document
@@ -23,7 +23,8 @@ from rossec.home import NodeHome
 
 OWN_NODE: Final = "/ca"  # as which the authority's tools speak to the master
 _SIZE_LIMIT: Final = 256 * 1024
-_LIST_LIFETIME: Final = 30 * 86400
+_LIST_LIFETIME: Final = 90 * 86400
+_LIST_REFRESH: Final = 7 * 86400
 _OWN_LIFETIME: Final = 366 * 86400
 
 
@@ -53,6 +54,7 @@ class OpenAuthority:
             request, now=now, serial=secrets.randbits(127) + 1, lifetime=lifetime
         )
         identity = self.authority.anchor.verify([der], now)
+        self._refresh_list(now)
         row = CertificateRow(
             identity.serial, identity.name, identity.thumbprint, der,
             identity.not_before, identity.not_after,
@@ -66,6 +68,7 @@ class OpenAuthority:
         row = GrantRow(
             document.grant_id(data), draft.subject, data, draft.not_before, draft.expires
         )
+        self._refresh_list(now)
         self.store.add_grant(row, now)
         return data
 
@@ -73,6 +76,13 @@ class OpenAuthority:
         """Add a grant id or key thumbprint to the list of revocations, and sign that anew."""
         self.store.revoke(entry, reason, now)
         return self.sign_list(now)
+
+    def _refresh_list(self, now: int) -> None:
+        """Sign the list anew while the key is at hand, long before it expires."""
+        held = self.store.newest_list()
+        issued = 0 if held is None else open_list(held, self.signer.public_key).issued
+        if now - issued > _LIST_REFRESH:
+            self.sign_list(now)
 
     def sign_list(self, now: int) -> RevocationList:
         """Sign the list of everything revoked, with the next number."""
@@ -166,7 +176,7 @@ class AuthorityHome:
         """
         data = self.store().newest_list()
         if data is None:
-            raise ConfigurationError("no revocation list was signed yet", "next: rossec ca publish")
+            raise ConfigurationError("no revocation list was signed yet", "next: rossec ca refresh")
         return data
 
 

@@ -55,7 +55,7 @@ _OPEN_BUFFER: Final = 64 * 1024
 _FULL_BUFFER: Final = 2 * (HEADER + MAX_PLAINTEXT + TAG)  # two whole records stay aligned
 _REFUSED: Final = frame(Frame.ERROR, encode_error(UNSPECIFIED, "handshake refused"))
 _DEFAULTS: Final = Limits()
-_HINT_SILENT: Final = "it may be a plain ROS node (start it with `rossec run`), or overloaded"
+_HINT_SILENT: Final = "it may be a plain ROS node, which has no identity, or overloaded"
 _BOTH: Final = frozenset(Flavour)
 
 

@@ -29,7 +29,7 @@ from rossec.channel.states import State
 from rossec.errors import PeerRefused, PlainPeer
 
 _HINT_REFUSED: Final = "see the peer's log: it does not say why to one it does not trust"
-_HINT_PLAIN: Final = "start the peer with `rossec run`, or call `rossec.secure()` in it"
+_HINT_PLAIN: Final = "the peer is a plain ROS node: give it an identity, or use another address"
 
 
 class Preamble:

@@ -118,6 +118,20 @@ def publish(environment: Environment, master_uri: str | None) -> None:
     say("the master has the newest list")
 
 
+@ca.command()
+@click.option("--master", "master_uri", help="master to tell, instead of ROS_MASTER_URI")
+@passphrase.option
+@pass_environment
+def refresh(environment: Environment, master_uri: str | None, passphrase_file: Path | None) -> None:
+    """Sign the revocation list anew, before it expires, and give it to the master."""
+    home = AuthorityHome.at(environment.home)
+    authority = home.unlock(passphrase.read(passphrase_file, environment.variables))
+    listed = authority.sign_list(now())
+    say(f"list {listed.seq} holds until {moment(listed.expires)}")
+    asyncio.run(deliver(environment, master_uri))
+    say("the master has the new list")
+
+
 def _check_codes(codes: tuple[str, ...], requests: list[bytes]) -> None:
     """Every request needs its code, and every code its request."""
     parsed = [qr.parse(text) for text in codes]

@@ -9,6 +9,7 @@ import click
 
 from grants import document
 from grants.conditions import compile_condition
+from grants.errors import ConditionRefused, FilterRefused
 from grants.filters import compile_filter
 from grants.layout import parse
 from grants.model import Draft, Permission, Restriction, Right, filter_rules
@@ -22,6 +23,10 @@ from rossec.home import NodeHome
 from rossec.node.messages import message_type
 
 SKEW: Final = 60  # seconds another host's clock may be behind: it must not find the grant too new
+_EXAMPLES: Final = (
+    "for example --clear header.frame_id, --round pose.position=2.0,"
+    " --when 'msg.header.frame_id == \"map\"'"
+)
 
 
 @click.group()
@@ -162,11 +167,15 @@ def _restriction(
         raise ConfigurationError(
             "restrictions need the message type they are for", "add --type PKG/TYPE"
         )
-    restriction = Restriction(type=type_name, conditions=when, filters=filter_rules(rules))
     shape = parse(type_name, message_type(type_name).definition)
-    compile_filter(shape, restriction.filters)
-    for text in when:
-        compile_condition(shape, text)
+    try:
+        restriction = Restriction(type=type_name, conditions=when, filters=filter_rules(rules))
+        compile_filter(shape, restriction.filters)
+        for text in when:
+            compile_condition(shape, text)
+    except (ConditionRefused, FilterRefused) as error:
+        error.hint = error.hint or _EXAMPLES
+        raise
     return restriction
 
 

@@ -114,7 +114,9 @@ def fill(message: Message, content: object) -> None:
     for field, value in content.items():
         if field not in _fields(message):
             name = message.__msgtype__.replace("/msg/", "/")
-            raise ConfigurationError(f"no field {field!r} in {name}", f"it has {_fields(message)}")
+            raise ConfigurationError(
+                f"no field {field!r} in {name}", f"it has {', '.join(_fields(message))}"
+            )
         current = getattr(message, field)
         if hasattr(current, "__msgtype__"):
             fill(current, value)

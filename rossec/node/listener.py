@@ -105,8 +105,7 @@ class Listener:
         answer = publisher_header(
             self._name, publisher.endpoint, self._access, latching=publisher.latch
         )
-        await stream.send(header.encode(answer))
-        await publisher.serve(stream, decision, guard)
+        await publisher.serve(stream, decision, guard, header.encode(answer))
 
     def _admit(
         self, fields: Mapping[str, bytes], peer: Identity

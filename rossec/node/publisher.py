@@ -150,12 +150,18 @@ class Publisher:
         """
         return Guard(self._layout, decision)
 
-    async def serve(self, stream: SecureStream[Identity], decision: Decision, guard: Guard) -> None:
-        """Feed one admitted subscriber until its stream ends."""
+    async def serve(
+        self, stream: SecureStream[Identity], decision: Decision, guard: Guard, answer: bytes
+    ) -> None:
+        """Answer one admitted subscriber and feed it until its stream ends.
+
+        The link is known before the answer is sent: a revocation that arrives meanwhile finds it.
+        """
         link = SubscriberLink(stream, decision, guard, self._queue_size)
         self.links.add(link)
         self._changed.set()
         try:
+            await stream.send(answer)
             self._send_latched(link)
             await link.run()
         except* RossecError as group:

@@ -15,8 +15,9 @@ from typing import Final
 from ca.certificates import Identity
 from ca.errors import HintedError
 from grants.decision import Decision
-from rossec.errors import TopicRefused
+from rossec.errors import MessageError, TopicRefused
 from rossec.net.stream import SecureStream
+from rossec.net.tasks import TaskSet
 from rossec.node.access import Access
 from rossec.node.messages import Message
 from rossec.node.topics import Endpoint, admit_publisher, subscriber_header
@@ -60,6 +61,7 @@ class Subscriber:
         self._caller = caller
         self._access = access
         self._dial = dial
+        self._owned = TaskSet()
         self._tasks: dict[str, asyncio.Task[None]] = {}
         self._queue: deque[bytes] = deque(maxlen=queue_size)
         self._wake = asyncio.Event()
@@ -75,12 +77,17 @@ class Subscriber:
         for uri in self._tasks.keys() - set(publishers):
             self._tasks.pop(uri).cancel()
         for uri in set(publishers) - self._tasks.keys():
-            self._tasks[uri] = asyncio.get_running_loop().create_task(self._follow(uri))
+            self._tasks[uri] = self._owned.spawn(self._follow(uri), f"{self.topic} from {uri}")
 
     async def messages(self) -> AsyncIterator[Message]:
-        """Messages as they arrive; ends when the node closes."""
+        """Messages as they arrive; ends when the node closes. A malformed one is left out."""
         async for data in self.raw():
-            yield self.endpoint.type.deserialize(data)
+            try:
+                message = self.endpoint.type.deserialize(data)
+            except MessageError as error:
+                _log.warning("%s: dropped a message: %s", self.topic, error)
+            else:
+                yield message
 
     def __aiter__(self) -> AsyncIterator[Message]:
         return self.messages()
@@ -97,11 +104,8 @@ class Subscriber:
         """Drop every connection and end the iterators."""
         self._closed = True
         self._wake.set()
-        tasks = list(self._tasks.values())
         self._tasks.clear()
-        for task in tasks:
-            task.cancel()
-        await asyncio.gather(*tasks, return_exceptions=True)
+        await self._owned.close()
 
     async def _follow(self, uri: str) -> None:
         """Keep one publisher connected until the master forgets it."""

@@ -80,7 +80,7 @@ CSR = build_request(new_signer(), "home", "/robot1/camera")
 def test_no_request(data: bytes) -> None:
     with pytest.raises(RequestRefused, match="this is not a certificate request") as caught:
         check_request(data, "home")
-    assert "rossec node create" in caught.value.hint
+    assert "rossec node request" in caught.value.hint
 
 
 def test_every_byte_counts() -> None:

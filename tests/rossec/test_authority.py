@@ -6,6 +6,7 @@ from ca.errors import PassphraseRefused
 from ca.revocation import open_list
 from rossec.authority import OWN_NODE, AuthorityHome, fingerprint
 from rossec.errors import ConfigurationError
+from rossec.home import NodeHome
 
 NOW = 1_800_000_000
 PASSPHRASE = "four random words here"
@@ -54,3 +55,14 @@ def test_fingerprints_are_for_reading(home: AuthorityHome) -> None:
     text = fingerprint(home.anchor())
     assert text.replace(" ", "") == home.anchor().thumbprint.hex()[:32]
     assert len(text.split()) == 8
+
+
+def test_the_list_is_kept_young_while_the_key_is_at_hand(home: AuthorityHome) -> None:
+    unlocked = home.unlock(PASSPHRASE)
+    seq = unlocked.sign_list(NOW).seq
+    node = NodeHome.of(home.path.parent, "/robot")
+    node.create_request("home")
+    unlocked.issue(node.request(), NOW + 6 * 86400)
+    assert unlocked.store.next_number() == (1, seq + 1)
+    unlocked.issue(node.request(), NOW + 8 * 86400)
+    assert unlocked.store.next_number() == (1, seq + 2)

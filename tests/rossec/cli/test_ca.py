@@ -114,3 +114,9 @@ def test_the_answer_counts(
     monkeypatch.setattr("sys.stdin", io.StringIO(typed))
     assert shell.unlocked("ca", "sign", str(shell.node("/robot") / "node.csr")).code == code
     assert (shell.node("/robot") / "node.pem").exists() == (code == 0)
+
+
+def test_a_list_can_be_signed_anew(shell: Shell) -> None:
+    said = shell.unlocked("ca", "refresh", "--master", "http://127.0.0.1:1")
+    assert said.out.startswith("list 2 holds until ")
+    refused(said, "did not take the list", "rossec ca publish", code=3)

@@ -140,8 +140,10 @@ async def test_the_slave_api_answers_no_revoked_node(site: Site, robot: Node) ->
     await robot._session.call(
         "rossec.updateRevocations", site.revoke(site.identity("/viewer").thumbprint)
     )
-    stream = await connect("127.0.0.1", port, *dial, opening=Flavour.HTTP)
-    await ended(stream)
+    for again in (stream, await connect("127.0.0.1", port, *dial, opening=Flavour.HTTP)):
+        answer = await RpcClient(again).call("requestTopic", "/viewer", "/t", [["TCPROS"]])
+        assert isinstance(answer, list)
+        assert (answer[0], "is revoked" in answer[1], answer[2]) == (-1, True, 0)
 
 
 @pytest.mark.parametrize(

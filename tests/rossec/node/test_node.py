@@ -268,3 +268,18 @@ async def test_a_bad_grant_file_is_told_and_does_no_harm(
         (robot.home.path / "grants" / "huge.grant").write_bytes(bytes(300_000))
         await until(lambda: "cannot read the grants" in caplog.text)
         assert caplog.text.count("is no grant") == 1
+
+
+async def test_a_malformed_message_is_left_out(
+    site: Site, caplog: pytest.LogCaptureFixture
+) -> None:
+    site.publish("/robot", "/robot/pose")
+    site.subscribe("/viewer", "/robot/pose")
+    async with site.node("/robot") as robot, site.node("/viewer") as viewer:
+        publisher = await robot.publisher("/robot/pose", POSE)
+        subscriber = await viewer.subscriber("/robot/pose", POSE)
+        await publisher.wait_for_subscribers()
+        publisher.publish_bytes(b"not a pose")
+        publisher.publish(pose(publisher))
+        assert (await first(subscriber)).pose.position.x == 3.3
+        assert "dropped a message" in caplog.text
