@@ -15,14 +15,18 @@ from cryptography.hazmat.primitives import hashes
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.asymmetric.utils import encode_dss_signature
 
-from ca.encoding import MAX_SIZE, Value, decode, encode
-from ca.errors import SignatureError
+from ca.encoding import MAX_SIZE, Value, decode, encode, head
+from ca.errors import EncodingError, SignatureError
 from ca.signer import Signer
 
 _SIGN1_TAG: Final = b"\xd2"  # tag 18, RFC 9052 section 2
 _ALG, _CRIT, _TYP = 1, 2, 16  # RFC 9052 section 3.1; typ: RFC 9596
 _ES256: Final = -7
 _COORDINATE: Final = 32
+_ECDSA: Final = ec.ECDSA(hashes.SHA256())
+_BYTES: Final = 0x40  # major type 2
+_SIGNATURE_HEAD: Final = b"\x58\x40"  # a byte string of 64 bytes
+_HEAD_SIZES: Final = {0x58: 2, 0x59: 3, 0x5A: 5}  # bytes; every shorter string has one
 
 
 @dataclass(frozen=True)
@@ -40,10 +44,20 @@ class Profile:
         """The one protected header this profile allows, encoded."""
         return encode({_ALG: _ES256, _CRIT: [_TYP], _TYP: self.typ})
 
+    @cached_property
+    def _frame(self) -> bytes:
+        """What every statement of this kind begins with, up to its payload."""
+        return _SIGN1_TAG + b"\x84" + encode(self.protected) + b"\xa0"
+
+    @cached_property
+    def _signed_frame(self) -> bytes:
+        """Sig_structure of RFC 9052 section 4.4 with empty external data, up to its payload."""
+        return b"\x84" + encode("Signature1") + encode(self.protected) + b"\x40"
+
     def sign(self, signer: Signer, payload: Value) -> bytes:
         """Sign `payload` (a CBOR value) and return the tagged COSE_Sign1."""
         body = encode(payload)
-        signature = signer.sign(_to_be_signed(self.protected, body))
+        signature = signer.sign(self._signed_frame + encode(body))
         return _SIGN1_TAG + encode([self.protected, {}, body, signature])
 
     def open(self, data: bytes, key: ec.EllipticCurvePublicKey, *, limit: int = MAX_SIZE) -> Value:
@@ -53,16 +67,45 @@ class Profile:
             SignatureError: wrong frame, wrong kind of statement, or not signed by `key`.
             EncodingError: not strict deterministic CBOR.
         """
+        return decode(self.open_body(data, key, limit=limit), limit=limit)
+
+    def open_body(
+        self, data: bytes, key: ec.EllipticCurvePublicKey, *, limit: int = MAX_SIZE
+    ) -> bytes:
+        """Verify `data` against `key` and return its payload as signed, *not* decoded.
+
+        Raises:
+            SignatureError, EncodingError: as `open` does.
+        """
         body, signature = self._split(data, limit)
-        _verify(key, signature, _to_be_signed(self.protected, body))
-        return decode(body, limit=limit)
+        _verify(key, signature, self._signed_frame + head(_BYTES, len(body)) + body)
+        return body
 
     def peek(self, data: bytes, *, limit: int = MAX_SIZE) -> Value:
         """Return the payload *without* verifying: to display, or to find the key to verify with."""
-        body, _ = self._split(data, limit)
-        return decode(body, limit=limit)
+        return decode(self.peek_body(data, limit=limit), limit=limit)
+
+    def peek_body(self, data: bytes, *, limit: int = MAX_SIZE) -> bytes:
+        """The payload as `open_body` returns it, *without* verifying."""
+        return self._split(data, limit)[0]
 
     def _split(self, data: bytes, limit: int) -> tuple[bytes, bytes]:
+        """Payload and signature. There is one allowed form: compare with it instead of decoding."""
+        if len(data) > limit:
+            raise EncodingError(f"{len(data)} bytes of CBOR where at most {limit} are allowed")
+        start, end = len(self._frame), len(data) - len(_SIGNATURE_HEAD) - 2 * _COORDINATE
+        start += _HEAD_SIZES.get(data[start], 1) if start < end else 0
+        body = data[start:end]
+        if (
+            start <= end
+            and data[:start] == self._frame + head(_BYTES, len(body))
+            and data.startswith(_SIGNATURE_HEAD, end)
+        ):
+            return body, data[-2 * _COORDINATE :]
+        return self._split_by_decoding(data, limit)
+
+    def _split_by_decoding(self, data: bytes, limit: int) -> tuple[bytes, bytes]:
+        """As `_split`, for what is not in the allowed form: to say why."""
         if data[:1] != _SIGN1_TAG:
             raise SignatureError("not a COSE_Sign1 statement")
         match decode(data[1:], limit=limit):
@@ -76,17 +119,12 @@ class Profile:
                 raise SignatureError("not a COSE_Sign1 statement")
 
 
-def _to_be_signed(protected: bytes, body: bytes) -> bytes:
-    """Sig_structure of RFC 9052 section 4.4, with empty external data."""
-    return encode(["Signature1", protected, b"", body])
-
-
 def _verify(key: ec.EllipticCurvePublicKey, signature: bytes, message: bytes) -> None:
     if len(signature) != 2 * _COORDINATE:
         raise SignatureError("signature of a wrong length")
     r = int.from_bytes(signature[:_COORDINATE])
     s = int.from_bytes(signature[_COORDINATE:])
     try:
-        key.verify(encode_dss_signature(r, s), message, ec.ECDSA(hashes.SHA256()))
+        key.verify(encode_dss_signature(r, s), message, _ECDSA)
     except InvalidSignature:
         raise SignatureError("the signature does not verify") from None

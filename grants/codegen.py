@@ -46,16 +46,27 @@ class Source:
         self._namespace[name] = value
         return name
 
-    def line(self, text: str) -> None:
-        """Append one statement."""
+    def line(self, text: str) -> int:
+        """Append one statement; return its number for `replace`."""
         self._lines.append(" " * self._depth + text)
+        return len(self._lines) - 1
+
+    def replace(self, number: int, text: str) -> None:
+        """Fill in a statement that had to wait for what comes after it."""
+        line = self._lines[number]
+        self._lines[number] = line[: len(line) - len(line.lstrip(" "))] + text
+
+    @property
+    def nested(self) -> bool:
+        """Whether the next statement stands inside a loop or a branch."""
+        return self._depth > 1
 
     @contextmanager
-    def loop(self, count: str) -> Iterator[None]:
-        """The statements of a loop that runs `count` times."""
+    def block(self, head: str) -> Iterator[None]:
+        """The statements under `head`, a loop or a branch."""
         if self._depth > MAX_LOOPS:
             raise DefinitionRefused(f"arrays nested deeper than {MAX_LOOPS}")
-        self.line(f"for _ in range({count}):")
+        self.line(f"{head}:")
         self._depth += 1
         yield
         self._depth -= 1
@@ -127,10 +138,21 @@ class Cursor:
     def each(self, kind: Array) -> Iterator[None]:
         """A loop over the elements; the cursor stands on the element inside, behind all after."""
         count = self.count(kind)
+        with self.times(count, self.mark()):
+            yield
+
+    def mark(self) -> str:
+        """A variable that holds the position."""
         name = self.source.new("p")
         self.source.line(f"{name}={self.at()}")
         self.position = (name, 0)
-        with self.source.loop(count):
+        return name
+
+    @contextmanager
+    def times(self, count: str, name: str) -> Iterator[None]:
+        """A loop that runs `count` times and moves the position in the variable `name`."""
+        self.position = (name, 0)
+        with self.source.block(f"for _ in range({count})"):
             yield
             self.source.line(f"{name}={self.at()}")
         self.position = (name, 0)

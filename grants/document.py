@@ -9,12 +9,14 @@ the holder of a revoked grant make a twin with another hash.
 
 import base64
 import hashlib
+from collections.abc import Callable
+from functools import lru_cache
 from typing import Any, Final
 
 from cryptography.hazmat.primitives.asymmetric import ec
 
 from ca.cose import Profile
-from ca.encoding import Value, decode, encode
+from ca.encoding import Value, decode, encode, head, parse
 from ca.errors import EncodingError, NameRefused, SignatureError
 from ca.publickey import thumbprint
 from ca.signer import Signer
@@ -43,10 +45,13 @@ _CLAIMS: Final = {_ISS, _SUB, _AUD, _EXP, _NBF, _CTI, _CNF, _SCOPE, _CAP}
 _CKT: Final = 5  # confirmation by COSE key thumbprint, RFC 9679 section 6
 _CKT_URI: Final = "urn:ietf:params:oauth:ckt:sha-256:"  # RFC 9679 section 5: `iss` must be text
 
-_TYPE, _CONDITIONS, _FILTERS = 0, 1, 2  # 3 is kept for limits (rates)
-_RESTRICTIONS: Final = {_TYPE, _CONDITIONS, _FILTERS}
+_TYPE, _CONDITIONS, _FILTERS, _LIMITS = 0, 1, 2, 3
+_RESTRICTIONS: Final = {_TYPE, _CONDITIONS, _FILTERS, _LIMITS}
+_RATE: Final = "rate"
 
-_ID_DOMAIN: Final = b"rossec-grant-id\0"
+_UINT, _BYTES, _TEXT = 0x00, 0x40, 0x60  # major types
+
+_ID_PREFIX: Final = b"rossec-grant-id\0" + len(GRANT.protected).to_bytes(4) + GRANT.protected
 
 
 def sign(signer: Signer, draft: Draft) -> bytes:
@@ -83,13 +88,13 @@ def open_grant(
         GrantNotYetValid, GrantExpired: not valid at `now`.
     """
     try:
-        payload = GRANT.open(data, ca_key)
+        body = GRANT.open_body(data, ca_key)
     except SignatureError as error:
         raise GrantForged(f"not a grant of this authority: {error}") from None
     except EncodingError as error:
         raise GrantMalformed(f"not a grant: {error}") from None
-    grant = _grant(payload)
-    if grant.issuer != thumbprint(ca_key):
+    grant = _grant(body)
+    if grant.issuer != _thumbprint(ca_key):
         raise GrantForged("signed by this authority in the name of another one")
     if domain is not None and grant.domain != domain:
         raise GrantForged(f"a grant for the trust domain {grant.domain!r}, not {domain!r}")
@@ -103,7 +108,7 @@ def peek(data: bytes) -> Grant:
     Raises:
         GrantMalformed: outside the closed schema.
     """
-    return _grant(_payload(data))
+    return _grant(_body(data))
 
 
 def grant_id(data: bytes) -> bytes:
@@ -112,20 +117,40 @@ def grant_id(data: bytes) -> bytes:
     Raises:
         GrantMalformed: not a grant.
     """
-    return _id(_payload(data))
+    body = _body(data)
+    _decoded(body, decode)
+    return _id(body)
 
 
-def _payload(data: bytes) -> Value:
+def _body(data: bytes) -> bytes:
     try:
-        return GRANT.peek(data)
+        return GRANT.peek_body(data)
     except (SignatureError, EncodingError) as error:
         raise GrantMalformed(f"not a grant: {error}") from None
 
 
-def _id(payload: Value) -> bytes:
-    body = encode(payload)  # the received bytes: `decode` accepts no other encoding
-    prefix = _ID_DOMAIN + len(GRANT.protected).to_bytes(4)
-    return hashlib.sha256(prefix + GRANT.protected + body).digest()[:16]
+def _decoded(body: bytes, decoder: Callable[[bytes], Value]) -> Value:
+    try:
+        return decoder(body)
+    except EncodingError as error:
+        raise GrantMalformed(f"not a grant: {error}") from None
+
+
+def _id(body: bytes) -> bytes:
+    return hashlib.sha256(_ID_PREFIX + body).digest()[:16]
+
+
+# The key of the last grant and its thumbprint: a node verifies all its grants with one key object.
+_last_key: tuple[ec.EllipticCurvePublicKey | None, bytes] = (None, b"")
+
+
+def _thumbprint(key: ec.EllipticCurvePublicKey) -> bytes:
+    global _last_key  # noqa: PLW0603 - a memo of a pure function, replaced whole
+    known, digest = _last_key
+    if known is not key:
+        digest = thumbprint(key)
+        _last_key = (key, digest)
+    return digest
 
 
 def _claims(draft: Draft, issuer: bytes) -> Value:
@@ -158,6 +183,8 @@ def _restriction_claims(restriction: Restriction) -> Value:
         claims[_CONDITIONS] = list(restriction.conditions)
     if restriction.filters:
         claims[_FILTERS] = {rule.path: _treatment(rule) for rule in restriction.filters}
+    if restriction.rate is not None:
+        claims[_LIMITS] = {_RATE: restriction.rate}
     return claims
 
 
@@ -165,17 +192,42 @@ def _treatment(rule: FilterRule) -> Value:
     return {rule.operator: {**dict(rule.parameters)} if rule.parameters else True}
 
 
-def _grant(payload: Value) -> Grant:
+def _grant(body: bytes) -> Grant:
     """Read the claims; every refusal of the parts becomes one of the grant."""
     try:
-        return _read(_closed(payload, _CLAIMS, _CLAIMS, "claim"), _id(payload))
+        return _read(_closed(_claims_of(body), _CLAIMS, _CLAIMS, "claim"), _id(body))
     except (FilterRefused, PatternRefused, NameRefused, EncodingError) as error:
         raise GrantMalformed(f"in a grant: {error}", error.hint) from None
 
 
+def _claims_of(body: bytes) -> Value:
+    """The claims, decoded strictly.
+
+    A grant has one form, so it is written again and compared, which costs a quarter of the
+    general check; whatever differs goes through that check, to be named.
+    """
+    claims = _decoded(body, parse)
+    match claims:
+        case {
+            1: str(iss), 2: str(sub), 3: str(aud), 4: int(exp), 5: int(nbf), 7: bytes(cti),
+            8: {5: bytes(ckt)}, 9: bytes(scope), -65537: int(cap),
+        } if min(exp, nbf, cap) >= 0:  # fmt: skip
+            written = (
+                b"\xa9\x01", head(_TEXT, len(iss)), iss.encode(),
+                b"\x02", head(_TEXT, len(sub)), sub.encode(),
+                b"\x03", head(_TEXT, len(aud)), aud.encode(),
+                b"\x04", head(_UINT, exp), b"\x05", head(_UINT, nbf),
+                b"\x07\x50", cti, b"\x08\xa1\x05\x58\x20", ckt,
+                b"\x09", head(_BYTES, len(scope)), scope,
+                b"\x3a\0\1\0\0", head(_UINT, cap),
+            )  # fmt: skip
+            if b"".join(written) == body:  # never equal where a text is not ASCII: decoded below
+                return claims
+    return _decoded(body, decode)
+
+
 def _read(claims: dict[Any, Any], grant_id: bytes) -> Grant:
     confirmation = _closed(claims[_CNF], {_CKT}, {_CKT}, "confirmation")
-    entries = _typed(decode(_typed(claims[_SCOPE], bytes, "scope")), list, "scope")
     return Grant(
         domain=_typed(claims[_AUD], str, "aud"),
         subject=_typed(claims[_SUB], str, "sub"),
@@ -184,12 +236,19 @@ def _read(claims: dict[Any, Any], grant_id: bytes) -> Grant:
         expires=_typed(claims[_EXP], int, "exp"),
         cap=_typed(claims[_CAP], int, "cap"),
         serial=_typed(claims[_CTI], bytes, "cti"),
-        permissions=tuple(_permission(entry) for entry in entries),
+        permissions=_permissions(_typed(claims[_SCOPE], bytes, "scope")),
         id=grant_id,
         issuer=_issuer(_typed(claims[_ISS], str, "iss")),
     )
 
 
+@lru_cache(maxsize=256)
+def _permissions(scope: bytes) -> tuple[Permission, ...]:
+    """The rights in a scope. The same rights are given to many nodes, and presented often."""
+    return tuple(_permission(entry) for entry in _typed(decode(scope), list, "scope"))
+
+
+@lru_cache(maxsize=16)
 def _issuer(text: str) -> bytes:
     encoded = text.removeprefix(_CKT_URI)
     try:
@@ -235,7 +294,18 @@ def _restriction(value: Value) -> Restriction:
     rules = filter_rules(filters)
     for rule in rules:
         treatment(rule)
-    return Restriction(kind, tuple(_typed(text, str, "a condition") for text in conditions), rules)
+    texts = tuple(_typed(text, str, "a condition") for text in conditions)
+    return Restriction(kind, texts, rules, _rate(claims))
+
+
+def _rate(claims: dict[Any, Any]) -> float | None:
+    limits = _filled(claims, _LIMITS, dict)
+    if unknown := limits.keys() - {_RATE}:
+        raise GrantMalformed(f"unknown limit {min(map(str, unknown))[:40]} in a grant")
+    rate: float | None = limits.get(_RATE)
+    if rate is not None and type(rate) not in (int, float):
+        raise GrantMalformed("rate of a grant is of a wrong type")
+    return rate
 
 
 def _filled(claims: dict[Any, Any], key: int, kind: type[Any]) -> Any:

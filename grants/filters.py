@@ -11,13 +11,13 @@ from typing import Final, TypeAlias
 
 from grants.codegen import MISFIT, Buffer, misfit
 from grants.errors import FilterRefused
+from grants.hashing import Keys
 from grants.layout import Array, Layout, Struct, Type
 from grants.model import FilterRule
 from grants.operators import Treat, treatment
 from grants.rewriting import generate
-from grants.treatments import DESCEND, Each, Keep, Node, Parts, Treated
+from grants.treatments import DESCEND, Each, Inside, Keep, Node, Parts, Treated, remembers
 
-MAX_PIECES: Final = 64  # far below IOV_MAX (1024); more of them cost more than they save
 _SMALL: Final = 2048  # bytes; below it a copy is cheaper than a view
 
 
@@ -26,6 +26,7 @@ class Filter:
     """A compiled filter for messages of one type."""
 
     type_name: str
+    remembers: bool  # a message's treatment depends on the messages before it
     _rewrite: Callable[[Buffer], list[Buffer]]
 
     def __call__(self, message: Buffer) -> list[Buffer]:
@@ -35,23 +36,26 @@ class Filter:
             MessageRefused: the message does not have the layout of the type.
         """
         try:
-            pieces = self._rewrite(message if len(message) < _SMALL else memoryview(message))
+            return self._rewrite(message if len(message) < _SMALL else memoryview(message))
         except MISFIT:
             raise misfit(self.type_name) from None
-        return pieces if len(pieces) <= MAX_PIECES else [b"".join(pieces)]
 
 
-def compile_filter(layout: Layout, rules: Iterable[FilterRule]) -> Filter:
+def compile_filter(layout: Layout, rules: Iterable[FilterRule], keys: Keys | None = None) -> Filter:
     """Compile `rules` (see `model.filter_rules`) for messages of `layout`.
+
+    `keys` by name are for `hash`; without them the rules are only checked, and what is hashed is
+    refused.
 
     Raises:
         FilterRefused: an unknown field or operator, a treatment that does not fit the field's
-            type, or two rules for one field.
+            type, a key that is missing, or two rules for one field.
     """
     branch = _Branch({})
     for rule in rules:
-        _plant(branch, rule, treatment(rule))
-    return Filter(layout.type_name, generate(_resolve(layout.root, branch, "")))
+        _plant(branch, rule, treatment(rule, keys))
+    node = _resolve(layout.root, branch, "")
+    return Filter(layout.type_name, remembers(node), generate(node))
 
 
 @dataclass(frozen=True)
@@ -94,7 +98,21 @@ def _resolve(kind: Struct, branch: _Branch, path: str) -> Node:
             raise FilterRefused(f"{path}{step}: {kind.explain_missing(step.removesuffix('[*]'))}")
         if step.endswith("[*]") and step[:-3] in branch.children:
             raise _overlap(path + step)
-    return _parts(kind, [_field(name, member, branch, path) for name, member in kind.fields])
+    parts = [_field(name, member, branch, path) for name, member in kind.fields]
+    for (name, _), part in zip(kind.fields, parts, strict=True):
+        if isinstance(part, Treated) and isinstance(part.treatment, Inside):
+            _check_beside(kind, name, part.treatment, path)
+    return _parts(kind, parts)
+
+
+def _check_beside(kind: Struct, name: str, treatment: Inside, path: str) -> None:
+    """The field needs others of its message: they must be there, before it, of their types."""
+    before = [(field, member.name) for field, member in kind.fields]
+    before = before[: before.index((name, dict(kind.fields)[name].name))]
+    if kind.name != treatment.message or not set(treatment.beside) <= set(before):
+        raise FilterRefused(
+            f"{path}{name} of a {kind.name}: this needs the data of a {treatment.message}"
+        )
 
 
 def _field(name: str, kind: Type, branch: _Branch, path: str) -> Node:
@@ -146,4 +164,8 @@ def _parts(kind: Struct, parts: list[Node]) -> Node:
 
 
 def _each(kind: Array, element: Node) -> Node:
+    if remembers(element):
+        raise FilterRefused(
+            f"hysteresis does not go with {kind.name}", "elements of an array come and go"
+        )
     return Keep(kind) if isinstance(element, Keep) or kind.size == 0 else Each(kind, element)

@@ -1,4 +1,4 @@
-"""What stands between a publisher and one receiver: expiry, conditions, filters, in this order.
+"""What stands between a publisher and one receiver: expiry, conditions, rate, filters, in order.
 
 Built once per connection from the layout the wire proved and the decision; then called for every
 message. It fails closed: what it does not understand is not sent.
@@ -12,6 +12,7 @@ from grants.conditions import Condition, compile_condition
 from grants.decision import Decision
 from grants.errors import GrantError, GrantExpired, MessageRefused, RestrictionMismatch
 from grants.filters import Filter, compile_filter
+from grants.hashing import Keys, key_names
 from grants.layout import Layout
 from grants.model import FilterRule, Restriction
 from grants.validity import moment
@@ -23,18 +24,20 @@ class Guard:
     Args:
         layout: of the messages; may be None only if no restriction looks into them.
         decision: from `authorize`.
+        keys: the publisher's keys for `hash`, 32 bytes each, by name (see `needed_keys`).
 
     Raises:
         RestrictionMismatch: a restriction is written for another message type.
-        ConditionRefused, FilterRefused: a restriction does not fit the layout.
+        ConditionRefused, FilterRefused: a restriction does not fit the layout, or a key is missing.
     """
 
-    def __init__(self, layout: Layout | None, decision: Decision) -> None:
+    def __init__(self, layout: Layout | None, decision: Decision, keys: Keys | None = None) -> None:
         for restriction in decision.restrictions:
             _check_type(layout, restriction)
         self.expires: Final = decision.expires
         self._conditions = _conditions(layout, decision.restrictions)
-        self._filters = _filters(layout, decision.restrictions)
+        self._filters = _filters(layout, decision.restrictions, keys or {})
+        self._bucket = _bucket(decision.restrictions)
         self._key = (layout.type_name, layout.md5) if layout is not None else None
         self._restrictions = decision.restrictions
 
@@ -42,8 +45,11 @@ class Guard:
     def key(self) -> Hashable:
         """Equal for guards that treat every message alike: treat once, send to all of them.
 
-        Expiry is not part of it: call `check` for every receiver.
+        A guard with a memory (a rate, a hysteresis) equals only itself. Expiry is not part of
+        it: call `check` for every receiver.
         """
+        if self._bucket is not None or any(rewrite.remembers for rewrite in self._filters):
+            return self
         return (self._key, self._restrictions)
 
     def check(self, now: int) -> None:
@@ -84,6 +90,8 @@ class Guard:
         for condition in self._conditions:
             if condition(message, now) is not True:
                 return None
+        if self._bucket is not None and not self._bucket.take(now):
+            return None
         pieces: list[Buffer] = [message]
         for rewrite in self._filters:
             pieces = rewrite(pieces[0] if len(pieces) == 1 else b"".join(pieces))
@@ -117,7 +125,40 @@ def _conditions(
     )
 
 
-def _filters(layout: Layout | None, restrictions: Iterable[Restriction]) -> tuple[Filter, ...]:
+class _Bucket:
+    """A token bucket: over any time, `rate` messages a second and `max(1, rate)` more at most."""
+
+    def __init__(self, rate: float) -> None:
+        self._rate = rate
+        self._most = max(1.0, rate)
+        self._tokens = self._most
+        self._at: int | None = None
+
+    def take(self, now: int) -> bool:
+        """Whether one more message may pass at `now`; a clock set back brings nothing."""
+        if self._at is not None and now > self._at:
+            self._tokens = min(self._tokens + (now - self._at) * self._rate, self._most)
+        self._at = now
+        if self._tokens < 1:
+            return False
+        self._tokens -= 1
+        return True
+
+
+def _bucket(restrictions: Iterable[Restriction]) -> _Bucket | None:
+    """The tightest of the rates: what it lets through, the others do too."""
+    rates = [restriction.rate for restriction in restrictions if restriction.rate is not None]
+    return _Bucket(min(rates)) if rates else None
+
+
+def needed_keys(restrictions: Iterable[Restriction]) -> frozenset[str]:
+    """The names of the filter keys a guard for `restrictions` must be given."""
+    return frozenset().union(*(key_names(restriction.filters) for restriction in restrictions))
+
+
+def _filters(
+    layout: Layout | None, restrictions: Iterable[Restriction], keys: Keys
+) -> tuple[Filter, ...]:
     """As few passes as possible: rules for the same fields must come one after another.
 
     Every pass can only take information away, so the order of the passes decides the form of
@@ -128,7 +169,7 @@ def _filters(layout: Layout | None, restrictions: Iterable[Restriction]) -> tupl
     stages: list[_Stage] = []
     for restriction in restrictions:
         _place(stages, {rule.path: rule for rule in restriction.filters})
-    return tuple(compile_filter(layout, stage.values()) for stage in stages if stage)
+    return tuple(compile_filter(layout, stage.values(), keys) for stage in stages if stage)
 
 
 def _place(stages: list[_Stage], rules: _Stage) -> None:

@@ -20,6 +20,7 @@ Scalar: TypeAlias = bool | int | float | str
 KEY_SIZE: Final = 32  # a COSE key thumbprint, RFC 9679
 ID_SIZE: Final = 16
 MAX_CONDITION: Final = 1000  # characters
+MAX_RATE: Final = 1_000_000
 _MAX_TIME: Final = 1 << 53
 
 _TYPE: Final = re.compile(r"[A-Za-z][A-Za-z0-9_]*/[A-Za-z][A-Za-z0-9_]*", re.ASCII)
@@ -117,16 +118,18 @@ class Restriction:
             and nothing is filtered. On any other type the right does not hold at all.
         conditions: texts in `grants.conditions`; all of them must hold.
         filters: what is done to the fields of each message.
+        rate: at most so many messages a second, on average.
     """
 
     type: str | None = None
     conditions: tuple[str, ...] = ()
     filters: tuple[FilterRule, ...] = ()
+    rate: float | None = None
 
     def __post_init__(self) -> None:
         if self.type is not None and _TYPE.fullmatch(self.type) is None:
             raise GrantMalformed(f"not a message type: {self.type[:80]!r}")
-        if not self.conditions and not self.filters:
+        if not self.conditions and not self.filters and self.rate is None:
             raise GrantMalformed("a restriction that restricts nothing")
         if self.filters and self.type is None:
             raise GrantMalformed("filters without the message type they are written for")
@@ -134,12 +137,14 @@ class Restriction:
             raise GrantMalformed("two filters for one field", "the order would decide: merge them")
         if any(not 0 < len(text) <= MAX_CONDITION for text in self.conditions):
             raise GrantMalformed(f"a condition is empty or longer than {MAX_CONDITION} characters")
+        if self.rate is not None and not 0 < self.rate <= MAX_RATE:
+            raise GrantMalformed(f"a rate must be above zero and at most {MAX_RATE} a second")
 
     def lines(self) -> list[str]:
-        """The restriction for people, one line per condition and filter."""
-        return [f"only when {text}" for text in self.conditions] + [
-            str(rule) for rule in self.filters
-        ]
+        """The restriction for people, one line per condition, filter and limit."""
+        lines = [f"only when {text}" for text in self.conditions]
+        lines += [str(rule) for rule in self.filters]
+        return lines if self.rate is None else [*lines, f"at most {self.rate:g} messages a second"]
 
 
 @dataclass(frozen=True)

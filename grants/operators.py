@@ -10,16 +10,19 @@ import difflib
 import math
 import struct
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Final, TypeAlias
 
 import numpy as np
 
 from grants.codegen import Buffer
 from grants.errors import FilterRefused
+from grants.hashing import DEFAULT_LENGTH, Keys, pseudonyms
 from grants.layout import PRIMITIVES, Array, Primitive, Struct, Text, Type
 from grants.model import FilterRule, Scalar
-from grants.rounding import round_floats, round_integers, round_times
-from grants.treatments import DESCEND, Body, Constant, Numbers, Treatment, Vector
+from grants.pictures import BESIDE, MAX_SIDE, pixelation
+from grants.rounding import hold, round_floats, round_integers, round_times
+from grants.treatments import DESCEND, Body, Constant, Inside, Numbers, Treatment, Vector
 
 Treat: TypeAlias = Callable[[Type], Treatment]
 Parameters: TypeAlias = dict[str, Scalar]
@@ -69,14 +72,27 @@ def _zero(parameters: Parameters) -> Treat:
 
 
 def _round(parameters: Parameters) -> Treat:
-    """To multiples of `step` (seconds for times): floor(x / step + 1/2) * step; NaN, inf pass."""
+    """To multiples of `step` (seconds for times): floor(x / step + 1/2) * step; NaN, inf pass.
+
+    With `hysteresis` a value stays in its cell until it is that far beyond the border.
+    """
     step = _number(parameters, "step")
-    _expect(parameters, "step")
+    hysteresis = _number(parameters, "hysteresis") if "hysteresis" in parameters else None
+    _expect(parameters, "step", *(["hysteresis"] if hysteresis is not None else []))
     if not 0 < step < math.inf:
         raise FilterRefused("round needs a step above zero", "for example {round: {step: 0.5}}")
+    if hysteresis is not None and not 0 < hysteresis <= step:
+        raise FilterRefused("hysteresis must be above zero and at most the step")
 
     def treat(kind: Type) -> Treatment:
-        return DESCEND if isinstance(kind, Array | Struct) else _rounding(kind, step)
+        if isinstance(kind, Array | Struct):
+            return DESCEND
+        found = _rounding(kind, step)
+        if hysteresis is None:
+            return found
+        if len(kind.code if isinstance(kind, Primitive) else "") > 1:
+            raise FilterRefused(f"hysteresis needs numbers, not {kind.name}")
+        return replace(found, remembering=hold(found.scalar, step, hysteresis))
 
     return treat
 
@@ -179,31 +195,82 @@ def _first_elements(content: Buffer, length: int, size: int) -> tuple[Buffer, in
     return kept, len(kept) // size
 
 
-OPERATORS: Final[dict[str, Callable[[Parameters], Treat]]] = {
-    "clear": _clear,
-    "round": _round,
-    "clamp": _clamp,
-    "set": _set,
-    "redact": _redact,
-    "truncate": _truncate,
-    "drop": _drop,
-    "zero": _zero,
+_Operator: TypeAlias = Callable[[Parameters, Keys | None], Treat]
+
+
+def _keyless(operator: Callable[[Parameters], Treat]) -> _Operator:
+    return lambda parameters, _: operator(parameters)
+
+
+def _hash(parameters: Parameters, keys: Keys | None) -> Treat:
+    """A pseudonym instead of a text: the same for the same text and key; see `grants.hashing`."""
+    length = _whole(parameters, "length", 64) if "length" in parameters else DEFAULT_LENGTH
+    _expect(parameters, "key", *(["length"] if "length" in parameters else []))
+    pseudonym = Body(pseudonyms(parameters["key"], length, keys))
+
+    def treat(kind: Type) -> Treatment:
+        if isinstance(kind, Text):
+            return pseudonym
+        if isinstance(kind, Array):
+            return DESCEND
+        raise FilterRefused(f"hash needs a string, not {kind.name}")
+
+    return treat
+
+
+_REGION: Final = ("x", "y", "width", "height")
+
+
+def _pixelate(parameters: Parameters) -> Treat:
+    """Squares of `block` pixels instead of a picture, or of a region of it; see `pictures`."""
+    names = _REGION if parameters.keys() & set(_REGION) else ()
+    block = _whole(parameters, "block", MAX_SIDE)
+    region = tuple(_whole(parameters, name, MAX_SIDE, least=0) for name in names)
+    _expect(parameters, "block", *names)
+    if block < 2:
+        raise FilterRefused("pixelate needs a block of at least 2 pixels")
+    rewrite = pixelation(block, region or None)
+
+    def treat(kind: Type) -> Treatment:
+        if isinstance(kind, Array) and kind.name == "uint8[]":
+            return Inside("sensor_msgs/Image", BESIDE, rewrite)
+        raise FilterRefused(f"pixelate needs the data of a sensor_msgs/Image, not {kind.name}")
+
+    return treat
+
+
+OPERATORS: Final[dict[str, _Operator]] = {
+    "clear": _keyless(_clear),
+    "round": _keyless(_round),
+    "clamp": _keyless(_clamp),
+    "set": _keyless(_set),
+    "redact": _keyless(_redact),
+    "truncate": _keyless(_truncate),
+    "drop": _keyless(_drop),
+    "zero": _keyless(_zero),
+    "hash": _hash,
+    "pixelate": _keyless(_pixelate),
 }
 
 
-def treatment(rule: FilterRule) -> Treat:
+def treatment(rule: FilterRule, keys: Keys | None = None) -> Treat:
     """The function from field type to treatment that `rule` names.
 
+    Args:
+        rule: the rule.
+        keys: by name, for `hash`. None only checks the rule: what is hashed is then refused.
+
     Raises:
-        FilterRefused: unknown operator, or parameters that are not exactly the operator's. The
-            returned function raises it for a type the operator cannot treat.
+        FilterRefused: unknown operator, parameters that are not exactly the operator's, or a
+            key that is not among `keys`. The returned function raises it for a type the
+            operator cannot treat.
     """
     if rule.operator not in OPERATORS:
         near = difflib.get_close_matches(rule.operator, OPERATORS, 1)
         hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(OPERATORS)}"
         raise FilterRefused(f"{rule.path}: unknown operator {rule.operator[:40]!r}", hint)
     try:
-        return OPERATORS[rule.operator](dict(rule.parameters))
+        return OPERATORS[rule.operator](dict(rule.parameters), keys)
     except FilterRefused as error:
         raise FilterRefused(f"{rule.path}: {error}", error.hint) from None
 
@@ -222,6 +289,13 @@ def _number(parameters: Parameters, name: str) -> float:
         raise FilterRefused(f"{name} is beyond 64 bits")
     if math.isnan(value):
         raise FilterRefused(f"{name} must be a number")
+    return value
+
+
+def _whole(parameters: Parameters, name: str, most: int, least: int = 1) -> int:
+    value = parameters.get(name)
+    if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= most:
+        raise FilterRefused(f"{name} must be a whole number from {least} to {most}")
     return value
 
 

@@ -9,14 +9,27 @@ numpy. It raises one of `codegen.MISFIT` when the message does not have the layo
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Final
+from typing import Any, Final
 
 from grants.codegen import Buffer, Cursor, Position, Source, expression
-from grants.layout import Array, Primitive, Type
+from grants.gathering import Collector, gathers
+from grants.layout import Array, Primitive, Struct, Type
 from grants.tables import table_rewriter
-from grants.treatments import Body, Constant, Each, Keep, Node, Numbers, Parts
+from grants.treatments import (
+    Body,
+    Constant,
+    Each,
+    Inside,
+    Keep,
+    Node,
+    Numbers,
+    Parts,
+    Treated,
+)
 
+MAX_PIECES: Final = 64  # far below IOV_MAX (1024); more of them cost more than they save
 _UNROLL: Final = range(1, 9)  # fixed arrays of these lengths are cheaper without numpy
+_GATHER: Final = 24  # from so many elements on, numpy's fixed costs pay
 
 
 def generate(node: Node) -> Callable[[Buffer], list[Buffer]]:
@@ -24,9 +37,17 @@ def generate(node: Node) -> Callable[[Buffer], list[Buffer]]:
     source = Source("b")
     writer = _Writer(source)
     writer.write(node)
+    pieces = writer.finish()
+    # Only a loop can make many pieces; beyond some of them a copy is cheaper than a long list.
+    many = len(pieces) > MAX_PIECES or any(piece.startswith("*") for piece in pieces)
+    made = f"[{','.join(pieces)}]"
     source.line(f"if len(b)!={writer.at()}: raise ValueError")
-    source.line(f"return [{','.join(writer.finish())}]")
+    source.line(f"return {source.bind(_few)}({made})" if many else f"return {made}")
     return source.compile()
+
+
+def _few(pieces: list[Buffer]) -> list[Buffer]:
+    return pieces if len(pieces) <= MAX_PIECES else [b"".join(pieces)]
 
 
 @dataclass
@@ -51,22 +72,45 @@ class _Writer(Cursor):
         match node:
             case Keep(kind):
                 self.skip(kind)
-            case Parts(_, parts):
-                for part in parts:
-                    self.write(part)
+            case Parts(kind, parts):
+                self._parts(kind, parts)
             case Each(kind, element):
                 self._array(kind, element)
             case _:
                 self._treated(node.kind, node.treatment)
 
+    def _parts(self, kind: Struct, parts: tuple[Node, ...]) -> None:
+        needed = {name for part in parts for name in _beside(part)}
+        values: dict[str, str] = {}
+        for (name, member), part in zip(kind.fields, parts, strict=True):
+            start = self.position
+            match part:
+                case Treated(_, Inside(beside=beside, rewrite=rewrite)):
+                    self._body(member, rewrite, [values[other] for other, _ in beside])
+                case _:
+                    self.write(part)
+            if name in needed:
+                values[name] = self._value(member, start)
+
+    def _value(self, kind: Type, start: Position) -> str:
+        """A variable with the value that begins at `start`, before the present position."""
+        name = self.source.new("v")
+        if isinstance(kind, Primitive):
+            read = self.source.bind(struct.Struct(f"<{kind.code}").unpack_from)
+            self.source.line(f"{name},={read}(b,{expression(start)})")
+        else:
+            self.source.line(f"{name}=str(b[{expression(start, 4)}:{self.at()}],'utf-8')")
+        return name
+
     def finish(self) -> list[str]:
         """All pieces as expressions, the rest of the message last."""
         self._flush()
         pieces, self._pieces = self._pieces, []
-        pieces.append(f"b[{expression(self._kept)}:]")
+        if self._kept != self.position or not pieces:
+            pieces.append(f"b[{expression(self._kept)}:]")
         return pieces
 
-    def _treated(self, kind: Type, treatment: Constant | Numbers | Body) -> None:
+    def _treated(self, kind: Type, treatment: Constant | Numbers | Body | Inside) -> None:
         match treatment:
             case Constant(data):
                 if kind.size is None:
@@ -76,8 +120,8 @@ class _Writer(Cursor):
             case Numbers():
                 assert isinstance(kind, Primitive)  # noqa: S101
                 self._extend(kind, (kind, treatment))
-            case _:
-                self._body(kind, treatment.rewrite)
+            case _:  # `Inside` is never met outside of its message
+                self._body(kind, treatment.rewrite, [])
 
     def _replace(self, kind: Type, *pieces: str) -> None:
         """Other pieces in place of one value of `kind`."""
@@ -86,12 +130,14 @@ class _Writer(Cursor):
         self._pieces.extend(pieces)
         self._kept = self.position
 
-    def _body(self, kind: Type, rewrite: Callable[[Buffer], tuple[Buffer, int]]) -> None:
+    def _body(
+        self, kind: Type, rewrite: Callable[..., tuple[Buffer, int]], beside: list[str]
+    ) -> None:
         start = self.position
         self._flush()
         self.skip(kind)
         head, body = self.source.new("h"), self.source.new("c")
-        content = f"b[{expression(start, 4)}:{self.at()}]"
+        content = ",".join([f"b[{expression(start, 4)}:{self.at()}]", *beside])
         self.source.line(f"{head},{body}={self.source.bind(_prefixed(rewrite))}({content})")
         self._pieces += [head, body]
         self._kept = self.position
@@ -136,7 +182,8 @@ class _Writer(Cursor):
             names = [self.source.new("x") for _ in kind.code]
             values += names
             star = "*" if len(names) > 1 else ""
-            results.append(f"{star}{self.source.bind(numbers.scalar)}({','.join(names)})")
+            scalar = numbers.remembering() if numbers.remembering else numbers.scalar
+            results.append(f"{star}{self.source.bind(scalar)}({','.join(names)})")
         if not values:
             return self.source.bind(b"".join(item for item in run.items if isinstance(item, bytes)))
         read = self.source.bind(struct.Struct(unpack).unpack_from)
@@ -171,20 +218,53 @@ class _Writer(Cursor):
         pieces, kept = self.source.new("l"), self.source.new("s")
         self.source.line(f"{pieces}=[]")
         self.source.line(f"{kept}={expression(self._kept)}")
-        outer, self._pieces, self._kept = self._pieces, [], (kept, 0)
-        with self.each(kind):
+        outer, self._pieces = self._pieces, []
+        gather = not self.source.nested and gathers(element)
+        count = self.count(kind)
+        mark = self.mark()
+        if gather:
+            with self.source.block(f"if {count}<{_GATHER}"):
+                self._one_by_one(element, count, mark, pieces, kept)
+            with self.source.block("else"):
+                self._gathered(element, count, mark, pieces, kept)
+        else:
+            self._one_by_one(element, count, mark, pieces, kept)
+        self._pieces, self._kept = [*outer, f"*{pieces}"], (kept, 0)
+
+    def _one_by_one(self, element: Node, count: str, mark: str, pieces: str, kept: str) -> None:
+        self._kept = (kept, 0)
+        with self.times(count, mark):
             self.write(element)
             self._close()
             self.source.line(f"{pieces}+=[{','.join(self._pieces)}]")
             self.source.line(f"{kept}={expression(self._kept)}")
-        self._pieces, self._kept = [*outer, f"*{pieces}"], (kept, 0)
+            self._pieces = []
+
+    def _gathered(self, element: Node, count: str, mark: str, pieces: str, kept: str) -> None:
+        """Only find the places in the loop; numpy treats all of them in one copy after it."""
+        collector = Collector(self.source)
+        collector.position = (mark, 0)
+        with collector.times(count, mark):
+            collector.collect(element)
+        self.source.line(f"{pieces}.append({collector.finish()}(b,{kept},{mark}))")
+        self.source.line(f"{kept}={mark}")
+        self.position = (mark, 0)
+
+
+def _beside(node: Node) -> tuple[str, ...]:
+    """The fields that must be known to treat `node`."""
+    match node:
+        case Treated(_, Inside(beside=beside)):
+            return tuple(name for name, _ in beside)
+        case _:
+            return ()
 
 
 def _prefixed(
-    rewrite: Callable[[Buffer], tuple[Buffer, int]],
-) -> Callable[[Buffer], tuple[bytes, Buffer]]:
-    def rewritten(content: Buffer) -> tuple[bytes, Buffer]:
-        body, length = rewrite(content)
+    rewrite: Callable[..., tuple[Buffer, int]],
+) -> Callable[..., tuple[bytes, Buffer]]:
+    def rewritten(*values: Any) -> tuple[bytes, Buffer]:
+        body, length = rewrite(*values)
         return length.to_bytes(4, "little"), body
 
     return rewritten

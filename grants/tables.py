@@ -16,7 +16,7 @@ from grants.treatments import Constant, Each, Node, Numbers, Parts, Treated, Vec
 
 
 @dataclass(frozen=True)
-class _Column:
+class Column:
     """`count` values of one format, side by side in every element of an array."""
 
     offset: int
@@ -24,18 +24,19 @@ class _Column:
     count: int
     vector: Callable[[Vector], Vector]
 
-    def joins(self, other: "_Column") -> bool:
+    def joins(self, other: "Column") -> bool:
+        """Whether `other` follows this column and is treated alike."""
         end = self.offset + self.count * np.dtype(self.code).itemsize
         return (end, self.code, self.vector) == (other.offset, other.code, other.vector)
 
 
-def _columns(node: Node, offset: int) -> list[_Column]:
-    """What is treated inside one fixed-size element."""
+def columns(node: Node, offset: int) -> list[Column]:
+    """What is treated inside one fixed-size element that begins at `offset`."""
     match node:
         case Parts(kind, parts):
             found = []
             for (_, member), part in zip(kind.fields, parts, strict=True):
-                found += _columns(part, offset)
+                found += columns(part, offset)
                 offset += member.size or 0
             return found
         case Each(kind, element):
@@ -43,25 +44,58 @@ def _columns(node: Node, offset: int) -> list[_Column]:
             return [
                 column
                 for n in range(kind.length or 0)
-                for column in _columns(element, offset + n * size)
+                for column in columns(element, offset + n * size)
             ]
         case Treated(_, Constant(data)):
             fill = np.frombuffer(data, np.uint8)
-            return [_Column(offset, "<u1", len(data), lambda _: fill)]
+            return [Column(offset, "<u1", len(data), lambda _: fill)]
         case Treated(Primitive(code=code), Numbers(vector=vector)):
-            return [_Column(offset, f"<{code[0]}", len(code), vector)]
+            return [Column(offset, f"<{code[0]}", len(code), vector)]
         case _:
             return []
 
 
-def _merged(columns: list[_Column]) -> list[_Column]:
-    merged: list[_Column] = []
-    for column in columns:
+def _merged(found: list[Column]) -> list[Column]:
+    merged: list[Column] = []
+    for column in found:
         if merged and merged[-1].joins(column):
             last = merged.pop()
-            column = _Column(last.offset, last.code, last.count + column.count, last.vector)  # noqa: PLW2901
+            column = Column(last.offset, last.code, last.count + column.count, last.vector)  # noqa: PLW2901
         merged.append(column)
     return merged
+
+
+@dataclass(frozen=True)
+class Table:
+    """The treated values of many elements of `size` bytes each, as columns."""
+
+    dtype: np.dtype[Any]
+    treatments: tuple[tuple[str, Callable[[Vector], Vector]], ...]
+
+    def treat(self, elements: Vector) -> None:
+        """Treat `elements` (of `dtype`) in place."""
+        for name, vector in self.treatments:
+            elements[name] = vector(elements[name])
+
+
+def table(node: Node, size: int) -> Table:
+    """The table for elements that are `node`, each of `size` bytes."""
+    return table_of(columns(node, 0), size)
+
+
+def table_of(found: list[Column], size: int) -> Table:
+    """The table with these columns."""
+    merged = _merged(found)
+    names = [f"f{n}" for n in range(len(merged))]
+    dtype: np.dtype[Any] = np.dtype(
+        {
+            "names": names,
+            "formats": [(column.code, (column.count,)) for column in merged],
+            "offsets": [column.offset for column in merged],
+            "itemsize": size,
+        }
+    )
+    return Table(dtype, tuple((n, column.vector) for n, column in zip(names, merged, strict=True)))
 
 
 def table_rewriter(element: Node, size: int) -> Callable[[Buffer, int, int], Buffer]:
@@ -69,17 +103,29 @@ def table_rewriter(element: Node, size: int) -> Callable[[Buffer, int, int], Buf
 
     It raises ValueError when the message is shorter than that.
     """
-    columns = _merged(_columns(element, 0))
-    names = [f"f{n}" for n in range(len(columns))]
-    dtype: np.dtype[Any] = np.dtype(
-        {
-            "names": names,
-            "formats": [(column.code, (column.count,)) for column in columns],
-            "offsets": [column.offset for column in columns],
-            "itemsize": size,
-        }
-    )
-    treatments = [(name, column.vector) for name, column in zip(names, columns, strict=True)]
+    match element:
+        case Treated(Primitive(code=code), Numbers(vector=vector)):
+            return _numbers_rewriter(f"<{code[0]}", len(code), vector)
+        case _:
+            return _elements_rewriter(table(element, size))
+
+
+def _numbers_rewriter(
+    code: str, values: int, vector: Callable[[Vector], Vector]
+) -> Callable[[Buffer, int, int], Buffer]:
+    """Nothing but numbers: no table is needed, nor a copy to change."""
+
+    def rewrite(message: Buffer, start: int, count: int) -> Buffer:
+        if count == 0:
+            return b""
+        numbers = np.frombuffer(message, code, count * values, start)
+        return vector(numbers).astype(code, copy=False).tobytes()
+
+    return rewrite
+
+
+def _elements_rewriter(treated: Table) -> Callable[[Buffer, int, int], Buffer]:
+    size = treated.dtype.itemsize
 
     def rewrite(message: Buffer, start: int, count: int) -> Buffer:
         end = start + count * size
@@ -88,9 +134,7 @@ def table_rewriter(element: Node, size: int) -> Callable[[Buffer, int, int], Buf
         if count == 0:
             return b""
         copy = bytearray(message[start:end])
-        table = np.frombuffer(copy, dtype)
-        for name, vector in treatments:
-            table[name] = vector(table[name])
+        treated.treat(np.frombuffer(copy, treated.dtype))
         return copy
 
     return rewrite

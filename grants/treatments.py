@@ -29,10 +29,13 @@ class Numbers:
     """The values of a `Primitive` go through `scalar`, arrays of them through `vector`.
 
     `scalar` takes as many values as the type's format has, and returns as many (one: bare).
+    With `remembering`, every field gets a `scalar` of its own from it, which may have a memory;
+    such a treatment has no place in an array, whose elements come and go.
     """
 
     scalar: Callable[..., Any]
     vector: Callable[[Vector], Vector]
+    remembering: Callable[[], Callable[..., Any]] | None = None
 
 
 @dataclass(frozen=True)
@@ -45,7 +48,20 @@ class Body:
     rewrite: Callable[[Buffer], tuple[Buffer, int]]
 
 
-Treatment: TypeAlias = Constant | Numbers | Body | Literal["descend"]
+@dataclass(frozen=True)
+class Inside:
+    """Like `Body`, for a field that can only be read with others of its message beside it.
+
+    `rewrite(content, *values)` gets the values of the fields `beside` (names and type names, in
+    this order and before the field) as they were, in a message of type `message`.
+    """
+
+    message: str
+    beside: tuple[tuple[str, str], ...]
+    rewrite: Callable[..., tuple[Buffer, int]]
+
+
+Treatment: TypeAlias = Constant | Numbers | Body | Inside | Literal["descend"]
 
 
 @dataclass(frozen=True)
@@ -60,7 +76,7 @@ class Treated:
     """A whole value of `kind` under one treatment (`Numbers` only for a `Primitive`)."""
 
     kind: Type
-    treatment: Constant | Numbers | Body
+    treatment: Constant | Numbers | Body | Inside
 
 
 @dataclass(frozen=True)
@@ -80,3 +96,14 @@ class Each:
 
 
 Node: TypeAlias = Keep | Treated | Parts | Each
+
+
+def remembers(node: Node) -> bool:
+    """Whether a treatment in `node` has a memory."""
+    match node:
+        case Treated(_, Numbers(remembering=remembering)):
+            return remembering is not None
+        case Parts(_, parts):
+            return any(map(remembers, parts))
+        case _:
+            return False

@@ -4,6 +4,8 @@ A shell. Keys are written by `ca.keys`, everything else by `rossec.files`; what 
 by the module that knows the format. Errors say which command comes next.
 """
 
+import contextlib
+import secrets
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Final, Self
@@ -20,6 +22,7 @@ from ca.certificates import (
 )
 from ca.names import check_name
 from ca.signer import KeySigner
+from grants.hashing import FILTER_KEY_SIZE, check_key_name
 from rossec import files
 from rossec.channel.credentials import Credentials
 from rossec.errors import ConfigurationError
@@ -137,6 +140,26 @@ class NodeHome:
     def save_revocations(self, data: bytes) -> None:
         """Keep a revocation list; durable on return."""
         files.replace(self.path / "revocations.cose", data)
+
+    def filter_key(self, name: str) -> bytes:
+        """The key `name` for pseudonyms, 32 random bytes; made when it is first asked for.
+
+        Raises:
+            FilterRefused: not the name of a key.
+            ConfigurationError: the file does not hold a key.
+        """
+        path = self.path / "filters" / f"{check_key_name(name)}.key"
+        files.make_private_directory(path.parent)
+        if not path.exists():
+            with contextlib.suppress(ConfigurationError):  # another process was faster
+                files.create(path, secrets.token_bytes(FILTER_KEY_SIZE))
+        key = files.read(path, FILTER_KEY_SIZE, self._missing(path, ""))
+        if len(key) != FILTER_KEY_SIZE:
+            raise ConfigurationError(
+                f"{path} is not a key of {FILTER_KEY_SIZE} bytes",
+                "move it away: a new one is made, and pseudonyms change",
+            )
+        return key
 
     @property
     def _enroll(self) -> str:

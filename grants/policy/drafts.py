@@ -1,20 +1,16 @@
 """From verdicts to grants: what the authority may sign for a node, no more than was decided.
 
 A right that the policy restricts in several rules becomes several permissions in one grant, each
-with its restriction: whoever checks the grant applies all of them. What this version's grants
-cannot express is refused here, never left out.
+with its restriction: whoever checks the grant applies all of them.
 """
 
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, fields, replace
-from typing import Any, Final
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
 
 from grants.errors import PolicyRefused
-from grants.model import Draft, FilterRule, Permission, Restriction, Right
+from grants.model import Draft, Permission, Restriction, Right
 from grants.policy.decision import Decider, Verdict
-from grants.policy.model import Clause, Effect, Policy, Subject
-
-_LIMITED: Final = "rate" in {field.name for field in fields(Restriction)}
+from grants.policy.model import Clause, Effect, Subject
 
 
 @dataclass(frozen=True, order=True)
@@ -63,20 +59,18 @@ def approve(verdict: Verdict) -> Verdict:
     return replace(verdict, effect=Effect.ALLOW)
 
 
-def approximate(policy: Policy, verdict: Verdict, rules: Sequence[FilterRule]) -> Verdict:
-    """The same, seen only through `rules`.
+def approximate(verdict: Verdict, restriction: Restriction) -> Verdict:
+    """The same, restricted by `restriction` as well.
 
     Raises:
-        PolicyRefused: not a subscription, or the policy does not say the type of the topic.
+        PolicyRefused: not a subscription.
     """
-    kind = policy.type_of(verdict.name)
-    if verdict.right is not Right.SUBSCRIBE or kind is None:
+    if verdict.right is not Right.SUBSCRIBE:
         raise PolicyRefused(
-            f"{verdict.right.label} {verdict.name} cannot be approximate",
-            "only subscriptions to a topic whose type the policy knows can: add it to types",
+            f"{verdict.right.label} {verdict.name} cannot be approximate", "only subscriptions can"
         )
-    restriction = Restriction(kind, (), tuple(sorted(rules)))
-    extra = Clause(verdict.right, verdict.name, restriction, None, kind)
+    bare = replace(restriction, rate=None)
+    extra = Clause(verdict.right, verdict.name, bare, restriction.rate, restriction.type)
     return replace(verdict, clauses=(*verdict.clauses, extra))
 
 
@@ -91,7 +85,7 @@ def drafts(
     """What to sign for allowed verdicts of one subject: one draft per validity.
 
     Raises:
-        PolicyRefused: a verdict that is no yes, or a restriction grants cannot express.
+        PolicyRefused: a verdict that is no yes.
     """
     groups: dict[tuple[Subject, int, int], list[Verdict]] = {}
     for verdict in verdicts:
@@ -110,11 +104,7 @@ def drafts(
 
 
 def permissions(verdict: Verdict) -> list[Permission]:
-    """The entries of a grant that say what `verdict` says.
-
-    Raises:
-        PolicyRefused: a rate, where grants know none.
-    """
+    """The entries of a grant that say what `verdict` says."""
     restrictions: list[Restriction | None] = list(verdict.restrictions) or [None]
     if verdict.rate is not None:
         restrictions = [_limited(item, verdict.rate) for item in restrictions]
@@ -122,9 +112,4 @@ def permissions(verdict: Verdict) -> list[Permission]:
 
 
 def _limited(restriction: Restriction | None, rate: float) -> Restriction:
-    if not _LIMITED:
-        raise PolicyRefused(
-            "the grants of this version know no rate", "take out limit: {rate: ...}"
-        )
-    limit: dict[str, Any] = {"rate": rate}
-    return Restriction(**limit) if restriction is None else replace(restriction, **limit)
+    return Restriction(rate=rate) if restriction is None else replace(restriction, rate=rate)

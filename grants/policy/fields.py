@@ -9,13 +9,14 @@ from dataclasses import dataclass
 from typing import Final
 
 from grants.conditions import check_syntax, compile_condition
-from grants.errors import ConditionRefused, GrantError
+from grants.errors import ConditionRefused, FilterRefused, GrantError
 from grants.filters import compile_filter
 from grants.layout import Array, Layout, Struct, Type
 from grants.model import FilterRule, Scalar
 from grants.operators import OPERATORS, treatment
 from grants.policy.mistakes import Mistakes, Place, nearest
 from grants.policy.source import Part, Row, Table, Word
+from grants.presets import preset
 
 _SHORT: Final = {
     "round": ("step",),
@@ -119,6 +120,16 @@ def _fits(layout: Layout, rules: tuple[FieldRule, ...], place: Place, mistakes: 
     except GrantError as error:
         hint = nearest_field(layout, rules[0].rule.path)
         mistakes.add(place, f"{layout.type_name}: {error}", hint or error.hint)
+        return False
+    return True
+
+
+def check_preset(layout: Layout, name: str, place: Place, mistakes: Mistakes) -> bool:
+    """Whether the preset `name` exists for messages of `layout`."""
+    try:
+        preset(name).restriction(layout)
+    except FilterRefused as error:
+        mistakes.add(place, f"{name}: {error}", error.hint)
         return False
     return True
 

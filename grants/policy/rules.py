@@ -6,15 +6,25 @@ that topic: a filter that fits one of two topics is a mistake, not half a filter
 
 import re
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Final
 
 from grants.layout import Layout
-from grants.model import ALL_RIGHTS, MESSAGE_RIGHTS, Restriction, Right
+from grants.model import ALL_RIGHTS, MESSAGE_RIGHTS, FilterRule, Restriction, Right
 from grants.policy import words
-from grants.policy.fields import FieldRule, When, check_fields, check_when, read_fields, read_when
+from grants.policy.fields import (
+    FieldRule,
+    When,
+    check_fields,
+    check_preset,
+    check_when,
+    read_fields,
+    read_when,
+)
 from grants.policy.mistakes import Mistakes, Place, nearest
 from grants.policy.model import EVERYONE, Clause, Defaults, Effect, Rule, Who, type_of
 from grants.policy.source import Part, Table
+from grants.presets import PRESETS, preset
 
 _ID: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,79}", re.ASCII)
 _EFFECTS: Final = tuple(effect.value for effect in Effect)
@@ -23,6 +33,15 @@ _KEYS: Final = ("id", "why", "who", "except", *_EFFECTS, *_RESTRICTING)
 RIGHTS: Final = {right.label: right for right in ALL_RIGHTS}
 
 _Fields = tuple[FieldRule, ...]
+
+
+@dataclass(frozen=True)
+class _Chosen:
+    """What filters one topic: fields, or a preset by name."""
+
+    place: Place
+    fields: _Fields = ()
+    preset: str | None = None
 
 
 class RuleReader:
@@ -150,32 +169,35 @@ class RuleReader:
         pattern: str,
         place: Place,
         conditions: list[When],
-        filters: Mapping[str, tuple[Place, _Fields]],
+        filters: Mapping[str, _Chosen],
         rate: float | None,
     ) -> list[Clause]:
-        where, fields = (
-            filters.get(pattern, (place, ())) if right is Right.SUBSCRIBE else (place, ())
-        )
+        seen = right is Right.SUBSCRIBE
+        chosen = filters.get(pattern, _Chosen(place)) if seen else _Chosen(place)
         kind = type_of(self._types, pattern)
-        if not conditions and not fields:
-            own = rate if right is Right.SUBSCRIBE else None
-            return [Clause(right, pattern, None, own, kind)]
-        if fields or any(when.message for when in conditions):
-            if not self._fits(right, pattern, place, kind, conditions, where, fields):
-                return []
-        else:
-            kind = None
-        restriction = Restriction(
-            kind,
-            tuple(dict.fromkeys(when.text for when in conditions)),
-            tuple(sorted(item.rule for item in fields)),
-        )
-        own = rate if right is Right.SUBSCRIBE else None
-        return [Clause(right, pattern, restriction, own, type_of(self._types, pattern))]
+        looks = chosen.fields or chosen.preset or any(when.message for when in conditions)
+        if looks and not self._fits(right, pattern, place, kind, conditions, chosen):
+            return []
+        rules, limit = self._treatment(chosen, kind, rate if seen else None)
+        if not conditions and not rules:
+            return [Clause(right, pattern, None, limit, kind)]
+        texts = tuple(dict.fromkeys(when.text for when in conditions))
+        restriction = Restriction(kind if looks else None, texts, rules)
+        return [Clause(right, pattern, restriction, limit, kind)]
+
+    def _treatment(
+        self, chosen: _Chosen, kind: str | None, rate: float | None
+    ) -> tuple[tuple[FilterRule, ...], float | None]:
+        """The rules and the rate; a preset brings its own, and the lower rate holds."""
+        if chosen.preset is None or kind is None:
+            return tuple(sorted(item.rule for item in chosen.fields)), rate
+        made = preset(chosen.preset).restriction(self._layouts[kind])
+        rates = [one for one in (made.rate, rate) if one is not None]
+        return made.filters, min(rates, default=None)
 
     def _fits(
         self, right: Right, pattern: str, place: Place, kind: str | None,
-        conditions: list[When], where: Place, fields: _Fields,
+        conditions: list[When], chosen: _Chosen,
     ) -> bool:  # fmt: skip
         """Whether what looks into the messages of `pattern` fits their type."""
         if not right & (Right.SUBSCRIBE | Right.PUBLISH):
@@ -191,11 +213,13 @@ class RuleReader:
             return False  # the type itself is the mistake, and noted
         layout = self._layouts[kind]
         checked = [check_when(layout, when, self._mistakes) for when in conditions]
-        return (not fields or check_fields(layout, fields, where, self._mistakes)) and all(checked)
+        if chosen.preset is not None:
+            checked.append(check_preset(layout, chosen.preset, chosen.place, self._mistakes))
+        if chosen.fields:
+            checked.append(check_fields(layout, chosen.fields, chosen.place, self._mistakes))
+        return all(checked)
 
-    def _filters_of(
-        self, part: Part | None, topics: list[str], name: str
-    ) -> dict[str, tuple[Place, _Fields]]:
+    def _filters_of(self, part: Part | None, topics: list[str], name: str) -> dict[str, _Chosen]:
         """The filter of every topic: `{use: NAME}`, fields, or either of them by topic."""
         table = words.table(part, f"filter of rule {name}", self._mistakes)
         if table is None:
@@ -205,9 +229,8 @@ class RuleReader:
             self._mistakes.add(table, f"rule {name}: nothing to filter", hint)
             return {}
         if not any(key.startswith("/") for key in table.entries):
-            fields = self._fields(table)
-            return dict.fromkeys(topics, (table, fields))
-        found: dict[str, tuple[Place, _Fields]] = {}
+            return dict.fromkeys(topics, self._choice(table, table))
+        found: dict[str, _Chosen] = {}
         for topic, (key, value) in table.entries.items():
             if topic not in topics:
                 message = f"rule {name} does not let subscribe {topic[:80]!r}"
@@ -215,15 +238,19 @@ class RuleReader:
                 continue
             inner = words.table(value, f"filter of {topic}", self._mistakes)
             if inner is not None:
-                found[topic] = (key, self._fields(inner))
+                found[topic] = self._choice(key, inner)
         return found
 
-    def _fields(self, table: Table) -> _Fields:
+    def _choice(self, place: Place, table: Table) -> _Chosen:
+        """Fields, or `{use: NAME}` of a filter of this policy or else of a preset."""
         if "use" not in table.entries:
-            return read_fields(table, self._mistakes)
+            return _Chosen(place, read_fields(table, self._mistakes))
         words.closed(table, "a filter with use", ("use",), (), self._mistakes)
-        name = words.choice(table.get("use"), "filter", self._filters, self._mistakes)
-        return self._filters[name] if name is not None else ()
+        known = {**PRESETS, **self._filters}
+        name = words.choice(table.get("use"), "filter", known, self._mistakes)
+        if name is None or name in self._filters:
+            return _Chosen(place, self._filters.get(name or "", ()))
+        return _Chosen(place, preset=name)
 
     def _rate(self, part: Part | None, topics: list[str], name: str) -> float | None:
         table = words.table(part, f"limit of rule {name}", self._mistakes)

@@ -11,8 +11,10 @@ from grants.conditions import compile_condition
 from grants.decision import Decision
 from grants.errors import GrantError
 from grants.guard import Guard
+from grants.hashing import FILTER_KEY_SIZE, key_names
 from grants.layout import Layout
 from grants.policy.decision import Verdict
+from grants.policy.drafts import permissions
 
 _FOREVER = 1 << 53
 
@@ -50,9 +52,11 @@ class Trial:
 
     def _build(self) -> Guard | None:
         verdict = self._verdict
-        decision = Decision(verdict.right, verdict.name, (), _FOREVER, verdict.restrictions)
+        found = (item.restriction for item in permissions(verdict))
+        restrictions = tuple(item for item in found if item is not None)
+        decision = Decision(verdict.right, verdict.name, (), _FOREVER, restrictions)
         try:
-            return Guard(self._layout, decision)
+            return Guard(self._layout, decision, _stand_ins(verdict))
         except GrantError as error:
             self._reason = str(error)
             return None
@@ -64,7 +68,14 @@ class Trial:
             for text in restriction.conditions:
                 if not compile_condition(layout, text)(message, now):
                     return f"not now or not this one: {text}"
-        return "a condition does not hold"
+        rate = self._verdict.rate
+        return "not admitted" if rate is None else f"more than {rate:g} messages a second"
+
+
+def _stand_ins(verdict: Verdict) -> dict[str, bytes]:
+    """Keys for pseudonyms: the publisher's own are not here, and the form is the same."""
+    rules = (rule for item in verdict.restrictions for rule in item.filters)
+    return {name: bytes(FILTER_KEY_SIZE) for name in key_names(rules)}
 
 
 def _by(verdict: Verdict) -> str:

@@ -9,6 +9,7 @@ from collections.abc import Collection
 from typing import Final, Literal, TypeAlias
 
 from grants.errors import GrantError
+from grants.model import MAX_RATE
 from grants.names import check_pattern
 from grants.policy.mistakes import Mistakes, nearest
 from grants.policy.source import Part, Row, Table, Word
@@ -106,7 +107,7 @@ def number(part: Part | None, what: str, mistakes: Mistakes) -> float | None:
     if part is None:
         return None
     value = part.value if isinstance(part, Word) else None
-    if isinstance(value, int | float) and not isinstance(value, bool) and 0 < value < 1e9:
+    if isinstance(value, int | float) and not isinstance(value, bool) and 0 < value <= MAX_RATE:
         return value
     mistakes.add(part, f"{what} must be a number above zero{_shown(value)}", "for example 0.2")
     return None

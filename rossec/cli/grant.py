@@ -13,6 +13,7 @@ from grants.errors import ConditionRefused, FilterRefused
 from grants.filters import compile_filter
 from grants.layout import parse
 from grants.model import Draft, Permission, Restriction, Right, filter_rules
+from grants.presets import PRESETS, preset
 from rossec.authority import AuthorityHome
 from rossec.cli import passphrase
 from rossec.cli.context import Duration, Environment, moment, now, pass_environment
@@ -43,6 +44,16 @@ def grant() -> None:
 @click.option("--clear", multiple=True, metavar="FIELD", help="clear this field")
 @click.option("--round", "rounds", multiple=True, metavar="FIELD=STEP", help="round this field")
 @click.option(
+    "--clamp", "clamps", multiple=True, metavar="FIELD=LOW:HIGH", help="keep this field in a range"
+)
+@click.option("--rate", type=float, metavar="HZ", help="at most so many messages a second")
+@click.option(
+    "--preset",
+    "preset_name",
+    type=click.Choice(list(PRESETS)),
+    help="restrictions for a usual wish; see `rossec grant presets`",
+)
+@click.option(
     "--when",
     multiple=True,
     metavar="CONDITION",
@@ -65,6 +76,9 @@ def sign(
     type_name: str | None,
     clear: tuple[str, ...],
     rounds: tuple[str, ...],
+    clamps: tuple[str, ...],
+    rate: float | None,
+    preset_name: str | None,
     when: tuple[str, ...],
     lifetime: int,
     out: Path | None,
@@ -74,8 +88,8 @@ def sign(
 
     PATTERN is a topic name; * stands for one segment, ** for any depth.
     """
-    restriction = _restriction(type_name, clear, rounds, when)
-    permissions = _permissions(publish, subscribe, graph, restriction)
+    restrictions = _restrictions(type_name, _rules(clear, rounds, clamps), when, rate, preset_name)
+    permissions = _permissions(publish, subscribe, graph, restrictions)
     home = AuthorityHome.at(environment.home)
     holder = home.store().live_certificate(node, now()).thumbprint
     authority = home.unlock(passphrase.read(passphrase_file, environment.variables))
@@ -88,6 +102,15 @@ def sign(
     data = authority.grant(draft, signed)
     say(f"grant {document.grant_id(data).hex()} for {node} until {moment(draft.expires)}")
     hand_over(environment, node, data, out)
+
+
+@grant.command()
+def presets() -> None:
+    """Say what each preset hides, and what is still learnt."""
+    for entry in PRESETS.values():
+        say(entry.name)
+        say(f"  hides {entry.hides}")
+        say(f"  still tells {entry.leaves}")
 
 
 @grant.command("list")
@@ -155,49 +178,86 @@ def revoke(
     say("the master has the new list")
 
 
-def _restriction(
-    type_name: str | None, clear: tuple[str, ...], rounds: tuple[str, ...], when: tuple[str, ...]
-) -> Restriction | None:
-    """Build the restriction and try it on the message type: mistakes show here, not on the wire."""
+def _rules(
+    clear: tuple[str, ...], rounds: tuple[str, ...], clamps: tuple[str, ...]
+) -> dict[str, dict[str, object]]:
     rules: dict[str, dict[str, object]] = {path: {"clear": True} for path in clear}
     rules |= {path: {"round": {"step": step}} for path, step in map(_rounding, rounds)}
-    if not rules and not when:
-        return None
+    return rules | {
+        path: {"clamp": {"low": low, "high": high}} for path, low, high in map(_clamping, clamps)
+    }
+
+
+def _restrictions(
+    type_name: str | None,
+    rules: dict[str, dict[str, object]],
+    when: tuple[str, ...],
+    rate: float | None,
+    preset_name: str | None,
+) -> list[Restriction]:
+    """Build the restrictions and try them on the message type: mistakes show here, not later."""
+    if not rules and not when and rate is None and preset_name is None:
+        return []
     if type_name is None:
         raise ConfigurationError(
             "restrictions need the message type they are for", "add --type PKG/TYPE"
         )
     shape = parse(type_name, message_type(type_name).definition)
     try:
-        restriction = Restriction(type=type_name, conditions=when, filters=filter_rules(rules))
-        compile_filter(shape, restriction.filters)
-        for text in when:
-            compile_condition(shape, text)
+        made = [preset(preset_name).restriction(shape)] if preset_name is not None else []
+        if rules or when or rate is not None:
+            made.append(Restriction(type_name, when, filter_rules(rules), rate))
+        for restriction in made:
+            compile_filter(shape, restriction.filters)
+            for text in restriction.conditions:
+                compile_condition(shape, text)
     except (ConditionRefused, FilterRefused) as error:
         error.hint = error.hint or _EXAMPLES
         raise
-    return restriction
+    return made
 
 
 def _permissions(
     publish: tuple[str, ...],
     subscribe: tuple[str, ...],
     graph: bool,
-    restriction: Restriction | None,
+    restrictions: list[Restriction],
 ) -> tuple[Permission, ...]:
     made = [Permission(pattern, Right.PUBLISH) for pattern in publish]
-    made += [Permission(pattern, Right.SUBSCRIBE, restriction) for pattern in subscribe]
+    for pattern in subscribe:  # all restrictions that cover a topic hold together
+        made += [Permission(pattern, Right.SUBSCRIBE, item) for item in restrictions]
+        if not restrictions:
+            made.append(Permission(pattern, Right.SUBSCRIBE))
     if graph:
         made.append(Permission("/**", Right.GRAPH))
     if not made:
         raise ConfigurationError(
             "a grant that allows nothing", "add --publish, --subscribe or --graph"
         )
-    if restriction is not None and not subscribe:
+    if restrictions and not subscribe:
         raise ConfigurationError(
             "conditions and filters restrict what a subscriber sees", "add --subscribe"
         )
     return tuple(made)
+
+
+def _clamping(text: str) -> tuple[str, float, float]:
+    path, _, limits = text.partition("=")
+    low, _, high = limits.partition(":")
+    try:
+        return path, _number(low), _number(high)
+    except ValueError:
+        raise ConfigurationError(
+            f"--clamp {text} has no range", "for example --clamp ranges=0.5:10"
+        ) from None
+
+
+def _number(text: str) -> float:
+    """Whole where it is written so: fields of whole numbers take no other."""
+    try:
+        return int(text)
+    except ValueError:
+        return float(text)
 
 
 def _rounding(text: str) -> tuple[str, float]:

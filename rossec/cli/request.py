@@ -9,10 +9,12 @@ from typing import Any
 import click
 
 from grants import document
-from grants.model import Right
+from grants.filters import compile_filter
+from grants.model import Restriction, Right
 from grants.policy.decision import Verdict, restriction_lines
 from grants.policy.drafts import Wish, approximate, shorten
-from grants.policy.model import Effect
+from grants.policy.model import Effect, Policy
+from grants.presets import PRESETS, preset
 from grants.request import GrantRequest, sign_request
 from rossec import files, inbox
 from rossec.authority import AuthorityHome, OpenAuthority
@@ -23,7 +25,7 @@ from rossec.cli.voice import note, printable, say, say_json
 from rossec.desk import Change, Desk, Question, today
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
-from rossec.policyfile import PolicyFile
+from rossec.policyfile import PolicyFile, layout_of
 
 _ASKABLE = ("publish", "subscribe", "call", "provide", "param-get", "param-set", "graph")
 
@@ -147,9 +149,9 @@ def approve(
     policy_path: Path | None,
     passphrase_file: Path | None,
 ) -> None:
-    """Say yes to the request REQUEST_ID (or the beginning of it): precisely, unless said otherwise.
+    """Say yes to the request REQUEST_ID (or its beginning): precisely, unless said otherwise.
 
-    --approximate FILTER gives it through a filter of the policy, --today until midnight.
+    --approximate gives it through a filter of the policy or a preset, --today until midnight.
     """
     file = options.read_policy(environment, policy_path)
     change = _change(file, coarse, only_today)
@@ -204,18 +206,29 @@ def _chosen(desk: Desk, beginning: str) -> list[Question]:
 
 
 def _change(file: PolicyFile, coarse: str | None, only_today: bool) -> Change:
-    rules = file.policy.filters.get(coarse) if coarse is not None else None
-    if coarse is not None and rules is None:
-        known = ", ".join(file.policy.filters) or "none"
+    if coarse is not None and coarse not in {*file.policy.filters, *PRESETS}:
+        known = ", ".join({**file.policy.filters, **PRESETS})
         raise ConfigurationError(f"no filter {coarse!r} in {file.path}", f"there are: {known}")
     left = today(now()) if only_today else None
 
     def change(verdict: Verdict) -> Verdict:
-        if rules is not None:
-            verdict = approximate(file.policy, verdict, rules)
+        if coarse is not None:
+            verdict = approximate(verdict, _restriction(file.policy, verdict.name, coarse))
         return verdict if left is None else shorten(verdict, left)
 
     return change
+
+
+def _restriction(policy: Policy, topic: str, name: str) -> Restriction:
+    """The filter `name` of the policy, or the preset of that name, for a topic."""
+    kind = policy.type_of(topic)
+    if kind is None:
+        raise ConfigurationError(f"the type of {topic} is not known here", "add it to types")
+    layout = layout_of(kind)
+    if name not in policy.filters:
+        return preset(name).restriction(layout)
+    compile_filter(layout, policy.filters[name])
+    return Restriction(kind, (), tuple(sorted(policy.filters[name])))
 
 
 def _signed(

@@ -65,7 +65,7 @@ def simulate(
 ) -> None:
     """Show per topic and receiver how many messages of a bag pass, before and after.
 
-    Conditions see each message at the time it was recorded. Rates are not counted.
+    Conditions and rates see each message at the time it was recorded.
     """
     read = PolicyFile.read(new)
     before = PolicyFile.read(old) if old is not None else options.read_policy(environment, None)

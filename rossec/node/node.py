@@ -106,7 +106,9 @@ class Node:
         if endpoint.topic in self._publishers:
             raise ConfigurationError(f"{endpoint.topic} is published by this node already")
         shape = layout.parse(type_name, endpoint.type.definition)
-        publisher = Publisher(endpoint, shape, latch=latch, queue_size=queue_size)
+        publisher = Publisher(
+            endpoint, shape, self.home.filter_key, latch=latch, queue_size=queue_size
+        )
         await self._register_publisher(self._session, publisher)
         self._publishers[endpoint.topic] = publisher
         return publisher

@@ -10,13 +10,13 @@ import logging
 import struct
 import time
 from collections import deque
-from collections.abc import Hashable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from typing import Final
 
 from ca.certificates import Identity
 from grants.decision import Decision
 from grants.errors import GrantError
-from grants.guard import Guard
+from grants.guard import Guard, needed_keys
 from grants.layout import Layout
 from rossec.errors import RossecError
 from rossec.net.stream import SecureStream
@@ -90,12 +90,19 @@ class Publisher:
     """Publishes messages of one type on one topic. Made by `Node.publisher`."""
 
     def __init__(
-        self, endpoint: Endpoint, layout: Layout, *, latch: bool, queue_size: int = QUEUE_SIZE
+        self,
+        endpoint: Endpoint,
+        layout: Layout,
+        filter_key: Callable[[str], bytes],
+        *,
+        latch: bool,
+        queue_size: int = QUEUE_SIZE,
     ) -> None:
         self.endpoint = endpoint
         self.latch = latch
         self.links: set[SubscriberLink] = set()
         self._layout = layout
+        self._filter_key = filter_key
         self._queue_size = queue_size
         self._latched: memoryview | None = None
         self._changed = asyncio.Event()
@@ -147,8 +154,10 @@ class Publisher:
 
         Raises:
             GrantError: its restrictions were written for another message type.
+            ConfigurationError: a key for pseudonyms cannot be read.
         """
-        return Guard(self._layout, decision)
+        keys = {name: self._filter_key(name) for name in needed_keys(decision.restrictions)}
+        return Guard(self._layout, decision, keys)
 
     async def serve(
         self, stream: SecureStream[Identity], decision: Decision, guard: Guard, answer: bytes

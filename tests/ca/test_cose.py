@@ -109,3 +109,25 @@ def test_size_comes_first() -> None:
         PROFILE.open(GOOD, KEY, limit=10)
     with pytest.raises(EncodingError, match="bytes of CBOR where at most 10"):
         PROFILE.peek(GOOD, limit=10)
+
+
+@pytest.mark.parametrize("size", [0, 1, 22, 23, 24, 253, 254, 255, 256, 65533, 65534, 70000])
+def test_every_length_of_payload(size: int) -> None:
+    payload = bytes(size)
+    data = PROFILE.sign(SIGNER, payload)
+    assert data[1:] == encode([PROFILE.protected, {}, encode(payload), data[-64:]])
+    assert PROFILE.open(data, KEY, limit=1 << 17) == payload
+    assert PROFILE.open_body(data, KEY, limit=1 << 17) == encode(payload)
+    assert PROFILE.peek_body(data, limit=1 << 17) == encode(payload)
+
+
+def test_long_heads_are_refused() -> None:
+    """The payload's and the signature's length, each in a longer form."""
+    start = len(b"\xd2\x84" + encode(PROFILE.protected) + b"\xa0")
+    body = encode({1: "a", 2: b"b"})
+    for longer in (
+        GOOD[:start] + b"\x58" + bytes([len(body)]) + GOOD[start + 1 :],
+        GOOD[:-66] + b"\x59\x00\x40" + GOOD[-64:],
+    ):
+        with pytest.raises(EncodingError, match="not in its deterministic form"):
+            PROFILE.open(longer, KEY)

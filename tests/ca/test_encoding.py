@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ca.encoding import MAX_DEPTH, MAX_SIZE, Value, decode, decode_sequence, encode
+from ca.encoding import MAX_DEPTH, MAX_SIZE, Value, decode, decode_sequence, encode, head, parse
 from ca.errors import EncodingError
 
 leaves = (
@@ -169,3 +169,29 @@ def test_sequences_have_a_size_too() -> None:
         decode(b"")
     with pytest.raises(EncodingError, match="where at most 1 are allowed"):
         decode_sequence(b"\0\0", limit=1)
+
+
+@given(st.integers(0, 2**64 - 1))
+def test_heads(value: int) -> None:
+    assert head(0x00, value) == encode(value)
+    assert head(0x20, value) == encode(-1 - value)
+
+
+@pytest.mark.parametrize("size", [0, 23, 24, 255, 256, 65535, 65536])
+def test_heads_of_strings(size: int) -> None:
+    assert encode(bytes(size)).startswith(head(0x40, size))
+    assert len(encode(bytes(size))) == len(head(0x40, size)) + size
+
+
+@pytest.mark.parametrize("value", [-1, 2**64])
+def test_heads_have_a_range(value: int) -> None:
+    with pytest.raises(EncodingError, match="integer beyond 64 bits"):
+        head(0x40, value)
+
+
+def test_parse_leaves_only_the_form_to_its_caller() -> None:
+    assert parse(bytes.fromhex("1817")) == 23
+    assert parse(bytes.fromhex("0000")) == 0
+    for refused in ("", "c000", "a200010002", "9fff"):
+        with pytest.raises(EncodingError, match="malformed CBOR"):
+            parse(bytes.fromhex(refused))

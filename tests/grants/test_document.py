@@ -56,6 +56,7 @@ def test_all_shapes_round_trip() -> None:
         Permission("/**", ALL_RIGHTS),
         Permission("/a/*", Right.CALL, time_only),
         Permission("/b", Right.SUBSCRIBE, no_parameters),
+        Permission("/c", Right.SUBSCRIBE, Restriction(rate=0.2)),
     )
     data = document.sign(CA, draft(*permissions))
     assert document.open_grant(data, CA.public_key, NOW).permissions == permissions
@@ -226,7 +227,14 @@ CLAIMS: dict[str, tuple[Callable[[Any], Any], str]] = {
     "negative right": (scope(["/a", -1]), "unknown or no right"),
     "huge right": (scope(["/a", 1 << 63]), "unknown or no right"),
     "restricted admin": (scope(["/a", 128, {1: ["true"]}]), "cannot be restricted"),
-    "unknown restriction": (restricted({3: {"rate": 1}, 1: ["true"]}), "unknown restriction 3"),
+    "unknown restriction": (restricted({4: {"rate": 1}, 1: ["true"]}), "unknown restriction 4"),
+    "unknown limit": (restricted({3: {"delay": 1, "rate": 1}}), "unknown limit delay"),
+    "empty limits": (restricted({3: {}, 1: ["true"]}), "an empty restriction"),
+    "limits are a number": (restricted({3: 1}), "a restriction of a grant is of a wrong type"),
+    "rate is text": (restricted({3: {"rate": "1"}}), "rate of a grant is of a wrong type"),
+    "rate is true": (restricted({3: {"rate": True}}), "rate of a grant is of a wrong type"),
+    "rate of nothing": (restricted({3: {"rate": 0}}), "a rate must be above zero"),
+    "rate without end": (restricted({3: {"rate": float("inf")}}), "a rate must be above zero"),
     "text restriction": (restricted({"rate": 1}), "unknown restriction rate"),
     "empty restriction": (restricted({}), "restricts nothing"),
     "only a type": (restricted({0: TYPE}), "restricts nothing"),
@@ -242,7 +250,7 @@ CLAIMS: dict[str, tuple[Callable[[Any], Any], str]] = {
     "filter is text": (restricted({0: TYPE, 2: {"x": "clear"}}), "a filter of a grant"),
     "unknown operator": (restricted({0: TYPE, 2: {"x": {"blur": True}}}), "unknown operator"),
     "unknown parameter": (
-        restricted({0: TYPE, 2: {"x": {"round": {"step": 1, "hysteresis": 1}}}}),
+        restricted({0: TYPE, 2: {"x": {"round": {"step": 1, "half": 1}}}}),
         "expected step",
     ),
     "empty operator": (restricted({0: TYPE, 2: {"x": {}}}), "exactly one operator"),
@@ -256,6 +264,12 @@ def test_claims(name: str) -> None:
     change, message = CLAIMS[name]
     with pytest.raises(GrantMalformed, match=message):
         opened(signed_claims(change(payload())))
+
+
+def test_claims_beyond_the_usual_form() -> None:
+    """Other texts, lengths and times than the quick comparison expects are read all the same."""
+    far = draft(domain="zuh\u00e4use", not_before=0, expires=1 << 40, cap=1 << 41)
+    assert document.open_grant(document.sign(CA, far), CA.public_key, NOW).domain == "zuh\u00e4use"
 
 
 def test_what_nobody_accepts_is_not_signed() -> None:

@@ -298,6 +298,6 @@ def test_the_same_field_twice() -> None:
 
 def test_a_treatment_that_gives_up(monkeypatch: pytest.MonkeyPatch) -> None:
     operators = importlib.import_module("grants.operators")
-    monkeypatch.setitem(operators.OPERATORS, "shrug", lambda _: lambda _: operators.DESCEND)
+    monkeypatch.setitem(operators.OPERATORS, "shrug", lambda *_: lambda _: operators.DESCEND)
     with pytest.raises(FilterRefused, match="i8: no treatment for int8"):
         apply({"i8": {"shrug": True}})

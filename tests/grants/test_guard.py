@@ -14,7 +14,7 @@ from grants.errors import (
     MessageRefused,
     RestrictionMismatch,
 )
-from grants.guard import Guard
+from grants.guard import Guard, needed_keys
 from grants.model import Restriction, Right, filter_rules, merge
 from tests.grants.messages import layout, text
 
@@ -158,3 +158,64 @@ def test_only_true_admits(answer: object) -> None:
     conditions = importlib.import_module("grants.conditions")
     guard._conditions = (conditions.Condition("", False, lambda *_: answer),)
     assert guard(message(), NOW) is None
+
+
+def test_rate() -> None:
+    guard = Guard(LAYOUT, decision(Restriction(rate=0.2), Restriction("t/T", ("msg.x < 5.0",))))
+    data = message()
+
+    def passed(*times: int) -> list[bool]:
+        return [guard.treat(data, NOW + at) is not None for at in times]
+
+    assert guard.treat(message(9.0), NOW) is None  # withheld by its condition, and not counted
+    assert passed(0, 0, 4, 5, 6, 10, 100, 100) == [
+        True,
+        False,
+        False,
+        True,
+        False,
+        True,
+        True,
+        False,
+    ]
+    assert passed(50, 51, 54) == [False, False, False]  # a clock set back brings nothing
+    assert passed(55, 56) == [True, False]
+
+
+def test_the_tightest_rate_counts() -> None:
+    guard = Guard(None, decision(Restriction(rate=3), Restriction(rate=2.5)))
+    assert [guard.treat(b"", NOW) is not None for _ in range(4)] == [True, True, False, False]
+    assert [guard.treat(b"", NOW + 1) is not None for _ in range(4)] == [True, True, False, False]
+
+
+def test_hysteresis_belongs_to_one_receiver() -> None:
+    held: dict[str, object] = {"round": {"step": 1.0, "hysteresis": 0.25}}
+    rules = decision(filtered(x=held, y=held))
+    one, other = Guard(LAYOUT, rules), Guard(LAYOUT, rules)
+    assert seen(one, message(1.4)) == message(1.0).replace(_double(2.7), _double(3.0))
+    assert seen(one, message(1.6)) == seen(one, message(1.4))
+    assert seen(other, message(1.6)) != seen(one, message(1.6))
+    with pytest.raises(FilterRefused, match=r"hysteresis does not go with t/P\[\]"):
+        Guard(LAYOUT, decision(filtered(points={"round": {"step": 2, "hysteresis": 1}})))
+
+
+def _double(value: float) -> bytes:
+    return struct.pack("<d", value)
+
+
+def test_guards_with_a_memory_share_nothing() -> None:
+    held = filtered(x={"round": {"step": 1.0, "hysteresis": 0.25}})
+    for restriction in (held, Restriction(rate=1)):
+        one, other = (Guard(LAYOUT, decision(restriction)) for _ in range(2))
+        assert one.key == one.key != other.key
+
+
+def test_keys_for_pseudonyms() -> None:
+    hashed = filtered(frame={"hash": {"key": "ward"}})
+    assert needed_keys([hashed, filtered(x={"clear": True})]) == {"ward"}
+    assert needed_keys([]) == set()
+    with pytest.raises(FilterRefused, match="no key 'ward'"):
+        Guard(LAYOUT, decision(hashed))
+    treated = seen(Guard(LAYOUT, decision(hashed), {"ward": bytes(32)}), message())
+    assert treated is not None
+    assert b"map" not in treated

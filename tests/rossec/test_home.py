@@ -13,6 +13,7 @@ from ca.errors import (
     KeyRefused,
     NameRefused,
 )
+from grants.errors import FilterRefused
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome, rossec_home
 from tests.support.pki import DAY, NOW, Site
@@ -190,3 +191,18 @@ def test_what_is_too_large_is_not_read(tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match=r"revocations\.cose is larger than") as caught:
         home.load_revocations()
     assert "right file" in caught.value.hint
+
+
+def test_filter_keys(tmp_path: Path) -> None:
+    home = enrolled(tmp_path)
+    key = home.filter_key("ward")
+    assert len(key) == 32
+    assert home.filter_key("ward") == key != home.filter_key("other")
+    path = home.path / "filters" / "ward.key"
+    assert stat.S_IMODE(path.stat().st_mode) == 0o600
+    assert stat.S_IMODE(path.parent.stat().st_mode) == 0o700
+    with pytest.raises(FilterRefused, match="not the name of a key"):
+        home.filter_key("../node")
+    path.write_bytes(b"short")
+    with pytest.raises(ConfigurationError, match="is not a key of 32 bytes"):
+        home.filter_key("ward")

@@ -8,7 +8,6 @@ from grants.decision import authorize
 from grants.document import open_grant, sign
 from grants.errors import PolicyRefused
 from grants.model import Draft, FilterRule, Restriction, Right
-from grants.policy import drafts as module
 from grants.policy.decision import Decider, Verdict
 from grants.policy.drafts import Wish, approve, approximate, drafts, permissions, plan, shorten
 from grants.policy.model import DAY, HOUR, Effect, Policy
@@ -86,12 +85,12 @@ def test_nobody_is_asked_over_a_denial(policy: Policy) -> None:
 
 
 def test_approximate_adds_to_what_the_policy_restricts(policy: Policy) -> None:
-    rough = approximate(policy, wish(policy, Right.SUBSCRIBE, "/pose"), ROUND)
-    assert Restriction("geometry_msgs/PoseStamped", (), ROUND) in rough.restrictions
-    assert len(permissions(rough)) == 3
-    for verdict in (wish(policy, Right.PUBLISH, "/c"), wish(policy, Right.SUBSCRIBE, "/b")):
-        with pytest.raises(PolicyRefused, match="cannot be approximate"):
-            approximate(policy, verdict, ROUND)
+    coarse = Restriction("geometry_msgs/PoseStamped", (), ROUND, rate=0.5)
+    rough = approximate(wish(policy, Right.SUBSCRIBE, "/pose"), coarse)
+    assert replace(coarse, rate=None) in rough.restrictions
+    assert (len(permissions(rough)), rough.rate) == (3, 0.5)
+    with pytest.raises(PolicyRefused, match="cannot be approximate"):
+        approximate(wish(policy, Right.PUBLISH, "/c"), coarse)
 
 
 def test_only_today_is_never_longer_than_the_policy_allows(policy: Policy) -> None:
@@ -100,14 +99,14 @@ def test_only_today_is_never_longer_than_the_policy_allows(policy: Policy) -> No
     assert shorten(verdict, 99 * DAY).lifetime == 7 * DAY
 
 
-def test_a_rate_grants_do_not_know_is_refused(
-    policy: Policy, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_lowest_rate_stands_in_every_restriction(policy: Policy) -> None:
     verdict = wish(policy, Right.SUBSCRIBE, "/b")
     limited = replace(verdict, clauses=(replace(verdict.clauses[0], rate=2.0),))
-    monkeypatch.setattr(module, "_LIMITED", False)
-    with pytest.raises(PolicyRefused, match="know no rate"):
-        permissions(limited)
+    assert [item.restriction for item in permissions(limited)] == [Restriction(rate=2.0)]
+    pose = wish(policy, Right.SUBSCRIBE, "/pose")
+    limited = replace(pose, clauses=(*pose.clauses, replace(pose.clauses[0], rate=2.0)))
+    rates = [item.restriction.rate for item in permissions(limited) if item.restriction]
+    assert rates == [2.0, 2.0]
 
 
 def test_effects_are_exhaustive() -> None:

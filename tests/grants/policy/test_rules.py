@@ -59,6 +59,24 @@ def test_a_filter_for_one_of_two_topics() -> None:
     }  # fmt: skip
 
 
+def test_a_preset_brings_its_own_rate() -> None:
+    for limit, rate in (("", 0.2), (", limit: {rate: 0.1}", 0.1), (", limit: {rate: 5}", 0.2)):
+        (rule,) = rules(
+            "{id: a, who: x, allow: {subscribe: /pose}, filter: {use: coarse-position}"
+            f"{limit}}}",
+            head=HEAD,
+        ).rules
+        (clause,) = rule.clauses
+        assert clause.rate == rate
+        assert clause.restriction is not None
+        assert "pose.position" in {item.path for item in clause.restriction.filters}
+    ((message, hint),) = found(
+        "{id: a, who: x, allow: {subscribe: /scan}, filter: {use: coarse-position}}"
+    )
+    assert message.startswith("coarse-position: the preset does not exist for sensor_msgs/Laser")
+    assert hint.startswith("it is for geometry_msgs/PoseStamped")
+
+
 def test_a_condition_on_time_needs_no_type() -> None:
     (rule,) = rules(
         "{id: a, who: x, allow: {subscribe: /unknown, call: /b}, when: [now.getHours() > 5]}",

@@ -46,6 +46,24 @@ def test_why_not(who: str, message: bytes, now: int, reason: str) -> None:
     assert reason in outcome.reason
 
 
+def test_a_rate_counts_as_the_messages_come() -> None:
+    of = rules("{id: a, who: /x, allow: {subscribe: /s}, limit: {rate: 0.5}}")
+    tried = Trial(STRING, decide(of, node("/x"), Right.SUBSCRIBE, "/s"))
+    passed = [tried(HELLO, now) for now in range(5)]
+    assert [outcome.message is not None for outcome in passed] == [True, False, True, False, True]
+    assert passed[1].reason == "more than 0.5 messages a second"
+
+
+def test_pseudonyms_are_shown_under_a_key_of_nobody() -> None:
+    of = rules(
+        "{id: a, who: /x, allow: {subscribe: /s}, filter: {data: {hash: {key: k, length: 8}}}}",
+        head=HEADER + "types: {/s: std_msgs/String}\n",
+    )
+    message = Trial(STRING, decide(of, node("/x"), Right.SUBSCRIBE, "/s"))(HELLO, 0).message
+    assert message is not None
+    assert message[:4] == struct.pack("<I", 8)
+
+
 def test_another_type_is_withheld() -> None:
     outcome = trial(layout=POSE)(HELLO, 0)
     assert outcome.message is None
@@ -57,4 +75,4 @@ def test_a_refusal_without_a_failing_condition_is_still_one(
 ) -> None:
     tried = trial()
     monkeypatch.setattr(module, "compile_condition", lambda *_: lambda *_: True)
-    assert tried(struct.pack("<I", 1) + b"j", 0).reason == "a condition does not hold"
+    assert tried(struct.pack("<I", 1) + b"j", 0).reason == "not admitted"

@@ -93,9 +93,9 @@ def test_a_person_says_approximately_and_only_today(site: Shell) -> None:
 def test_a_filter_that_is_not_there(site: Shell) -> None:
     number = ask(site, "--subscribe", "/other")
     said = site.unlocked("grant", "approve", number, "--approximate", "rom")
-    refused(said, "no filter 'rom'", "there are: room")
+    refused(said, "no filter 'rom'", "there are: room, coarse-position")
     refused(site.unlocked("grant", "approve", number, "--approximate", "room"),
-            "cannot be approximate", "add it to types")  # fmt: skip
+            "the type of /other is not known", "add it to types")  # fmt: skip
     assert "nobody" not in site("grant", "pending").out  # it still waits
 
 
