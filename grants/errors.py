@@ -50,6 +50,14 @@ class GrantMissing(GrantError):
         self.near_misses = near_misses
 
 
+class PolicyRefused(GrantError):
+    """A policy with mistakes; `mistakes` holds all of them, the message the first."""
+
+    def __init__(self, message: str, hint: str = "", mistakes: tuple[object, ...] = ()) -> None:
+        super().__init__(message, hint)
+        self.mistakes = mistakes
+
+
 class DefinitionRefused(GrantError):
     """A message definition that is malformed, incomplete or too large."""
 

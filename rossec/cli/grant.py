@@ -101,7 +101,7 @@ def sign(
     )  # fmt: skip
     data = authority.grant(draft, signed)
     say(f"grant {document.grant_id(data).hex()} for {node} until {moment(draft.expires)}")
-    _hand_over(environment, node, data, out)
+    hand_over(environment, node, data, out)
 
 
 @grant.command()
@@ -270,7 +270,8 @@ def _rounding(text: str) -> tuple[str, float]:
         ) from None
 
 
-def _hand_over(environment: Environment, node: str, data: bytes, out: Path | None) -> None:
+def hand_over(environment: Environment, node: str, data: bytes, out: Path | None) -> None:
+    """Give a grant to its node: into its directory when it lives here, and into a file."""
     if out is not None:
         with out.open("xb") as file:
             file.write(data)

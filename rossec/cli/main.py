@@ -13,9 +13,14 @@ from ca.errors import HintedError
 from rossec.cli.ca import ca
 from rossec.cli.context import Environment
 from rossec.cli.demo import demo
+from rossec.cli.explain import explain
 from rossec.cli.grant import grant
 from rossec.cli.master import master
 from rossec.cli.node import node
+from rossec.cli.policy import policy
+from rossec.cli.privacy import privacy
+from rossec.cli.request import COMMANDS
+from rossec.cli.simulate import simulate
 from rossec.cli.topic import topic
 from rossec.cli.voice import INTERRUPTED, REFUSED, UNDELIVERED, USAGE, fail
 from rossec.errors import NotDelivered
@@ -33,8 +38,10 @@ def rossec(verbose: bool) -> None:
     )
 
 
-for command in (ca, node, grant, master, topic, demo):
+for command in (ca, node, grant, policy, explain, simulate, privacy, master, topic, demo):
     rossec.add_command(command)
+for command in COMMANDS:
+    grant.add_command(command)
 
 
 def main() -> NoReturn:

@@ -58,7 +58,7 @@ def pub(
 ) -> None:
     """Publish CONTENT (YAML, as in rostopic) on the topic NAME."""
     message = message_type(type_name).create()
-    fill(message, _parse(content))
+    fill(message, parse_message(content))
     asyncio.run(_pub(environment, name, type_name, node, message, 1 / rate, count))
 
 
@@ -171,7 +171,8 @@ def render(message: Message, indent: int = 0) -> str:
     return "\n".join(lines)
 
 
-def _parse(text: str) -> object:
+def parse_message(text: str) -> object:
+    """The YAML of a message, as in rostopic."""
     try:
         return YAML(typ="safe").load(text)
     except YAMLError as error:

@@ -88,6 +88,11 @@ def message_type(name: str) -> MessageType:
     return MessageType(name, md5sum, definition)
 
 
+def type_names() -> list[str]:
+    """Every known type by its ROS name: to suggest one for a misspelt name."""
+    return [name.replace("/msg/", "/") for name in _store().fielddefs]
+
+
 def register_type(name: str, definition: str) -> MessageType:
     """Add the type `name` from the text of its `.msg` file; nested types must be known already.
 

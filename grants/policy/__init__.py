@@ -1,0 +1,1 @@
+"""What an owner wants: who may do what, how precisely, and why; written once."""

@@ -1,0 +1,193 @@
+"""The decision of a policy: deny > allow > prompt > default, and the answer to "why?".
+
+All rules that match are looked at, whatever their order: one denial outweighs everything, and of
+the allowing rules *all* restrictions hold together, so adding a rule never silently widens what
+another narrowed. An unknown right, a name out of syntax or no rule at all is never a yes.
+"""
+
+from collections.abc import Collection, Iterable
+from dataclasses import dataclass, replace
+from typing import Final
+
+from ca.names import check_name
+from grants.errors import PolicyRefused
+from grants.model import Restriction, Right, merge
+from grants.names import check_pattern
+from grants.policy.index import Hit, Index, hits
+from grants.policy.model import DAY, HOUR, MINUTE, Clause, Effect, Policy, Rule, Subject
+from grants.policy.patterns import concerns, gives
+
+MAX_NEAR_MISSES: Final = 5
+_STRENGTH: Final = (Effect.DENY, Effect.ALLOW, Effect.PROMPT)
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What the policy says, and everything needed to explain it. True only for a plain yes.
+
+    Args:
+        rules: those that decided, by id; none when the default did.
+        restrictions, rate: all that must be applied together, for ALLOW and PROMPT.
+        lifetime, renew_until: seconds; the shortest of the deciding rules.
+    """
+
+    effect: Effect
+    subject: Subject
+    right: Right
+    name: str
+    rules: tuple[Rule, ...] = ()
+    clauses: tuple[Clause, ...] = ()
+    lifetime: int = 0
+    renew_until: int = 0
+
+    def __bool__(self) -> bool:
+        return self.effect is Effect.ALLOW
+
+    @property
+    def restrictions(self) -> tuple[Restriction, ...]:
+        """What restricts the right; all of it holds together."""
+        return merge(clause.restriction for clause in self.clauses)
+
+    @property
+    def rate(self) -> float | None:
+        """At most so many messages a second, or None."""
+        return min((c.rate for c in self.clauses if c.rate is not None), default=None)
+
+    @property
+    def headline(self) -> str:
+        """`ALLOW: /heating subscribe /robot/pose`."""
+        return f"{self.effect.upper()}: {self.subject.name} {self.right.label} {self.name}"
+
+
+class Decider:
+    """Decides by one policy."""
+
+    def __init__(self, policy: Policy) -> None:
+        self.policy = policy
+        self._index = Index(policy)
+
+    def decide(self, subject: Subject, right: Right, name: str) -> Verdict:
+        """Say what the policy says about one right on one name (or a whole pattern).
+
+        Raises:
+            PatternRefused: `name` is in no syntax.
+            NameRefused: `subject.name` is no absolute name.
+            PolicyRefused: not exactly one right.
+        """
+        check_name(subject.name)
+        check_pattern(name)
+        if right.bit_count() != 1:
+            raise PolicyRefused(f"{int(right)} is not one right")
+        return self._judge(subject, right, name, self._index.find(subject, right, name))
+
+    def without(self, verdict: Verdict) -> Verdict:
+        """What the answer would be if the rules that gave it were not there."""
+        rules = [rule for rule in self.policy.rules if rule not in verdict.rules]
+        found = hits(rules, verdict.subject, verdict.right, verdict.name)
+        return self._judge(verdict.subject, verdict.right, verdict.name, list(found))
+
+    def explain(self, verdict: Verdict) -> list[str]:
+        """The verdict for people, line by line."""
+        lines = [verdict.headline]
+        for rule, clause in zip(verdict.rules, verdict.clauses, strict=False):
+            lines.append(f"  {rule.reason} ({rule.effect} {clause.right.label} {clause.pattern})")
+        if verdict.effect is not Effect.DENY:
+            lines += [f"    {line}" for line in restriction_lines(verdict)]
+        if not verdict.rules:
+            lines.append("  no rule matches, so the default decides")
+        lines += [f"  near miss: {line}" for line in self.near_misses(verdict)]
+        return lines + [f"  {line}" for line in self.changes(verdict)]
+
+    def near_misses(self, verdict: Verdict) -> list[str]:
+        """For an answer by default: the rules that nearly matched, and why they did not."""
+        if verdict.rules:
+            return []
+        found = (_miss(rule, verdict) for rule in self.policy.rules)
+        return [miss for miss in found if miss][:MAX_NEAR_MISSES]
+
+    def changes(self, verdict: Verdict) -> list[str]:
+        """What would change the answer."""
+        subject, right, name = verdict.subject.name, verdict.right.label, verdict.name
+        if verdict.rules:
+            ids = " and ".join(dict.fromkeys(rule.id for rule in verdict.rules))
+            otherwise = self.without(verdict)
+            return [f"without {ids} it would be {otherwise.effect}{_by(otherwise)}"]
+        rule = f"an allow rule for {subject} with {right}: [{name}]"
+        return [f"{rule} would change it"]
+
+    def _judge(self, subject: Subject, right: Right, name: str, found: list[Hit]) -> Verdict:
+        bare = Verdict(Effect.DENY, subject, right, name)
+        for effect in _STRENGTH:
+            matching = sorted(
+                (hit for hit in found if hit[0].effect is effect),
+                key=lambda hit: (hit[0].id, hit[1].pattern),
+            )
+            if matching and (effect is Effect.DENY or _complete(matching, right, name)):
+                return _verdict(bare, effect, matching)
+        default = self.policy.defaults
+        return replace(
+            bare,
+            effect=default.decision,
+            lifetime=default.lifetime,
+            renew_until=default.renew_until,
+        )
+
+
+def _complete(matching: Iterable[Hit], right: Right, name: str) -> bool:
+    """Whether some rule gives *all* of what is asked; others only add their restrictions."""
+    return "*" not in name or any(gives(clause.pattern, right, name) for _, clause in matching)
+
+
+def _verdict(bare: Verdict, effect: Effect, matching: Collection[Hit]) -> Verdict:
+    rules = tuple(rule for rule, _ in matching)
+    return replace(
+        bare,
+        effect=effect,
+        rules=rules,
+        clauses=tuple(clause for _, clause in matching),
+        lifetime=min(rule.lifetime for rule in rules),
+        renew_until=min(rule.renew_until for rule in rules),
+    )
+
+
+def restriction_lines(verdict: Verdict) -> list[str]:
+    """The restrictions and the validity, for people."""
+    lines = [line for restriction in verdict.restrictions for line in restriction.lines()]
+    if verdict.rate is not None:
+        lines.append(f"at most {verdict.rate:g} messages a second")
+    renewed = f", renewed until {span(verdict.renew_until)}" if verdict.renew_until else ""
+    return [*dict.fromkeys(lines), f"valid {span(verdict.lifetime)}{renewed}"]
+
+
+def span(seconds: int) -> str:
+    """Seconds as they are written in a policy: `7d`, `90s`."""
+    for size, unit in ((DAY, "d"), (HOUR, "h"), (MINUTE, "m")):
+        if seconds and seconds % size == 0:
+            return f"{seconds // size}{unit}"
+    return f"{seconds}s"
+
+
+def _by(verdict: Verdict) -> str:
+    ids = " and ".join(dict.fromkeys(rule.id for rule in verdict.rules))
+    return f", by {ids}" if ids else ", by default"
+
+
+def _miss(rule: Rule, verdict: Verdict) -> str:
+    """Why a rule that gives something did not match, if only one thing was different."""
+    if rule.effect is Effect.DENY:
+        return ""
+    on_name = [c for c in rule.clauses if concerns(c.pattern, verdict.right, verdict.name)]
+    gave = [clause for clause in on_name if clause.right is verdict.right]
+    if not rule.is_for(verdict.subject):
+        if not gave:
+            return ""
+        pinned = any(who.admits(replace(verdict.subject, key=who.key or b"")) for who in rule.who)
+        other = "another key of " if pinned else ""
+        return f"rule {rule.id} is for {other}{rule.people}, not {verdict.subject.name}"
+    if gave:
+        return f"rule {rule.id} covers {gave[0].pattern}, which is not all of {verdict.name}"
+    if on_name:
+        rights = ", ".join(dict.fromkeys(clause.right.label for clause in on_name))
+        return f"rule {rule.id} gives {rights}, not {verdict.right.label}"
+    same = [clause.pattern for clause in rule.clauses if clause.right is verdict.right]
+    return f"rule {rule.id} is for {', '.join(same)}, not {verdict.name}" if same else ""

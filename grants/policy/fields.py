@@ -1,0 +1,184 @@
+"""Field filters and conditions in a policy: how they are written, and whether they fit a type.
+
+Written shorter than in a grant: `{round: 2.0}` for `{round: {step: 2.0}}`. Whether an operator
+exists is asked of `grants.operators`, so a policy knows exactly what its grants will know.
+"""
+
+import re
+from dataclasses import dataclass
+from typing import Final
+
+from grants.conditions import check_syntax, compile_condition
+from grants.errors import ConditionRefused, FilterRefused, GrantError
+from grants.filters import compile_filter
+from grants.layout import Array, Layout, Struct, Type
+from grants.model import FilterRule, Scalar
+from grants.operators import OPERATORS, treatment
+from grants.policy.mistakes import Mistakes, Place, nearest
+from grants.policy.source import Part, Row, Table, Word
+from grants.presets import preset
+
+_SHORT: Final = {
+    "round": ("step",),
+    "clamp": ("low", "high"),
+    "truncate": ("length",),
+    "redact": ("text",),
+    "set": ("value",),
+    "pixelate": ("block",),
+    "hash": ("key",),
+}
+_FIELD: Final = re.compile(r"\bmsg((?:\.[A-Za-z]\w*)+)", re.ASCII)
+
+
+@dataclass(frozen=True)
+class FieldRule:
+    """A filter rule and where it stands."""
+
+    place: Place
+    rule: FilterRule
+
+
+@dataclass(frozen=True)
+class When:
+    """A condition and where it stands; `message` says whether it looks into the message."""
+
+    place: Place
+    text: str
+    message: bool
+
+
+def read_fields(part: Table, mistakes: Mistakes) -> tuple[FieldRule, ...]:
+    """Read `{path: {operator: parameter}}`."""
+    rules = (_read_field(key, value, mistakes) for key, value in part.entries.values())
+    return tuple(rule for rule in rules if rule is not None)
+
+
+def _read_field(key: Word, part: Part, mistakes: Mistakes) -> FieldRule | None:
+    path = str(key.value)
+    if not isinstance(part, Table) or len(part.entries) != 1:
+        hint = "for example {round: 0.5} or {clear: true}"
+        mistakes.add(part, f"{path}: exactly one operator per field", hint)
+        return None
+    [(operator, (place, value))] = part.entries.items()
+    if operator not in OPERATORS:
+        hint = nearest(operator, OPERATORS)
+        mistakes.add(place, f"{path}: unknown operator {operator[:60]!r}", hint)
+        return None
+    parameters = _parameters(operator, value)
+    if parameters is None:
+        mistakes.add(value, f"{path}: {operator} cannot take this", _example(operator))
+        return None
+    try:
+        rule = FilterRule(path, operator, tuple(sorted(parameters.items())))
+        treatment(rule)
+    except GrantError as error:
+        mistakes.add(place, str(error), error.hint or _example(operator))
+        return None
+    return FieldRule(key, rule)
+
+
+def _parameters(operator: str, part: Part) -> dict[str, Scalar] | None:
+    """By name; a bare value is the operator's first parameter, a list all of them."""
+    if isinstance(part, Table):
+        named = {name: value for name, (_, value) in part.entries.items()}
+        if not named or not all(isinstance(value, Word) for value in named.values()):
+            return None
+        return {name: value.value for name, value in named.items() if isinstance(value, Word)}
+    short = _SHORT.get(operator, ())
+    if isinstance(part, Word) and part.value is True and not short:
+        return {}
+    items = part.items if isinstance(part, Row) else (part,)
+    if not short or len(items) != (len(short) if isinstance(part, Row) else 1):
+        return None
+    values = [item.value for item in items if isinstance(item, Word)]
+    return dict(zip(short, values, strict=False)) if len(values) == len(items) else None
+
+
+def _example(operator: str) -> str:
+    match _SHORT.get(operator, ()):
+        case ():
+            return f"write {{{operator}: true}}"
+        case (name,):
+            return f"write {{{operator}: {name.upper()}}} or {{{operator}: {{{name}: ...}}}}"
+        case names:
+            return f"write {{{operator}: [{', '.join(name.upper() for name in names)}]}}"
+
+
+def check_fields(
+    layout: Layout, rules: tuple[FieldRule, ...], place: Place, mistakes: Mistakes
+) -> bool:
+    """Whether the rules fit messages of `layout`: each alone, then together."""
+    fine = True
+    for item in rules:
+        fine = _fits(layout, (item,), item.place, mistakes) and fine
+    return fine and _fits(layout, rules, place, mistakes)
+
+
+def _fits(layout: Layout, rules: tuple[FieldRule, ...], place: Place, mistakes: Mistakes) -> bool:
+    try:
+        compile_filter(layout, (item.rule for item in rules))
+    except GrantError as error:
+        hint = nearest_field(layout, rules[0].rule.path)
+        mistakes.add(place, f"{layout.type_name}: {error}", hint or error.hint)
+        return False
+    return True
+
+
+def check_preset(layout: Layout, name: str, place: Place, mistakes: Mistakes) -> bool:
+    """Whether the preset `name` exists for messages of `layout`."""
+    try:
+        preset(name).restriction(layout)
+    except FilterRefused as error:
+        mistakes.add(place, f"{name}: {error}", error.hint)
+        return False
+    return True
+
+
+def read_when(part: Part, mistakes: Mistakes) -> When | None:
+    """Read one condition: in the language, if not yet for a type."""
+    text = part.value if isinstance(part, Word) else None
+    if not isinstance(text, str):
+        mistakes.add(part, "a condition must be a text", "put it in single quotes")
+        return None
+    try:
+        check_syntax(text)
+    except ConditionRefused as error:
+        mistakes.add(part, str(error), error.hint or "see docs/spec/policy.md")
+        return None
+    try:
+        compile_condition(None, text)
+    except ConditionRefused as error:
+        if _FIELD.search(text) is None:
+            mistakes.add(part, str(error), error.hint)
+            return None
+        return When(part, text, message=True)
+    return When(part, text, message=False)
+
+
+def check_when(layout: Layout, when: When, mistakes: Mistakes) -> bool:
+    """Whether the condition fits messages of `layout`."""
+    try:
+        compile_condition(layout, when.text)
+    except ConditionRefused as error:
+        paths = (found[1][1:] for found in _FIELD.finditer(when.text))
+        hints = [hint for path in paths if (hint := nearest_field(layout, path))]
+        message = f"{layout.type_name}: {error}"
+        mistakes.add(when.place, message, hints[0] if hints else error.hint)
+        return False
+    return True
+
+
+def nearest_field(layout: Layout, path: str) -> str:
+    """For a path that leads nowhere: the field that was probably meant; else nothing."""
+    kind: Type = layout.root
+    for step in path.split("."):
+        while isinstance(kind, Array):
+            kind = kind.element
+        if not isinstance(kind, Struct):
+            return ""
+        members = dict(kind.fields)
+        name = step.removesuffix("[*]")
+        if name not in members:
+            return nearest(name, members)
+        kind = members[name]
+    return ""

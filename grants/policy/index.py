@@ -1,0 +1,127 @@
+"""Which clauses speak about a name: a tree over segments, so the cost does not grow with the rules.
+
+Walking the tree follows the segments of the name and the wildcards beside them, nothing else.
+Below a node, clauses for one exact node name are found by that name; the others are looked at
+one by one. `hits` is the same question asked slowly, of every clause: the tests compare them, and
+whole patterns are only ever answered by it.
+"""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from typing import Final, TypeAlias
+
+from grants.model import TREE_RIGHTS, Right
+from grants.policy.model import Clause, Effect, Policy, Rule, Subject
+from grants.policy.patterns import concerns, gives, segments
+
+Hit: TypeAlias = tuple[Rule, Clause]
+
+_ANYBODY: Final = ""
+
+
+@dataclass
+class _Branch:
+    children: dict[str, "_Branch"] = field(default_factory=dict)
+    hits: dict[str, list[Hit]] = field(default_factory=dict)  # by exact node name, or _ANYBODY
+
+
+class Index:
+    """The clauses of one policy by right and name."""
+
+    def __init__(self, policy: Policy) -> None:
+        self._policy = policy
+        self._roots: dict[Right, _Branch] = {}
+        for rule in policy.rules:
+            for clause in rule.clauses:
+                self._plant(rule, clause)
+
+    def find(self, subject: Subject, right: Right, name: str) -> list[Hit]:
+        """Every clause that decides about the exact `name`, for `subject`; in no order.
+
+        Args:
+            right: exactly one.
+            name: an absolute name, or for `hits` a pattern.
+        """
+        if "*" in name:
+            return list(hits(self._policy.rules, subject, right, name))
+        root = self._roots.get(right)
+        if root is None:
+            return []
+        found: list[Hit] = []
+        for branch, whole in _reach(root, name, tree=bool(right & TREE_RIGHTS)):
+            for key in (subject.name, _ANYBODY):
+                for rule, clause in branch.hits.get(key, ()):
+                    if (whole or rule.effect is Effect.DENY) and rule.is_for(subject):
+                        found.append((rule, clause))
+        return found
+
+    def _plant(self, rule: Rule, clause: Clause) -> None:
+        branch = self._roots.setdefault(clause.right, _Branch())
+        for segment in segments(clause.pattern):
+            branch = branch.children.setdefault(segment, _Branch())
+        for key in _keys(rule):
+            branch.hits.setdefault(key, []).append((rule, clause))
+
+
+def hits(rules: Iterable[Rule], subject: Subject, right: Right, asked: str) -> Iterator[Hit]:
+    """Every clause of `rules` that decides about `asked`, a name or a pattern.
+
+    Denials count when they touch any of it. Allowing rules with restrictions count too, so that
+    they add these; whether all of it is allowed is for `decision` to see.
+    """
+    for rule in rules:
+        if not rule.is_for(subject):
+            continue
+        for clause in rule.clauses:
+            if clause.right is right and _decides(rule, clause, asked):
+                yield rule, clause
+
+
+def _decides(rule: Rule, clause: Clause, asked: str) -> bool:
+    if rule.effect is Effect.DENY or ("*" in asked and clause.restriction is not None):
+        return concerns(clause.pattern, clause.right, asked)
+    return gives(clause.pattern, clause.right, asked)
+
+
+def _keys(rule: Rule) -> set[str]:
+    """Under which node names to look for the rule.
+
+    Whom a pinned key denies may have any name.
+    """
+    nodes = {who.node for who in rule.who}
+    by_key = rule.effect is Effect.DENY and any(who.key is not None for who in rule.who)
+    if by_key or any(node is None or "*" in node for node in nodes):
+        return {_ANYBODY}
+    return {node for node in nodes if node is not None}
+
+
+def _reach(root: _Branch, name: str, *, tree: bool) -> Iterator[tuple[_Branch, bool]]:
+    """Branches whose pattern covers `name` (True), or lies below it (False, trees only)."""
+    states = {(id(root), False): (root, False)}
+    for segment in segments(name):
+        following: dict[tuple[int, bool], tuple[_Branch, bool]] = {}
+        for branch, stays in states.values():
+            if tree and branch is not root:
+                yield branch, True  # a right above is a right to all below
+            for after, repeats in _follow(branch, segment, stays=stays):
+                following[id(after), repeats] = (after, repeats)
+        states = following
+    for branch in {id(branch): branch for branch, _ in states.values()}.values():
+        yield branch, True
+        if tree:
+            yield from _below(branch)
+
+
+def _follow(branch: _Branch, segment: str, *, stays: bool) -> Iterator[tuple[_Branch, bool]]:
+    if stays:
+        yield branch, True
+    for key in (segment, "*", "**"):
+        child = branch.children.get(key)
+        if child is not None:
+            yield child, key == "**"
+
+
+def _below(branch: _Branch) -> Iterator[tuple[_Branch, bool]]:
+    for child in branch.children.values():
+        yield child, False
+        yield from _below(child)

@@ -1,0 +1,144 @@
+"""From what was seen to rules for it: exact names, one rule a node, marked for review.
+
+Two sources. The graph of a running master names publishers, subscribers and providers; callers
+and parameters do not show in it. The complain log holds what enforcing nodes and masters would
+have denied: one JSON object a line, `{"at": seconds, "node": name, "right": label, "name": name}`
+and perhaps `"type"`. What a rule of the policy decides already is not learned again, least of all
+what it denies.
+"""
+
+import json
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+from ca.names import check_name
+from grants.errors import GrantError, PolicyRefused
+from grants.model import Right
+from grants.policy.decision import Decider
+from grants.policy.editing import NewRule, add_rules
+from grants.policy.model import Subject
+from grants.policy.rules import RIGHTS
+
+MAX_LINE: Final = 4096
+MAX_SEEN: Final = 100_000
+_FIELDS: Final = {"at", "node", "right", "name", "type"}
+_NO_TYPE: Final = ("", "*")
+
+
+@dataclass(frozen=True, order=True)
+class Seen:
+    """A node used a right on a name."""
+
+    node: str
+    right: Right
+    name: str
+    type: str = ""
+
+
+def from_graph(state: object, types: object = ()) -> list[Seen]:
+    """What `getSystemState` and `getTopicTypes` answered.
+
+    Raises:
+        PolicyRefused: an answer of another shape.
+    """
+    rights = (Right.PUBLISH, Right.SUBSCRIBE, Right.PROVIDE)
+    try:
+        kinds = {str(topic): str(kind) for topic, kind in _list(types)}
+        return sorted(
+            _seen(node, right, name, kinds.get(str(name), ""))
+            for right, entries in zip(rights, _list(state), strict=True)
+            for name, nodes in _list(entries)
+            for node in _list(nodes)
+        )
+    except (TypeError, ValueError) as error:
+        raise PolicyRefused("not the state of a ROS graph", "is this a master?") from error
+
+
+def from_log(lines: Iterable[str]) -> list[Seen]:
+    """What a complain log says.
+
+    Raises:
+        PolicyRefused: a line that is none, by its number.
+    """
+    found: set[Seen] = set()
+    for number, line in enumerate(lines, 1):
+        if line.strip():
+            found.add(_line(number, line))
+        if len(found) > MAX_SEEN:
+            raise PolicyRefused(f"more than {MAX_SEEN} different lines", "split the log")
+    return sorted(found)
+
+
+def log_line(at: int, node: str, right: Right, name: str, type_name: str = "") -> str:
+    """One line of a complain log, without its end."""
+    row: dict[str, Any] = {"at": at, "node": node, "right": right.label, "name": name}
+    return json.dumps({**row, "type": type_name} if type_name else row)
+
+
+def learn(text: str, decider: Decider, seen: Sequence[Seen], day: str) -> tuple[str, list[NewRule]]:
+    """`text`, the policy of `decider`, with what it does not decide yet; and the rules added.
+
+    Args:
+        day: when it was seen, for the reason.
+    """
+    new = [item for item in seen if not _decided(decider, item)]
+    rules = [_rule(node, [s for s in new if s.node == node], day) for node in _nodes(new)]
+    return add_rules(text, rules) if rules else text, rules
+
+
+def _nodes(seen: Iterable[Seen]) -> list[str]:
+    return list(dict.fromkeys(item.node for item in seen))
+
+
+def _rule(node: str, seen: Sequence[Seen], day: str) -> NewRule:
+    rights: dict[str, list[str]] = {}
+    for item in seen:
+        rights.setdefault(item.right.label, []).append(item.name)
+    types = {item.name: item.type for item in seen if item.type not in _NO_TYPE}
+    name = "learned-" + node[1:].replace("/", "-")
+    return NewRule(name[:80], f"seen running {day}; review me", node, "allow", rights, types)
+
+
+def _decided(decider: Decider, seen: Seen) -> bool:
+    """Whether a rule speaks about it; any key, since what was seen shows none."""
+    keys = {who.key for rule in decider.policy.rules for who in rule.who if who.key is not None}
+    return any(
+        decider.decide(Subject(seen.node, key), seen.right, seen.name).rules
+        for key in (bytes(32), *keys)
+    )
+
+
+def _line(number: int, line: str) -> Seen:
+    try:
+        row = _row(line)
+        return _seen(row["node"], RIGHTS[row["right"]], row["name"], row.get("type", ""))
+    except (ValueError, TypeError, KeyError, RecursionError, GrantError) as error:
+        raise PolicyRefused(
+            f"line {number} of the complain log is none: {error}",
+            '{"at": 0, "node": "/a", "right": "publish", "name": "/b"}',
+        ) from error
+
+
+def _row(line: str) -> dict[str, Any]:
+    if len(line) > MAX_LINE:
+        raise ValueError(f"more than {MAX_LINE} characters")
+    row = json.loads(line)
+    if not isinstance(row, dict) or not {"node", "right", "name"} <= row.keys() <= _FIELDS:
+        raise ValueError("other fields than at, node, right, name, type")
+    return row
+
+
+def _seen(node: object, right: Right, name: object, kind: object) -> Seen:
+    if not (isinstance(node, str) and isinstance(name, str) and isinstance(kind, str)):
+        raise TypeError("a name is no text")
+    try:
+        return Seen(check_name(node), right, check_name(name), kind)
+    except Exception as error:
+        raise ValueError(str(error)) from error
+
+
+def _list(value: object) -> Sequence[Any]:
+    if not isinstance(value, list | tuple):
+        raise TypeError("a list was expected")
+    return value

@@ -1,0 +1,189 @@
+"""Which data is collected, who has access and why: every field, every receiver, until when.
+
+What a right means field by field, for a record of processing (GDPR article 30) as much as for
+somebody at home. Built from what may be had (the policy) or from what is held (live grants):
+both are an `Access` here.
+"""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict, dataclass
+from html import escape
+from typing import Final
+
+from grants.layout import Array, Layout, Struct, Type
+from grants.model import FilterRule, Restriction, Right
+from grants.policy.decision import Decider, span
+from grants.policy.model import Effect, Subject, Who
+
+AS_IT_IS: Final = "as it is"
+WHOLE: Final = "(everything)"
+_MAX_LEAVES: Final = 512
+
+
+@dataclass(frozen=True)
+class Access:
+    """One receiver may see one topic (or all that a pattern covers)."""
+
+    topic: str
+    type: str | None
+    receiver: str
+    why: str
+    until: str
+    by: str = ""
+    restrictions: tuple[Restriction, ...] = ()
+    rate: float | None = None
+
+
+@dataclass(frozen=True, order=True)
+class Row:
+    """One field, one receiver."""
+
+    topic: str
+    type: str
+    receiver: str
+    field: str
+    treatment: str
+    when: str
+    why: str
+    until: str
+    by: str
+
+
+def from_policy(decider: Decider) -> list[Access]:
+    """Who may get what: every allowing subscription that no denial takes back."""
+    found: dict[tuple[str, str], Access] = {}
+    for rule in decider.policy.rules:
+        if rule.effect is not Effect.ALLOW:
+            continue
+        for clause in rule.clauses:
+            for who in rule.who if clause.right is Right.SUBSCRIBE else ():
+                access = _access(decider, who, clause.pattern)
+                if access is not None:
+                    found.setdefault((access.topic, access.receiver), access)
+    return list(found.values())
+
+
+def _access(decider: Decider, who: Who, pattern: str) -> Access | None:
+    node = (who.node or "/x").replace("**", "x").replace("*", "x")
+    verdict = decider.decide(Subject(node, who.key or bytes(32)), Right.SUBSCRIBE, pattern)
+    if not verdict:
+        return None
+    renewed = f", renewed for {span(verdict.renew_until)}" if verdict.renew_until else ""
+    return Access(
+        pattern,
+        decider.policy.type_of(pattern),
+        who.node or who.label,
+        "; ".join(dict.fromkeys(item.why for item in verdict.rules if item.why)),
+        f"{span(verdict.lifetime)} at a time{renewed}",
+        "rule " + ", ".join(dict.fromkeys(item.id for item in verdict.rules)),
+        verdict.restrictions,
+        verdict.rate,
+    )
+
+
+def rows(accesses: Iterable[Access], layout_of: Callable[[str], Layout]) -> list[Row]:
+    """Field by field; a topic of unknown type is one row."""
+    found: list[Row] = []
+    for access in accesses:
+        filters = [rule for item in access.restrictions for rule in item.filters]
+        kind = access.type
+        fields = leaves(layout_of(kind)) if kind is not None else [WHOLE]
+        found += [
+            Row(access.topic, kind or "type not known", access.receiver, path,
+                ", then ".join(map(_words, treats(filters, path))) or AS_IT_IS, _when(access),
+                access.why, access.until, access.by)
+            for path in fields
+        ]  # fmt: skip
+    return sorted(found)
+
+
+def _when(access: Access) -> str:
+    parts = [text for item in access.restrictions for text in item.conditions]
+    if access.rate is not None:
+        parts.append(f"at most {access.rate:g} a second")
+    return " and ".join(dict.fromkeys(parts)) or "always"
+
+
+def _words(rule: FilterRule) -> str:
+    return " ".join([rule.operator, *(f"{name} {value}" for name, value in rule.parameters)])
+
+
+def treats(filters: Iterable[FilterRule], path: str) -> list[FilterRule]:
+    """The rules that treat the field at `path`: for it, or for something it lies in."""
+    steps = path.replace("[*]", "").split(".")
+    found = []
+    for rule in filters:
+        above = rule.path.replace("[*]", "").split(".")
+        if steps[: len(above)] == above:
+            found.append(rule)
+    return found
+
+
+def leaves(layout: Layout) -> list[str]:
+    """The paths of all fields that hold something, as filters write them."""
+    found: list[str] = []
+    _walk(layout.root, "", found)
+    return found[:_MAX_LEAVES]
+
+
+def _walk(kind: Type, path: str, found: list[str]) -> None:
+    inner = kind.element if isinstance(kind, Array) else kind
+    if not isinstance(inner, Struct):
+        found.append(path)
+        return
+    here = f"{path}[*]." if isinstance(kind, Array) else f"{path}." if path else ""
+    for name, member in inner.fields:
+        if len(found) < _MAX_LEAVES:
+            _walk(member, here + name, found)
+
+
+def lines(found: Sequence[Row]) -> list[str]:
+    """The report for a terminal: fields of one treatment together."""
+    said: list[str] = []
+    groups: dict[tuple[str, ...], dict[str, list[str]]] = {}
+    for row in found:
+        key = (row.topic, row.type, row.receiver, row.when, row.why, row.until, row.by)
+        groups.setdefault(key, {}).setdefault(row.treatment, []).append(row.field)
+    for (topic, kind, receiver, when, why, until, by), treatments in groups.items():
+        said.append(f"{topic} ({kind}) -> {receiver}")
+        said.append(f"  why: {why or 'no reason given'} ({by})")
+        said += [f"  when: {when}", f"  until: {until}"]
+        said += [f"  {name}: {', '.join(fields)}" for name, fields in treatments.items()]
+    return said or ["nobody sees anything"]
+
+
+def as_json(found: Sequence[Row]) -> list[dict[str, str]]:
+    """The rows for programs."""
+    return [asdict(row) for row in found]
+
+
+_PAGE: Final = """<!DOCTYPE html>
+<html lang="en"><head><meta charset="utf-8"><title>{title}</title><style>
+body {{ font: 16px/1.5 sans-serif; margin: 2em auto; max-width: 70em; padding: 0 1em }}
+table {{ border-collapse: collapse; width: 100%; margin: 1em 0 2em }}
+td, th {{ border-bottom: 1px solid #ccc; padding: .3em .6em; text-align: left;
+         vertical-align: top }}
+.open {{ background: #fff3d6 }}
+</style></head><body><h1>{title}</h1>
+<p>Each field of each topic, who sees it, how, why and until when. To take something back:
+<code>rossec privacy opt-out NAME</code>.</p>
+{body}
+</body></html>
+"""
+
+
+def html(found: Sequence[Row], title: str) -> str:
+    """The report as one page that loads nothing from anywhere; every text is escaped."""
+    topics = dict.fromkeys((row.topic, row.type) for row in found)
+    parts: list[str] = []
+    for topic, kind in topics:
+        parts.append(f"<h2>{escape(topic)} <small>{escape(kind)}</small></h2><table><tr>"
+                     "<th>field<th>receiver<th>treatment<th>when<th>why<th>until</tr>")  # fmt: skip
+        for row in found:
+            if row.topic == topic:
+                cells = (row.field, row.receiver, row.treatment, row.when, row.why, row.until)
+                mark = ' class="open"' if row.treatment == AS_IT_IS else ""
+                parts.append(f"<tr{mark}>" + "".join(f"<td>{escape(cell)}" for cell in cells))
+        parts.append("</table>")
+    body = "\n".join(parts) or "<p>Nobody sees anything.</p>"
+    return _PAGE.format(title=escape(title), body=body)

@@ -1,0 +1,82 @@
+"""What a verdict would do to one message: sent or withheld, and which fields change. Pure.
+
+For answers before anything is granted: the same guard that stands in a publisher is built from
+the verdict, so the answer is what would happen, not a description of it.
+"""
+
+from dataclasses import dataclass
+
+from grants.codegen import Buffer
+from grants.conditions import compile_condition
+from grants.decision import Decision
+from grants.errors import GrantError
+from grants.guard import Guard
+from grants.hashing import FILTER_KEY_SIZE, key_names
+from grants.layout import Layout
+from grants.policy.decision import Verdict
+from grants.policy.drafts import permissions
+
+_FOREVER = 1 << 53
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """`message` is what the receiver gets, or None; `reason` says why not."""
+
+    message: bytes | None
+    reason: str = ""
+
+
+class Trial:
+    """One verdict, tried on messages of one layout."""
+
+    def __init__(self, layout: Layout, verdict: Verdict) -> None:
+        self._layout = layout
+        self._verdict = verdict
+        self._reason = "" if verdict else f"{verdict.effect}: {_by(verdict)}"
+        self._guard: Guard | None = None
+        if verdict:
+            self._guard = self._build()
+
+    def __call__(self, message: Buffer, now: int) -> Outcome:
+        """Try `message` (serialized) at `now`, seconds since the epoch."""
+        if self._guard is None:
+            return Outcome(None, self._reason)
+        try:
+            pieces = self._guard(message, now)
+        except GrantError as error:
+            return Outcome(None, str(error))
+        if pieces is None:
+            return Outcome(None, self._failing(message, now))
+        return Outcome(b"".join(pieces))
+
+    def _build(self) -> Guard | None:
+        verdict = self._verdict
+        found = (item.restriction for item in permissions(verdict))
+        restrictions = tuple(item for item in found if item is not None)
+        decision = Decision(verdict.right, verdict.name, (), _FOREVER, restrictions)
+        try:
+            return Guard(self._layout, decision, _stand_ins(verdict))
+        except GrantError as error:
+            self._reason = str(error)
+            return None
+
+    def _failing(self, message: Buffer, now: int) -> str:
+        """The first condition that does not hold."""
+        for restriction in self._verdict.restrictions:
+            layout = self._layout if restriction.type is not None else None
+            for text in restriction.conditions:
+                if not compile_condition(layout, text)(message, now):
+                    return f"not now or not this one: {text}"
+        rate = self._verdict.rate
+        return "not admitted" if rate is None else f"more than {rate:g} messages a second"
+
+
+def _stand_ins(verdict: Verdict) -> dict[str, bytes]:
+    """Keys for pseudonyms: the publisher's own are not here, and the form is the same."""
+    rules = (rule for item in verdict.restrictions for rule in item.filters)
+    return {name: bytes(FILTER_KEY_SIZE) for name in key_names(rules)}
+
+
+def _by(verdict: Verdict) -> str:
+    return verdict.rules[0].reason if verdict.rules else "no rule matches"

@@ -1,0 +1,128 @@
+"""Reading parts of a policy as what they should be: a text, a duration, a name pattern, a key.
+
+Each function takes a part and notes a mistake where it is something else; it then returns None,
+and the reader goes on with the rest of the file.
+"""
+
+import re
+from collections.abc import Collection
+from typing import Final, Literal, TypeAlias
+
+from grants.errors import GrantError
+from grants.model import MAX_RATE
+from grants.names import check_pattern
+from grants.policy.mistakes import Mistakes, nearest
+from grants.policy.source import Part, Row, Table, Word
+
+NEVER: Final = "never"
+_UNITS: Final = {"s": 1, "m": 60, "h": 3600, "d": 86400, "w": 7 * 86400}
+_DURATION: Final = re.compile(r"([1-9][0-9]{0,5})([smhdw])", re.ASCII)
+_KEY: Final = re.compile(r"sha256:([0-9a-f]{64})", re.ASCII)
+_MAX_TEXT: Final = 1000
+
+What: TypeAlias = Literal["mapping", "text", "list"]
+
+
+def table(part: Part | None, what: str, mistakes: Mistakes) -> Table | None:
+    """A mapping; a missing one is None and no mistake."""
+    if part is None or isinstance(part, Table):
+        return part
+    mistakes.add(part, f"{what} must be a mapping", "write key: value")
+    return None
+
+
+def closed(
+    part: Table, what: str, known: Collection[str], needed: Collection[str], mistakes: Mistakes
+) -> None:
+    """Note every key that is not known, and every needed one that is missing."""
+    for name, (key, _) in part.entries.items():
+        if name not in known:
+            mistakes.add(key, f"unknown key {name[:60]!r} in {what}", nearest(name, known))
+    for name in needed:
+        if name not in part.entries:
+            mistakes.add(part, f"{what} has no {name!r}", f"add {name}: ...")
+
+
+def text(part: Part | None, what: str, mistakes: Mistakes) -> str | None:
+    """A text that is not empty."""
+    if part is None:
+        return None
+    if isinstance(part, Word) and isinstance(part.value, str) and 0 < len(part.value) <= _MAX_TEXT:
+        return part.value
+    mistakes.add(part, f"{what} must be a text of 1 to {_MAX_TEXT} characters", "put it in quotes")
+    return None
+
+
+def words(part: Part | None) -> tuple[Part, ...]:
+    """One part, or the parts of a list."""
+    if part is None:
+        return ()
+    return part.items if isinstance(part, Row) else (part,)
+
+
+def duration(
+    part: Part | None, what: str, mistakes: Mistakes, *, never: bool = False
+) -> int | None:
+    """Seconds of `30s`, `15m`, `8h`, `7d`, `4w`; 0 for `never` where that may be."""
+    if part is None:
+        return None
+    value = part.value if isinstance(part, Word) else None
+    if never and value == NEVER:
+        return 0
+    match = _DURATION.fullmatch(value) if isinstance(value, str) else None
+    if match is None:
+        choice = "write 30s, 15m, 8h, 7d or 4w" + (", or never" if never else "")
+        mistakes.add(part, f"{what} is no duration{_shown(value)}", choice)
+        return None
+    return int(match[1]) * _UNITS[match[2]]
+
+
+def pattern(part: Part | None, what: str, mistakes: Mistakes) -> str | None:
+    """A name pattern."""
+    value = text(part, what, mistakes)
+    if value is None or part is None:
+        return None
+    try:
+        return check_pattern(value)
+    except GrantError as error:
+        mistakes.add(part, f"{what}: {error}", error.hint)
+        return None
+
+
+def key(part: Part | None, mistakes: Mistakes) -> bytes | None:
+    """A key thumbprint, `sha256:` and 64 hexadecimal digits."""
+    if part is None:
+        return None
+    value = part.value if isinstance(part, Word) else None
+    match = _KEY.fullmatch(value) if isinstance(value, str) else None
+    if match is None:
+        hint = "write sha256: and 64 hexadecimal digits, see: rossec ca show --json"
+        mistakes.add(part, f"not a key thumbprint{_shown(value)}", hint)
+        return None
+    return bytes.fromhex(match[1])
+
+
+def number(part: Part | None, what: str, mistakes: Mistakes) -> float | None:
+    """A number above zero."""
+    if part is None:
+        return None
+    value = part.value if isinstance(part, Word) else None
+    if isinstance(value, int | float) and not isinstance(value, bool) and 0 < value <= MAX_RATE:
+        return value
+    mistakes.add(part, f"{what} must be a number above zero{_shown(value)}", "for example 0.2")
+    return None
+
+
+def choice(part: Part | None, what: str, known: Collection[str], mistakes: Mistakes) -> str | None:
+    """One of the known words."""
+    if part is None:
+        return None
+    value = str(part.value) if isinstance(part, Word) else ""
+    if value in known:
+        return value
+    mistakes.add(part, f"unknown {what}{_shown(value)}", nearest(value, known))
+    return None
+
+
+def _shown(value: object) -> str:
+    return "" if value is None or value == "" else f": {str(value)[:60]!r}"

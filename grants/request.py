@@ -1,0 +1,147 @@
+"""What a node asks for, signed with its own key: the request for a grant. Pure.
+
+The form is that of a grant (closed COSE_Sign1, AIF scope), so the same traps are closed; the reason
+is the node's own words, and shown as such. A request gives nothing: whoever steals or repeats
+one has only asked again for the same node, and the record refuses to take one twice.
+"""
+
+import hashlib
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any, Final
+
+from cryptography.hazmat.primitives.asymmetric import ec
+
+from ca.cose import Profile
+from ca.encoding import Value, decode, encode
+from ca.errors import EncodingError, NameRefused, SignatureError
+from ca.names import check_name
+from ca.signer import Signer
+from grants.errors import GrantForged, GrantMalformed, PatternRefused
+from grants.model import ALL_RIGHTS, Right
+from grants.names import check_pattern
+from grants.policy.drafts import Wish
+
+REQUEST: Final = Profile("rossec-request+cwt")
+MAX_WISHES: Final = 64
+MAX_WHY: Final = 500
+SKEW: Final = 300  # seconds a request may seem to come from the future
+FRESH: Final = 7 * 86400  # files are carried by people
+
+_SUB, _AUD, _IAT, _CTI, _SCOPE, _WHY = 2, 3, 6, 7, 9, -65538
+_CLAIMS: Final = {_SUB, _AUD, _IAT, _CTI, _SCOPE, _WHY}
+_ID_DOMAIN: Final = b"rossec-request-id\0"
+
+
+@dataclass(frozen=True)
+class GrantRequest:
+    """What `node` asked of the authority of `domain` at `issued` (seconds since the epoch)."""
+
+    domain: str
+    node: str
+    issued: int
+    serial: bytes
+    wishes: tuple[Wish, ...]
+    why: str
+
+    def __post_init__(self) -> None:
+        check_name(self.node)
+        if not 0 < len(self.wishes) <= MAX_WISHES:
+            raise GrantMalformed(f"a request names 1 to {MAX_WISHES} rights")
+        for wish in self.wishes:
+            check_pattern(wish.pattern)
+            if wish.right not in list(ALL_RIGHTS):
+                raise GrantMalformed(f"{int(wish.right)} is not one right")
+        if len(self.why) > MAX_WHY:
+            raise GrantMalformed(f"a reason has at most {MAX_WHY} characters")
+        if len(self.serial) != 16 or not 0 <= self.issued < 1 << 53:
+            raise GrantMalformed("serial must be 16 bytes, issued a time")
+
+    @property
+    def id(self) -> bytes:
+        """The 16 bytes that name it."""
+        return hashlib.sha256(_ID_DOMAIN + encode(_claims(self))).digest()[:16]
+
+
+def sign_request(signer: Signer, request: GrantRequest) -> bytes:
+    """Sign `request` with the node's key."""
+    return REQUEST.sign(signer, _claims(request))
+
+
+def peek_request(data: bytes) -> GrantRequest:
+    """What it says, *without* verifying: to find the key of the node it names.
+
+    Raises:
+        GrantMalformed: not a request.
+    """
+    try:
+        return _read(REQUEST.peek(data))
+    except (SignatureError, EncodingError, PatternRefused, NameRefused) as error:
+        raise GrantMalformed(f"not a request for a grant: {error}") from None
+
+
+def open_request(
+    data: bytes, key: ec.EllipticCurvePublicKey, *, domain: str, now: int
+) -> GrantRequest:
+    """Verify a request with the key of the node it names.
+
+    Raises:
+        GrantMalformed: not a request.
+        GrantForged: not signed by `key`, for another authority, or not of these days.
+    """
+    request = peek_request(data)
+    try:
+        REQUEST.open(data, key)
+    except SignatureError as error:
+        raise GrantForged(f"not a request of {request.node}: {error}") from None
+    if request.domain != domain:
+        raise GrantForged(f"a request to the authority of {request.domain!r}, not {domain!r}")
+    if not now - FRESH <= request.issued <= now + SKEW:
+        raise GrantForged(
+            f"the request of {request.node} is not of these days",
+            "make it anew with `rossec grant request`, and compare the clocks",
+        )
+    return request
+
+
+def _claims(request: GrantRequest) -> Value:
+    scope: list[Value] = [[wish.pattern, int(wish.right)] for wish in request.wishes]
+    return {
+        _SUB: request.node,
+        _AUD: request.domain,
+        _IAT: request.issued,
+        _CTI: request.serial,
+        _SCOPE: encode(scope),
+        _WHY: request.why,
+    }
+
+
+def _read(payload: Value) -> GrantRequest:
+    match payload:
+        case {**claims} if claims.keys() == _CLAIMS:
+            return GrantRequest(
+                domain=_typed(claims[_AUD], str),
+                node=_typed(claims[_SUB], str),
+                issued=_typed(claims[_IAT], int),
+                serial=_typed(claims[_CTI], bytes),
+                wishes=tuple(_wishes(_typed(decode(_typed(claims[_SCOPE], bytes)), list))),
+                why=_typed(claims[_WHY], str),
+            )
+        case _:
+            pass
+    raise GrantMalformed("not the claims of a request")
+
+
+def _wishes(entries: list[Value]) -> Iterable[Wish]:
+    for entry in entries:
+        match entry:
+            case [str() as pattern, int() as bits] if 0 < bits <= int(ALL_RIGHTS):
+                yield Wish(Right(bits), pattern)
+            case _:
+                raise GrantMalformed("a wish is not [pattern, right]")
+
+
+def _typed(value: Any, kind: type[Any]) -> Any:
+    if type(value) is not kind:
+        raise GrantMalformed("a claim of the request is of a wrong type")
+    return value

@@ -1,0 +1,256 @@
+"""deny > allow > prompt > default; restrictions accumulate; order does not matter; and why."""
+
+import dataclasses
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ca.errors import NameRefused
+from grants.errors import GrantError, PatternRefused, PolicyRefused
+from grants.model import ALL_RIGHTS, Right
+from grants.names import covers
+from grants.policy.decision import Decider, restriction_lines, span
+from grants.policy.model import Effect, Policy, Subject
+from tests.grants.policy.policies import HEADER, HEATING, decide, node, policy, rules
+from tests.grants.policy.test_index import name, pattern, policies, right, subject
+
+TYPES = HEADER + "types: {/pose: geometry_msgs/PoseStamped, /b: std_msgs/String}\n"
+X = node("/x")
+
+
+def effect(of: Policy, name: str, right: Right = Right.SUBSCRIBE, who: Subject = X) -> str:
+    return str(decide(of, who, right, name).effect)
+
+
+def test_a_denial_outweighs_everything() -> None:
+    of = rules(
+        "{id: a, who: /x, allow: {subscribe: /b}}",
+        '{id: d, who: "*", deny: {subscribe: "/**"}}',
+        "{id: p, who: /x, prompt: {subscribe: /b}}",
+    )
+    assert effect(of, "/b") == "deny"
+
+
+def test_allow_outweighs_prompt_and_prompt_the_default() -> None:
+    of = rules(
+        "{id: a, who: /x, allow: {subscribe: /b}}",
+        '{id: p, who: /x, prompt: {subscribe: ["/*"]}}',
+    )
+    assert [effect(of, "/b"), effect(of, "/c"), effect(of, "/c/d")] == ["allow", "prompt", "deny"]
+
+
+def test_only_a_plain_yes_is_true() -> None:
+    of = rules(
+        "{id: a, who: /x, allow: {subscribe: /b}}", "{id: p, who: /x, prompt: {subscribe: /c}}"
+    )
+    assert [bool(decide(of, X, Right.SUBSCRIBE, topic)) for topic in ("/b", "/c", "/d")] == [
+        True, False, False,
+    ]  # fmt: skip
+
+
+def test_restrictions_of_all_matching_rules_hold_together() -> None:
+    of = rules(
+        "{id: wide, who: /x, allow: {subscribe: [/pose]}, lifetime: 7d, renew_until: 30d}",
+        "{id: rough, who: /x, allow: {subscribe: [/pose]}, filter: {pose.position: {round: 1}}, "
+        "limit: {rate: 5}, lifetime: 1d, renew_until: never}",
+        "{id: day, who: /x, allow: {subscribe: [/pose]}, when: now.getHours() >= 6, "
+        "limit: {rate: 2}}",
+        head=TYPES,
+    )
+    verdict = decide(of, X, Right.SUBSCRIBE, "/pose")
+    assert [rule.id for rule in verdict.rules] == ["day", "rough", "wide"]
+    assert sorted(restriction_lines(verdict)) == [
+        "at most 2 messages a second",
+        "only when now.getHours() >= 6",
+        "pose.position: round step 1",
+        "valid 1d",
+    ]
+
+
+@given(policies, subject, right, name | pattern, st.randoms(use_true_random=False))
+def test_the_order_of_the_rules_does_not_matter(
+    of: Policy, asking: Subject, asked: Right, about: str, shuffle: Any
+) -> None:
+    made = list(of.rules)
+    shuffle.shuffle(made)
+    one, other = (
+        decide(p, asking, asked, about) for p in (of, dataclasses.replace(of, rules=tuple(made)))
+    )
+    assert (one.effect, one.restrictions, one.lifetime) == (
+        other.effect, other.restrictions, other.lifetime,
+    )  # fmt: skip
+
+
+@given(policies, subject, right, name, st.sampled_from(["/c", "/**"]))
+def test_nothing_is_allowed_that_no_allowing_rule_names(
+    of: Policy, asking: Subject, asked: Right, about: str, other: str
+) -> None:
+    without = dataclasses.replace(
+        of, rules=tuple(rule for rule in of.rules if rule.effect is not Effect.ALLOW)
+    )
+    assert not decide(without, asking, asked, about)
+    assert not decide(without, asking, asked, other)
+
+
+@given(policies, subject, right, pattern, name)
+def test_whoever_is_allowed_a_pattern_is_allowed_each_of_its_names(
+    of: Policy, asking: Subject, asked: Right, about: str, inside: str
+) -> None:
+    if covers(about, inside) and decide(of, asking, asked, about):
+        assert decide(of, asking, asked, inside)
+
+
+def test_a_pattern_is_given_whole_or_not_at_all() -> None:
+    of = rules(
+        '{id: a, who: /x, allow: {subscribe: ["/s/**"]}}',
+        "{id: r, who: /x, allow: {subscribe: [/s/pose]}, filter: {pose.position: {round: 1}}}",
+        "{id: d, who: /x, deny: {subscribe: [/t/secret]}}",
+        '{id: t, who: /x, allow: {subscribe: ["/t/**"]}}',
+        head=HEADER + "types: {/s/pose: geometry_msgs/PoseStamped}\n",
+    )
+    whole = decide(of, X, Right.SUBSCRIBE, "/s/**")
+    assert whole
+    assert len(whole.restrictions) == 1  # what narrows a part of it narrows it all
+    assert effect(of, "/**") == "deny"
+    assert effect(of, "/t/**") == "deny"
+    assert effect(of, "/t/other") == "allow"
+    near = "; ".join(Decider(of).near_misses(decide(of, X, Right.SUBSCRIBE, "/u/*")))
+    assert (
+        near == "rule a is for /s/**, not /u/*; rule r is for /s/pose, not /u/*; "
+        "rule t is for /t/**, not /u/*"
+    )
+
+
+# --- the peers' faults (F1 to F5) ---
+
+
+def test_f1_unknown_is_no() -> None:
+    of = policy()
+    assert effect(of, "/never/heard/of") == "prompt"  # its default, never a yes
+    assert effect(rules(), "/never/heard/of") == "deny"
+    for both in (Right.SUBSCRIBE | Right.PUBLISH, Right(0)):
+        with pytest.raises(PolicyRefused, match="is not one right"):
+            decide(of, X, both, "/a")
+    for bad in ("relative", "~private", "/a/", "", "/ä"):
+        with pytest.raises(PatternRefused):
+            decide(of, X, Right.SUBSCRIBE, bad)
+        with pytest.raises(NameRefused):
+            decide(of, node(bad), Right.SUBSCRIBE, "/a")
+
+
+def test_f2_two_nodes_of_one_host_are_told_apart_and_so_are_two_keys_of_one_name() -> None:
+    of = policy()
+    assert effect(of, "/robot/pose", who=HEATING) == "allow"
+    assert effect(of, "/robot/pose", who=node("/heating")) == "prompt"
+    assert effect(of, "/robot/pose", who=node("/nav/a")) == "allow"
+    assert effect(of, "/robot/pose", who=node("/navy/a")) == "prompt"
+
+
+@pytest.mark.parametrize("flip", [False, True])
+def test_f3_a_parent_never_goes_round_a_rule_for_its_child(flip: bool) -> None:
+    lines = [
+        '{id: wide, who: /x, allow: {param-set: ["/a"], param-get: ["/**"]}}',
+        "{id: narrow, who: /x, deny: {param-set: [/a/b]}}",
+    ]
+    of = rules(*(reversed(lines) if flip else lines))
+    answers = [effect(of, key, Right.PARAM_SET) for key in ("/a", "/a/b", "/a/b/c", "/a/c", "/")
+               if key != "/"]  # fmt: skip
+    assert answers == ["deny", "deny", "deny", "allow"]
+    assert effect(of, "/**", Right.PARAM_SET) == "deny"
+
+
+def test_f4_each_right_is_its_own() -> None:
+    of = rules("{id: s, who: /x, allow: {param-set: [/a]}}")
+    assert [effect(of, "/a", right) for right in ALL_RIGHTS] == [
+        "allow" if right is Right.PARAM_SET else "deny" for right in ALL_RIGHTS
+    ]
+
+
+def test_f5_a_name_is_no_prefix_and_narrow_beats_wide() -> None:
+    of = rules(
+        '{id: a, who: /x, allow: {subscribe: [/chatter, "/s/**"]}}',
+        "{id: d, who: /x, deny: {subscribe: [/s/secret]}}",
+    )
+    assert effect(of, "/chatter") == "allow"
+    assert effect(of, "/chatterX") == effect(of, "/chatter/x") == effect(of, "/s") == "deny"
+    assert (effect(of, "/s/open"), effect(of, "/s/secret")) == ("allow", "deny")
+    assert effect(of, "/chatter", who=node("/xy")) == "deny"
+
+
+# --- answers ---
+
+
+def explained(who: Subject, right: Right, topic: str) -> list[str]:
+    decider = Decider(policy())
+    return decider.explain(decider.decide(who, right, topic))
+
+
+def test_a_yes_explains_itself() -> None:
+    assert explained(HEATING, Right.SUBSCRIBE, "/robot/pose") == [
+        "ALLOW: /heating subscribe /robot/pose",
+        "  rule heating-room: Heating lowers rooms. (allow subscribe /robot/pose)",
+        '    only when now.getHours("Europe/Zurich") >= 6 && msg.header.frame_id == "map"',
+        "    pose.orientation: clear",
+        "    pose.position: round step 2.0",
+        "    at most 0.2 messages a second",
+        "    valid 7d, renewed until 180d",
+        "  without heating-room it would be prompt, by default",
+    ]
+
+
+def test_a_no_names_its_rule() -> None:
+    assert explained(HEATING, Right.SUBSCRIBE, "/camera/image") == [
+        "DENY: /heating subscribe /camera/image",
+        "  rule no-camera: no (deny subscribe /camera/**)",
+        "  without no-camera it would be prompt, by default",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("who", "right", "topic", "miss"),
+    [
+        (node("/toaster"), Right.SUBSCRIBE, "/robot/pose",
+         "rule heating-room is for heating, not /toaster"),
+        (node("/heating"), Right.SUBSCRIBE, "/robot/pose",
+         "rule heating-room is for another key of heating, not /heating"),
+        (HEATING, Right.PUBLISH, "/robot/pose", "rule heating-room gives subscribe, not publish"),
+        (HEATING, Right.PUBLISH, "/heatings/x", "rule heating-own is for /heating/**, not"),
+        (node("/nav/a"), Right.PUBLISH, "/*", "rule nav-full covers /cmd_vel, which is not all of"),
+    ],
+)  # fmt: skip
+def test_near_misses(who: Subject, right: Right, topic: str, miss: str) -> None:
+    lines = explained(who, right, topic)
+    assert any(line.startswith(f"  near miss: {miss}") for line in lines), lines
+    assert "  no rule matches, so the default decides" in lines
+    asked = f"{right.label}: [{topic}]"
+    assert lines[-1] == f"  an allow rule for {who.name} with {asked} would change it"
+
+
+def test_what_would_be_without_a_rule_names_the_next_one() -> None:
+    of = rules(
+        "{id: d, who: /x, deny: {call: /b}}", "{id: a, who: /x, allow: {call: /b}}",
+    )  # fmt: skip
+    decider = Decider(of)
+    verdict = decider.decide(X, Right.CALL, "/b")
+    assert decider.changes(verdict) == ["without d it would be allow, by a"]
+
+
+@given(policies, subject, right, name | pattern)
+def test_every_answer_can_explain_itself(
+    of: Policy, asking: Subject, asked: Right, about: str
+) -> None:
+    decider = Decider(of)
+    lines = decider.explain(decider.decide(asking, asked, about))
+    assert len(lines) >= 2
+
+
+def test_spans() -> None:
+    assert [span(n) for n in (0, 90, 120, 7200, 86400, 90000)] == [
+        "0s", "90s", "2m", "2h", "1d", "25h",
+    ]  # fmt: skip
+
+
+def test_refusals_are_of_one_family() -> None:
+    assert issubclass(PolicyRefused, GrantError)

@@ -1,0 +1,113 @@
+"""From verdicts to drafts, and through a real signature to the decision on a grant."""
+
+from dataclasses import replace
+
+import pytest
+
+from grants.decision import authorize
+from grants.document import open_grant, sign
+from grants.errors import PolicyRefused
+from grants.model import Draft, FilterRule, Restriction, Right
+from grants.policy.decision import Decider, Verdict
+from grants.policy.drafts import Wish, approve, approximate, drafts, permissions, plan, shorten
+from grants.policy.model import DAY, HOUR, Effect, Policy
+from tests.grants.authority import CA, NOW
+from tests.grants.policy.policies import HEADER, decide, node, rules
+
+X = node("/x")
+ROUND = (FilterRule("pose.position", "round", (("step", 2.0),)),)
+
+
+@pytest.fixture
+def policy() -> Policy:
+    return rules(
+        "{id: a, who: /x, allow: {subscribe: [/pose, /b], publish: [/c]}, renew_until: 30d}",
+        "{id: r, who: /x, allow: {subscribe: [/pose]}, filter: {pose.orientation: {clear: true}}}",
+        "{id: s, who: /x, allow: {subscribe: [/pose]}, when: now.getHours() >= 6}",
+        "{id: p, who: /x, prompt: {call: [/lift]}, lifetime: 2h}",
+        "{id: d, who: /x, deny: {call: [/door]}, why: stays shut}",
+        head=HEADER + "types: {/pose: geometry_msgs/PoseStamped}\n",
+    )
+
+
+def wish(policy: Policy, right: Right, name: str) -> Verdict:
+    return decide(policy, X, right, name)
+
+
+def made(*verdicts: Verdict) -> list[Draft]:
+    return drafts(verdicts, domain="home", now=NOW, serial=lambda: bytes(16))
+
+
+def test_wishes_are_sorted_by_what_the_policy_says(policy: Policy) -> None:
+    wishes = [
+        Wish(Right.CALL, "/door"), Wish(Right.CALL, "/lift"), Wish(Right.SUBSCRIBE, "/b"),
+        Wish(Right.SUBSCRIBE, "/b"), Wish(Right.SUBSCRIBE, "/unheard"),
+    ]  # fmt: skip
+    sorted_ = plan(Decider(policy), X, wishes)
+    assert [v.name for v in sorted_.allowed] == ["/b"]
+    assert [v.name for v in sorted_.asked] == ["/lift"]
+    assert [v.name for v in sorted_.denied] == ["/unheard", "/door"]
+    assert str(wishes[0]) == "call /door"
+
+
+def test_what_is_signed_is_what_was_decided(policy: Policy) -> None:
+    pose = wish(policy, Right.SUBSCRIBE, "/pose")
+    (draft,) = made(pose)
+    grant = open_grant(sign(CA, draft), CA.public_key, NOW)
+    found = authorize(
+        [grant], Right.SUBSCRIBE, "/pose", holder=X.key, now=NOW, check=lambda *_: None
+    )
+    assert found.restrictions == pose.restrictions
+    assert len(found.restrictions) == 2
+    assert (found.expires, grant.cap) == (NOW + 7 * DAY, NOW + 7 * DAY)
+
+
+def test_one_draft_for_each_validity(policy: Policy) -> None:
+    long = [wish(policy, Right.SUBSCRIBE, "/b"), wish(policy, Right.PUBLISH, "/c")]
+    short = approve(wish(policy, Right.CALL, "/lift"))
+    first, second = made(*long, short)
+    assert [item.pattern for item in first.permissions] == ["/b", "/c"]
+    assert (first.expires, first.cap) == (NOW + 7 * DAY, NOW + 30 * DAY)
+    assert (second.expires, second.cap) == (NOW + 2 * HOUR, NOW + 2 * HOUR)
+    assert (second.subject, second.holder, second.domain) == ("/x", X.key, "home")
+
+
+def test_only_a_yes_is_signed(policy: Policy) -> None:
+    with pytest.raises(PolicyRefused, match="not allowed: PROMPT: /x call /lift"):
+        made(wish(policy, Right.CALL, "/lift"))
+
+
+def test_nobody_is_asked_over_a_denial(policy: Policy) -> None:
+    with pytest.raises(PolicyRefused, match="the policy denies call /door: rule d: stays shut"):
+        approve(wish(policy, Right.CALL, "/door"))
+    with pytest.raises(PolicyRefused, match="no rule allows it"):
+        approve(wish(policy, Right.CALL, "/unheard"))
+
+
+def test_approximate_adds_to_what_the_policy_restricts(policy: Policy) -> None:
+    coarse = Restriction("geometry_msgs/PoseStamped", (), ROUND, rate=0.5)
+    rough = approximate(wish(policy, Right.SUBSCRIBE, "/pose"), coarse)
+    assert replace(coarse, rate=None) in rough.restrictions
+    assert (len(permissions(rough)), rough.rate) == (3, 0.5)
+    with pytest.raises(PolicyRefused, match="cannot be approximate"):
+        approximate(wish(policy, Right.PUBLISH, "/c"), coarse)
+
+
+def test_only_today_is_never_longer_than_the_policy_allows(policy: Policy) -> None:
+    verdict = wish(policy, Right.SUBSCRIBE, "/b")
+    assert (shorten(verdict, HOUR).lifetime, shorten(verdict, HOUR).renew_until) == (HOUR, 0)
+    assert shorten(verdict, 99 * DAY).lifetime == 7 * DAY
+
+
+def test_the_lowest_rate_stands_in_every_restriction(policy: Policy) -> None:
+    verdict = wish(policy, Right.SUBSCRIBE, "/b")
+    limited = replace(verdict, clauses=(replace(verdict.clauses[0], rate=2.0),))
+    assert [item.restriction for item in permissions(limited)] == [Restriction(rate=2.0)]
+    pose = wish(policy, Right.SUBSCRIBE, "/pose")
+    limited = replace(pose, clauses=(*pose.clauses, replace(pose.clauses[0], rate=2.0)))
+    rates = [item.restriction.rate for item in permissions(limited) if item.restriction]
+    assert rates == [2.0, 2.0]
+
+
+def test_effects_are_exhaustive() -> None:
+    assert [str(effect) for effect in Effect] == ["deny", "allow", "prompt"]

@@ -1,0 +1,74 @@
+"""Adding rules leaves everything else as it was written."""
+
+from grants.policy.editing import NewRule, add_rules, empty, free_id
+from tests.grants.policy.policies import policy
+
+TEXT = """# The flat.
+rossec: 1
+robot: r   # an old one
+types:
+  /scan: sensor_msgs/LaserScan
+
+# What holds.
+rules:
+  - id: "one"   # the first
+    who: /a
+    allow: {subscribe: /scan}   # one name, no list
+"""
+
+
+def rule(**changes: object) -> NewRule:
+    usual: dict[str, object] = {
+        "id": "two", "why": "because", "who": "/b", "effect": "allow",
+        "rights": {"publish": ["/c"]}, "types": {"/c": "std_msgs/String"},
+    }  # fmt: skip
+    return NewRule(**{**usual, **changes})  # type: ignore[arg-type]
+
+
+def test_comments_and_quotes_stay() -> None:
+    text = add_rules(TEXT, [rule()])
+    for line in ("# The flat.", "robot: r   # an old one", "# What holds.", '- id: "one"'):
+        assert line in text
+    assert text.endswith(
+        "  - id: two\n    why: because\n    who: /b\n    allow:\n      publish: [/c]\n"
+    )
+    read = policy(text)
+    assert [item.id for item in read.rules] == ["one", "two"]
+    assert read.types == {"/c": "std_msgs/String", "/scan": "sensor_msgs/LaserScan"}
+
+
+def test_a_known_rule_gains_what_it_lacks() -> None:
+    more = rule(id="one", rights={"subscribe": ["/scan", "/d"], "call": ["/e"]}, types={})
+    read = policy(add_rules(TEXT, [more, more]))
+    assert [(c.right.label, c.pattern) for c in read.rules[0].clauses] == [
+        ("subscribe", "/scan"), ("subscribe", "/d"), ("call", "/e"),
+    ]  # fmt: skip
+
+
+def test_a_type_that_is_said_is_not_changed() -> None:
+    text = add_rules(TEXT, [rule(types={"/scan": "std_msgs/String"})])
+    assert policy(text).types == {"/scan": "sensor_msgs/LaserScan"}
+
+
+def test_a_filter_is_used_by_name() -> None:
+    text = TEXT + "filters: {none: {ranges: {drop: true}}}\n"
+    text = add_rules(text, [rule(rights={"subscribe": ["/scan"]}, filter="none", types={})])
+    (clause,) = policy(text).rules[1].clauses
+    assert clause.restriction is not None
+
+
+def test_from_nothing() -> None:
+    start = empty("robbie")
+    assert policy(start).robot == "robbie"
+    assert policy(add_rules(start, [rule()])).types == {"/c": "std_msgs/String"}
+    without = "rossec: 1\nrobot: r\nrules: []\n"
+    assert len(policy(add_rules(without, [rule()])).rules) == 1
+
+
+def test_a_single_rule_without_a_dash() -> None:
+    text = "rossec: 1\nrobot: r\nrules: {id: one, who: /a, allow: {call: /b}}\n"
+    assert len(policy(add_rules(text, [rule()])).rules) == 2
+
+
+def test_free_ids() -> None:
+    assert [free_id(taken, "a") for taken in ((), ("a",), ("a", "a-2"))] == ["a", "a-2", "a-3"]

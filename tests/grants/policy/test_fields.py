@@ -1,0 +1,138 @@
+"""Filters and conditions as a policy writes them."""
+
+import pytest
+
+from grants.layout import parse
+from grants.policy.fields import check_fields, check_when, nearest_field, read_fields, read_when
+from grants.policy.mistakes import Mistakes
+from grants.policy.source import Row, Table, Word, read_source
+from tests.grants.policy.policies import definition
+
+POSE = parse("geometry_msgs/PoseStamped", definition("geometry_msgs/PoseStamped"))
+STATUS = parse("diagnostic_msgs/DiagnosticArray", definition("diagnostic_msgs/DiagnosticArray"))
+HERE = Word("", 5, 5)
+
+
+@pytest.fixture
+def mistakes() -> Mistakes:
+    return Mistakes("p.yaml")
+
+
+def table(text: str) -> Table:
+    part = read_source(text, Mistakes("p.yaml"))
+    assert isinstance(part, Table)
+    return part
+
+
+def rule(text: str, mistakes: Mistakes) -> str | None:
+    rules = read_fields(table(f"a: {text}"), mistakes)
+    return str(rules[0].rule) if rules else None
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("{clear: true}", "a: clear"),
+        ("{round: 0.5}", "a: round step 0.5"),
+        ("{round: {step: 2}}", "a: round step 2"),
+        ("{clamp: [1, 2.5]}", "a: clamp high 2.5 low 1"),
+        ("{clamp: {low: 1, high: 2}}", "a: clamp high 2 low 1"),
+        ('{redact: "***"}', "a: redact text ***"),
+        ("{truncate: [5]}", "a: truncate length 5"),
+        ("{set: true}", "a: set value True"),
+    ],
+)
+def test_short_and_long_forms(text: str, expected: str, mistakes: Mistakes) -> None:
+    assert rule(text, mistakes) == expected
+    assert mistakes.found == []
+
+
+@pytest.mark.parametrize(
+    ("text", "message", "hint"),
+    [
+        ("5", "a: exactly one operator per field", "for example {round: 0.5} or {clear: true}"),
+        ("{clear: true, drop: true}", "a: exactly one operator per field", "for example"),
+        ("{cleer: true}", "a: unknown operator 'cleer'", "did you mean 'clear'?"),
+        ("{clear: false}", "a: clear cannot take this", "write {clear: true}"),
+        ("{clear: {}}", "a: clear cannot take this", "write {clear: true}"),
+        ("{round: [1, 2]}", "a: round cannot take this", "write {round: STEP} or"),
+        ("{round: {step: [1]}}", "a: round cannot take this", "write {round: STEP} or"),
+        ("{truncate: [[5]]}", "a: truncate cannot take this", "write {truncate: LENGTH}"),
+        ("{clamp: 5}", "a: clamp: high must", ""),
+        ("{clamp: [5]}", "a: clamp cannot take this", "write {clamp: [LOW, HIGH]}"),
+        ("{round: 0}", "a: round needs a step above zero", "for example"),
+        ("{round: x}", "a: step must be a number", "write {round: STEP}"),
+    ],
+)
+def test_a_mistake_is_placed_and_hinted(
+    text: str, message: str, hint: str, mistakes: Mistakes
+) -> None:
+    if text == "{clamp: 5}":
+        message, hint = "a: high must be a number", "write {clamp: [LOW, HIGH]}"
+    assert rule(text, mistakes) is None
+    (found,) = mistakes.found
+    assert found.message.startswith(message)
+    assert found.hint.startswith(hint)
+    assert found.line == 1
+
+
+def test_a_path_that_is_none(mistakes: Mistakes) -> None:
+    assert read_fields(table('"a b": {clear: true}'), mistakes) == ()
+    assert mistakes.found[0].message == "not a field path: 'a b'"
+
+
+def test_fields_are_checked_each_and_together(mistakes: Mistakes) -> None:
+    good = read_fields(table("pose.position: {round: 1}\nheader.seq: {clear: true}"), mistakes)
+    assert check_fields(POSE, good, HERE, mistakes)
+    overlap = read_fields(table("pose: {clear: true}\npose.position: {round: 1}"), mistakes)
+    assert not check_fields(POSE, overlap, HERE, mistakes)
+    assert (mistakes.found[-1].line, "lies inside" in mistakes.found[-1].message) == (5, True)
+    wrong = read_fields(table("\n\npoze: {clear: true}"), mistakes)
+    assert not check_fields(POSE, wrong, HERE, mistakes)
+    assert (mistakes.found[-1].line, mistakes.found[-1].hint) == (3, "did you mean 'pose'?")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [("now.getHours() >= 6", False), ("msg.header.seq > 1u", None), ("msg.header.seq > 1", True)],
+)
+def test_whether_a_condition_looks_into_the_message(
+    text: str, message: bool | None, mistakes: Mistakes
+) -> None:
+    when = read_when(Word(text, 1, 1), mistakes)
+    assert (when.message if when is not None else None) is message
+
+
+@pytest.mark.parametrize(
+    "part", [Word(5, 1, 1), Row((), 1, 1), Word("now >", 1, 1), Word("5", 1, 1)]
+)
+def test_what_is_no_condition(part: Word | Row, mistakes: Mistakes) -> None:
+    assert read_when(part, mistakes) is None
+    assert len(mistakes.found) == 1
+
+
+def test_conditions_are_checked_for_a_type(mistakes: Mistakes) -> None:
+    good = read_when(Word('msg.header.frame_id == "map"', 1, 1), mistakes)
+    assert good is not None
+    assert check_when(POSE, good, mistakes)
+    misspelt = read_when(Word('msg.header.frameid.startsWith("map")', 2, 2), mistakes)
+    assert misspelt is not None
+    assert not check_when(POSE, misspelt, mistakes)
+    assert (mistakes.found[-1].line, mistakes.found[-1].hint) == (2, "did you mean 'frame_id'?")
+    mixed = read_when(Word("msg.pose.position.x + 1 > 2.0", 2, 2), mistakes)
+    assert mixed is not None
+    assert not check_when(POSE, mixed, mistakes)
+    assert mistakes.found[-1].hint == "write whole numbers as 2.0 beside a double"
+
+
+@pytest.mark.parametrize(
+    ("path", "hint"),
+    [
+        ("status[*].nam", "did you mean 'name'?"),
+        ("status.values.kay", "did you mean 'key'?"),
+        ("header.frame_id.x", ""),
+        ("header.frame_id", ""),
+    ],
+)
+def test_the_nearest_field(path: str, hint: str) -> None:
+    assert nearest_field(STATUS, path) == hint

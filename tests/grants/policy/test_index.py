@@ -1,0 +1,84 @@
+"""The tree finds exactly what looking at every clause finds, and its cost is flat."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from grants.model import ALL_RIGHTS, Right
+from grants.names import covers
+from grants.policy.index import Index, hits
+from grants.policy.model import Clause, Defaults, Effect, Policy, Rule, Subject, Who
+
+KEYS = (bytes(32), bytes([1]) * 32)
+segment = st.sampled_from(["a", "b"])
+name = st.lists(segment, min_size=1, max_size=4).map(lambda parts: "/" + "/".join(parts))
+pattern = st.lists(st.sampled_from(["a", "b", "*", "**"]), min_size=1, max_size=4).map(
+    lambda parts: "/" + "/".join(parts)
+)
+key = st.sampled_from([None, *KEYS])
+who = st.one_of(
+    st.builds(Who, st.just("w"), pattern | name, key),
+    st.builds(Who, st.just("k"), st.none(), st.sampled_from(KEYS)),
+)
+right = st.sampled_from(list(ALL_RIGHTS))
+clause = st.builds(Clause, right, pattern)
+rule = st.builds(
+    Rule,
+    id=st.text("rst", min_size=1, max_size=3),
+    effect=st.sampled_from(Effect),
+    who=st.lists(who, min_size=1, max_size=2).map(tuple),
+    clauses=st.lists(clause, min_size=1, max_size=3).map(tuple),
+    spared=st.lists(who, max_size=1).map(tuple),
+)
+subject = st.builds(Subject, name, st.sampled_from(KEYS))
+policies = st.lists(rule, max_size=8).map(lambda made: of(*made))
+
+
+def of(*made: Rule) -> Policy:
+    return Policy("r", Defaults(), {}, {}, made)
+
+
+@given(policies, subject, right, name | pattern)
+def test_the_tree_finds_what_looking_at_all_finds(
+    policy: Policy, asking: Subject, asked: Right, about: str
+) -> None:
+    found = Index(policy).find(asking, asked, about)
+    expected = list(hits(policy.rules, asking, asked, about))
+    assert sorted(map(repr, found)) == sorted(map(repr, expected))
+
+
+@given(policies, subject, name)
+def test_an_exact_subscription_is_found_by_covering_patterns_alone(
+    policy: Policy, asking: Subject, about: str
+) -> None:
+    for _, found in Index(policy).find(asking, Right.SUBSCRIBE, about):
+        assert covers(found.pattern, about)
+
+
+def test_a_right_nobody_speaks_about_finds_nothing() -> None:
+    assert Index(of()).find(Subject("/a", KEYS[0]), Right.CALL, "/b") == []
+
+
+@pytest.mark.parametrize(("asked", "found"), [("/a", 1), ("/a/b", 1), ("/a/b/c", 1), ("/b", 0)])
+def test_a_denial_below_denies_the_parameter_above(asked: str, found: int) -> None:
+    deny = Rule("d", Effect.DENY, (Who("x", "/x"),), (Clause(Right.PARAM_SET, "/a/b"),))
+    index = Index(of(deny))
+    assert len(index.find(Subject("/x", KEYS[0]), Right.PARAM_SET, asked)) == found
+
+
+def test_the_work_does_not_grow_with_rules_about_other_names(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    looked: list[str] = []
+
+    def look(rule: Rule, _: Subject) -> bool:
+        looked.append(rule.id)
+        return True
+
+    monkeypatch.setattr(Rule, "is_for", look)
+    made = [
+        Rule(f"r{n}", Effect.ALLOW, (Who("w", f"/n{n}"),), (Clause(Right.CALL, f"/s{n}"),))
+        for n in range(500)
+    ]
+    assert len(Index(of(*made)).find(Subject("/n7", KEYS[0]), Right.CALL, "/s7")) == 1
+    assert looked == ["r7"]

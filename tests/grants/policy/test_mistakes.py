@@ -1,0 +1,49 @@
+"""All mistakes are reported, in the order of the file, each with a hint."""
+
+import pytest
+
+from grants.errors import PolicyRefused
+from grants.policy.mistakes import MAX_MISTAKES, Mistakes, nearest
+from grants.policy.source import Word
+
+
+def test_all_mistakes_are_carried_in_the_order_of_the_file() -> None:
+    mistakes = Mistakes("p.yaml")
+    mistakes.refuse_any()
+    mistakes.add(Word("", 9, 2), "second", "b")
+    mistakes.add(Word("", 3, 1), "first", "a")
+    mistakes.add(Word("", 9, 2), "second", "b")
+    with pytest.raises(PolicyRefused) as caught:
+        mistakes.refuse_any()
+    assert str(caught.value) == "p.yaml:3:1: first (and 1 more, see: rossec policy check p.yaml)"
+    assert caught.value.hint == "a"
+    assert [str(item) for item in caught.value.mistakes] == [
+        "p.yaml:3:1: first", "p.yaml:9:2: second",
+    ]  # fmt: skip
+
+
+def test_one_mistake_is_the_message() -> None:
+    mistakes = Mistakes("p.yaml")
+    mistakes.add(Word("", 1, 1), "only")
+    with pytest.raises(PolicyRefused, match=r"^p\.yaml:1:1: only$"):
+        mistakes.refuse_any()
+
+
+def test_their_number_is_bounded() -> None:
+    mistakes = Mistakes("p.yaml")
+    for line in range(MAX_MISTAKES + 5):
+        mistakes.add(Word("", line, 1), "x")
+    assert len(mistakes.found) == MAX_MISTAKES
+
+
+@pytest.mark.parametrize(
+    ("word", "known", "hint"),
+    [
+        ("positon", ("position", "orientation"), "did you mean 'position'?"),
+        ("zzz", ("b", "a"), "there are a, b"),
+        ("zzz", (), "there are none"),
+        ("zz", list("abcdefghijklmnop"), "there are a, b, c, d, e, f, g, h, i, j, k, l, ..."),
+    ],
+)  # fmt: skip
+def test_the_nearest_word_or_a_choice(word: str, known: tuple[str, ...], hint: str) -> None:
+    assert nearest(word, known) == hint

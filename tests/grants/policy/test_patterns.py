@@ -1,0 +1,61 @@
+"""Patterns beside each other, compared with the names they stand for."""
+
+from itertools import product
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from grants.model import Right
+from grants.names import covers, covers_tree
+from grants.policy.patterns import concerns, gives, includes, meets, meets_tree
+
+patterns = st.lists(st.sampled_from(["a", "b", "*", "**"]), min_size=1, max_size=4).map(
+    lambda parts: "/" + "/".join(parts)
+)
+# Every name a difference can show in: three letters, one of which no pattern spells out.
+NAMES = ["/" + "/".join(parts) for n in range(1, 7) for parts in product("abz", repeat=n)]
+
+
+@pytest.mark.parametrize(
+    ("outer", "inner", "expected"),
+    [
+        ("/a/**", "/a/b", True), ("/a/**", "/a", False), ("/a", "/ab", False),
+        ("/**", "/a/*/b", True), ("/*", "/**", False), ("/a/*", "/*/a", False),
+        ("/**/a", "/a", False), ("/**", "/**", True), ("/**/*", "/*/**", True),
+    ],
+)  # fmt: skip
+def test_includes(outer: str, inner: str, expected: bool) -> None:
+    assert includes(outer, inner) is expected
+
+
+@given(patterns, patterns)
+def test_includes_is_about_names(outer: str, inner: str) -> None:
+    expected = all(covers(outer, name) for name in NAMES if covers(inner, name))
+    assert includes(outer, inner) is expected
+
+
+@given(patterns, patterns)
+def test_meets_is_about_names(one: str, other: str) -> None:
+    expected = any(covers(one, name) and covers(other, name) for name in NAMES)
+    assert meets(one, other) is expected
+
+
+@given(patterns, patterns)
+def test_trees_meet_where_a_key_lies_in_both(one: str, other: str) -> None:
+    expected = any(covers_tree(one, name) and covers_tree(other, name) for name in NAMES)
+    assert meets_tree(one, other) is expected
+
+
+@given(patterns, patterns)
+def test_a_tree_right_includes_what_lies_below(pattern: str, asked: str) -> None:
+    expected = all(covers_tree(pattern, name) for name in NAMES if covers(asked, name))
+    assert gives(pattern, Right.PARAM_GET, asked) is expected
+
+
+def test_a_message_right_is_about_exactly_the_names() -> None:
+    assert not gives("/a", Right.SUBSCRIBE, "/a/b")
+    assert gives("/a", Right.PARAM_SET, "/a/b")
+    assert not concerns("/a/b", Right.SUBSCRIBE, "/a")
+    assert concerns("/a/b", Right.PARAM_SET, "/a")
+    assert concerns("/a/*", Right.SUBSCRIBE, "/*/b")

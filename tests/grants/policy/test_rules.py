@@ -1,0 +1,147 @@
+"""One rule: its outline, its people, and the restriction of each of its topics."""
+
+import pytest
+
+from grants.model import FilterRule, Restriction, Right
+from grants.policy.model import HOUR, Effect
+from tests.grants.policy.policies import HEADER, mistakes, policy, rules
+
+HEAD = (
+    HEADER
+    + """identities: {x: {node: /x}}
+types: {/pose: geometry_msgs/PoseStamped, /scan: sensor_msgs/LaserScan}
+filters: {place: {pose.position: {round: 1}}}
+"""
+)
+
+
+def read(line: str) -> object:
+    return rules(line, head=HEAD).rules[0]
+
+
+def found(line: str) -> list[tuple[str, str]]:
+    return [(m.message, m.hint) for m in mistakes(HEAD + f"rules:\n  - {line}\n")]
+
+
+def test_people_rights_and_validity() -> None:
+    (rule,) = rules(
+        '{id: a, who: [x, /y/*, "*"], except: /z, prompt: {call: /b, param-get: [/c, /d]}, '
+        "lifetime: 2h, renew_until: never}",
+        head=HEAD,
+    ).rules
+    assert rule.effect is Effect.PROMPT
+    assert [(who.label, who.node) for who in rule.who] == [
+        ("x", "/x"), ("/y/*", "/y/*"), ("*", "/**"),
+    ]  # fmt: skip
+    assert [who.label for who in rule.spared] == ["/z"]
+    assert [(item.right, item.pattern) for item in rule.clauses] == [
+        (Right.CALL, "/b"), (Right.PARAM_GET, "/c"), (Right.PARAM_GET, "/d"),
+    ]  # fmt: skip
+    assert (rule.lifetime, rule.renew_until, rule.own_lifetime) == (2 * HOUR, 0, True)
+
+
+def test_a_filter_for_one_of_two_topics() -> None:
+    (rule,) = rules(
+        "{id: a, who: x, allow: {subscribe: [/pose, /scan, /else], publish: /cmd}, "
+        "filter: {/pose: {use: place}, /scan: {ranges: {drop: true}}}, limit: {rate: 2}}",
+        head=HEAD,
+    ).rules
+    place = (FilterRule("pose.position", "round", (("step", 1),)),)
+    expected = {
+        "/pose": Restriction("geometry_msgs/PoseStamped", (), place),
+        "/scan": Restriction("sensor_msgs/LaserScan", (), (FilterRule("ranges", "drop"),)),
+        "/else": None,
+        "/cmd": None,
+    }
+    assert {item.pattern: item.restriction for item in rule.clauses} == expected
+    assert {item.pattern: item.rate for item in rule.clauses} == {
+        "/pose": 2, "/scan": 2, "/else": 2, "/cmd": None,
+    }  # fmt: skip
+
+
+def test_a_preset_brings_its_own_rate() -> None:
+    for limit, rate in (("", 0.2), (", limit: {rate: 0.1}", 0.1), (", limit: {rate: 5}", 0.2)):
+        (rule,) = rules(
+            "{id: a, who: x, allow: {subscribe: /pose}, filter: {use: coarse-position}"
+            f"{limit}}}",
+            head=HEAD,
+        ).rules
+        (clause,) = rule.clauses
+        assert clause.rate == rate
+        assert clause.restriction is not None
+        assert "pose.position" in {item.path for item in clause.restriction.filters}
+    ((message, hint),) = found(
+        "{id: a, who: x, allow: {subscribe: /scan}, filter: {use: coarse-position}}"
+    )
+    assert message.startswith("coarse-position: the preset does not exist for sensor_msgs/Laser")
+    assert hint.startswith("it is for geometry_msgs/PoseStamped")
+
+
+def test_a_condition_on_time_needs_no_type() -> None:
+    (rule,) = rules(
+        "{id: a, who: x, allow: {subscribe: /unknown, call: /b}, when: [now.getHours() > 5]}",
+        head=HEAD,
+    ).rules
+    assert {item.restriction for item in rule.clauses} == {
+        Restriction(None, ("now.getHours() > 5",))
+    }
+
+
+@pytest.mark.parametrize(
+    ("line", "message", "hint"),
+    [
+        ("{id: a, who: x}", "rule a needs one of allow, deny and prompt", "for example allow"),
+        ("{id: a, who: x, allow: {call: /b}, deny: {call: /b}}", "rule a needs one", "two rules"),
+        ("{id: a, who: x, allow: 5}", "allow of rule a must be a mapping", "write key: value"),
+        ("{id: a, who: x, allow: {}}", "rule a names no right", "there are"),
+        ("{id: a, who: x, allow: {call: []}}", "rule a: call of nothing", "add a name"),
+        ("{id: a, who: x, allow: {cal: /b}}", "unknown right 'cal' in rule a", "'call'"),
+        ("{id: a b, who: x, allow: {call: /b}}", "not an id: 'a b'", "letters"),
+        ("{who: x, allow: {call: /b}}", "rule ? has no 'id'", "add id: ..."),
+        ("{id: a, allow: {call: /b}}", "rule a has no 'who'", "add who: ..."),
+        ("{id: a, who: 5, allow: {call: /b}}", "who must be a text", "quotes"),
+        ("{id: a, who: /y/, allow: {call: /b}}", "who: not a name pattern", "segment"),
+        ("{id: a, who: x, deny: {call: /b}, lifetime: 1d}", "rule a: a denial has no 'lifetime'",
+         "take it out"),
+        ("{id: a, who: x, allow: {param-get: /b}, when: now.getHours() > 5}",
+         "rule a: parameters, graph and admin cannot be restricted", "rule of their own"),
+        ("{id: a, who: x, allow: {call: /pose}, when: msg.header.seq > 5}",
+         "call /pose: conditions on messages are for topics", "rule of its own"),
+        ("{id: a, who: x, allow: {subscribe: /b}, when: msg.header.seq > 5}",
+         "the message type of /b is not known here", "add it to types: {/b: package/Type}"),
+        ("{id: a, who: x, allow: {call: /b}, filter: {use: place}}", "rule a: nothing to filter",
+         "add a subscribe right"),
+        ("{id: a, who: x, allow: {subscribe: /pose}, filter: {}}", "rule a: nothing to filter", ""),
+        ("{id: a, who: x, allow: {subscribe: /pose}, filter: 5}", "filter of rule a must be a", ""),
+        ("{id: a, who: x, allow: {subscribe: /pose}, filter: {/pose: 5}}", "filter of /pose must",
+         ""),
+        ("{id: a, who: x, allow: {subscribe: /pose}, filter: {use: plaze}}",
+         "unknown filter: 'plaze'", "'place'"),
+        ("{id: a, who: x, allow: {subscribe: /pose}, filter: {use: place, x: 1}}",
+         "unknown key 'x' in a filter with use", "there are use"),
+        ("{id: a, who: x, allow: {call: /b}, limit: {rate: 1}}", "rule a: nothing to limit", "add"),
+        ("{id: a, who: x, allow: {subscribe: /b}, limit: {rate: 0}}", "rate must be a number", ""),
+        ("{id: a, who: x, allow: {subscribe: /b}, limit: 5}", "limit of rule a must be a", ""),
+        ("{id: a, who: x, allow: {subscribe: /pose}, filter: {pose: {clear: true}, use: place}}",
+         "unknown key 'pose' in a filter with use", ""),
+    ],
+)  # fmt: skip
+def test_mistakes_of_a_rule(line: str, message: str, hint: str) -> None:
+    about = [(m, h) for m, h in found(line) if m.startswith(message)]
+    assert about, found(line)
+    assert hint in about[0][1]
+
+
+def test_an_unknown_type_is_told_once() -> None:
+    text = HEADER + "types: {/b: no/Type}\nrules:\n  - {id: a, who: /x, allow: {subscribe: /b}, "
+    (only,) = mistakes(text + "filter: {x: {clear: true}}}\n")
+    assert only.message == "unknown message type 'no/Type'"
+
+
+def test_what_a_grant_refuses_is_a_mistake_here() -> None:
+    long = "now.getHours() > 5" + " " * 1000
+    assert len(found(f"{{id: a, who: x, allow: {{call: /b}}, when: '{long}'}}")) == 1
+
+
+def test_a_policy_is_only_ever_whole() -> None:
+    assert policy().rules

@@ -1,0 +1,63 @@
+"""The schema for editors: accepts the examples, refuses what it can know to be wrong."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import pytest
+from ruamel.yaml import YAML
+
+from grants.operators import OPERATORS
+from grants.policy import schema
+from tests.grants.policy.policies import SMALL
+from tests.grants.policy.test_seeds import GOOD, SEEDS
+
+EXAMPLES = sorted((Path(__file__).parents[3] / "examples" / "policies").glob("*.yaml"))
+# What only somebody who knows the identities, the types and the operators' parameters can see.
+UNSEEN = {
+    "field": 7,
+    "operator": 0,
+    "identity": 7,
+    "key": 0,
+    "duration": 0,
+    "pattern": 1,
+    "type": 6,
+}
+
+
+def check(text: str) -> list[str]:
+    validator = jsonschema.Draft202012Validator(schema.schema())
+    return [error.message for error in validator.iter_errors(YAML(typ="safe").load(text))]
+
+
+def test_the_file_is_the_schema() -> None:
+    assert schema.FILE.read_text() == schema.text(), "run: python -m tools.schema"
+    jsonschema.Draft202012Validator.check_schema(json.loads(schema.text()))
+
+
+@pytest.mark.parametrize("text", [SMALL, GOOD])
+def test_good_policies_pass(text: str) -> None:
+    assert check(text) == []
+
+
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+def test_the_examples_pass(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    every = dict.fromkeys((*OPERATORS, "hash", "pixelate"))
+    monkeypatch.setattr(schema, "OPERATORS", every)
+    assert check(path.read_text()) == []
+
+
+@pytest.mark.parametrize("kind", SEEDS)
+def test_planted_mistakes_show_in_the_editor(kind: str) -> None:
+    seen = [check(GOOD.replace(there, planted, 1)) != [] for there, planted, *_ in SEEDS[kind]]
+    assert len(seen) - sum(seen) == UNSEEN[kind]
+
+
+def test_a_denial_has_no_filter() -> None:
+    deny: dict[str, Any] = {"id": "a", "who": "x", "deny": {"call": "/b"}}
+    validator = jsonschema.Draft202012Validator(schema.schema())
+    policy = {"rossec": 1, "robot": "r", "rules": [deny]}
+    assert validator.is_valid(policy)
+    deny["lifetime"] = "1d"
+    assert not validator.is_valid(policy)

@@ -1,0 +1,104 @@
+"""YAML text to parts: places, refusals, and words that stay what was written."""
+
+import contextlib
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from grants.errors import PolicyRefused
+from grants.policy import source
+from grants.policy.mistakes import Mistakes
+from grants.policy.source import Row, Table, Word, read_source
+
+
+def read(text: str) -> object:
+    mistakes = Mistakes("p.yaml")
+    part = read_source(text, mistakes)
+    mistakes.refuse_any()
+    return part
+
+
+def refusal(text: str) -> str:
+    with pytest.raises(PolicyRefused) as caught:
+        read(text)
+    return str(caught.value)
+
+
+def test_every_part_knows_its_place() -> None:
+    part = read("a: 1\nb:\n  - x\n  - {c: d}\n")
+    assert isinstance(part, Table)
+    row = part.get("b")
+    assert isinstance(row, Row)
+    inner = row.items[1]
+    assert isinstance(inner, Table)
+    key, value = inner.entries["c"]
+    assert (key.line, key.column) == (4, 6)
+    assert isinstance(value, Word)
+    assert (value.value, value.line, value.column) == ("d", 4, 9)
+    assert part.get("absent") is None
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        ("22:00", "22:00"), ("no", "no"), ("on", "on"), ("2026-11-20", "2026-11-20"),
+        ("0x10", "0x10"), ("~", "~"), ("", ""), ("'5'", "5"), ('"true"', "true"),
+        ("5", 5), ("-5", -5), ("2.5", 2.5), (".5", 0.5), ("1e3", 1000.0), ("1_000", "1_000"),
+        ("true", True), ("false", False), (".nan", ".nan"), (".inf", ".inf"),
+    ],
+)  # fmt: skip
+def test_words_stay_what_was_written(text: str, value: object) -> None:
+    part = read(f"a: {text}")
+    assert isinstance(part, Table)
+    word = part.get("a")
+    assert isinstance(word, Word)
+    assert (word.value, type(word.value)) == (value, type(value))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("a: &x 1\nb: *x", "p.yaml:1:4: anchors and aliases are not allowed"),
+        ("a: *x", "p.yaml:1:4: anchors and aliases are not allowed"),
+        ("a: !!int 1", "p.yaml:1:4: tags are not allowed"),
+        ("a: !mine [1]", "p.yaml:1:4: tags are not allowed"),
+        ("%YAML 1.1\n---\na: no", "p.yaml:2:1: directives are not allowed"),
+        ("%TAG ! tag:x,2000:\n---\na: 1", "p.yaml:2:1: directives are not allowed"),
+        ("a: 1\n---\nb: 2\n", "p.yaml:2:1: a second document"),
+        ("[" * 20, "p.yaml:1:17: nested deeper than 16"),
+        ("[" * 100_000, "p.yaml:1:17: nested deeper than 16"),
+        ("a: [1\nb: 2", "p.yaml:2:2: not YAML: expected ',' or ']', but got ':'"),
+        ("a: \x00", "p.yaml:1:1: not YAML: unacceptable character #x0000"),
+        ("a: 1\nb: 2\na: 3", "p.yaml:3:1: 'a' again: it stands in line 1 already"),
+        ("? [a]\n: 1", "p.yaml:1:3: a key must be a word"),
+    ],
+)
+def test_what_is_outside_the_subset_is_refused_with_its_place(text: str, message: str) -> None:
+    assert refusal(text).startswith(message)
+
+
+def test_a_large_file_is_refused_before_it_is_parsed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(source, "YAML", None)
+    assert "where at most" in refusal("a" * (source.MAX_SIZE + 1))
+
+
+def test_an_empty_file_is_nothing() -> None:
+    assert read("") is None
+    assert read("# only a comment\n") is None
+
+
+def test_a_list_at_the_top_is_read(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert isinstance(read("- 1\n- 2"), Row)
+
+
+@given(st.text(max_size=60))
+def test_any_text_is_read_or_refused(text: str) -> None:
+    with contextlib.suppress(PolicyRefused):
+        read(text)
+
+
+@given(st.text(alphabet="ab:{}[],&*!|>'\"-? \n#%\t", max_size=40))
+def test_any_yaml_like_text_is_read_or_refused(text: str) -> None:
+    with contextlib.suppress(PolicyRefused):
+        read(text)

@@ -1,0 +1,78 @@
+"""What a verdict would do to a message."""
+
+import struct
+
+import pytest
+
+from grants.layout import parse
+from grants.model import Right
+from grants.policy import trial as module
+from grants.policy.trial import Trial
+from tests.grants.policy.policies import HEADER, decide, definition, node, rules
+
+STRING = parse("std_msgs/String", definition("std_msgs/String"))
+POSE = parse("geometry_msgs/PoseStamped", definition("geometry_msgs/PoseStamped"))
+HELLO = struct.pack("<I", 5) + b"hello"
+LINES = (
+    "{id: a, who: /x, allow: {subscribe: /s}, filter: {data: {truncate: 2}}}",
+    "{id: b, who: /x, allow: {subscribe: /s}, when: 'msg.data.startsWith(\"h\")'}",
+    "{id: c, who: /x, allow: {subscribe: /s}, when: 'now.getFullYear() < 2030'}",
+    "{id: d, who: /y, deny: {subscribe: /s}, why: no}",
+)
+
+
+def trial(who: str = "/x", layout: object = STRING) -> Trial:
+    of = rules(*LINES, head=HEADER + "types: {/s: std_msgs/String}\n")
+    return Trial(layout, decide(of, node(who), Right.SUBSCRIBE, "/s"))  # type: ignore[arg-type]
+
+
+def test_it_is_what_the_guard_would_do() -> None:
+    assert trial()(HELLO, 0).message == struct.pack("<I", 2) + b"he"
+
+
+@pytest.mark.parametrize(
+    ("who", "message", "now", "reason"),
+    [
+        ("/x", struct.pack("<I", 1) + b"j", 0, 'not now or not this one: msg.data.startsWith("h")'),
+        ("/x", HELLO, 1 << 34, "not now or not this one: now.getFullYear() < 2030"),
+        ("/x", HELLO + b"tail", 0, "std_msgs/String"),
+        ("/y", HELLO, 0, "deny: rule d: no"),
+        ("/z", HELLO, 0, "deny: no rule matches"),
+    ],
+)
+def test_why_not(who: str, message: bytes, now: int, reason: str) -> None:
+    outcome = trial(who)(message, now)
+    assert outcome.message is None
+    assert reason in outcome.reason
+
+
+def test_a_rate_counts_as_the_messages_come() -> None:
+    of = rules("{id: a, who: /x, allow: {subscribe: /s}, limit: {rate: 0.5}}")
+    tried = Trial(STRING, decide(of, node("/x"), Right.SUBSCRIBE, "/s"))
+    passed = [tried(HELLO, now) for now in range(5)]
+    assert [outcome.message is not None for outcome in passed] == [True, False, True, False, True]
+    assert passed[1].reason == "more than 0.5 messages a second"
+
+
+def test_pseudonyms_are_shown_under_a_key_of_nobody() -> None:
+    of = rules(
+        "{id: a, who: /x, allow: {subscribe: /s}, filter: {data: {hash: {key: k, length: 8}}}}",
+        head=HEADER + "types: {/s: std_msgs/String}\n",
+    )
+    message = Trial(STRING, decide(of, node("/x"), Right.SUBSCRIBE, "/s"))(HELLO, 0).message
+    assert message is not None
+    assert message[:4] == struct.pack("<I", 8)
+
+
+def test_another_type_is_withheld() -> None:
+    outcome = trial(layout=POSE)(HELLO, 0)
+    assert outcome.message is None
+    assert "of type std_msgs/String, these are geometry_msgs/PoseStamped" in outcome.reason
+
+
+def test_a_refusal_without_a_failing_condition_is_still_one(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    tried = trial()
+    monkeypatch.setattr(module, "compile_condition", lambda *_: lambda *_: True)
+    assert tried(struct.pack("<I", 1) + b"j", 0).reason == "not admitted"

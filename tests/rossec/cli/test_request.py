@@ -1,0 +1,141 @@
+"""Asking for rights, and the ways an answer comes: transcripts."""
+
+import json
+import time
+from pathlib import Path
+
+import pytest
+
+from tests.support.commands import Shell, refused
+
+POLICY = """rossec: 1
+robot: r
+defaults: {decision: prompt, lifetime: 7d, prompt_timeout: 1h}
+types: {/robot/pose: geometry_msgs/PoseStamped}
+filters: {room: {pose.position: {round: 2.0}}}
+rules:
+  - id: heating
+    why: it heats
+    who: /heating
+    allow: {subscribe: [/robot/pose], publish: [/heat]}
+    filter: {use: room}
+  - {id: no, who: "*", deny: {call: [/door]}}
+  - {id: maybe, who: /heating, prompt: {call: [/lift]}, why: it lifts}
+"""
+
+
+@pytest.fixture
+def site(shell: Shell) -> Shell:
+    shell.enroll("/heating")
+    (shell.root / "ca" / "policy.yaml").write_text(POLICY)
+    return shell
+
+
+def ask(site: Shell, *options: str) -> str:
+    said = site("grant", "request", "/heating", *options, "--why", "to heat\x1b[2J")
+    assert said.code == 0, said
+    return said.out.split()[1]
+
+
+def test_the_policy_says_yes(site: Shell, tmp_path: Path) -> None:
+    ask(site, "--subscribe", "/robot/pose", "--publish", "/heat", "--call", "/door")
+    said = site.unlocked("grant", "decide", "--out-dir", str(tmp_path / "out"))
+    assert said.code == 0, said
+    first, *rest = said.out.splitlines()
+    assert first.startswith("grant ")
+    assert " for /heating until " in first
+    assert "  may subscribe /robot/pose" in rest
+    assert "    pose.position: round step 2.0" in rest
+    assert rest[-1] == "2 allowed, 0 for you: see `rossec grant pending`"
+    assert len(list((site.node("/heating") / "grants").iterdir())) == 1
+    assert len(list((tmp_path / "out").iterdir())) == 1
+    assert site("grant", "pending").out == "nobody asks for anything\n"
+
+
+def test_a_request_is_carried_as_a_file(site: Shell, tmp_path: Path) -> None:
+    out = tmp_path / "heat.request"
+    ask(site, "--publish", "/heat", "--out", str(out))
+    assert "1 allowed" in site.unlocked("grant", "decide", str(out)).out
+    refused(site.unlocked("grant", "decide", str(out)), "asked or answered before", "pending")
+
+
+def test_a_person_is_shown_everything(site: Shell) -> None:
+    number = ask(site, "--call", "/lift")
+    lines = site("grant", "pending").out.splitlines()
+    assert lines[:4] == [
+        f"{number[:8]}  /heating wants to call /lift",
+        '  it says: "to heat\\u001b[2J"',
+        "  rule maybe: it lifts",
+        "  valid 7d",
+    ]
+    (row,) = json.loads(site("grant", "pending", "--json").out)
+    assert (row["request"], row["right"], row["name"]) == (number, "call", "/lift")
+
+
+def test_a_person_says_yes_precisely(site: Shell) -> None:
+    number = ask(site, "--call", "/lift")
+    said = site.unlocked("grant", "approve", number[:6])
+    assert "may call /lift" in said.out
+    assert "given to /heating" in said.out
+    refused(site.unlocked("grant", "approve", number[:6]), "no open request begins with", "pending")
+
+
+def test_a_person_says_approximately_and_only_today(site: Shell) -> None:
+    path = site.root / "ca" / "policy.yaml"
+    path.write_text(POLICY.replace("who: /heating\n    allow", "who: /other\n    allow"))
+    number = ask(site, "--subscribe", "/robot/pose")
+    said = site.unlocked("grant", "approve", number, "--approximate", "room", "--today")
+    assert "    pose.position: round step 2.0" in said.out
+    rows = json.loads(site("grant", "list", "--json").out)
+    assert rows[0]["expires"] - rows[0]["not_before"] <= 86400
+
+
+def test_a_filter_that_is_not_there(site: Shell) -> None:
+    number = ask(site, "--subscribe", "/other")
+    said = site.unlocked("grant", "approve", number, "--approximate", "rom")
+    refused(said, "no filter 'rom'", "there are: room, coarse-position")
+    refused(site.unlocked("grant", "approve", number, "--approximate", "room"),
+            "the type of /other is not known", "add it to types")  # fmt: skip
+    assert "nobody" not in site("grant", "pending").out  # it still waits
+
+
+def test_a_person_says_no(site: Shell) -> None:
+    number = ask(site, "--call", "/lift")
+    assert site("grant", "deny", number).out == "denied /heating call /lift\n"
+    refused(site("grant", "deny", number), "no open request begins")
+
+
+def test_the_beginning_must_name_one(site: Shell) -> None:
+    refused(site("grant", "deny", ""), "no open request begins")
+    ask(site, "--call", "/lift")
+    ask(site, "--call", "/lift")
+    refused(site("grant", "deny", ""), "several requests begin")
+
+
+def test_nobody_answers_in_time(site: Shell) -> None:
+    path = site.root / "ca" / "policy.yaml"
+    path.write_text(POLICY.replace("prompt_timeout: 1h", "prompt_timeout: 1s"))
+    ask(site, "--call", "/lift")
+    site("grant", "pending")
+    time.sleep(2.1)
+    assert site("grant", "pending").out == "nobody asks for anything\n"
+
+
+def test_what_is_not_asked(site: Shell) -> None:
+    said = site("grant", "request", "/heating", "--why", "x")
+    refused(said, "a request for nothing", "--publish")
+    said = site("grant", "request", "/heating", "--call", "lift", "--why", "x")
+    refused(said, "not a name pattern")
+
+
+def test_an_authority_elsewhere(site: Shell, tmp_path: Path) -> None:
+    (site.root / "ca").rename(tmp_path / "ca")
+    said = site("grant", "request", "/heating", "--call", "/lift", "--why", "x")
+    refused(said, "the authority is elsewhere", "--out FILE")
+
+
+def test_rubbish_in_the_inbox_is_told_and_dropped(site: Shell) -> None:
+    (site.root / "ca" / "inbox").mkdir()
+    (site.root / "ca" / "inbox" / "x.request").write_bytes(b"?")
+    said = site("grant", "pending")
+    assert said.err.startswith("rossec: a request was dropped: x.request: not a request")

@@ -1,0 +1,82 @@
+"""Requests in the record: taken once, answered once, never changed."""
+
+import sqlite3
+from pathlib import Path
+
+import pytest
+from cryptography.hazmat.primitives.asymmetric import ec
+
+from ca.errors import StoreError
+from ca.signer import KeySigner
+from ca.store import Store
+from grants.model import Right
+from grants.policy.drafts import Wish
+from grants.request import GrantRequest, sign_request
+from rossec import inbox
+from rossec.errors import ConfigurationError
+from rossec.inbox import Inbox
+
+NOW = 1_800_000_000
+NODE = KeySigner(ec.generate_private_key(ec.SECP256R1()))
+WISHES = (Wish(Right.CALL, "/lift"), Wish(Right.SUBSCRIBE, "/pose"))
+ASKED = GrantRequest("home", "/toaster", NOW, bytes(16), WISHES, "")
+DATA = sign_request(NODE, ASKED)
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    Store.create(tmp_path / "ca.db").close()
+    return tmp_path
+
+
+def test_a_request_is_answered_wish_by_wish(path: Path) -> None:
+    box = Inbox.of(path)
+    box.add(ASKED, DATA, NOW + 5)
+    first, second = box.unanswered()
+    assert (first.request, first.at, [first.wish, second.wish]) == (ASKED, NOW + 5, list(WISHES))
+    assert first.short_id == ASKED.id.hex()[:8]
+    box.answer(first, "granted", "policy", NOW)
+    assert box.unanswered() == [second]
+    box.close()
+    assert Inbox.of(path).unanswered() == [second]
+    Store.open(path / "ca.db").close()  # still a record
+
+
+def test_once(path: Path) -> None:
+    box = Inbox.of(path)
+    box.add(ASKED, DATA, NOW)
+    (first, _) = box.unanswered()
+    box.answer(first, "denied", "", NOW)
+    with pytest.raises(StoreError, match="asked or answered before"):
+        box.answer(first, "granted", "", NOW)
+    with pytest.raises(StoreError, match="asked or answered before"):
+        box.add(ASKED, DATA, NOW)
+
+
+@pytest.mark.parametrize("table", ["request", "decision"])
+@pytest.mark.parametrize("change", ["DELETE FROM {}", "UPDATE {} SET at = 0"])
+def test_nothing_is_changed_or_deleted(path: Path, table: str, change: str) -> None:
+    box = Inbox.of(path)
+    box.add(ASKED, DATA, NOW)
+    box.answer(box.unanswered()[0], "granted", "", NOW)
+    with pytest.raises(sqlite3.IntegrityError, match="append-only"):
+        sqlite3.connect(path / "ca.db").execute(change.format(table))
+
+
+def test_a_record_that_is_closed_cannot_be_written(path: Path) -> None:
+    box = Inbox.of(path)
+    box.close()
+    with pytest.raises(StoreError, match="cannot be written"):
+        box.add(ASKED, DATA, NOW)
+
+
+def test_files_are_laid_and_found(path: Path) -> None:
+    assert inbox.waiting(path) == []
+    laid = inbox.lay(path, ASKED, DATA)
+    assert inbox.waiting(path) == [laid]
+    assert inbox.read(laid) == DATA
+    laid.write_bytes(bytes(inbox.MAX_FILE + 1))
+    with pytest.raises(ConfigurationError, match="larger than"):
+        inbox.read(laid)
+    with pytest.raises(ConfigurationError, match="there is no"):
+        inbox.read(path / "absent")

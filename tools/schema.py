@@ -1,0 +1,5 @@
+"""Write `grants/policy/policy.schema.json` anew, after operators or rights have changed."""
+
+from grants.policy import schema
+
+schema.FILE.write_text(schema.text())
