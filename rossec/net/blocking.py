@@ -175,7 +175,7 @@ class SecureSocket(Generic[PeerT]):
         with self._writing:
             self._raise_if_over()
             with self._core_lock:
-                records = self._core.seal_unit(data)
+                records = self._core.seal_unit(data, reuse=True)
             while True:
                 with self._core_lock:
                     record = self._guarded(lambda: next(records, None))
