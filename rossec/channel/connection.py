@@ -10,7 +10,7 @@ from collections.abc import Collection
 from typing import Final, Self
 
 from rossec.channel.credentials import OwnCredential, PeerT, Verify
-from rossec.channel.handshake import Party, Responder
+from rossec.channel.handshake import Responder
 from rossec.channel.known import KnownCertificates
 from rossec.channel.messages import UNKNOWN_CREDENTIAL, UNSPECIFIED, encode_error
 from rossec.channel.negotiation import Negotiation, Preamble, Step
@@ -26,6 +26,7 @@ from rossec.channel.records import (
     check_header,
     frame,
 )
+from rossec.channel.side import Party
 from rossec.channel.states import (
     DEAD,
     HANDSHAKING,

@@ -11,7 +11,7 @@ from typing import Final, Generic, cast
 
 from rossec.channel.buffers import ReceiveBuffer
 from rossec.channel.credentials import PeerT
-from rossec.channel.handshake import Initiator, Party, Responder, WrongSuite
+from rossec.channel.handshake import Initiator, Responder, WrongSuite
 from rossec.channel.messages import (
     UNKNOWN_CREDENTIAL,
     WRONG_SUITE,
@@ -31,6 +31,7 @@ from rossec.channel.opening import (
 )
 from rossec.channel.records import Epochs, Frame, Limits, frame
 from rossec.channel.session import Session
+from rossec.channel.side import Party
 from rossec.channel.states import State
 from rossec.errors import CredentialUnknown, PeerRefused, PlainPeer
 

@@ -39,7 +39,7 @@ class Outbound(Generic[PeerT]):
         self._now = now
         self._give_up_at = now + limits.handshake_seconds
         self._inbox = ReceiveBuffer(SMALL)
-        self._out: list[bytes | bytearray] = []
+        self._out: list[Bytes] = []
         self._events: list[Event[PeerT]] = []
         self._peer: PeerT | None = None
         self._session: Session | None = None
@@ -63,9 +63,10 @@ class Outbound(Generic[PeerT]):
 
     # -- sending
 
-    def seal_unit(self, *pieces: Bytes) -> Iterator[bytes | bytearray]:
+    def seal_unit(self, *pieces: Bytes, reuse: bool = False) -> Iterator[Bytes]:
         """Yield what to send for a unit, record by record; write each before taking the next.
 
+        With `reuse` a record holds until the next is taken: write it, or copy it, before that.
         A unit that has begun must be finished: if that is not possible, drop the connection.
 
         Raises:
@@ -74,7 +75,7 @@ class Outbound(Generic[PeerT]):
             ProtocolViolation: a unit begun before is not finished.
         """
         self.check_unit(pieces)
-        return self._sealed(pieces)
+        return self._sealed(pieces, reuse=reuse)
 
     def check_unit(self, pieces: Sequence[Bytes]) -> None:
         """Refuse a unit that `seal_unit` would refuse; nothing has happened to the connection.
@@ -84,7 +85,7 @@ class Outbound(Generic[PeerT]):
         """
         self._sendable().check_unit(pieces)
 
-    def seal_small(self, unit: bytes) -> bytes | bytearray | None:
+    def seal_small(self, unit: bytes) -> Bytes | None:
         """Seal a unit in one record: the short way, where nothing else has to be done.
 
         None means that something has: use `seal_unit`.
@@ -100,14 +101,14 @@ class Outbound(Generic[PeerT]):
             return None
         return self._session.seal_small(unit)
 
-    def _sealed(self, pieces: Sequence[Bytes]) -> Iterator[bytes | bytearray]:
+    def _sealed(self, pieces: Sequence[Bytes], *, reuse: bool) -> Iterator[Bytes]:
         if self._sealing:
             raise ProtocolViolation("a second unit in the middle of the first")
         self._sealing = True
         try:
-            for record in self._sendable().seal_unit(pieces):
+            for record in self._sendable().seal_unit(pieces, reuse=reuse):
                 # Whatever was sealed meanwhile has the smaller counter: it goes first.
-                yield self.data_to_send() + record if self._out else record
+                yield b"".join((self.data_to_send(), record)) if self._out else record
                 self._sendable()
             self._sealing = False  # and stays set when a unit is given up half-way
         except LimitExceeded:
@@ -133,7 +134,7 @@ class Outbound(Generic[PeerT]):
         """Whether `data_to_send` has something to return."""
         return any(self._out)
 
-    def data_to_send(self) -> bytes | bytearray:
+    def data_to_send(self) -> Bytes:
         """Return, once, everything queued for the peer."""
         out, self._out = self._out, []
         return out[0] if len(out) == 1 else b"".join(out)

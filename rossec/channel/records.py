@@ -111,16 +111,18 @@ class Direction:
         self.octets += length
         return (self._iv ^ counter).to_bytes(12)
 
-    def seal(self, kind: Frame, plaintext: Bytes) -> bytes | bytearray:
-        """Return the whole record."""
+    def seal(self, kind: Frame, plaintext: Bytes, scratch: bytearray | None = None) -> Bytes:
+        """Return the whole record; a large one in `scratch`, where there is one."""
         length = len(plaintext)
         head = (kind << 28 | (self.epoch & 15) << 24 | (length + TAG)).to_bytes(4)
         nonce = self._nonce(length)
         if length < _INTO_FROM:
             return head + self._aead.encrypt(nonce, plaintext, head)
-        record = bytearray(HEADER + length + TAG)
+        if scratch is None:
+            scratch = bytearray(HEADER + length + TAG)
+        record = memoryview(scratch)[: HEADER + length + TAG]
         record[:HEADER] = head
-        self._aead.encrypt_into(nonce, plaintext, head, memoryview(record)[HEADER:])
+        self._aead.encrypt_into(nonce, plaintext, head, record[HEADER:])
         return record
 
     def open(self, head: bytes, body: memoryview) -> bytes:

@@ -6,9 +6,12 @@ even if it has nothing to say, so that a one-way flow can be renewed again.
 """
 
 from collections.abc import Iterator, Sequence
+from typing import Final
 
 from rossec.channel.records import (
+    HEADER,
     MAX_PLAINTEXT,
+    TAG,
     Bytes,
     Direction,
     Epochs,
@@ -19,6 +22,8 @@ from rossec.channel.records import (
 )
 from rossec.errors import ConnectionTruncated, LimitExceeded
 
+_REUSE_ABOVE: Final = 64 * 1024
+
 
 class Session:
     """Both directions of an open connection; `now` is when it opened."""
@@ -27,6 +32,7 @@ class Session:
         self._epochs = epochs
         self._limits = limits
         self._unit = UnitAssembly(limits.unit)
+        self._scratch: bytearray | None = None
         self.renew_at = now + limits.seconds
 
     @property
@@ -40,53 +46,62 @@ class Session:
         Raises:
             LimitExceeded: longer than `Limits.unit`.
         """
-        size = sum(p.nbytes if isinstance(p, memoryview) else len(p) for p in pieces)
+        size = _size(pieces)
         if size > self._limits.unit:
             raise LimitExceeded(
                 f"a message of {size} bytes where at most {self._limits.unit} are allowed",
                 "send it in parts",
             )
 
-    def seal_small(self, unit: bytes) -> bytes | bytearray | None:
+    def seal_small(self, unit: bytes) -> Bytes | None:
         """Seal a unit of one record at once, unless a renewal is due."""
         limits, sender = self._limits, self._epochs.sender
         if sender.records >= limits.records or sender.octets >= limits.octets:
             return None
         return sender.seal(Frame.DATA_END, unit)
 
-    def seal_unit(self, pieces: Sequence[Bytes]) -> Iterator[bytes | bytearray]:
+    def seal_unit(self, pieces: Sequence[Bytes], *, reuse: bool) -> Iterator[Bytes]:
         """Yield the records of a unit, and REKEY records where they are due.
+
+        With `reuse` large records share one buffer: a new one of this size costs a sixth of the
+        encryption, for zeroing it.
 
         Raises:
             LimitExceeded: the peer did not follow a rekey in time.
         """
+        scratch = self._shared_buffer() if reuse and _size(pieces) > _REUSE_ABOVE else None
         held: Bytes | None = None
         for plaintext in fragments(pieces):
             if held is not None:
-                yield from self._record(Frame.DATA, held)
+                yield from self._record(Frame.DATA, held, scratch)
             held = plaintext
         if held is not None:
-            yield from self._record(Frame.DATA_END, held)
+            yield from self._record(Frame.DATA_END, held, scratch)
 
-    def _record(self, kind: Frame, plaintext: Bytes) -> Iterator[bytes | bytearray]:
+    def _shared_buffer(self) -> bytearray:
+        if self._scratch is None:
+            self._scratch = bytearray(HEADER + MAX_PLAINTEXT + TAG)
+        return self._scratch
+
+    def _record(self, kind: Frame, plaintext: Bytes, scratch: bytearray | None) -> Iterator[Bytes]:
         limits, sender = self._limits, self._epochs.sender
         if sender.records >= limits.records or sender.octets >= limits.octets:
             if sender.epoch <= self._epochs.receiver.epoch:
                 yield self._rekey()
             elif _beyond(sender, limits):
                 raise LimitExceeded("the peer does not follow the renewal of the keys")
-        yield self._epochs.sender.seal(kind, plaintext)
+        yield self._epochs.sender.seal(kind, plaintext, scratch)
 
-    def _rekey(self) -> bytes | bytearray:
+    def _rekey(self) -> Bytes:
         record = self._epochs.sender.seal(Frame.REKEY, b"")
         self._epochs.next_sender()
         return record
 
-    def close_record(self) -> bytes | bytearray:
+    def close_record(self) -> Bytes:
         """The authenticated end of this direction."""
         return self._epochs.sender.seal(Frame.CLOSE, b"")
 
-    def renew(self, now: int) -> bytes | bytearray:
+    def renew(self, now: int) -> Bytes:
         """Renew this direction's keys if it is time and they were used; return what to send.
 
         Raises:
@@ -114,7 +129,7 @@ class Session:
             raise LimitExceeded("the peer uses its keys for too long")
         return receiver
 
-    def rekey(self, head: bytes, body: memoryview) -> bytes | bytearray:
+    def rekey(self, head: bytes, body: memoryview) -> Bytes:
         """Take the peer's REKEY; return this side's own if it has to follow."""
         self._epochs.receiver.open(head, body)
         self._epochs.next_receiver()
@@ -130,6 +145,10 @@ class Session:
         self._epochs.receiver.open(head, body)
         if self._unit.length > 0:
             raise ConnectionTruncated("the peer closed the connection in the middle of a message")
+
+
+def _size(pieces: Sequence[Bytes]) -> int:
+    return sum(p.nbytes if isinstance(p, memoryview) else len(p) for p in pieces)
 
 
 def _beyond(direction: Direction, limits: Limits) -> bool:

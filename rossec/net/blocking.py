@@ -21,11 +21,12 @@ from rossec.channel.credentials import OwnCredential, PeerT, Verify
 from rossec.channel.records import Bytes
 from rossec.channel.states import DEAD, Authenticated, UnitReceived
 from rossec.errors import ChannelClosed, ChannelError
+from rossec.net.options import SocketOptions
 
 _LONGEST_WAIT: Final = 3600.0  # then look at the clock again: the host's may be set
 
 
-class SecureSocket(Generic[PeerT]):
+class SecureSocket(SocketOptions, Generic[PeerT]):
     """A connection over a connected TCP socket, which it owns.
 
     The handshake happens in the first `recv` or `send`, or in `do_handshake`. Two threads may use
@@ -94,34 +95,6 @@ class SecureSocket(Generic[PeerT]):
         """A descriptor to wait on for reading; -1 when closed."""
         return -1 if self._epoll.closed else self._epoll.fileno()
 
-    def settimeout(self, value: float | None) -> None:
-        """As of sockets: None waits, 0 does not."""
-        self._timeout = value
-
-    def gettimeout(self) -> float | None:
-        """What `settimeout` set."""
-        return self._timeout
-
-    def setblocking(self, flag: bool) -> None:
-        """As of sockets."""
-        self._timeout = None if flag else 0.0
-
-    def setsockopt(self, *arguments: Any) -> None:
-        """Set an option of the TCP socket."""
-        self._socket.setsockopt(*arguments)
-
-    def getsockopt(self, *arguments: Any) -> int | bytes:
-        """Return an option of the TCP socket."""
-        return self._socket.getsockopt(*arguments)
-
-    def getsockname(self) -> Any:
-        """This side's address."""
-        return self._socket.getsockname()
-
-    def getpeername(self) -> Any:
-        """The peer's address: for logs, never for trust."""
-        return self._socket.getpeername()
-
     # -- bytes
 
     def do_handshake(self) -> PeerT:
@@ -175,7 +148,7 @@ class SecureSocket(Generic[PeerT]):
         with self._writing:
             self._raise_if_over()
             with self._core_lock:
-                records = self._core.seal_unit(data)
+                records = self._core.seal_unit(data, reuse=True)
             while True:
                 with self._core_lock:
                     record = self._guarded(lambda: next(records, None))

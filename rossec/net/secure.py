@@ -78,7 +78,7 @@ class SecureStream(Generic[PeerT]):
         async with self._turn:
             await driver.drain()
             self._flush_queue()
-            await self._write(driver.connection.seal_unit(*pieces))
+            await self._write(driver.connection.seal_unit(*pieces, reuse=True))
             self._flush_queue()  # what came meanwhile
 
     async def _write(self, records: Iterator[Bytes]) -> None:

@@ -1,8 +1,8 @@
 """One non-blocking socket on a loop: bytes in, bytes out, nothing else.
 
 Not an asyncio transport: those copy what the kernel does not take at once, twice for a large
-record, and cost more calls per message. Here a remainder is kept as a view of the sealed record,
-and the socket reads straight into the buffer its owner lends.
+record, and cost more calls per message. Here a remainder is copied once, and the socket reads
+straight into the buffer its owner lends.
 """
 
 import asyncio
@@ -112,7 +112,7 @@ class Transport:
     # -- writing
 
     def write(self, data: Bytes) -> None:
-        """Send `data`, which must not change any more; what does not fit now is sent later."""
+        """Send `data`, which may change afterwards: what does not fit now is copied, sent later."""
         if self.closed:
             return
         sent = 0
@@ -121,7 +121,7 @@ class Transport:
             if sent == len(data) or self.closed:
                 return
             self._loop.add_writer(self._fd, self._flush)
-        self._pending.append(memoryview(data)[sent:])
+        self._pending.append(memoryview(bytes(memoryview(data)[sent:])))
         self.backlog += len(data) - sent
 
     def _send(self, data: Bytes) -> int:

@@ -10,8 +10,9 @@ from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey, X
 
 from ca.encoding import Value, decode_sequence, encode
 from ca.errors import CAError
-from rossec.channel.handshake import Initiator, Party, Responder, WrongSuite
+from rossec.channel.handshake import Initiator, Responder, WrongSuite
 from rossec.channel.messages import Message1, decode_bytes, decode_message_1, decode_plaintext
+from rossec.channel.side import Party
 from rossec.channel.suites import SUITES
 from rossec.errors import HandshakeFailed, IdentityRefused
 from tests.support.wire import ALICE, BOB, NOW, FakeIdentity, dice, node, trust

@@ -65,7 +65,7 @@ def test_a_counter_is_consumed_by_a_failure_too() -> None:
     sender, receiver = direction(), direction()
     record = sender.seal(Frame.DATA, b"x")
     with pytest.raises(RecordForged):
-        opened(receiver, record[:-1] + b"\0")
+        opened(receiver, bytes(record[:-1]) + b"\0")
     with pytest.raises(RecordForged):
         opened(receiver, record)
 

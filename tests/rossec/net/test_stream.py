@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import errno
 import logging
 import socket
 from collections.abc import AsyncIterator
@@ -25,6 +26,7 @@ from rossec.errors import (
     PlainPeer,
     SendQueueFull,
 )
+from rossec.net import server as server_module
 from rossec.net.halfopen import source_of
 from rossec.net.server import bind
 from rossec.net.stream import HalfOpen, SecureServer, SecureStream, connect, serve
@@ -437,3 +439,73 @@ async def test_a_peer_that_does_not_follow_a_renewal_ends_the_queue() -> None:
                 await asyncio.sleep(0)
         with pytest.raises(LimitExceeded):
             await stream.receive()
+
+
+# -- the server and the driver at the edge
+
+
+async def test_accepting_goes_on_when_descriptors_come_back(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    class Exhausted(socket.socket):
+        failures = 1
+
+        def accept(self) -> tuple[socket.socket, object]:
+            if Exhausted.failures:
+                Exhausted.failures -= 1
+                raise OSError(errno.EMFILE, "too many open files")
+            return super().accept()
+
+    def bind_exhausted(host: str | None, port: int) -> list[socket.socket]:
+        (sock,) = bind(host, port)
+        return [Exhausted(fileno=sock.detach())]
+
+    monkeypatch.setattr(server_module, "bind", bind_exhausted)
+    monkeypatch.setattr(server_module, "_REST", 0.01)
+    async with await serve(echo, "127.0.0.1", 0, BOB, live) as server:
+        await still_works(server)
+    assert "too many open files" in caplog.text
+    closed = socket.socket()
+    closed.close()
+    server._watch(closed)  # nothing to watch, nothing happens
+
+
+async def test_addresses_are_those_of_the_connection(server: SecureServer[FakeIdentity]) -> None:
+    stream = await call(server)
+    assert stream.local_address == "127.0.0.1"
+    stream.abort("done")
+    assert stream.local_address == ""
+
+
+async def test_keys_are_renewed_by_the_clock() -> None:
+    limits = Limits(seconds=1)
+    async with await serve(echo, "127.0.0.1", 0, BOB, live, limits=limits) as server:
+        stream = await connect("127.0.0.1", server.port, ALICE, live, limits=limits)
+        for _ in range(2):
+            await stream.send(b"x")
+            assert await stream.receive() == b"x"
+            await asyncio.sleep(1.2)
+        assert stream._driver.connection._open_session().receive_epoch >= 1
+        await stream.close()
+
+
+async def test_small_units_wait_for_a_peer_that_lags() -> None:
+    go = asyncio.Event()
+
+    async def late(stream: Stream) -> None:
+        await go.wait()
+        got = b""
+        while not got.endswith(b"end"):
+            got = (got + await stream.receive())[-3:]
+        await stream.send(b"all")
+
+    async with await serve(late, "127.0.0.1", 0, BOB, live) as server:
+        stream = await call(server)
+        while stream._driver.writable:
+            await stream.send(b"x" * 1000)
+        stream.send_nowait(b"y")
+        await asyncio.sleep(0)
+        stream.send_nowait(b"end")
+        go.set()
+        assert await stream.receive() == b"all"
+        stream.abort("done")
