@@ -213,23 +213,32 @@ def _claims_of(body: bytes) -> Value:
     general check; whatever differs goes through that check, to be named.
     """
     claims = _decoded(body, parse)
+    return claims if _written(claims) == body else _decoded(body, decode)
+
+
+def _written(claims: Value) -> bytes | None:
+    """The claims in their one form; None, or something else, where they are not as usual.
+
+    Texts are taken for ASCII: another one only gives bytes that no grant has.
+    """
     match claims:
         case {
             1: str(iss), 2: str(sub), 3: str(aud), 4: int(exp), 5: int(nbf), 7: bytes(cti),
             8: {5: bytes(ckt)}, 9: bytes(scope), -65537: int(cap),
         } if min(exp, nbf, cap) >= 0:  # fmt: skip
-            written = (
-                b"\xa9\x01", head(_TEXT, len(iss)), iss.encode(),
-                b"\x02", head(_TEXT, len(sub)), sub.encode(),
-                b"\x03", head(_TEXT, len(aud)), aud.encode(),
-                b"\x04", head(_UINT, exp), b"\x05", head(_UINT, nbf),
-                b"\x07\x50", cti, b"\x08\xa1\x05\x58\x20", ckt,
-                b"\x09", head(_BYTES, len(scope)), scope,
-                b"\x3a\0\1\0\0", head(_UINT, cap),
+            return b"".join(
+                (
+                    b"\xa9\x01", head(_TEXT, len(iss)), iss.encode(),
+                    b"\x02", head(_TEXT, len(sub)), sub.encode(),
+                    b"\x03", head(_TEXT, len(aud)), aud.encode(),
+                    b"\x04", head(_UINT, exp), b"\x05", head(_UINT, nbf),
+                    b"\x07\x50", cti, b"\x08\xa1\x05\x58\x20", ckt,
+                    b"\x09", head(_BYTES, len(scope)), scope,
+                    b"\x3a\0\1\0\0", head(_UINT, cap),
+                )
             )  # fmt: skip
-            if b"".join(written) == body:  # never equal where a text is not ASCII: decoded below
-                return claims
-    return _decoded(body, decode)
+        case _:
+            return None
 
 
 def _read(claims: dict[Any, Any], grant_id: bytes) -> Grant:
