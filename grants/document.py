@@ -87,6 +87,13 @@ def open_grant(
         GrantMalformed: outside the closed schema.
         GrantNotYetValid, GrantExpired: not valid at `now`.
     """
+    grant = verify(data, ca_key, domain=domain)
+    check_time(grant, now)
+    return grant
+
+
+def verify(data: bytes, ca_key: ec.EllipticCurvePublicKey, *, domain: str | None = None) -> Grant:
+    """As `open_grant`, without asking *when*: for `grants.renewal`, which does."""
     try:
         body = GRANT.open_body(data, ca_key)
     except SignatureError as error:
@@ -98,7 +105,6 @@ def open_grant(
         raise GrantForged("signed by this authority in the name of another one")
     if domain is not None and grant.domain != domain:
         raise GrantForged(f"a grant for the trust domain {grant.domain!r}, not {domain!r}")
-    check_time(grant, now)
     return grant
 
 
@@ -156,7 +162,7 @@ def _thumbprint(key: ec.EllipticCurvePublicKey) -> bytes:
 def _claims(draft: Draft, issuer: bytes) -> Value:
     scope: list[Value] = [_entry(permission) for permission in draft.permissions]
     return {
-        _ISS: _uri(issuer),
+        _ISS: issuer_uri(issuer),
         _SUB: draft.subject,
         _AUD: draft.domain,
         _EXP: draft.expires,
@@ -207,23 +213,32 @@ def _claims_of(body: bytes) -> Value:
     general check; whatever differs goes through that check, to be named.
     """
     claims = _decoded(body, parse)
+    return claims if _written(claims) == body else _decoded(body, decode)
+
+
+def _written(claims: Value) -> bytes | None:
+    """The claims in their one form; None, or something else, where they are not as usual.
+
+    Texts are taken for ASCII: another one only gives bytes that no grant has.
+    """
     match claims:
         case {
             1: str(iss), 2: str(sub), 3: str(aud), 4: int(exp), 5: int(nbf), 7: bytes(cti),
             8: {5: bytes(ckt)}, 9: bytes(scope), -65537: int(cap),
         } if min(exp, nbf, cap) >= 0:  # fmt: skip
-            written = (
-                b"\xa9\x01", head(_TEXT, len(iss)), iss.encode(),
-                b"\x02", head(_TEXT, len(sub)), sub.encode(),
-                b"\x03", head(_TEXT, len(aud)), aud.encode(),
-                b"\x04", head(_UINT, exp), b"\x05", head(_UINT, nbf),
-                b"\x07\x50", cti, b"\x08\xa1\x05\x58\x20", ckt,
-                b"\x09", head(_BYTES, len(scope)), scope,
-                b"\x3a\0\1\0\0", head(_UINT, cap),
+            return b"".join(
+                (
+                    b"\xa9\x01", head(_TEXT, len(iss)), iss.encode(),
+                    b"\x02", head(_TEXT, len(sub)), sub.encode(),
+                    b"\x03", head(_TEXT, len(aud)), aud.encode(),
+                    b"\x04", head(_UINT, exp), b"\x05", head(_UINT, nbf),
+                    b"\x07\x50", cti, b"\x08\xa1\x05\x58\x20", ckt,
+                    b"\x09", head(_BYTES, len(scope)), scope,
+                    b"\x3a\0\1\0\0", head(_UINT, cap),
+                )
             )  # fmt: skip
-            if b"".join(written) == body:  # never equal where a text is not ASCII: decoded below
-                return claims
-    return _decoded(body, decode)
+        case _:
+            return None
 
 
 def _read(claims: dict[Any, Any], grant_id: bytes) -> Grant:
@@ -238,7 +253,7 @@ def _read(claims: dict[Any, Any], grant_id: bytes) -> Grant:
         serial=_typed(claims[_CTI], bytes, "cti"),
         permissions=_permissions(_typed(claims[_SCOPE], bytes, "scope")),
         id=grant_id,
-        issuer=_issuer(_typed(claims[_ISS], str, "iss")),
+        issuer=read_issuer(_typed(claims[_ISS], str, "iss")),
     )
 
 
@@ -249,19 +264,25 @@ def _permissions(scope: bytes) -> tuple[Permission, ...]:
 
 
 @lru_cache(maxsize=16)
-def _issuer(text: str) -> bytes:
+def read_issuer(text: str) -> bytes:
+    """The thumbprint in an `iss` claim.
+
+    Raises:
+        GrantMalformed: not exactly the URI of one.
+    """
     encoded = text.removeprefix(_CKT_URI)
     try:
         issuer = base64.b64decode(encoded + "=", altchars=b"-_", validate=True)
     except ValueError:
         issuer = b""
     # Compared after encoding again: base64 ignores the last bits of the last character.
-    if len(issuer) != KEY_SIZE or text != _uri(issuer):
+    if len(issuer) != KEY_SIZE or text != issuer_uri(issuer):
         raise GrantMalformed("iss is not the thumbprint URI of a key")
     return issuer
 
 
-def _uri(issuer: bytes) -> str:
+def issuer_uri(issuer: bytes) -> str:
+    """The `iss` claim for a thumbprint (RFC 9679 section 5)."""
     return _CKT_URI + base64.urlsafe_b64encode(issuer).decode().rstrip("=")
 
 

@@ -2,10 +2,13 @@
 
 import hashlib
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
 import pytest
 from cryptography.hazmat.primitives.asymmetric import ec
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from ca.encoding import decode, encode
 from ca.publickey import thumbprint
@@ -284,3 +287,30 @@ def test_a_node_key_is_no_authority() -> None:
     node = KeySigner(ec.generate_private_key(ec.SECP256R1()))
     with pytest.raises(GrantForged):
         opened(document.sign(node, DRAFT))
+
+
+def test_many_grants_under_one_key() -> None:
+    """The key's thumbprint is remembered for as long as the key is the same."""
+    key, other = CA.public_key, OTHER_CA.public_key
+    for _ in range(2):
+        assert document.open_grant(DATA, key, NOW) == document.open_grant(DATA, key, NOW)
+        assert document.open_grant(document.sign(OTHER_CA, DRAFT), other, NOW).domain == "home"
+        with pytest.raises(GrantForged):
+            document.open_grant(DATA, other, NOW)
+
+
+@settings(max_examples=300)
+@given(st.binary(max_size=300), st.integers(0, len(BODY)), st.integers(0, 40))
+def test_fuzzed_claims_give_our_errors_or_a_grant(noise: bytes, at: int, cut: int) -> None:
+    """Signed, so that the noise reaches the reader; what is read has one encoding."""
+    body = BODY[:at] + noise + BODY[at + cut :]
+    with suppress(GrantMalformed):
+        document.peek(resign(PROTECTED, body))
+        assert encode(decode(body)) == body
+
+
+@given(st.binary(max_size=200))
+def test_noise_gives_our_errors(noise: bytes) -> None:
+    for data in (noise, DATA[:40] + noise, b"\xd2" + noise):
+        with pytest.raises((GrantForged, GrantMalformed)):
+            opened(data)
