@@ -106,6 +106,14 @@ class PeerRefused(ChannelError):
     """The peer ended the handshake with an error. Unauthenticated, so only a hint."""
 
 
+class UnknownCredential(HandshakeFailed):
+    """The peer named its certificate by a hash this node does not know; it is told so."""
+
+
+class CredentialUnknown(PeerRefused):
+    """The peer does not know the certificate this node named: begin again, by value."""
+
+
 class PlainPeer(ChannelError):
     """The peer speaks ROS, but not through rossec."""
 

@@ -114,8 +114,19 @@ class NodeHome:
         return TrustAnchor.load(der)
 
     def identity(self, now: int) -> Identity:
-        """This node's own identity, verified."""
-        return self.anchor().verify(self.credentials().chain, now)
+        """This node's own identity, verified.
+
+        Raises:
+            CertificateRefused: it is expired, or not in order.
+            ConfigurationError: it is another node's: a directory was copied or renamed.
+        """
+        identity = self.anchor().verify(self.credentials().chain, now)
+        if identity.name != self.name:
+            raise ConfigurationError(
+                f"{self.path} holds the identity of {identity.name}, not of {self.name}",
+                f"next: rossec node request {self.name}",
+            )
+        return identity
 
     def credentials(self) -> Credentials:
         """This node's key and certificate."""

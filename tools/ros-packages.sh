@@ -5,7 +5,8 @@ set -euo pipefail
 packages=(
     python3-venv python3-rospy python3-rosmaster python3-rostopic python3-rosnode
     python3-std-msgs python3-geometry-msgs python3-sensor-msgs python3-nav-msgs
-    python3-diagnostic-msgs tcpdump
+    python3-diagnostic-msgs python3-stereo-msgs python3-shape-msgs python3-trajectory-msgs
+    python3-visualization-msgs python3-actionlib-msgs python3-actionlib python3-tf2-msgs tcpdump
 )
 
 missing=()

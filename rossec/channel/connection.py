@@ -6,15 +6,16 @@ in one generic text (no oracle). Verified units of the same call are dropped wit
 A caller writes every byte it is handed, in order and at once, or drops the connection.
 """
 
-from collections.abc import Collection, Iterator, Sequence
-from typing import Final, Generic, Self
+from collections.abc import Collection
+from typing import Final, Self
 
-from rossec.channel.buffers import SMALL, ReceiveBuffer
 from rossec.channel.credentials import OwnCredential, PeerT, Verify
 from rossec.channel.handshake import Party, Responder
-from rossec.channel.messages import UNSPECIFIED, encode_error
+from rossec.channel.known import KnownCertificates
+from rossec.channel.messages import UNKNOWN_CREDENTIAL, UNSPECIFIED, encode_error
 from rossec.channel.negotiation import Negotiation, Preamble, Step
 from rossec.channel.opening import Flavour
+from rossec.channel.outbound import HINT_SILENT, Outbound
 from rossec.channel.records import (
     HEADER,
     MAX_PLAINTEXT,
@@ -25,12 +26,10 @@ from rossec.channel.records import (
     check_header,
     frame,
 )
-from rossec.channel.session import Session
 from rossec.channel.states import (
     DEAD,
     HANDSHAKING,
     PREAMBLE,
-    SENDING,
     TABLE,
     UNPROVEN,
     Authenticated,
@@ -41,42 +40,23 @@ from rossec.channel.states import (
 )
 from rossec.channel.suites import PRODUCTION, Random
 from rossec.errors import (
-    ChannelClosed,
     ChannelError,
     ConnectionTruncated,
     HandshakeFailed,
-    HandshakeTimeout,
-    IdentityExpired,
-    LimitExceeded,
     ProtocolViolation,
+    UnknownCredential,
 )
 
 _OPEN_BUFFER: Final = 64 * 1024
 _FULL_BUFFER: Final = 2 * (HEADER + MAX_PLAINTEXT + TAG)  # two whole records stay aligned
 _REFUSED: Final = frame(Frame.ERROR, encode_error(UNSPECIFIED, "handshake refused"))
+_UNKNOWN: Final = frame(Frame.ERROR, encode_error(UNKNOWN_CREDENTIAL, info=True))
 _DEFAULTS: Final = Limits()
-_HINT_SILENT: Final = "it may be a plain ROS node, which has no identity, or overloaded"
 _BOTH: Final = frozenset(Flavour)
 
 
-class Connection(Generic[PeerT]):
+class Connection(Outbound[PeerT]):
     """A connection of either role: make one with `initiator` or `responder`."""
-
-    def __init__(
-        self, preamble: Preamble, negotiation: Negotiation[PeerT], now: int, limits: Limits
-    ) -> None:
-        self._preamble = preamble
-        self._negotiation = negotiation
-        self._limits = limits
-        self._now = now
-        self._give_up_at = now + limits.handshake_seconds
-        self._inbox = ReceiveBuffer(SMALL)
-        self._out: list[bytes | bytearray] = []
-        self._events: list[Event[PeerT]] = []
-        self._peer: PeerT | None = None
-        self._session: Session | None = None
-        self._sealing = False
-        self.state = State.OPENING
 
     @classmethod
     def initiator(
@@ -89,9 +69,17 @@ class Connection(Generic[PeerT]):
         opening: Flavour = Flavour.TCPROS,
         suites: tuple[int, ...] = PRODUCTION,
         limits: Limits = _DEFAULTS,
+        known: KnownCertificates | None = None,
+        brief: bool = False,
     ) -> Self:
-        """The side that connected; its first flight is ready to send."""
-        negotiation, message_1 = Negotiation.begin(Party(credentials, verify, random, suites))
+        """The side that connected; its first flight is ready to send.
+
+        With `known` certificates are remembered, and `brief` asks the responder to name its own by
+        a hash: for a place where one was met before. `CredentialUnknown` and `UnknownCredential`
+        mean: forget the introductions, and begin again without `brief`.
+        """
+        party = Party(credentials, verify, random, suites, known=known, brief=brief)
+        negotiation, message_1 = Negotiation.begin(party)
         preamble = Preamble(opening, None)
         connection = cls(preamble, negotiation, now, limits)
         connection._out += [preamble.take(), message_1]
@@ -108,16 +96,12 @@ class Connection(Generic[PeerT]):
         accept: Collection[Flavour] = _BOTH,
         suites: tuple[int, ...] = PRODUCTION,
         limits: Limits = _DEFAULTS,
+        known: KnownCertificates | None = None,
     ) -> Self:
         """The side that was connected to; `accept` says which openings may lead on."""
-        party = Party(credentials, verify, random, suites)
+        party = Party(credentials, verify, random, suites, known=known)
         preamble = Preamble(Flavour.TCPROS, accept)
         return cls(preamble, Negotiation(Responder(party)), now, limits)
-
-    @property
-    def flavour(self) -> Flavour:
-        """How the connection introduced itself."""
-        return self._preamble.flavour
 
     # -- receiving
 
@@ -152,8 +136,8 @@ class Connection(Generic[PeerT]):
         events = self._events = []
         try:
             self._run()
-        except ChannelError:
-            self._last_flight()
+        except ChannelError as error:
+            self._last_flight(_UNKNOWN if isinstance(error, UnknownCredential) else _REFUSED)
             raise
         except BaseException:
             self._die()  # a bug is a flaw like any other
@@ -179,7 +163,7 @@ class Connection(Generic[PeerT]):
             )
         raise HandshakeFailed(
             "the peer ended the connection during the handshake",
-            _HINT_SILENT,
+            HINT_SILENT,
         )
 
     def _run(self) -> None:
@@ -233,11 +217,6 @@ class Connection(Generic[PeerT]):
 
     # -- records: the rows of the table for an open connection
 
-    def _open_session(self) -> Session:
-        if self._session is None:
-            raise ChannelClosed("the connection is closed")
-        return self._session
-
     def _on_data(self, head: bytes, body: memoryview) -> State:
         self._open_session().data(head, body)
         return State.OPEN
@@ -258,127 +237,12 @@ class Connection(Generic[PeerT]):
         self._events.append(Closed())
         return State.CLOSED
 
-    # -- sending
-
-    def seal_unit(self, *pieces: Bytes) -> Iterator[bytes | bytearray]:
-        """Yield what to send for a unit, record by record; write each before taking the next.
-
-        A unit that has begun must be finished: if that is not possible, drop the connection.
-
-        Raises:
-            LimitExceeded: too long, at once, and nothing has happened.
-            ChannelClosed: there is no open connection (any more).
-            ProtocolViolation: a unit begun before is not finished.
-        """
-        self._sendable().check_unit(pieces)
-        return self._sealed(pieces)
-
-    def seal_small(self, unit: bytes) -> bytes | bytearray | None:
-        """Seal a unit in one record: the short way, where nothing else has to be done.
-
-        None means that something has: use `seal_unit`.
-        """
-        small = 0 < len(unit) <= min(_OPEN_BUFFER, self._limits.unit)
-        if (
-            self._out
-            or self._sealing
-            or not small
-            or self.state not in SENDING
-            or self._session is None
-        ):
-            return None
-        return self._session.seal_small(unit)
-
-    def _sealed(self, pieces: Sequence[Bytes]) -> Iterator[bytes | bytearray]:
-        if self._sealing:
-            raise ProtocolViolation("a second unit in the middle of the first")
-        self._sealing = True
-        try:
-            for record in self._sendable().seal_unit(pieces):
-                # Whatever was sealed meanwhile has the smaller counter: it goes first.
-                yield self.data_to_send() + record if self._out else record
-                self._sendable()
-            self._sealing = False  # and stays set when a unit is given up half-way
-        except LimitExceeded:
-            self._die()
-            raise
-
-    def _sendable(self) -> Session:
-        if self.state not in SENDING:
-            raise ChannelClosed("the connection is closed")
-        return self._open_session()
-
-    def send_unit(self, *pieces: Bytes) -> None:
-        """Seal a unit and queue it for `data_to_send`; an empty one sends nothing.
-
-        Raises:
-            LimitExceeded, ChannelClosed: as for `seal_unit`.
-        """
-        records = list(self.seal_unit(*pieces))  # takes what was queued before
-        self._out += records
-
-    def data_to_send(self) -> bytes | bytearray:
-        """Return, once, everything queued for the peer."""
-        out, self._out = self._out, []
-        return out[0] if len(out) == 1 else b"".join(out)
-
-    def close(self) -> None:
-        """Queue the authenticated close; what the peer still sends is thrown away."""
-        if self.state in SENDING:
-            self._out.append(self._sendable().close_record())
-            self._session = None
-            self.state = State.CLOSING
-        elif self.state is not State.CLOSING:
-            self.state = State.CLOSED
-
-    # -- time and ends
-
-    def deadline(self) -> int | None:
-        """When `tick` has to be called at the latest."""
-        if self.state in DEAD:
-            return None
-        if self.state is not State.OPEN or self._session is None or self._peer is None:
-            return self._give_up_at
-        return min(self._session.renew_at, self._peer.not_after)
-
-    def tick(self, now: int) -> None:
-        """Act on the time: renew keys, or end a connection that has outlived its right.
-
-        Raises:
-            HandshakeTimeout, IdentityExpired, LimitExceeded: the connection is at its end.
-        """
-        self._now = now
-        deadline = self.deadline()
-        if deadline is None or now < deadline:
-            return
-        try:
-            self._act(now)
-        except ChannelError:
-            self._die()
-            raise
-
-    def _act(self, now: int) -> None:
-        if self.state is not State.OPEN or self._session is None or self._peer is None:
-            raise HandshakeTimeout(
-                "the peer did not finish the handshake in time",
-                _HINT_SILENT,
-            )
-        if now >= self._peer.not_after:
-            raise IdentityExpired("the peer's certificate ran out", "renew it")
-        self._out.append(self._session.renew(now))
-
-    def _last_flight(self) -> None:
+    def _last_flight(self, refusal: bytes) -> None:
         """Die; tell a peer that is still unproven, unless it told us first."""
         tell = self.state in UNPROVEN and not self._negotiation.told
         out = self._out if self.state in UNPROVEN | PREAMBLE else []
         self._die()
-        self._out = [*out, _REFUSED] if tell else out
-
-    def _die(self) -> None:
-        self.state = State.CLOSED
-        self._session = None
-        self._negotiation.forget()
-        self._out = []
+        self._out = [*out, refusal] if tell else out
 
 
 _ROWS: Final = {

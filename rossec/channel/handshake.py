@@ -18,12 +18,14 @@ from rossec.channel.credentials import FindChain, OwnCredential, PeerT, Verify, 
 from rossec.channel.keyschedule import (
     Exporter,
     Label,
+    bstr,
     extract,
     kdf,
     keystream_2,
     transcript_2,
     transcript_next,
 )
+from rossec.channel.known import KnownCertificates, reference
 from rossec.channel.messages import (
     MAX_PLAINTEXT_2,
     Message1,
@@ -34,13 +36,25 @@ from rossec.channel.messages import (
     decode_plaintext_4,
     encode_identifier,
 )
-from rossec.channel.suites import HASH_LENGTH, PRODUCTION, SIGNATURE_LENGTH, SUITES, Random, Suite
+from rossec.channel.suites import (
+    HASH_LENGTH,
+    PRODUCTION,
+    SIGNATURE_LENGTH,
+    SUITES,
+    Finish,
+    Random,
+    Suite,
+)
 from rossec.errors import HandshakeFailed, IdentityRefused
 
 METHOD: Final = 0
 # Correlation is TCP's; the identifiers only have to be there (RFC 9528 section 3.3).
 C_I: Final = b"\x00"
+C_I_BRIEF: Final = b"\x01"  # "I may know your certificate: name it by its hash" (spec section 4)
 C_R: Final = b"\x01"
+# The beginnings of Sig_structure and Enc_structure (RFC 9052 sections 4.4 and 5.3).
+_SIGNATURE1: Final = b"\x84" + encode("Signature1")
+_ENCRYPT0: Final = b"\x83" + encode("Encrypt0") + encode(b"")
 
 
 class WrongSuite(HandshakeFailed):
@@ -60,6 +74,8 @@ class Party(Generic[PeerT]):
     random: Random
     suites: tuple[int, ...] = PRODUCTION
     find_chain: FindChain = x5chain
+    known: KnownCertificates | None = None  # with it, references to certificates are spoken
+    brief: bool = False  # an initiator's: ask the responder for a reference
     ead: bytes = b""
     c_i: bytes = C_I
     c_r: bytes = C_R
@@ -77,9 +93,9 @@ class _Statement:
     ead: bytes
 
     def to_be_signed(self, prk: bytes) -> bytes:
-        external = encode(self.th) + self.cred + self.ead
+        external = bstr(self.th) + self.cred + self.ead
         mac = kdf(prk, self.label, self.prefix + self.id_cred + external, HASH_LENGTH)
-        return encode(["Signature1", self.id_cred, external, mac])
+        return _SIGNATURE1 + bstr(self.id_cred) + bstr(external) + bstr(mac)
 
 
 class _Side(Generic[PeerT]):
@@ -91,6 +107,8 @@ class _Side(Generic[PeerT]):
         self._prk = b""
         self._th = b""
         self._exporter: Exporter | None = None
+        self._chain: tuple[bytes, ...] = ()
+        self.brief = False  # this side names its certificate by a hash
 
     @property
     def suite(self) -> Suite:
@@ -117,10 +135,11 @@ class _Side(Generic[PeerT]):
         """Sign this side's statement, advance the transcript, return the plaintext."""
         own = self._party.credential
         prefix = b"" if c_r is None else encode_identifier(c_r)
-        cred, ead = encode(own.certificate), self._party.ead
-        statement = _Statement(label, prefix, encode(own.id_cred), self._th, cred, ead)
+        cred, ead = bstr(own.certificate), self._party.ead
+        id_cred = reference(own.certificate) if self.brief else own.id_cred
+        statement = _Statement(label, prefix, encode(id_cred), self._th, cred, ead)
         signature = own.sign(statement.to_be_signed(self._prk))
-        plaintext = Plaintext(c_r, own.id_cred, signature, ead).encode()
+        plaintext = Plaintext(c_r, id_cred, signature, ead).encode()
         self._th = transcript_next(self._th, plaintext, cred)
         return plaintext
 
@@ -129,7 +148,7 @@ class _Side(Generic[PeerT]):
         parsed = decode_plaintext(plaintext, with_c_r=label is Label.MAC_2)
         certificate, peer = self._identify(parsed.id_cred, now)
         prefix = b"" if parsed.c_r is None else encode_identifier(parsed.c_r)
-        id_cred, cred = encode(parsed.id_cred), encode(certificate)
+        id_cred, cred = encode(parsed.id_cred), bstr(certificate)
         statement = _Statement(label, prefix, id_cred, self._th, cred, parsed.ead)
         message = statement.to_be_signed(self._prk)
         self._suite.verify(peer.public_key, parsed.signature, message)
@@ -137,7 +156,9 @@ class _Side(Generic[PeerT]):
         return peer
 
     def _identify(self, id_cred: Value, now: int) -> tuple[bytes, PeerT]:
-        chain = self._party.find_chain(id_cred)
+        known = self._party.known
+        chain = self._party.find_chain(id_cred) if known is None else known.find(id_cred)
+        self._chain = chain
         if chain[0] == self._party.credential.certificate:
             # Reflection: nobody else can hold this certificate's key (notes: selfie attack).
             raise IdentityRefused("the peer shows this node's own certificate")
@@ -148,7 +169,7 @@ class _Side(Generic[PeerT]):
             raise IdentityRefused(text, error.hint) from error
 
     def _seal(self, key: Label, iv: Label, plaintext: bytes) -> bytes:
-        return encode(self._aead(key, iv, lambda aead: aead.encrypt, plaintext))
+        return bstr(self._aead(key, iv, lambda aead: aead.encrypt, plaintext))
 
     def _open(self, key: Label, iv: Label, ciphertext: bytes) -> bytes:
         try:
@@ -162,11 +183,13 @@ class _Side(Generic[PeerT]):
         suite = self._suite
         aead = suite.aead(kdf(self._prk, key, self._th, suite.key_length))
         nonce = kdf(self._prk, iv, self._th, suite.nonce_length)
-        # Enc_structure of RFC 9052 section 5.3; external_aad is TH_3 or TH_4.
-        return operation(aead)(nonce, data, encode(["Encrypt0", b"", self._th]))
+        # external_aad is TH_3 or TH_4
+        return operation(aead)(nonce, data, _ENCRYPT0 + bstr(self._th))
 
     def _finish(self) -> None:
         self._exporter = Exporter.derive(self._prk, self._th)
+        if self._party.known is not None:
+            self._party.known.remember(self._chain)
 
 
 class Initiator(_Side[PeerT]):
@@ -176,10 +199,12 @@ class Initiator(_Side[PeerT]):
         super().__init__(party)
         number = party.suites[0] if selected is None else selected
         self._suite = SUITES[number]
-        self._secret, self._g_x = self._suite.exchange.start(party.random)
+        self._finish_exchange: Finish | None
+        self._finish_exchange, self._g_x = self._suite.exchange.start(party.random)
         # The list keeps its order up to the selected one: the responder checks against downgrade.
         suites = party.suites[: party.suites.index(number) + 1]
-        self._message_1 = Message1(METHOD, suites, self._g_x, party.c_i).encode()
+        c_i = C_I_BRIEF if party.brief else party.c_i
+        self._message_1 = Message1(METHOD, suites, self._g_x, c_i).encode()
 
     def message_1(self) -> bytes:
         """Return message_1; the same bytes every time."""
@@ -214,10 +239,14 @@ class Initiator(_Side[PeerT]):
             raise HandshakeFailed("message_2 of a wrong length")
         if g_y == self._g_x:
             raise HandshakeFailed("the peer reflects this node's ephemeral key")
-        self._agree(exchange.finish(self._secret, g_y), g_y, self._message_1)
-        self._secret = b""
+        if self._finish_exchange is None:
+            raise HandshakeFailed("a second message_2")
+        shared, self._finish_exchange = self._finish_exchange(g_y), None
+        self._agree(shared, g_y, self._message_1)
         plaintext = _xor(ciphertext, keystream_2(self._prk, self._th, len(ciphertext)))
         peer = self._check(Label.MAC_2, plaintext, now)
+        known = self._party.known
+        self.brief = known is not None and known.is_introduced(self._chain[0])
         return self._message_3(), peer
 
     def _message_3(self) -> bytes:
@@ -237,6 +266,8 @@ class Initiator(_Side[PeerT]):
         """
         decode_plaintext_4(self._open(Label.K_4, Label.IV_4, decode_bytes(data)))
         self._prk = b""
+        if self._party.known is not None:
+            self._party.known.introduce(self._chain[0])
 
 
 class Responder(_Side[PeerT]):
@@ -256,6 +287,7 @@ class Responder(_Side[PeerT]):
         if len(parsed.g_x) != suite.exchange.initiator_length:
             raise HandshakeFailed("ephemeral key of a wrong length")
         self._suite = suite
+        self.brief = self._party.known is not None and parsed.c_i == C_I_BRIEF
         g_y, shared = suite.exchange.answer(self._party.random, parsed.g_x)
         self._agree(shared, g_y, data)
         return self._message_2(g_y)
@@ -275,7 +307,7 @@ class Responder(_Side[PeerT]):
                 "this node's certificate chain is too long for the handshake",
                 "use a shorter chain: at most 8160 bytes fit",
             )
-        return encode(g_y + _xor(plaintext, keystream_2(prk, th_2, len(plaintext))))
+        return bstr(g_y + _xor(plaintext, keystream_2(prk, th_2, len(plaintext))))
 
     def message_3(self, data: bytes, now: int) -> tuple[bytes, PeerT]:
         """Check message_3; return message_4 and the authenticated initiator.

@@ -9,6 +9,7 @@ import hashlib
 import hmac
 from dataclasses import dataclass
 from enum import IntEnum
+from functools import cached_property
 
 from cryptography.hazmat.primitives import hashes
 from cryptography.hazmat.primitives.kdf.hkdf import HKDFExpand
@@ -39,23 +40,39 @@ def extract(salt: bytes, secret: bytes) -> bytes:
 
 def expand(prk: bytes, info: bytes, length: int) -> bytes:
     """EDHOC_Expand: HKDF-Expand, at most 8160 bytes."""
+    if length <= HASH_LENGTH:  # one block (RFC 5869 section 2.3), at half the price of an object
+        return hmac.digest(prk, info + b"\x01", "sha256")[:length]
     return HKDFExpand(hashes.SHA256(), length, info).derive(prk)
+
+
+def bstr(data: bytes) -> bytes:
+    """Encode a byte string: what `encode` gives, at a fifth of the price for those we have."""
+    length = len(data)
+    if length < 24:
+        return bytes((0x40 | length,)) + data
+    if length < 256:
+        return bytes((0x58, length)) + data
+    return b"\x59" + length.to_bytes(2) + data if length < 65536 else encode(data)
 
 
 def kdf(prk: bytes, label: int, context: bytes, length: int) -> bytes:
     """EDHOC_KDF (RFC 9528 section 4.1.2)."""
-    return expand(prk, encode(label) + encode(context) + encode(length), length)
+    return expand(prk, _uint(label) + bstr(context) + _uint(length), length)
+
+
+def _uint(value: int) -> bytes:
+    return bytes((value,)) if value < 24 else encode(value)
 
 
 def transcript_2(g_y: bytes, message_1: bytes) -> bytes:
     """TH_2 = H( G_Y, H(message_1) ), over the bytes as they travelled."""
     digest = hashlib.sha256(message_1).digest()
-    return hashlib.sha256(encode(g_y) + encode(digest)).digest()
+    return hashlib.sha256(bstr(g_y) + bstr(digest)).digest()
 
 
 def transcript_next(previous: bytes, plaintext: bytes, credential: bytes) -> bytes:
     """TH_3 and TH_4 = H( TH, PLAINTEXT, CRED ); `credential` is the encoded CRED_x."""
-    return hashlib.sha256(encode(previous) + plaintext + credential).digest()
+    return hashlib.sha256(bstr(previous) + plaintext + credential).digest()
 
 
 def keystream_2(prk_2e: bytes, th_2: bytes, length: int) -> bytes:
@@ -69,6 +86,10 @@ class Exporter:
 
     prk_out: bytes
 
+    @cached_property
+    def _prk_exporter(self) -> bytes:
+        return kdf(self.prk_out, Label.PRK_EXPORTER, b"", HASH_LENGTH)
+
     @classmethod
     def derive(cls, prk_4e3m: bytes, th_4: bytes) -> "Exporter":
         """PRK_out = EDHOC_KDF( PRK_4e3m, 7, TH_4, hash_length )."""
@@ -76,8 +97,7 @@ class Exporter:
 
     def export(self, label: int, context: bytes, length: int) -> bytes:
         """EDHOC_Exporter (RFC 9528 section 4.2.1)."""
-        prk_exporter = kdf(self.prk_out, Label.PRK_EXPORTER, b"", HASH_LENGTH)
-        return kdf(prk_exporter, label, context, length)
+        return kdf(self._prk_exporter, label, context, length)
 
     def update(self, context: bytes) -> "Exporter":
         """EDHOC_KeyUpdate (RFC 9528 section 4.2.2): forward secrecy, not healing."""

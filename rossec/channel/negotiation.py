@@ -12,7 +12,13 @@ from typing import Final, Generic, cast
 from rossec.channel.buffers import ReceiveBuffer
 from rossec.channel.credentials import PeerT
 from rossec.channel.handshake import Initiator, Party, Responder, WrongSuite
-from rossec.channel.messages import WRONG_SUITE, decode_error, encode_error, suites_item
+from rossec.channel.messages import (
+    UNKNOWN_CREDENTIAL,
+    WRONG_SUITE,
+    decode_error,
+    encode_error,
+    suites_item,
+)
 from rossec.channel.opening import (
     MAX_OPENING,
     Flavour,
@@ -26,9 +32,10 @@ from rossec.channel.opening import (
 from rossec.channel.records import Epochs, Frame, Limits, frame
 from rossec.channel.session import Session
 from rossec.channel.states import State
-from rossec.errors import PeerRefused, PlainPeer
+from rossec.errors import CredentialUnknown, PeerRefused, PlainPeer
 
 _HINT_REFUSED: Final = "see the peer's log: it does not say why to one it does not trust"
+_HINT_AGAIN: Final = "connect again: the whole certificate will be sent"
 _HINT_PLAIN: Final = "the peer is a plain ROS node: give it an identity, or use another address"
 
 
@@ -105,6 +112,7 @@ class Negotiation(Generic[PeerT]):
     def __init__(self, side: Initiator[PeerT] | Responder[PeerT]) -> None:
         self._side = side
         self._retried = False
+        self._held: PeerT | None = None
         self.told = False  # the peer sent an error, which is never answered with one
 
     @classmethod
@@ -139,7 +147,11 @@ class Negotiation(Generic[PeerT]):
         """Answer message_2 with message_3; the responder is authenticated."""
         side = cast("Initiator[PeerT]", self._side)
         message_3, peer = side.message_2(body, now)
-        return Step(State.WAIT_4, frame(Frame.HANDSHAKE, message_3), peer)
+        if side.brief:  # the responder may not know the certificate: nothing is sent before it says
+            self._held, peer_now = peer, None
+        else:
+            peer_now = peer
+        return Step(State.WAIT_4, frame(Frame.HANDSHAKE, message_3), peer_now)
 
     def on_message_3(self, body: bytes, now: int) -> Step[PeerT]:
         """Answer message_3 with message_4; the initiator is authenticated."""
@@ -150,13 +162,15 @@ class Negotiation(Generic[PeerT]):
     def on_message_4(self, body: bytes, _: int) -> Step[PeerT]:
         """The responder accepted this side and holds the same key."""
         cast("Initiator[PeerT]", self._side).message_4(body)
-        return Step(State.OPEN)
+        return Step(State.OPEN, peer=self._held)
 
     def on_error(self, body: bytes, _: int) -> Step[PeerT]:
         """Give up, or try again where the peer only wants another suite."""
         self.told = True
         code, reason, suites = decode_error(body)
         side = self._side
+        if code == UNKNOWN_CREDENTIAL:
+            raise CredentialUnknown(f"the peer refused the handshake: {reason}", _HINT_AGAIN)
         fresh = isinstance(side, Initiator) and not side.answered and not self._retried
         if code != WRONG_SUITE or not fresh:
             raise PeerRefused(f"the peer refused the handshake: {reason}", _HINT_REFUSED)

@@ -1,8 +1,7 @@
 """The life of a connection as one table, and the events it hands out.
 
-`TABLE` says what a frame does in a state (a method of `Negotiation`, later of
-`Connection`) and which states
-may follow. A frame that is not in the table ends the connection. The diagram in
+`TABLE` says what a frame does in a state (a method of `Negotiation`, later of `Connection`) and
+which states may follow. A frame that is not in the table ends the connection. The diagram in
 docs/spec/channel.md is drawn from it.
 """
 
@@ -42,6 +41,17 @@ TABLE: Final[dict[tuple[State, Frame], tuple[str, tuple[State, ...]]]] = {
     (State.OPEN, Frame.CLOSE): ("_on_close", (State.CLOSED,)),
 }
 """Errors are unauthenticated, so none is listened to once the handshake is done."""
+
+WITHOUT_FRAME: Final = (
+    (State.OPENING, State.DRAINING, "plain caller"),
+    (State.OPENING, State.WAIT_1, "opening (responder)"),
+    (State.OPENING, State.WAIT_2, "answer (initiator)"),
+    (State.DRAINING, State.CLOSED, "refusal sent"),
+    (State.WAIT_4, State.CLOSING, "close()"),
+    (State.OPEN, State.CLOSING, "close()"),
+    (State.CLOSING, State.CLOSED, "end of TCP"),
+)
+"""What moves a connection besides frames; and from every state, any flaw leads to CLOSED."""
 
 PREAMBLE: Final = frozenset({State.OPENING, State.DRAINING})
 UNPROVEN: Final = frozenset({State.WAIT_1, State.WAIT_2, State.WAIT_3})

@@ -7,11 +7,12 @@ a hybrid one fits without a change to the handshake.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Final, Protocol, TypeAlias
 
 from cryptography.exceptions import InvalidSignature
 from cryptography.hazmat.primitives import hashes
-from cryptography.hazmat.primitives.asymmetric import ec, ed25519, x25519
+from cryptography.hazmat.primitives.asymmetric import ec, ed25519, mlkem, x25519
 from cryptography.hazmat.primitives.asymmetric.utils import encode_dss_signature
 from cryptography.hazmat.primitives.ciphers.aead import AESCCM, AESGCM, ChaCha20Poly1305
 
@@ -20,27 +21,31 @@ from rossec.errors import HandshakeFailed
 PublicKey: TypeAlias = ec.EllipticCurvePublicKey | ed25519.Ed25519PublicKey
 Aead: TypeAlias = AESGCM | AESCCM | ChaCha20Poly1305
 Random: TypeAlias = Callable[[int], bytes]
+Finish: TypeAlias = Callable[[bytes], bytes]
+"""From the responder's half of an exchange to the shared secret; holds the ephemeral key."""
 
 HASH_LENGTH: Final = 32  # SHA-256 in every suite of the table
+HYBRID: Final = -24
+_P256_ORDER: Final = 0xFFFFFFFF00000000FFFFFFFFFFFFFFFFBCE6FAADA7179E84F3B9CAC2FC632551
 SIGNATURE_LENGTH: Final = 64  # EdDSA and ES256 alike
 
 
 class KeyExchange(Protocol):
-    """An ephemeral exchange in three steps; the first and last belong to the initiator."""
+    """An ephemeral exchange in three steps; the first and last belong to the initiator.
+
+    Raises:
+        HandshakeFailed: from the later two, when the peer's half is not usable.
+    """
 
     initiator_length: int
     responder_length: int
 
-    def start(self, random: Random) -> tuple[bytes, bytes]:
-        """Return the secret to keep and G_X to send."""
+    def start(self, random: Random) -> tuple[Finish, bytes]:
+        """Return what turns G_Y into the shared secret, and G_X to send."""
         ...
 
     def answer(self, random: Random, g_x: bytes) -> tuple[bytes, bytes]:
         """Return G_Y to send and the shared secret."""
-        ...
-
-    def finish(self, secret: bytes, g_y: bytes) -> bytes:
-        """Return the shared secret."""
         ...
 
 
@@ -50,28 +55,84 @@ class X25519Exchange:
     initiator_length = 32
     responder_length = 32
 
-    def start(self, random: Random) -> tuple[bytes, bytes]:
-        """Return the private key and G_X."""
-        secret = random(32)
-        key = x25519.X25519PrivateKey.from_private_bytes(secret)
-        return secret, key.public_key().public_bytes_raw()
+    def start(self, random: Random) -> tuple[Finish, bytes]:
+        """Return what finishes the exchange, and G_X."""
+        key = x25519.X25519PrivateKey.from_private_bytes(random(32))
+        return partial(_x25519, key), key.public_key().public_bytes_raw()
 
     def answer(self, random: Random, g_x: bytes) -> tuple[bytes, bytes]:
         """Return G_Y and the shared secret."""
-        secret, g_y = self.start(random)
-        return g_y, self.finish(secret, g_x)
+        finish, g_y = self.start(random)
+        return g_y, finish(g_x)
 
-    def finish(self, secret: bytes, g_y: bytes) -> bytes:
-        """Return the shared secret.
 
-        Raises:
-            HandshakeFailed: the peer's key is of low order.
-        """
-        own = x25519.X25519PrivateKey.from_private_bytes(secret)
+_X25519: Final = X25519Exchange()
+
+
+class P256Exchange:
+    """ECDH with x-coordinates alone (RFC 9528 section 3.7); points off the curve are refused."""
+
+    initiator_length = 32
+    responder_length = 32
+
+    def start(self, random: Random) -> tuple[Finish, bytes]:
+        """Return what finishes the exchange, and G_X."""
+        scalar = int.from_bytes(random(40)) % (_P256_ORDER - 1) + 1  # bias below 2^-64
+        key = ec.derive_private_key(scalar, ec.SECP256R1())
+        return partial(_p256, key), key.public_key().public_numbers().x.to_bytes(32)
+
+    def answer(self, random: Random, g_x: bytes) -> tuple[bytes, bytes]:
+        """Return G_Y and the shared secret."""
+        finish, g_y = self.start(random)
+        return g_y, finish(g_x)
+
+
+class HybridExchange:
+    """X25519 and ML-KEM-768 together: as strong as the stronger one.
+
+    Shares and secret are concatenated as in TLS's X25519MLKEM768 (draft-ietf-tls-ecdhe-mlkem):
+    ek || x25519, ct || x25519, ss || x25519. EDHOC hashes both shares into the salt of the
+    extraction, which that construction relies on. ML-KEM takes its own dice: pyca has no other way.
+    """
+
+    initiator_length = 1184 + 32
+    responder_length = 1088 + 32
+
+    def start(self, random: Random) -> tuple[Finish, bytes]:
+        """Return what finishes the exchange, and G_X."""
+        key = mlkem.MLKEM768PrivateKey.from_seed_bytes(random(64))
+        finish, share = _X25519.start(random)
+        return partial(_hybrid, key, finish), key.public_key().public_bytes_raw() + share
+
+    def answer(self, random: Random, g_x: bytes) -> tuple[bytes, bytes]:
+        """Return G_Y and the shared secret."""
         try:
-            return own.exchange(x25519.X25519PublicKey.from_public_bytes(g_y))
+            key = mlkem.MLKEM768PublicKey.from_public_bytes(g_x[:1184])
         except ValueError:
-            raise HandshakeFailed("the peer's ephemeral key is not a usable point") from None
+            raise HandshakeFailed("the peer's ephemeral key is not a usable ML-KEM key") from None
+        secret, ciphertext = key.encapsulate()
+        share, shared = _X25519.answer(random, g_x[1184:])
+        return ciphertext + share, secret + shared
+
+
+def _hybrid(own: mlkem.MLKEM768PrivateKey, finish: Finish, peer: bytes) -> bytes:
+    # A false ciphertext gives a random secret (implicit rejection): the handshake fails later.
+    return own.decapsulate(peer[:1088]) + finish(peer[1088:])
+
+
+def _p256(own: ec.EllipticCurvePrivateKey, peer: bytes) -> bytes:
+    try:
+        point = ec.EllipticCurvePublicKey.from_encoded_point(ec.SECP256R1(), b"\x02" + peer)
+    except ValueError:
+        raise HandshakeFailed("the peer's ephemeral key is not a usable point") from None
+    return own.exchange(ec.ECDH(), point)
+
+
+def _x25519(own: x25519.X25519PrivateKey, peer: bytes) -> bytes:
+    try:
+        return own.exchange(x25519.X25519PublicKey.from_public_bytes(peer))
+    except ValueError:
+        raise HandshakeFailed("the peer's ephemeral key is not a usable point") from None
 
 
 def verify_es256(key: PublicKey, signature: bytes, message: bytes) -> None:
@@ -112,17 +173,22 @@ def _ccm_64(key: bytes) -> AESCCM:
     return AESCCM(key, tag_length=8)
 
 
-_X25519: Final = X25519Exchange()
-
 SUITES: Final = {
     suite.number: suite
     for suite in (
         # AES-CCM-16-64-128: for the vectors of RFC 9529; 64-bit tags are no production choice.
         Suite(0, _ccm_64, 16, 13, 8, _X25519, verify_eddsa),
+        # The same over P-256: for lakers, a peer of another house, in tests.
+        Suite(2, _ccm_64, 16, 13, 8, P256Exchange(), verify_es256),
         Suite(4, ChaCha20Poly1305, 32, 12, 16, _X25519, verify_eddsa),
         Suite(6, AESGCM, 16, 12, 16, _X25519, verify_es256),
+        # Private use (RFC 9528 section 10.2): AES-256-GCM, because Grover halves key lengths.
+        Suite(HYBRID, AESGCM, 32, 12, 16, HybridExchange(), verify_es256),
     )
 }
 
 PRODUCTION: Final = (6,)
 """What this release offers and accepts, in order of preference."""
+
+POST_QUANTUM: Final = {"off": PRODUCTION, "prefer": (HYBRID, 6), "require": (HYBRID,)}
+"""The policies: `prefer` costs one round trip with a peer that has it `off`."""

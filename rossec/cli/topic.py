@@ -1,6 +1,7 @@
 """`rossec topic`: publish and listen from the command line, with an identity."""
 
 import asyncio
+from collections.abc import Coroutine
 from dataclasses import fields
 from typing import Any
 
@@ -10,9 +11,9 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
 from rossec.cli.context import Environment, pass_environment
-from rossec.cli.voice import say
+from rossec.cli.voice import note, say
 from rossec.errors import ConfigurationError
-from rossec.node import Node
+from rossec.node import Node, Publisher
 from rossec.node.messages import Message, message_type
 
 
@@ -66,12 +67,7 @@ async def _echo(
 ) -> None:
     async with Node(node, environ=environment.variables) as running:
         subscriber = await running.subscriber(name, type_name)
-        ended = asyncio.ensure_future(running.wait_ended())
-        reader = asyncio.ensure_future(_print(subscriber, count))
-        done, _ = await asyncio.wait({ended, reader}, return_when=asyncio.FIRST_COMPLETED)
-        ended.cancel()
-        for task in done:
-            await task
+        await _until(running, _print(subscriber, count))
 
 
 async def _print(subscriber: Any, count: int | None) -> None:
@@ -95,12 +91,30 @@ async def _pub(
 ) -> None:
     async with Node(node, environ=environment.variables) as running:
         publisher = await running.publisher(name, type_name)
-        await publisher.wait_for_subscribers()
-        sent = 0
-        while count is None or sent < count:
-            publisher.publish(message)
-            sent += 1
-            await asyncio.sleep(period)
+        note(f"waiting for a subscriber of {publisher.topic}")
+        await _until(running, _publish(publisher, message, period, count))
+
+
+async def _publish(
+    publisher: Publisher, message: Message, period: float, count: int | None
+) -> None:
+    await publisher.wait_for_subscribers()
+    sent = 0
+    while count is None or sent < count:
+        publisher.publish(message)
+        sent += 1
+        await asyncio.sleep(period)
+
+
+async def _until(node: Node, work: Coroutine[Any, Any, None]) -> None:
+    """Work until it is done, or until the node ends by itself: that is an error then."""
+    ended = asyncio.ensure_future(node.wait_ended())
+    worker = asyncio.ensure_future(work)
+    done, pending = await asyncio.wait({ended, worker}, return_when=asyncio.FIRST_COMPLETED)
+    for task in pending:
+        task.cancel()
+    for task in done:
+        await task
 
 
 def fill(message: Message, content: object) -> None:

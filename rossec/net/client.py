@@ -2,19 +2,27 @@
 
 import asyncio
 import secrets
-from collections.abc import Callable
+import socket
 from typing import Final
 
 from rossec.channel.connection import Connection
 from rossec.channel.credentials import OwnCredential, PeerT, Verify
+from rossec.channel.known import KnownCertificates
 from rossec.channel.opening import Flavour
 from rossec.channel.records import Limits
-from rossec.errors import ChannelClosed, ChannelError, PeerUnreachable
+from rossec.channel.suites import PRODUCTION
+from rossec.errors import (
+    ChannelClosed,
+    ChannelError,
+    CredentialUnknown,
+    PeerUnreachable,
+    UnknownCredential,
+)
+from rossec.net.dial import dial
 from rossec.net.driver import Driver, wall_clock
 from rossec.net.secure import SecureStream
 
 _CONNECT_TIMEOUT: Final = 10.0
-_HAPPY_EYEBALLS: Final = 0.25  # RFC 8305 section 5
 _DEFAULTS: Final = Limits()
 
 
@@ -27,30 +35,50 @@ async def connect(
     opening: Flavour = Flavour.TCPROS,
     limits: Limits = _DEFAULTS,
     timeout: float = _CONNECT_TIMEOUT,  # noqa: ASYNC109 - one deadline over TCP and handshake
+    suites: tuple[int, ...] = PRODUCTION,
+    known: KnownCertificates | None = None,
 ) -> SecureStream[PeerT]:
     """Connect and authenticate; one round trip after TCP's own.
 
     The responder's verdict on this side's certificate arrives later, as `PeerRefused` from
     `receive` or `send`.
 
+    `suites` is the policy (`rossec.channel.suites.POST_QUANTUM`). With `known`, certificates of
+    peers met before are named by a hash; whoever does not know one is called again, by value.
+
     Raises:
         PeerUnreachable: no TCP connection.
         PlainPeer: a plain ROS node answered.
         ChannelError: the handshake failed; the leaf says how.
     """
-    loop = asyncio.get_running_loop()
-    ready: asyncio.Future[SecureStream[PeerT]] = loop.create_future()
 
-    def factory() -> Driver[PeerT]:
-        core = Connection[PeerT].initiator(
+    def core(*, brief: bool) -> Connection[PeerT]:
+        return Connection[PeerT].initiator(
             credentials,
             verify,
             random=secrets.token_bytes,
             now=wall_clock(),
             opening=opening,
+            suites=suites,
             limits=limits,
+            known=known,
+            brief=brief,
         )
-        return Driver(core, on_authenticated, on_end)
+
+    sock = await _reach(host, port, timeout)
+    if known is None:
+        return await _introduce(sock, core(brief=False))
+    try:
+        stream = await _introduce(sock, core(brief=known.was_at((host, port))))
+    except (UnknownCredential, CredentialUnknown):
+        known.forget_introductions()
+        stream = await _introduce(await _reach(host, port, timeout), core(brief=False))
+    known.visit((host, port))
+    return stream
+
+
+async def _introduce(sock: socket.socket, core: Connection[PeerT]) -> SecureStream[PeerT]:
+    ready: asyncio.Future[SecureStream[PeerT]] = asyncio.get_running_loop().create_future()
 
     def on_authenticated(driver: Driver[PeerT], peer: PeerT) -> None:
         if not ready.done():
@@ -60,7 +88,7 @@ async def connect(
         if not ready.done():
             ready.set_exception(error)
 
-    driver = await _reach(factory, host, port, timeout)
+    driver = Driver(core, sock, sock.getpeername()[0], on_authenticated, on_end)
     try:
         return await ready
     except BaseException:
@@ -68,22 +96,14 @@ async def connect(
         raise
 
 
-async def _reach(
-    factory: Callable[[], Driver[PeerT]],
-    host: str,
-    port: int,
-    timeout: float,  # noqa: ASYNC109 - passed on by `connect`
-) -> Driver[PeerT]:
-    loop = asyncio.get_running_loop()
+async def _reach(host: str, port: int, timeout: float) -> socket.socket:  # noqa: ASYNC109 - passed on by `connect`
     try:
         async with asyncio.timeout(timeout):
-            _, driver = await loop.create_connection(
-                factory, host, port, happy_eyeballs_delay=_HAPPY_EYEBALLS
-            )
-    except (OSError, TimeoutError) as error:
+            return await dial(host, port)
+    except (OSError, TimeoutError, ValueError, IndexError, OverflowError) as error:
+        # A host or port that cannot be one: UnicodeError, IndexError and so on, by Python version.
         reason = "it does not answer" if isinstance(error, TimeoutError) else str(error)
         raise PeerUnreachable(
             f"cannot connect to {host} port {port}: {reason}",
             "is the peer running, and ROS_HOSTNAME or ROS_IP right on its side?",
         ) from error
-    return driver

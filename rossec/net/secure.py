@@ -1,23 +1,25 @@
 """`SecureStream`: what `connect` and `serve` hand out.
 
 A *unit* is what one `send` was given; it arrives whole. Framing inside a unit is TCPROS's or
-HTTP's own, and units queued by `send_nowait` may be joined into one: a receiver takes units as a
-stream of bytes that never breaks inside what was sent together.
+HTTP's own, and small units sent in one turn of the loop are joined into one: a receiver takes units
+as a stream of bytes that never breaks inside what was sent together.
 """
 
 import asyncio
-from collections.abc import Iterator
+from collections.abc import Coroutine, Iterator, Sequence
+from contextlib import suppress
 from types import TracebackType
-from typing import Final, Generic, Self
+from typing import Any, Final, Generic, Self
 
 from rossec.channel.credentials import PeerT
 from rossec.channel.opening import Flavour
 from rossec.channel.records import Bytes
-from rossec.errors import ChannelClosed, SendQueueFull
+from rossec.errors import ChannelClosed, ChannelError, SendQueueFull
 from rossec.net.driver import Driver
 
 _QUEUE_LIMIT: Final = 1024 * 1024
 _JOIN_LIMIT: Final = 64 * 1024
+_SMALL: Final = 32 * 1024  # below it joining beats a record of its own
 
 
 class SecureStream(Generic[PeerT]):
@@ -26,10 +28,14 @@ class SecureStream(Generic[PeerT]):
     def __init__(self, driver: Driver[PeerT], peer: PeerT) -> None:
         self.peer = peer
         self._driver = driver
+        self._loop = asyncio.get_running_loop()
         self._turn = asyncio.Lock()
         self._queue: list[bytes] = []
         self._queued = 0
         self._flush_due = False
+        self._limit = driver.connection.unit_limit
+        self._join = min(_JOIN_LIMIT, self._limit)
+        self._small = min(_SMALL, self._limit)
 
     @property
     def address(self) -> str:
@@ -48,36 +54,32 @@ class SecureStream(Generic[PeerT]):
 
     @property
     def backlog(self) -> int:
-        """Bytes queued by `send_nowait` and not handed to the socket."""
+        """Bytes of small units queued and not handed to the socket."""
         return self._queued
 
     async def send(self, *pieces: Bytes) -> None:
         """Send the pieces as one unit, after what is queued; waits while the peer lags.
 
-        The pieces must not change until this returns. A `send` that is cancelled while it waits
-        for the peer drops the connection: half a unit cannot be taken back.
+        The first small unit of a turn of the loop leaves at once, the others at the turn's end,
+        joined in one record. A large one must not change until this returns, and a `send` of one
+        that is cancelled while it waits for the peer drops the connection: half a unit cannot be
+        taken back.
 
         Raises:
             ChannelError: the connection is at its end.
             LimitExceeded: the unit is too long; the connection is untouched.
         """
-        if len(pieces) == 1 and not self._queue and self._send_small(pieces[0]):
+        driver = self._driver
+        size = _size(pieces)
+        free = driver.error is None and driver.transport.writable and not self._turn.locked()
+        if free and size < self._small:
+            self._enqueue(pieces, size, now=True)
             return
         async with self._turn:
-            await self._driver.drain()
+            await driver.drain()
             self._flush_queue()
-            await self._write(self._driver.connection.seal_unit(*pieces))
-
-    def _send_small(self, unit: Bytes) -> bool:
-        """Send a unit of one record if nobody has to wait for anything."""
-        driver = self._driver
-        if self._turn.locked() or not driver.writable or not isinstance(unit, bytes):
-            return False
-        record = driver.connection.seal_small(unit)
-        if record is None:
-            return False
-        driver.write(record)
-        return True
+            await self._write(driver.connection.seal_unit(*pieces))
+            self._flush_queue()  # what came meanwhile
 
     async def _write(self, records: Iterator[Bytes]) -> None:
         """Write each record as it is sealed: another one sealed meanwhile must come after it."""
@@ -106,18 +108,33 @@ class SecureStream(Generic[PeerT]):
                 "the peer does not read as fast as this side sends",
                 "send less often, or drop old messages as ROS queues do",
             )
-        unit = b"".join(pieces)
-        self._queue.append(unit)
-        self._queued += len(unit)
-        if self._queued >= _JOIN_LIMIT:
-            self._try_flush()
-        elif not self._flush_due:
+        self._driver.connection.check_unit(pieces)
+        self._enqueue(pieces, _size(pieces), now=False)
+
+    def _enqueue(self, pieces: tuple[Bytes, ...], size: int, *, now: bool) -> None:
+        """Queue a small unit, to be flushed with others of this turn of the loop, or at once."""
+        if size == 0:
+            return
+        piece = pieces[0] if len(pieces) == 1 else b"".join(pieces)
+        unit = piece if isinstance(piece, bytes) else bytes(piece)
+        if now and not self._flush_due and not self._queue:
+            # The first of a turn does not wait for others; from the second on they are joined.
             self._flush_due = True
-            asyncio.get_running_loop().call_soon(self._flush_soon)
+            self._loop.call_soon(self._flush_soon)
+            self._write_now(unit)
+            return
+        if self._queued + size > self._join:
+            self._try_flush()
+        self._queue.append(unit)
+        self._queued += size
+        if not self._flush_due:
+            self._flush_due = True
+            self._loop.call_soon(self._flush_soon)
 
     def _flush_soon(self) -> None:
         self._flush_due = False
-        self._try_flush()
+        with suppress(ChannelError):  # the connection has ended, which its users will hear
+            self._try_flush()
 
     def _try_flush(self) -> None:
         """Flush unless somebody else writes or the peer lags; then the next writer does."""
@@ -130,19 +147,32 @@ class SecureStream(Generic[PeerT]):
             self._driver.when_writable(self._flush_soon)
 
     def _flush_queue(self) -> None:
-        if self._queue:
-            queue, self._queue, self._queued = self._queue, [], 0
-            for record in self._driver.connection.seal_unit(*queue):
-                self._driver.write(record)
+        if not self._queue:
+            return
+        queue, self._queue = self._queue, []
+        units = queue if self._queued > self._limit else [b"".join(queue)]
+        self._queued = 0
+        for unit in units:
+            self._write_now(unit)
 
-    async def receive(self) -> bytes:
+    def _write_now(self, unit: bytes) -> None:
+        driver = self._driver
+        try:
+            record = driver.connection.seal_small(unit)
+            for each in driver.connection.seal_unit(unit) if record is None else (record,):
+                driver.write(each)
+        except ChannelError as error:
+            driver.fail(error)
+            raise
+
+    def receive(self) -> Coroutine[Any, Any, bytes]:
         """Return the next unit.
 
         Raises:
             ChannelClosed: the connection was closed in order.
             ChannelError: it ended in another way; the leaf says how.
         """
-        return await self._driver.receive()
+        return self._driver.receive()
 
     async def wait_ended(self) -> None:
         """Return when the connection is at its end, whoever ended it; takes no unit."""
@@ -171,3 +201,8 @@ class SecureStream(Generic[PeerT]):
             await self.close()
         else:
             self.abort("the user of the connection failed")
+
+
+def _size(pieces: Sequence[Bytes]) -> int:
+    """How many bytes the pieces have together."""
+    return sum(piece.nbytes if isinstance(piece, memoryview) else len(piece) for piece in pieces)

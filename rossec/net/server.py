@@ -6,39 +6,34 @@ closes that connection only.
 """
 
 import asyncio
-import ipaddress
 import logging
 import secrets
 import socket
-from collections import Counter
 from collections.abc import Awaitable, Callable, Collection
 from contextlib import suppress
-from dataclasses import dataclass
 from types import TracebackType
 from typing import Final, Generic, Self, TypeAlias
 
 from rossec.channel.connection import Connection
 from rossec.channel.credentials import OwnCredential, PeerT, Verify
+from rossec.channel.known import KnownCertificates
 from rossec.channel.opening import Flavour
 from rossec.channel.records import Limits
+from rossec.channel.suites import PRODUCTION
 from rossec.errors import ChannelClosed, ChannelError, PlainPeer
 from rossec.net.driver import Driver, wall_clock
+from rossec.net.halfopen import HalfOpen, HalfOpenCount
 from rossec.net.secure import SecureStream
 from rossec.net.tasks import TaskSet
 
 _log = logging.getLogger(__name__)
 _DEFAULTS: Final = Limits()
 _BACKLOG: Final = 128
+_ACCEPTS_PER_TURN: Final = 16
+_REST: Final = 1.0  # seconds, when the host is out of descriptors
+_REPORT_EVERY: Final = 10.0
 
 Handler: TypeAlias = Callable[[SecureStream[PeerT]], Awaitable[None]]
-
-
-@dataclass(frozen=True)
-class HalfOpen:
-    """How many handshakes may be unfinished at a time (attacks N8, M11)."""
-
-    per_address: int = 128
-    total: int = 512
 
 
 _CAPS: Final = HalfOpen()
@@ -55,11 +50,13 @@ class SecureServer(Generic[PeerT]):
     ) -> None:
         self._handler = handler
         self._make_core = make_core
-        self._caps = caps
-        self._half_open: Counter[str] = Counter()
+        self._half_open = HalfOpenCount(caps)
         self._drivers: set[Driver[PeerT]] = set()
         self._tasks = TaskSet()
-        self._servers: list[asyncio.Server] = []
+        self._loop = asyncio.get_running_loop()
+        self._listeners: list[socket.socket] = []
+        self._refused = 0
+        self._report_again = 0.0
         self.addresses: list[tuple[str, int]] = []
 
     @property
@@ -72,38 +69,54 @@ class SecureServer(Generic[PeerT]):
         """How many connections are open or half open."""
         return len(self._drivers)
 
-    async def listen(self, host: str | None, port: int) -> None:
+    def listen(self, host: str | None, port: int) -> None:
         """Bind and start to accept."""
-        loop = asyncio.get_running_loop()
         for sock in bind(host, port):
+            sock.setblocking(False)
             self.addresses.append(sock.getsockname()[:2])
-            server = await loop.create_server(self._make_driver, sock=sock, backlog=_BACKLOG)
-            self._servers.append(server)
+            self._listeners.append(sock)
+            self._watch(sock)
 
-    def _make_driver(self) -> Driver[PeerT]:
-        return _Accepted(self)
+    def _watch(self, listener: socket.socket) -> None:
+        if listener.fileno() >= 0:  # not closed meanwhile
+            self._loop.add_reader(listener.fileno(), self._accept, listener)
 
-    def admit(self, driver: Driver[PeerT]) -> bool:
-        """Count a new connection as half open, or refuse it."""
-        source = source_of(driver.address)
-        caps = self._caps
-        full = self._half_open.total() >= caps.total
-        if full or self._half_open[source] >= caps.per_address:
-            return False
-        self._half_open[source] += 1
+    def _accept(self, listener: socket.socket) -> None:
+        """Accept a few, then let the connections that are open have their turn."""
+        for _ in range(_ACCEPTS_PER_TURN):
+            try:
+                sock, where = listener.accept()
+            except (BlockingIOError, InterruptedError, ConnectionAbortedError):
+                return
+            except OSError as error:  # out of descriptors or memory: callers wait in the kernel
+                _log.warning("cannot accept connections for %s s: %s", _REST, error)
+                self._loop.remove_reader(listener.fileno())
+                self._loop.call_later(_REST, self._watch, listener)
+                return
+            if self._admit(where[0]):
+                self._begin(sock, where[0])
+            else:
+                sock.close()
+
+    def _admit(self, address: str) -> bool:
+        """Whether one more unfinished handshake is bearable; nothing was spent on it yet."""
+        if self._half_open.admit(address):
+            return True
+        self._refused += 1
+        if self._loop.time() >= self._report_again:  # a flood of callers is no flood of lines
+            _log.warning(
+                "too many unfinished handshakes: refused %d, last %s", self._refused, address
+            )
+            self._refused, self._report_again = 0, self._loop.time() + _REPORT_EVERY
+        return False
+
+    def _begin(self, sock: socket.socket, address: str) -> None:
+        driver = Driver(self._make_core(), sock, address, self.on_authenticated, self.on_end)
         self._drivers.add(driver)
-        return True
-
-    def _settle(self, driver: Driver[PeerT]) -> None:
-        """The handshake of `driver` is over, one way or the other."""
-        source = source_of(driver.address)
-        self._half_open[source] -= 1
-        if self._half_open[source] <= 0:
-            del self._half_open[source]
 
     def on_authenticated(self, driver: Driver[PeerT], peer: PeerT) -> None:
         """Start the handler."""
-        self._settle(driver)
+        self._half_open.settle(driver.address)
         stream = SecureStream(driver, peer)
         self._tasks.spawn(self._handle(stream), name=f"rossec connection from {driver.address}")
 
@@ -113,7 +126,7 @@ class SecureServer(Generic[PeerT]):
             return
         self._drivers.discard(driver)
         if not driver.authenticated:
-            self._settle(driver)
+            self._half_open.settle(driver.address)
             level = logging.WARNING if isinstance(error, PlainPeer) else logging.INFO
             _log.log(level, "connection from %s refused: %s", driver.address, error)
 
@@ -129,13 +142,13 @@ class SecureServer(Generic[PeerT]):
 
     async def close(self) -> None:
         """Stop listening, cut every connection, wait until the handlers are gone."""
-        for server in self._servers:
-            server.close()
+        for listener in self._listeners:
+            self._loop.remove_reader(listener.fileno())
+            listener.close()
+        self._listeners.clear()
         await self._tasks.close()
         for driver in list(self._drivers):
             driver.abort(ChannelClosed("the server was closed"))
-        for server in self._servers:
-            await server.wait_closed()
 
     async def __aenter__(self) -> Self:
         return self
@@ -148,26 +161,6 @@ class SecureServer(Generic[PeerT]):
     ) -> None:
         await self.close()
 
-    def make_core(self) -> Connection[PeerT]:
-        """A fresh responder."""
-        return self._make_core()
-
-
-class _Accepted(Driver[PeerT]):
-    """A driver that asks its server before it spends anything on the peer."""
-
-    def __init__(self, server: SecureServer[PeerT]) -> None:
-        super().__init__(server.make_core(), server.on_authenticated, server.on_end)
-        self._server = server
-
-    def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        self.learn_address(transport)
-        if self._server.admit(self):
-            super().connection_made(transport)
-        else:
-            _log.warning("too many unfinished handshakes: refused %s", self.address)
-            self.refuse(transport)
-
 
 async def serve(
     handler: Handler[PeerT],
@@ -179,6 +172,8 @@ async def serve(
     accept: Collection[Flavour] = frozenset(Flavour),
     limits: Limits = _DEFAULTS,
     half_open: HalfOpen = _CAPS,
+    suites: tuple[int, ...] = PRODUCTION,
+    known: KnownCertificates | None = None,
 ) -> SecureServer[PeerT]:
     """Listen on `host` (None or "": every address, IPv4 and IPv6) and `port` (0: any free one).
 
@@ -196,11 +191,13 @@ async def serve(
             random=secrets.token_bytes,
             now=wall_clock(),
             accept=accept,
+            suites=suites,
             limits=limits,
+            known=known,
         )
 
     server = SecureServer(handler, make_core, half_open)
-    await server.listen(host, port)
+    server.listen(host, port)
     return server
 
 
@@ -225,17 +222,6 @@ def bind(host: str | None, port: int) -> list[socket.socket]:
 
 
 def _bind_one(family: int, address: str, port: int, *, dual: bool = False) -> socket.socket:
-    return socket.create_server((address, port), family=family, dualstack_ipv6=dual)
-
-
-def source_of(address: str) -> str:
-    """What counts as one source: an IPv4 address, or the /64 of an IPv6 address."""
-    try:
-        parsed = ipaddress.ip_address(address.partition("%")[0])
-    except ValueError:
-        return address
-    if isinstance(parsed, ipaddress.IPv4Address):
-        return str(parsed)
-    if parsed.ipv4_mapped is not None:
-        return str(parsed.ipv4_mapped)
-    return str(ipaddress.ip_network((parsed, 64), strict=False))
+    return socket.create_server(
+        (address, port), family=family, backlog=_BACKLOG, dualstack_ipv6=dual
+    )

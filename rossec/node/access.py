@@ -10,7 +10,7 @@ from hashlib import sha256
 from typing import Final
 
 from ca.certificates import Identity, TrustAnchor
-from ca.encoding import decode, encode
+from ca.encoding import Value, decode, encode
 from ca.errors import EncodingError
 from ca.revocation import Revocations
 from grants.decision import Decision, authorize
@@ -19,7 +19,7 @@ from grants.errors import GrantError, GrantMalformed, GrantMissing
 from grants.model import Grant, Right
 
 FIELD: Final = "rossec_grants"
-MAX_PRESENTED: Final = 64 * 1024
+MAX_PRESENTED: Final = 40 * 1024  # a header field holds 48 KiB
 MAX_GRANTS: Final = 16
 _CACHE_SIZE: Final = 1024
 
@@ -39,14 +39,26 @@ class Access:
         """Add a grant to those this node can present."""
         self._held.append((peek(data), data))
 
-    @property
-    def held(self) -> list[bytes]:
-        """Every grant this node holds, as signed."""
-        return [data for _, data in self._held]
+    def current(self, now: int) -> list[bytes]:
+        """The grants that hold now and are not known to be revoked, the longest-lived first."""
+        return [data for _, data in self._current(now)]
 
-    def present(self, right: Right, name: str) -> bytes:
-        """Header field that proves `right` on `name`: the array of the grants that cover it."""
-        return encode([data for grant, data in self._held if _concerns(grant, right, name)])
+    def present(self, right: Right, name: str, now: int) -> bytes:
+        """Header field that proves `right` on `name`: the array of the grants that cover it.
+
+        A peer takes a bounded number; the ones that end last are shown.
+        """
+        covering = [data for grant, data in self._current(now) if _concerns(grant, right, name)]
+        return encode(list[Value](covering[:MAX_GRANTS]))
+
+    def _current(self, now: int) -> list[tuple[Grant, bytes]]:
+        revoked = self._revocations.entries
+        usable = [
+            (grant, data)
+            for grant, data in self._held
+            if grant.not_before <= now < grant.expires and grant.id not in revoked
+        ]
+        return sorted(usable, key=lambda item: item[0].expires, reverse=True)
 
     def check_peer(self, peer: Identity, now: int) -> None:
         """Raise a `CAError` when the identity of `peer` is revoked, or that is not known."""

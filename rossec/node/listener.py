@@ -5,6 +5,7 @@ is the refusal of its own grants; it says nothing of what this node publishes.
 """
 
 import asyncio
+import contextlib
 import logging
 import time
 from collections.abc import Mapping
@@ -17,14 +18,17 @@ from grants.guard import Guard
 from rossec.channel.credentials import Credentials
 from rossec.errors import TopicRefused
 from rossec.net.rpc import serve_calls
+from rossec.net.server import Handler
 from rossec.net.stream import Flavour, SecureServer, SecureStream, serve
 from rossec.node.access import Access
 from rossec.node.publisher import Publisher
-from rossec.node.slave import REVOCATION_UPDATE, SlaveApi
+from rossec.node.slave import MASTER, REVOCATION_UPDATE, SlaveApi
 from rossec.node.topics import admit_subscriber, check_type, publisher_header, requested_topic
 from rossec.ros import header
 
 HEADER_DEADLINE: Final = 5.0
+SLAVE_DEADLINE: Final = 30.0
+PEER_CONNECTIONS: Final = 64  # of one identity: one for each topic it subscribes to here
 
 _log = logging.getLogger("rossec.node")
 
@@ -48,6 +52,7 @@ class Listener:
         self._publishers = publishers
         self._slave = slave
         self._servers: list[SecureServer[Identity]] = []
+        self._streams: set[SecureStream[Identity]] = set()
 
     @property
     def slave_port(self) -> int:
@@ -67,17 +72,48 @@ class Listener:
             (self._serve_topic, Flavour.TCPROS),
         ):
             server = await serve(
-                handler, bind, 0, self._credentials, self._anchor.verify, accept={flavour}
+                self._bounded(handler),
+                bind,
+                0,
+                self._credentials,
+                self._anchor.verify,
+                accept={flavour},
             )
             self._servers.append(server)
+
+    def cut(self, revoked: frozenset[bytes]) -> None:
+        """Cut every connection of a revoked key, whatever it is used for."""
+        for stream in tuple(self._streams):
+            if stream.peer.thumbprint in revoked:
+                stream.abort("the peer's identity is revoked")
 
     async def close(self) -> None:
         """Stop listening and cut what was accepted."""
         for server in self._servers:
             await server.close()
 
+    def _bounded(self, handler: Handler[Identity]) -> Handler[Identity]:
+        """Serve an entitled peer, and no more than a few connections of one identity (N8)."""
+
+        async def serve_one(stream: SecureStream[Identity]) -> None:
+            peer = stream.peer.thumbprint
+            if sum(other.peer.thumbprint == peer for other in self._streams) >= PEER_CONNECTIONS:
+                _log.warning("%s has too many connections", stream.peer.name)
+                return
+            self._streams.add(stream)
+            try:
+                await handler(stream)
+            finally:
+                self._streams.discard(stream)
+
+        return serve_one
+
     async def _serve_slave(self, stream: SecureStream[Identity]) -> None:
-        await serve_calls(stream, self._call)
+        """The master's connection stays; another node asks where a topic is, and goes."""
+        limit = None if stream.peer.name == MASTER else SLAVE_DEADLINE
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(limit):
+                await serve_calls(stream, self._call)
 
     async def _call(self, method: str, params: tuple[object, ...], peer: Identity) -> object:
         """Ask at every call: a peer, also the master, may be revoked while it is connected."""
@@ -103,7 +139,11 @@ class Listener:
             await stream.send(header.error_header(f"rossec: {error}"))
             return
         answer = publisher_header(
-            self._name, publisher.endpoint, self._access, latching=publisher.latch
+            self._name,
+            publisher.endpoint,
+            self._access,
+            int(time.time()),
+            latching=publisher.latch,
         )
         await publisher.serve(stream, decision, guard, header.encode(answer))
 

@@ -18,13 +18,13 @@ from ca.certificates import Identity
 from ca.errors import HintedError
 from ca.revocation import Revocations, open_timestamp
 from grants import layout
-from rossec.errors import ConfigurationError, NodeShutdown, TopicRefused
+from rossec.errors import ConfigurationError, NodeShutdown
 from rossec.home import NodeHome, rossec_home
-from rossec.net.rpc import RpcClient
-from rossec.net.stream import Flavour, SecureStream, connect
+from rossec.net.stream import SecureStream
 from rossec.net.tasks import TaskSet
 from rossec.node.access import Access
-from rossec.node.links import Link, why_cut
+from rossec.node.dial import Dialer
+from rossec.node.links import Link
 from rossec.node.listener import Listener
 from rossec.node.messages import message_type
 from rossec.node.publisher import Publisher
@@ -33,9 +33,11 @@ from rossec.node.shelf import Shelf
 from rossec.node.slave import SlaveApi
 from rossec.node.subscriber import Subscriber
 from rossec.node.topics import Endpoint
+from rossec.node.watch import Watch
 from rossec.ros import settings
 
-_WATCH: Final = 1.0  # seconds between looks at what has expired or gone stale
+_PRESENTED: Final = 64  # as many as the master keeps of one node
+_COLLECT: Final = 1.0  # seconds between looks for new grants
 
 _log = logging.getLogger("rossec.node")
 
@@ -61,8 +63,10 @@ class Node:
         self.home = NodeHome.of(rossec_home(environ), self.name)
         self.anchor = self.home.anchor()
         self.credentials = self.home.credentials()
+        self.identity = self.home.identity(int(time.time()))
         self.revocations = self._load_revocations()
         self.access = Access(self.anchor, self.revocations)
+        self._dialer = Dialer(self.name, self.credentials, self.anchor, self.access.check_peer)
         self._shelf = Shelf(self.home, self.access)
         self._shelf.take_new()
         self._publishers: dict[str, Publisher] = {}
@@ -74,6 +78,7 @@ class Node:
         self._listener = Listener(
             self.name, self.credentials, self.anchor, self.access, self._publishers, SlaveApi(self)
         )
+        self._watch = Watch(self.revocations, self._links, self._listener)
         self._host = ""
         self._ended: asyncio.Future[None] = asyncio.get_running_loop().create_future()
 
@@ -109,8 +114,12 @@ class Node:
         publisher = Publisher(
             endpoint, shape, self.home.filter_key, latch=latch, queue_size=queue_size
         )
-        await self._register_publisher(self._session, publisher)
         self._publishers[endpoint.topic] = publisher
+        try:
+            await self._register_publisher(self._session, publisher)
+        except BaseException:
+            del self._publishers[endpoint.topic]
+            raise
         return publisher
 
     async def subscriber(self, topic: str, type_name: str, *, queue_size: int = 10) -> Subscriber:
@@ -121,11 +130,29 @@ class Node:
         """
         endpoint = Endpoint(self.settings.resolve(topic), message_type(type_name))
         subscriber = Subscriber(
-            self.name, endpoint, self.access, self._dial_topic, queue_size=queue_size
+            self.name,
+            endpoint,
+            self.access,
+            self._dialer.topic,
+            self._forget,
+            queue_size=queue_size,
         )
-        await self._register_subscriber(self._session, subscriber)
         self._subscribers.setdefault(endpoint.topic, []).append(subscriber)
+        try:
+            await self._register_subscriber(self._session, subscriber)
+        except BaseException:
+            await subscriber.close()
+            raise
         return subscriber
+
+    async def _forget(self, subscriber: Subscriber) -> None:
+        """A subscriber was closed; the last one of its topic unregisters."""
+        others = self._subscribers.get(subscriber.topic, [])
+        if subscriber in others:
+            others.remove(subscriber)
+        if not others and self._subscribers.pop(subscriber.topic, None) is not None:
+            with contextlib.suppress(HintedError, OSError):
+                await self._session.call("unregisterSubscriber", subscriber.topic, self.uri)
 
     async def wait_ended(self) -> None:
         """Wait until the node ends by itself.
@@ -137,11 +164,13 @@ class Node:
 
     async def close(self) -> None:
         """Unregister, cut every connection, stop every task. Safe to call twice."""
-        await self._unregister()
-        await self._tasks.close()
+        for publisher in self._publishers.values():
+            publisher.close()
+        await self._listener.close()
         for subscriber in self._all_subscribers():
             await subscriber.close()
-        await self._listener.close()
+        await self._unregister()
+        await self._tasks.close()
         await self._session.close()
         self._ended.cancel()
 
@@ -160,7 +189,7 @@ class Node:
             self.revocations.confirm(open_timestamp(timestamp, master.public_key), now)
             self.revocations.check(master.thumbprint, now)
         finally:  # what the list revokes ends, whatever is wrong with the timestamp
-            self._cut(now)
+            self._watch.cut(now)
 
     def shutdown_requested(self, reason: str) -> None:
         """End the node: another one took its name, or an administrator wants it so."""
@@ -196,7 +225,8 @@ class Node:
         self._host = self.settings.address or stream.local_address
         await self._listener.start(self._host)
         self._tasks.spawn(self._session.keep(), f"{self.name}: master session")
-        self._tasks.spawn(self._watch(), f"{self.name}: watch")
+        self._tasks.spawn(self._watch.run(), f"{self.name}: watch")
+        self._tasks.spawn(self._collect_grants(), f"{self.name}: grants")
 
     def _load_revocations(self) -> Revocations:
         """The newest list seen before the last stop: an older one will not be believed."""
@@ -207,27 +237,11 @@ class Node:
         return revocations
 
     async def _dial_master(self) -> SecureStream[Identity]:
-        where = self.settings.master_host, self.settings.master_port
-        return await connect(*where, self.credentials, self.anchor.verify, opening=Flavour.HTTP)
-
-    async def _dial_topic(self, uri: str, topic: str) -> SecureStream[Identity]:
-        """Ask the node at `uri` where its topics are, then connect there."""
-        host, port = settings.parse_uri(uri, "a publisher's URI")
-        stream = await connect(
-            host, port, self.credentials, self.anchor.verify, opening=Flavour.HTTP
-        )
-        try:
-            answer = await RpcClient(stream).ask("requestTopic", self.name, topic, [["TCPROS"]])
-        finally:
-            await stream.close()
-        match answer:
-            case ["TCPROS", str() as host, int() as port]:
-                return await connect(host, port, self.credentials, self.anchor.verify)
-            case _:
-                raise TopicRefused(f"{stream.peer.name} offers no connection for {topic}")
+        return await self._dialer.rpc(self.settings.master_host, self.settings.master_port)
 
     async def _restore(self, session: MasterSession) -> None:
-        await session.call("rossec.presentGrants", self.access.held)
+        current = self.access.current(int(time.time()))
+        await session.call("rossec.presentGrants", current[:_PRESENTED])
         for publisher in self._publishers.values():
             await self._register_publisher(session, publisher)
         for subscriber in self._all_subscribers():
@@ -239,18 +253,17 @@ class Node:
 
     async def _register_subscriber(self, session: MasterSession, subscriber: Subscriber) -> None:
         endpoint = subscriber.endpoint
+        before = subscriber.updates
         uris = await session.call(
             "registerSubscriber", endpoint.topic, endpoint.type.name, self.uri
         )
-        if isinstance(uris, list):
+        if isinstance(uris, list) and subscriber.updates == before:  # a push may have been faster
             subscriber.update([uri for uri in uris if isinstance(uri, str) and uri != self.uri])
 
     async def _unregister(self) -> None:
         try:
             for topic in self._publishers:
                 await self._session.call("unregisterPublisher", topic, self.uri)
-            for topic in self._subscribers:
-                await self._session.call("unregisterSubscriber", topic, self.uri)
         except (HintedError, OSError, TimeoutError) as error:
             _log.info("%s: left without unregistering: %s", self.name, error)
 
@@ -265,36 +278,21 @@ class Node:
     def _all_subscribers(self) -> list[Subscriber]:
         return [item for items in self._subscribers.values() for item in items]
 
-    async def _watch(self) -> None:
-        """Cut links when they expire, and all of them when revocations stay unknown."""
-        while True:
-            now = time.time()
-            soonest = min((link.ends for link in self._links()), default=now + _WATCH)
-            await asyncio.sleep(max(0.0, min(_WATCH, soonest - now)))
-            self._cut(int(time.time()))
-            await self._take_new_grants()
-
-    async def _take_new_grants(self) -> None:
+    async def _collect_grants(self) -> None:
         """A grant that arrives in the node's directory counts without a restart."""
-        new = self._shelf.take_new()
-        if new:
-            _log.info("%s: %d new grants", self.name, len(new))
-            with contextlib.suppress(HintedError):  # else presented with the next connection
-                await self._session.call("rossec.presentGrants", new)
-
-    def _cut(self, now: int) -> None:
-        for link in self._links():
-            reason = why_cut(link, self.revocations, now)
-            if reason is not None:
-                _log.warning("cut %s: %s", link.stream.peer.name, reason)
-                link.stream.abort(reason)
+        while True:
+            await asyncio.sleep(_COLLECT)
+            new = self._shelf.take_new()
+            if new:
+                _log.info("%s: %d new grants", self.name, len(new))
+                with contextlib.suppress(HintedError, OSError):  # else with the next connection
+                    await self._session.call("rossec.presentGrants", new)
 
     def _crashed(self, error: BaseException) -> None:
         """A node whose watch has died must not go on: it would no longer cut anything."""
         if not self._ended.done():
             self._ended.set_exception(error)
-        for link in self._links():
-            link.stream.abort("this node failed")
+            self._tasks.spawn(self.close(), f"{self.name}: closing after a failure")
 
 
 def _uri(host: str, port: int) -> str:

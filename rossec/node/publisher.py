@@ -18,9 +18,10 @@ from grants.decision import Decision
 from grants.errors import GrantError
 from grants.guard import Guard, needed_keys
 from grants.layout import Layout
-from rossec.errors import RossecError
+from rossec.errors import NodeShutdown, RossecError
 from rossec.net.stream import SecureStream
 from rossec.node.messages import Message
+from rossec.node.subscriber import check_queue_size
 from rossec.node.topics import Endpoint
 
 QUEUE_SIZE: Final = 10
@@ -98,6 +99,7 @@ class Publisher:
         latch: bool,
         queue_size: int = QUEUE_SIZE,
     ) -> None:
+        check_queue_size(queue_size)
         self.endpoint = endpoint
         self.latch = latch
         self.links: set[SubscriberLink] = set()
@@ -105,6 +107,7 @@ class Publisher:
         self._filter_key = filter_key
         self._queue_size = queue_size
         self._latched: memoryview | None = None
+        self._closed = False
         self._changed = asyncio.Event()
 
     @property
@@ -121,12 +124,24 @@ class Publisher:
 
         Raises:
             MessageError: a field holds a value of a wrong type.
+            NodeShutdown: the node is closed.
         """
-        self.publish_bytes(self.endpoint.type.serialize(message))
+        self._publish(self.endpoint.type.serialize(message))
 
     def publish_bytes(self, data: bytes | memoryview) -> None:
-        """Send a message that is serialized already (without its length prefix)."""
-        view = memoryview(data)
+        """Send a message that is serialized already (without its length prefix).
+
+        What is judged is what is sent: a buffer that could still change is copied first.
+        """
+        self._publish(memoryview(data if isinstance(data, bytes) else bytes(data)))
+
+    def close(self) -> None:
+        """Refuse to publish from now on: the node is closed."""
+        self._closed = True
+
+    def _publish(self, view: memoryview) -> None:
+        if self._closed:
+            raise NodeShutdown(f"{self.topic}: the node is closed", "publish before it ends")
         if self.latch:
             self._latched = view
         treated: dict[Hashable, Pieces | None] = {}

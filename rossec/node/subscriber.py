@@ -15,7 +15,7 @@ from typing import Final
 from ca.certificates import Identity
 from ca.errors import HintedError
 from grants.decision import Decision
-from rossec.errors import MessageError, TopicRefused
+from rossec.errors import ConfigurationError, MessageError
 from rossec.net.stream import SecureStream
 from rossec.net.tasks import TaskSet
 from rossec.node.access import Access
@@ -29,6 +29,7 @@ HANDSHAKE_DEADLINE: Final = 5.0
 _FIRST_PAUSE: Final = 0.25
 _LONGEST_PAUSE: Final = 15.0
 
+OnClose = Callable[["Subscriber"], Awaitable[None]]
 Dial = Callable[[str, str], Awaitable[SecureStream[Identity]]]  # (publisher URI, topic) -> stream
 _log = logging.getLogger("rossec.node")
 
@@ -51,21 +52,26 @@ class Subscriber:
         endpoint: Endpoint,
         access: Access,
         dial: Dial,
+        on_close: OnClose,
         *,
         queue_size: int = QUEUE_SIZE,
     ) -> None:
+        check_queue_size(queue_size)
         self.endpoint = endpoint
         self.links: set[PublisherLink] = set()
         self.refusals: deque[HintedError] = deque(maxlen=16)
         self.received = 0
+        self.updates = 0
         self._caller = caller
         self._access = access
         self._dial = dial
+        self._on_close = on_close
         self._owned = TaskSet()
         self._tasks: dict[str, asyncio.Task[None]] = {}
         self._queue: deque[bytes] = deque(maxlen=queue_size)
         self._wake = asyncio.Event()
         self._closed = False
+        self._last_reason = ""
 
     @property
     def topic(self) -> str:
@@ -74,6 +80,9 @@ class Subscriber:
 
     def update(self, publishers: list[str]) -> None:
         """Connect to exactly `publishers` (API URIs), as the master says."""
+        if self._closed:
+            return
+        self.updates += 1
         for uri in self._tasks.keys() - set(publishers):
             self._tasks.pop(uri).cancel()
         for uri in set(publishers) - self._tasks.keys():
@@ -101,11 +110,14 @@ class Subscriber:
             await self._wake.wait()
 
     async def close(self) -> None:
-        """Drop every connection and end the iterators."""
+        """Drop every connection, end the iterators, tell the master. Safe to call twice."""
+        if self._closed:
+            return
         self._closed = True
         self._wake.set()
         self._tasks.clear()
         await self._owned.close()
+        await self._on_close(self)
 
     async def _follow(self, uri: str) -> None:
         """Keep one publisher connected until the master forgets it."""
@@ -114,7 +126,7 @@ class Subscriber:
             before = self.received
             try:
                 await self._receive_from(uri)
-            except (HintedError, OSError, TimeoutError) as error:
+            except Exception as error:  # noqa: BLE001 - whatever a peer provokes, try it again later
                 self._note(uri, error)
             pause = _FIRST_PAUSE if self.received > before else min(2 * pause, _LONGEST_PAUSE)
             await asyncio.sleep(pause)
@@ -140,14 +152,16 @@ class Subscriber:
     async def _introduce(
         self, stream: SecureStream[Identity], frames: FrameReader
     ) -> tuple[PublisherLink, list[bytes]]:
-        fields = subscriber_header(self._caller, self.endpoint, self._access)
+        now = int(time.time())
+        fields = subscriber_header(self._caller, self.endpoint, self._access, now)
         await stream.send(header.encode(fields))
         arrived: list[bytes] = []
         while not arrived:
             arrived = frames.feed(await stream.receive())
         answer = header.decode(arrived[0])
-        now = int(time.time())
-        decision = admit_publisher(answer, stream.peer, self.endpoint, self._access, now)
+        decision = admit_publisher(
+            answer, stream.peer, self.endpoint, self._access, int(time.time())
+        )
         return PublisherLink(stream, decision), arrived[1:]
 
     def _deliver(self, messages: list[bytes]) -> None:
@@ -157,7 +171,17 @@ class Subscriber:
             self._wake.set()
 
     def _note(self, uri: str, error: Exception) -> None:
+        """Say each reason once: it is tried again and again."""
         if isinstance(error, HintedError):
             self.refusals.append(error)
-        level = logging.WARNING if isinstance(error, TopicRefused) else logging.INFO
-        _log.log(level, "%s from %s: %s", self.topic, uri, error)
+        reason = f"{self.topic} from {uri}: {str(error) or type(error).__name__}"
+        unforeseen = not isinstance(error, HintedError | OSError)
+        level = logging.INFO if reason == self._last_reason else logging.WARNING
+        _log.log(level, "%s", reason, exc_info=error if unforeseen else None)
+        self._last_reason = reason
+
+
+def check_queue_size(size: int) -> None:
+    """Refuse a queue that holds nothing (rospy's 0 means without bound, which memory is not)."""
+    if size < 1:
+        raise ConfigurationError(f"a queue of {size} messages", "give queue_size 1 or more")

@@ -26,7 +26,7 @@ class Endpoint:
     type: MessageType
 
 
-def subscriber_header(caller: str, endpoint: Endpoint, access: Access) -> Fields:
+def subscriber_header(caller: str, endpoint: Endpoint, access: Access, now: int) -> Fields:
     """Fields a subscriber sends first; they prove its right to subscribe."""
     return {
         "callerid": caller.encode(),
@@ -35,11 +35,13 @@ def subscriber_header(caller: str, endpoint: Endpoint, access: Access) -> Fields
         "md5sum": endpoint.type.md5sum.encode(),
         "message_definition": endpoint.type.definition.encode(),
         "tcp_nodelay": b"1",
-        FIELD: access.present(Right.SUBSCRIBE, endpoint.topic),
+        FIELD: access.present(Right.SUBSCRIBE, endpoint.topic, now),
     }
 
 
-def publisher_header(caller: str, endpoint: Endpoint, access: Access, *, latching: bool) -> Fields:
+def publisher_header(
+    caller: str, endpoint: Endpoint, access: Access, now: int, *, latching: bool
+) -> Fields:
     """Fields a publisher answers with; they prove its right to publish."""
     return {
         "callerid": caller.encode(),
@@ -48,7 +50,7 @@ def publisher_header(caller: str, endpoint: Endpoint, access: Access, *, latchin
         "md5sum": endpoint.type.md5sum.encode(),
         "message_definition": endpoint.type.definition.encode(),
         "latching": b"1" if latching else b"0",
-        FIELD: access.present(Right.PUBLISH, endpoint.topic),
+        FIELD: access.present(Right.PUBLISH, endpoint.topic, now),
     }
 
 

@@ -226,11 +226,13 @@ async def test_the_slave_api_closes_for_whoever_is_revoked_while_connected(
         data = site.revoke(site.identity(name).thumbprint)
         with pytest.raises(CAError):  # the timestamp is none; the list counts nevertheless
             robot.revocations_arrived(data, b"", site.identity(MASTER))
-        for method in ("requestTopic", "shutdown", "rossec.revocationUpdate"):
-            answer = await client.call(method, name, b"", b"")
-            assert isinstance(answer, list)
-            assert answer[0] == -1
-            assert answer[1].endswith("is revoked")
+        with pytest.raises(RossecError):  # the connection is cut,
+            await client.call("shutdown", name, "now")
+        client = RpcClient(await dial(robot.uri, credentials(site, name)))  # and a new one no use
+        answer = await client.call("shutdown", name, "now")
+        assert isinstance(answer, list)
+        assert answer[0] == -1
+        assert answer[1].endswith("is revoked")
         await client.close()
         assert not robot._ended.done()
 

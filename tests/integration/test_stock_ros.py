@@ -20,7 +20,7 @@ from xmlrpc.server import SimpleXMLRPCServer
 import pytest
 
 from rossec.channel.opening import REFUSAL, Flavour, first_bytes, http_refusal, tcpros_refusal
-from rossec.net.server import HalfOpen
+from rossec.net.halfopen import HalfOpen
 from rossec.ros import header
 from rossec.ros.settings import parse_uri
 from tests.support import stock

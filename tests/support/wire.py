@@ -15,6 +15,7 @@ from ca.errors import CAError
 from ca.signer import KeySigner
 from rossec.channel.connection import Connection
 from rossec.channel.credentials import Credentials
+from rossec.channel.known import KnownCertificates
 from rossec.channel.opening import Flavour
 from rossec.channel.records import Limits
 from rossec.channel.states import Event, UnitReceived
@@ -74,6 +75,8 @@ def alice(
     credentials: Credentials = ALICE,
     limits: Limits = DEFAULTS,
     suites: tuple[int, ...] = (6,),
+    known: KnownCertificates | None = None,
+    brief: bool = False,
 ) -> Connection[FakeIdentity]:
     """An initiator."""
     return Connection[FakeIdentity].initiator(
@@ -84,6 +87,8 @@ def alice(
         opening=opening,
         limits=limits,
         suites=suites,
+        known=known,
+        brief=brief,
     )
 
 
@@ -92,6 +97,7 @@ def bob(
     limits: Limits = DEFAULTS,
     suites: tuple[int, ...] = (6,),
     accept: frozenset[Flavour] = frozenset(Flavour),
+    known: KnownCertificates | None = None,
 ) -> Connection[FakeIdentity]:
     """A responder."""
     return Connection[FakeIdentity].responder(
@@ -102,6 +108,7 @@ def bob(
         limits=limits,
         suites=suites,
         accept=accept,
+        known=known,
     )
 
 

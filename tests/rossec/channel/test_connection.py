@@ -1,6 +1,7 @@
 import pytest
 
 from rossec.channel.connection import Connection
+from rossec.channel.known import KnownCertificates
 from rossec.channel.messages import encode_error
 from rossec.channel.opening import REFUSAL, Flavour, tcpros_refusal
 from rossec.channel.records import Bytes, Frame, Limits, frame
@@ -9,6 +10,7 @@ from rossec.errors import (
     ChannelClosed,
     ChannelError,
     ConnectionTruncated,
+    CredentialUnknown,
     HandshakeFailed,
     HandshakeTimeout,
     IdentityExpired,
@@ -18,6 +20,7 @@ from rossec.errors import (
     PlainPeer,
     ProtocolViolation,
     RecordForged,
+    UnknownCredential,
 )
 from tests.support.wire import (
     ALICE,
@@ -290,11 +293,14 @@ def test_garbage_is_dropped_silently() -> None:
 # -- the table
 
 
-@pytest.mark.parametrize("kind", list(Frame))
-@pytest.mark.parametrize("state", [State.WAIT_1, State.WAIT_2, State.WAIT_3, State.WAIT_4])
+HANDSHAKE_STATES = (State.WAIT_1, State.WAIT_2, State.WAIT_3, State.WAIT_4)
+
+
+@pytest.mark.parametrize(
+    ("state", "kind"),
+    [(state, kind) for state in HANDSHAKE_STATES for kind in Frame if (state, kind) not in TABLE],
+)
 def test_what_is_not_in_the_table_ends_the_connection(state: State, kind: Frame) -> None:
-    if (state, kind) in TABLE:
-        pytest.skip("in the table")
     end = _in_state(state)
     end.give(frame(kind, b"\0" * 20))
     assert isinstance(end.error, ProtocolViolation)
@@ -448,3 +454,82 @@ def test_units_never_interleave() -> None:
     w.right.give(b"".join(records))
     w.left.core.send_unit(b"y")
     assert w.pump().right.units == [b"x" * 600_000, b"y"]
+
+
+# -- certificates named by a hash
+
+
+def met() -> tuple[KnownCertificates, KnownCertificates]:
+    """What Alice and Bob know after a first handshake by value."""
+    left, right = KnownCertificates(), KnownCertificates()
+    wire(alice(known=left), bob(known=right)).pump()
+    return left, right
+
+
+def test_the_second_handshake_names_certificates_by_their_hashes() -> None:
+    left, right = met()
+    w = wire(alice(known=left, brief=True), bob(known=right)).pump()
+    assert names(w.left) == ["/bob"]
+    assert names(w.right) == ["/alice"]
+    assert sum(map(len, w.left.sent + w.right.sent)) <= 300
+    w.left.core.send_unit(b"x")
+    assert w.pump().right.units == [b"x"]
+
+
+def test_nothing_is_sent_before_a_named_certificate_is_accepted() -> None:
+    left, right = met()
+    w = wire(alice(known=left, brief=True), bob(known=right))
+    w.right.give(w.left.take())
+    w.left.give(w.right.take())
+    with pytest.raises(ChannelClosed):
+        w.left.core.send_unit(b"early")
+    assert w.left.core.seal_small(b"early") is None
+    assert names(w.pump().left) == ["/bob"]
+
+
+def test_a_responder_that_forgot_says_so() -> None:
+    left, _ = met()
+    w = wire(alice(known=left, brief=True), bob(known=KnownCertificates())).pump()
+    assert isinstance(w.right.error, UnknownCredential)
+    assert isinstance(w.left.error, CredentialUnknown)
+    left.forget_introductions()
+    assert names(wire(alice(known=left), bob(known=KnownCertificates())).pump().right) == ["/alice"]
+
+
+def test_an_initiator_that_does_not_know_the_name_says_so() -> None:
+    _, right = met()
+    w = wire(alice(known=KnownCertificates(), brief=True), bob(known=right)).pump()
+    assert isinstance(w.left.error, UnknownCredential)
+    assert isinstance(w.right.error, CredentialUnknown)
+    assert names(w.left) == []
+
+
+def test_a_responder_without_a_memory_sends_its_certificate() -> None:
+    left, _ = met()
+    left.forget_introductions()
+    assert names(wire(alice(known=left, brief=True)).pump().right) == ["/alice"]
+
+
+def test_only_verified_certificates_are_remembered() -> None:
+    known = KnownCertificates()
+    wire(alice(credentials=STRANGER), bob(known=known)).pump()
+    assert len(known) == 0
+
+
+# -- the other suites
+
+
+@pytest.mark.parametrize("suites", [(-24,), (-24, 6)])
+def test_the_hybrid_suite(suites: tuple[int, ...]) -> None:
+    w = wire(alice(suites=suites), bob(suites=suites)).pump()
+    assert w.right.core._negotiation._side.suite.number == -24
+    w.left.core.send_unit(b"x")
+    assert w.pump().right.units == [b"x"]
+
+
+def test_who_requires_the_hybrid_suite_talks_to_nobody_else() -> None:
+    w = wire(alice(suites=(6,)), bob(suites=(-24,))).pump()
+    assert isinstance(w.left.error, HandshakeFailed)
+    assert names(w.right) == []
+    assert names(wire(alice(suites=(-24, 6)), bob(suites=(6,))).pump().right) == ["/alice"]
+    assert names(wire(alice(suites=(6,)), bob(suites=(-24, 6))).pump().right) == ["/alice"]

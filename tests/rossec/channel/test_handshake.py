@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 from cryptography.hazmat.primitives.asymmetric import ed25519
-from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey
+from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey, X25519PublicKey
 
 from ca.encoding import Value, decode_sequence, encode
 from ca.errors import CAError
@@ -288,10 +288,20 @@ def test_keys_of_the_wrong_kind() -> None:
 
 def test_x25519_agrees_with_the_library() -> None:
     exchange = SUITES[6].exchange
-    secret, g_x = exchange.start(dice("a"))
+    finish, g_x = exchange.start(dice("a"))
     g_y, shared = exchange.answer(dice("b"), g_x)
-    assert exchange.finish(secret, g_y) == shared
-    assert X25519PrivateKey.from_private_bytes(secret).public_key().public_bytes_raw() == g_x
+    assert finish(g_y) == shared
+    own = X25519PrivateKey.from_private_bytes(dice("a")(32))
+    assert own.public_key().public_bytes_raw() == g_x
+    assert own.exchange(X25519PublicKey.from_public_bytes(g_y)) == shared
+
+
+def test_a_second_message_2_is_refused() -> None:
+    initiator, responder = pair()
+    message_2 = responder.message_1(initiator.message_1())
+    initiator.message_2(message_2, NOW)
+    with pytest.raises(HandshakeFailed, match="second"):
+        initiator.message_2(message_2, NOW)
 
 
 # -- every single bit

@@ -135,9 +135,9 @@ def test_only_what_is_asked_for_is_shown(site: Site) -> None:
     pose, camera = site.subscribe("/viewer", TOPIC), site.subscribe("/viewer", "/robot/camera")
     own = Access(site.anchor, revocations(site), [pose])
     own.hold(camera)
-    assert own.held == [pose, camera]
-    assert own.present(Right.SUBSCRIBE, TOPIC) == field(pose)
-    assert own.present(Right.PUBLISH, TOPIC) == field()
+    assert set(own.current(NOW)) == {pose, camera}
+    assert own.present(Right.SUBSCRIBE, TOPIC, NOW) == field(pose)
+    assert own.present(Right.PUBLISH, TOPIC, NOW) == field()
 
 
 def test_the_memory_of_verified_grants_is_bounded(
@@ -161,3 +161,15 @@ def test_the_refusal_of_a_grant_says_more_than_that_none_fits(site: Site) -> Non
     expired = site.grant("/viewer", Right.SUBSCRIBE, TOPIC, begin=NOW - 100, lifetime=-10)
     with pytest.raises(GrantExpired):
         judge(site, field(site.subscribe("/viewer", "/robot/camera"), expired))
+
+
+def test_what_has_ended_is_not_shown_and_what_is_shown_is_bounded(site: Site) -> None:
+    ended = site.grant("/viewer", Right.SUBSCRIBE, TOPIC, begin=NOW - 100, lifetime=-10)
+    revoked = site.subscribe("/viewer", TOPIC, lifetime=10_000)
+    site.revoke(revoked)
+    later = [site.subscribe("/viewer", TOPIC, lifetime=100 + n) for n in range(20)]
+    own = Access(site.anchor, revocations(site), [ended, revoked, *later])
+    shown = own.present(Right.SUBSCRIBE, TOPIC, NOW)
+    assert shown == field(*reversed(later[-access.MAX_GRANTS :]))
+    judge(site, shown)
+    assert own.current(NOW) == later[::-1]

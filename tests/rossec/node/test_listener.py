@@ -140,10 +140,41 @@ async def test_the_slave_api_answers_no_revoked_node(site: Site, robot: Node) ->
     await robot._session.call(
         "rossec.updateRevocations", site.revoke(site.identity("/viewer").thumbprint)
     )
-    for again in (stream, await connect("127.0.0.1", port, *dial, opening=Flavour.HTTP)):
-        answer = await RpcClient(again).call("requestTopic", "/viewer", "/t", [["TCPROS"]])
-        assert isinstance(answer, list)
-        assert (answer[0], "is revoked" in answer[1], answer[2]) == (-1, True, 0)
+    await ended(stream)
+    again = await connect("127.0.0.1", port, *dial, opening=Flavour.HTTP)
+    answer = await RpcClient(again).call("requestTopic", "/viewer", "/t", [["TCPROS"]])
+    assert isinstance(answer, list)
+    assert (answer[0], "is revoked" in answer[1], answer[2]) == (-1, True, 0)
+    await ended(again)
+
+
+async def test_one_identity_holds_a_bounded_number_of_connections(
+    site: Site, robot: Node, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(listener, "PEER_CONNECTIONS", 3)
+    credentials = site.enroll("/viewer").credentials()
+    port = int(robot.uri.rstrip("/").rpartition(":")[2])
+    streams = [
+        await connect("127.0.0.1", port, credentials, site.anchor.verify, opening=Flavour.HTTP)
+        for _ in range(3)
+    ]
+    for stream in streams:
+        assert await RpcClient(stream).call("requestTopic", "/viewer", "/t", [["TCPROS"]])
+    one_more = await connect(
+        "127.0.0.1", port, credentials, site.anchor.verify, opening=Flavour.HTTP
+    )
+    await ended(one_more)
+    await streams[0].close()
+
+
+async def test_a_caller_that_stays_is_sent_away(
+    site: Site, robot: Node, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(listener, "SLAVE_DEADLINE", 0.1)
+    credentials = site.enroll("/viewer").credentials()
+    port = int(robot.uri.rstrip("/").rpartition(":")[2])
+    dial = (credentials, site.anchor.verify)
+    await ended(await connect("127.0.0.1", port, *dial, opening=Flavour.HTTP))
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from ca.errors import CAError
+from ca.errors import CAError, CertificateExpired
 from grants.model import Right
 from rossec.errors import ConfigurationError, MessageError, NodeShutdown, RossecError
 from rossec.node import Node, Publisher, Subscriber
@@ -224,7 +224,7 @@ async def test_a_grant_that_arrives_later_counts(site: Site) -> None:
         with pytest.raises(RossecError, match="subscribe"):
             await viewer.subscriber("/robot/pose", POSE)
         site.subscribe("/viewer", "/robot/pose")
-        await until(lambda: viewer.access.held)
+        await until(lambda: viewer.access.current(int(time.time())))
         await until_registered(viewer)
         await publisher.wait_for_subscribers()
 
@@ -251,11 +251,15 @@ async def test_a_node_whose_watch_dies_ends(site: Site, monkeypatch: pytest.Monk
         def break_down(_: int) -> None:
             raise ValueError("boom")
 
-        monkeypatch.setattr(robot, "_cut", break_down)
+        monkeypatch.setattr(robot._watch, "cut", break_down)
         with pytest.raises(ValueError, match="boom"):
             async with asyncio.timeout(5):
                 await robot.wait_ended()
         await until(lambda: not publisher.links)
+        await asyncio.sleep(1)  # longer than a subscriber waits before it tries again
+        assert not publisher.links
+        with pytest.raises(NodeShutdown):
+            publisher.publish(pose(publisher))
 
 
 async def test_a_bad_grant_file_is_told_and_does_no_harm(
@@ -283,3 +287,73 @@ async def test_a_malformed_message_is_left_out(
         publisher.publish(pose(publisher))
         assert (await first(subscriber)).pose.position.x == 3.3
         assert "dropped a message" in caplog.text
+
+
+async def test_a_closed_subscriber_stays_closed(site: Site) -> None:
+    site.publish("/robot", "/robot/pose")
+    site.publish("/other", "/robot/pose")
+    site.subscribe("/viewer", "/robot/pose")
+    async with site.node("/robot") as robot, site.node("/viewer") as viewer:
+        publisher = await robot.publisher("/robot/pose", POSE)
+        subscriber = await viewer.subscriber("/robot/pose", POSE)
+        await publisher.wait_for_subscribers()
+        await subscriber.close()
+        await subscriber.close()
+        await until(lambda: not publisher.links)
+        async with site.node("/other") as other:
+            second = await other.publisher("/robot/pose", POSE)
+            subscriber.update([other.uri])
+            await asyncio.sleep(0.3)
+            assert not second.links
+        assert [item async for item in subscriber] == []
+
+
+async def test_an_odd_answer_does_not_end_the_following(
+    site: Site, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    site.publish("/robot", "/robot/pose")
+    site.subscribe("/viewer", "/robot/pose")
+    async with site.node("/robot") as robot, site.node("/viewer") as viewer:
+        publisher = await robot.publisher("/robot/pose", POSE)
+        answers = iter([("127.0.0.1", 99999), ("a..b", 1), ("\u2603" * 80, 1)])
+        endpoint = robot.topic_endpoint()
+        monkeypatch.setattr(robot, "topic_endpoint", lambda: next(answers, endpoint))
+        subscriber = await viewer.subscriber("/robot/pose", POSE)
+        async with asyncio.timeout(20):
+            await publisher.wait_for_subscribers()
+        assert len(subscriber.refusals) == 3
+
+
+async def test_a_revoked_publisher_is_told_nothing(
+    site: Site, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    site.publish("/robot", "/robot/pose")
+    site.subscribe("/viewer", "/robot/pose")
+    async with site.node("/robot") as robot, site.node("/viewer") as viewer:
+        await robot.publisher("/robot/pose", POSE)
+        asked: list[str] = []
+
+        def endpoint() -> tuple[str, int]:
+            asked.append("requestTopic")
+            return "127.0.0.1", 1
+
+        monkeypatch.setattr(robot, "topic_endpoint", endpoint)
+        revoked = site.revoke(site.identity("/robot").thumbprint)
+        viewer.revocations.update(revoked, int(time.time()))
+        with pytest.raises(CAError):
+            await viewer._dialer.topic(robot.uri, "/robot/pose")
+        assert asked == []
+
+
+async def test_an_identity_in_the_wrong_place_is_noticed_at_once(site: Site) -> None:
+    home = site.enroll("/robot")
+    home.path.rename(home.path.with_name("robbie"))
+    with pytest.raises(ConfigurationError, match="holds the identity of /robot, not of /robbie"):
+        Node("/robbie", environ=site.environ)
+
+
+async def test_an_expired_identity_is_noticed_at_once(site: Site) -> None:
+    site.enroll("/robot", lifetime=1)
+    await asyncio.sleep(2.1)
+    with pytest.raises(CertificateExpired, match="/robot"):
+        Node("/robot", environ=site.environ)

@@ -7,7 +7,7 @@ import pytest
 
 from grants import layout
 from grants.errors import MessageRefused
-from rossec.errors import ChannelClosed
+from rossec.errors import ChannelClosed, ConfigurationError, NodeShutdown
 from rossec.node.messages import message_type
 from rossec.node.publisher import Publisher, SubscriberLink
 from rossec.node.topics import Endpoint
@@ -47,9 +47,13 @@ class Guard:
         return self._treat(message)
 
 
+def no_keys(name: str) -> bytes:
+    raise AssertionError(f"no filter needs the key {name}")
+
+
 def publisher(**options: Any) -> Publisher:
     shape = layout.parse(STRING.name, STRING.definition)
-    return Publisher(Endpoint("/t", STRING), shape, **{"latch": False, **options})
+    return Publisher(Endpoint("/t", STRING), shape, no_keys, **{"latch": False, **options})
 
 
 def decision(seconds: int = 99) -> Any:
@@ -186,3 +190,33 @@ async def test_a_link_is_known_before_its_answer_is_sent() -> None:
     assert stream.sent == [b"", framed("early")]
     task.cancel()
     await asyncio.gather(task, return_exceptions=True)
+
+
+async def test_what_is_judged_is_what_is_sent() -> None:
+    topic, stream = publisher(latch=True), Stream()
+    task = await serve(topic, stream, Guard())
+    buffer = bytearray(text("judged"))
+    topic.publish_bytes(memoryview(buffer))
+    buffer[4:] = b"forged"
+    await settle()
+    assert stream.sent[1:] == [framed("judged")]
+    late = Stream()
+    other = await serve(topic, late, Guard())
+    await settle()
+    assert late.sent[1:] == [framed("judged")]
+    for running in (task, other):
+        running.cancel()
+    await asyncio.gather(task, other, return_exceptions=True)
+
+
+async def test_a_closed_node_publishes_nothing() -> None:
+    topic = publisher()
+    topic.close()
+    with pytest.raises(NodeShutdown, match="the node is closed"):
+        topic.publish(topic.create(data="late"))
+
+
+@pytest.mark.parametrize("size", [0, -1])
+async def test_a_queue_holds_something(size: int) -> None:
+    with pytest.raises(ConfigurationError, match="a queue of"):
+        publisher(queue_size=size)

@@ -37,10 +37,10 @@ class Pair:
         return Access(site.anchor, held, site.enroll(name).grants())
 
     def question(self) -> Fields:
-        return topics.subscriber_header("/viewer", ENDPOINT, self.viewer_access)
+        return topics.subscriber_header("/viewer", ENDPOINT, self.viewer_access, NOW)
 
     def answer(self) -> Fields:
-        return topics.publisher_header("/robot", ENDPOINT, self.robot_access, latching=False)
+        return topics.publisher_header("/robot", ENDPOINT, self.robot_access, NOW, latching=False)
 
     def admit_viewer(self, fields: Fields, peer: Identity | None = None) -> None:
         topics.admit_subscriber(fields, peer or self.viewer, self.robot_access, NOW)
@@ -72,7 +72,7 @@ def test_headers_hold_what_ros_expects(pair: Pair) -> None:
         "rossec_grants": b"",
     }
     assert pair.answer()["latching"] == b"0"
-    latched = topics.publisher_header("/robot", ENDPOINT, pair.robot_access, latching=True)
+    latched = topics.publisher_header("/robot", ENDPOINT, pair.robot_access, NOW, latching=True)
     assert latched["latching"] == b"1"
 
 

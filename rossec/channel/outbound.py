@@ -1,0 +1,190 @@
+"""The half of a connection that sends: units to records, the close, renewal and deadlines.
+
+`Connection` adds the half that receives. What is sealed must be written in order and at once, for
+its counter is used up: whatever was queued meanwhile goes first.
+"""
+
+from collections.abc import Iterator, Sequence
+from typing import Final, Generic
+
+from rossec.channel.buffers import SMALL, ReceiveBuffer
+from rossec.channel.credentials import PeerT
+from rossec.channel.negotiation import Negotiation, Preamble
+from rossec.channel.opening import Flavour
+from rossec.channel.records import Bytes, Limits
+from rossec.channel.session import Session
+from rossec.channel.states import DEAD, SENDING, Event, State
+from rossec.errors import (
+    ChannelClosed,
+    ChannelError,
+    HandshakeTimeout,
+    IdentityExpired,
+    LimitExceeded,
+    ProtocolViolation,
+)
+
+_ONE_RECORD: Final = 64 * 1024
+HINT_SILENT: Final = "it may be a plain ROS node, which has no identity, or overloaded"
+
+
+class Outbound(Generic[PeerT]):
+    """The state of a connection, and everything that does not depend on what arrives."""
+
+    def __init__(
+        self, preamble: Preamble, negotiation: Negotiation[PeerT], now: int, limits: Limits
+    ) -> None:
+        self._preamble = preamble
+        self._negotiation = negotiation
+        self._limits = limits
+        self._now = now
+        self._give_up_at = now + limits.handshake_seconds
+        self._inbox = ReceiveBuffer(SMALL)
+        self._out: list[bytes | bytearray] = []
+        self._events: list[Event[PeerT]] = []
+        self._peer: PeerT | None = None
+        self._session: Session | None = None
+        self._sealing = False
+        self.state = State.OPENING
+
+    @property
+    def flavour(self) -> Flavour:
+        """How the connection introduced itself."""
+        return self._preamble.flavour
+
+    @property
+    def unit_limit(self) -> int:
+        """How long a unit may be."""
+        return self._limits.unit
+
+    def _open_session(self) -> Session:
+        if self._session is None:
+            raise ChannelClosed("the connection is closed")
+        return self._session
+
+    # -- sending
+
+    def seal_unit(self, *pieces: Bytes) -> Iterator[bytes | bytearray]:
+        """Yield what to send for a unit, record by record; write each before taking the next.
+
+        A unit that has begun must be finished: if that is not possible, drop the connection.
+
+        Raises:
+            LimitExceeded: too long, at once, and nothing has happened.
+            ChannelClosed: there is no open connection (any more).
+            ProtocolViolation: a unit begun before is not finished.
+        """
+        self.check_unit(pieces)
+        return self._sealed(pieces)
+
+    def check_unit(self, pieces: Sequence[Bytes]) -> None:
+        """Refuse a unit that `seal_unit` would refuse; nothing has happened to the connection.
+
+        Raises:
+            LimitExceeded, ChannelClosed: as for `seal_unit`.
+        """
+        self._sendable().check_unit(pieces)
+
+    def seal_small(self, unit: bytes) -> bytes | bytearray | None:
+        """Seal a unit in one record: the short way, where nothing else has to be done.
+
+        None means that something has: use `seal_unit`.
+        """
+        small = 0 < len(unit) <= min(_ONE_RECORD, self._limits.unit)
+        if (
+            self._out
+            or self._sealing
+            or not small
+            or self.state not in SENDING
+            or self._session is None
+        ):
+            return None
+        return self._session.seal_small(unit)
+
+    def _sealed(self, pieces: Sequence[Bytes]) -> Iterator[bytes | bytearray]:
+        if self._sealing:
+            raise ProtocolViolation("a second unit in the middle of the first")
+        self._sealing = True
+        try:
+            for record in self._sendable().seal_unit(pieces):
+                # Whatever was sealed meanwhile has the smaller counter: it goes first.
+                yield self.data_to_send() + record if self._out else record
+                self._sendable()
+            self._sealing = False  # and stays set when a unit is given up half-way
+        except LimitExceeded:
+            self._die()
+            raise
+
+    def _sendable(self) -> Session:
+        if self.state not in SENDING:
+            raise ChannelClosed("the connection is closed")
+        return self._open_session()
+
+    def send_unit(self, *pieces: Bytes) -> None:
+        """Seal a unit and queue it for `data_to_send`; an empty one sends nothing.
+
+        Raises:
+            LimitExceeded, ChannelClosed: as for `seal_unit`.
+        """
+        records = list(self.seal_unit(*pieces))  # takes what was queued before
+        self._out += records
+
+    @property
+    def has_data_to_send(self) -> bool:
+        """Whether `data_to_send` has something to return."""
+        return any(self._out)
+
+    def data_to_send(self) -> bytes | bytearray:
+        """Return, once, everything queued for the peer."""
+        out, self._out = self._out, []
+        return out[0] if len(out) == 1 else b"".join(out)
+
+    def close(self) -> None:
+        """Queue the authenticated close; what the peer still sends is thrown away."""
+        if self.state in SENDING:
+            self._out.append(self._sendable().close_record())
+            self._session = None
+            self.state = State.CLOSING
+        elif self.state is not State.CLOSING:
+            self.state = State.CLOSED
+
+    # -- time and ends
+
+    def deadline(self) -> int | None:
+        """When `tick` has to be called at the latest."""
+        if self.state in DEAD:
+            return None
+        if self.state is not State.OPEN or self._session is None or self._peer is None:
+            return self._give_up_at
+        return min(self._session.renew_at, self._peer.not_after)
+
+    def tick(self, now: int) -> None:
+        """Act on the time: renew keys, or end a connection that has outlived its right.
+
+        Raises:
+            HandshakeTimeout, IdentityExpired, LimitExceeded: the connection is at its end.
+        """
+        self._now = now
+        deadline = self.deadline()
+        if deadline is None or now < deadline:
+            return
+        try:
+            self._act(now)
+        except ChannelError:
+            self._die()
+            raise
+
+    def _act(self, now: int) -> None:
+        if self.state is not State.OPEN or self._session is None or self._peer is None:
+            raise HandshakeTimeout(
+                "the peer did not finish the handshake in time",
+                HINT_SILENT,
+            )
+        if now >= self._peer.not_after:
+            raise IdentityExpired("the peer's certificate ran out", "renew it")
+        self._out.append(self._session.renew(now))
+
+    def _die(self) -> None:
+        self.state = State.CLOSED
+        self._session = None
+        self._negotiation.forget()
+        self._out = []

@@ -1,0 +1,88 @@
+"""A TCP connection to a host: whichever of its addresses answers first (RFC 8305)."""
+
+import asyncio
+import errno
+import socket
+from typing import Final, TypeAlias
+
+_STAGGER: Final = 0.25  # seconds; RFC 8305 section 5
+_Address: TypeAlias = tuple[int, tuple[str, int]]
+
+
+async def dial(host: str, port: int) -> socket.socket:
+    """Return a connected, non-blocking socket.
+
+    Raises:
+        OSError: no address of the host can be reached.
+    """
+    first, *others = await _addresses(host, port)
+    if not others:
+        return await _attempt(*first)
+    return await _race([first, *others])
+
+
+async def _addresses(host: str, port: int) -> list[_Address]:
+    for family in (socket.AF_INET, socket.AF_INET6):
+        try:
+            socket.inet_pton(family, host)
+        except OSError:
+            continue
+        return [(family, (host, port))]  # no thread, no resolver
+    found = await asyncio.get_running_loop().getaddrinfo(host, port, type=socket.SOCK_STREAM)
+    if not found:
+        raise OSError(f"no address for {host}")
+    return [(family, where) for family, _, _, _, where in found]  # type: ignore[misc]  # IPv6 has four
+
+
+async def _attempt(family: int, where: tuple[str, int]) -> socket.socket:
+    sock = socket.socket(family, socket.SOCK_STREAM)
+    try:
+        sock.setblocking(False)
+        if sock.connect_ex(where) != errno.EINPROGRESS or not _connected(sock):
+            await asyncio.get_running_loop().sock_connect(sock, where)
+    except BaseException:
+        sock.close()
+        raise
+    return sock
+
+
+def _connected(sock: socket.socket) -> bool:
+    """On loopback the connection is there when the call returns: no turn of the loop is needed."""
+    try:
+        sock.getpeername()
+    except OSError:
+        return False
+    return True
+
+
+async def _race(addresses: list[_Address]) -> socket.socket:
+    """Begin with one; add the next when nothing came for a while, or at once after a failure."""
+    running: set[asyncio.Task[socket.socket]] = set()
+    waiting = list(addresses)
+    failure = OSError("no address answers")
+    try:
+        while waiting or running:
+            if waiting:
+                attempt = _attempt(*waiting.pop(0))
+                running.add(asyncio.get_running_loop().create_task(attempt))
+            stagger = _STAGGER if waiting else None
+            done, _ = await asyncio.wait(
+                running, timeout=stagger, return_when=asyncio.FIRST_COMPLETED
+            )
+            for task in done:
+                running.discard(task)
+                error = task.exception()
+                if error is None:
+                    return task.result()
+                failure = error if isinstance(error, OSError) else failure
+        raise failure
+    finally:
+        await _abandon(running)
+
+
+async def _abandon(tasks: set[asyncio.Task[socket.socket]]) -> None:
+    for task in tasks:
+        task.cancel()
+    for result in await asyncio.gather(*tasks, return_exceptions=True):
+        if isinstance(result, socket.socket):
+            result.close()

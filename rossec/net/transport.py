@@ -1,0 +1,177 @@
+"""One non-blocking socket on a loop: bytes in, bytes out, nothing else.
+
+Not an asyncio transport: those copy what the kernel does not take at once, twice for a large
+record, and cost more calls per message. Here a remainder is kept as a view of the sealed record,
+and the socket reads straight into the buffer its owner lends.
+"""
+
+import asyncio
+import socket
+from collections import deque
+from contextlib import suppress
+from typing import Final, Protocol
+
+from rossec.channel.records import Bytes
+
+_HIGH_WATER: Final = 64 * 1024  # bytes kept here, above which a writer should wait
+
+
+class Owner(Protocol):
+    """Who is told what happens to the socket."""
+
+    def get_buffer(self) -> memoryview:
+        """Lend the place for the next bytes."""
+        ...
+
+    def received(self, count: int) -> None:
+        """So many bytes were written there."""
+        ...
+
+    def eof(self) -> None:
+        """The peer sends nothing more."""
+        ...
+
+    def drained(self) -> None:
+        """Everything written is with the kernel."""
+        ...
+
+    def lost(self) -> None:
+        """The socket is closed; said once, and never from within a call of this class."""
+        ...
+
+
+class Transport:
+    """The socket of one connection; it owns the socket from the beginning."""
+
+    __slots__ = (
+        "_closing",
+        "_eof_due",
+        "_fd",
+        "_loop",
+        "_owner",
+        "_pending",
+        "_reading",
+        "_socket",
+        "backlog",
+        "closed",
+    )
+
+    def __init__(self, sock: socket.socket, owner: Owner) -> None:
+        sock.setblocking(False)
+        sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._socket = sock
+        self._fd = sock.fileno()
+        self._owner = owner
+        self._loop = asyncio.get_running_loop()
+        self._pending: deque[memoryview] = deque()
+        self.backlog = 0
+        self.closed = False
+        self._closing = self._eof_due = self._reading = False
+
+    @property
+    def socket(self) -> socket.socket:
+        """The socket: for its options, not for its bytes."""
+        return self._socket
+
+    @property
+    def writable(self) -> bool:
+        """Whether a write would not pile up."""
+        return self.backlog <= _HIGH_WATER
+
+    # -- reading
+
+    def resume_reading(self) -> None:
+        """Read, from now on, whenever there is something."""
+        if not (self._reading or self._closing or self.closed):
+            self._reading = True
+            self._loop.add_reader(self._fd, self._readable)
+
+    def pause_reading(self) -> None:
+        """Leave what comes with the kernel, which tells the peer."""
+        if self._reading:
+            self._reading = False
+            self._loop.remove_reader(self._fd)
+
+    def _readable(self) -> None:
+        try:
+            count = self._socket.recv_into(self._owner.get_buffer())
+        except (BlockingIOError, InterruptedError):
+            return
+        except OSError:
+            self.abort()
+            return
+        if count > 0:
+            self._owner.received(count)
+            return
+        self.pause_reading()
+        self._closing = True
+        self._owner.eof()
+        if not self._pending:
+            self.abort()
+
+    # -- writing
+
+    def write(self, data: Bytes) -> None:
+        """Send `data`, which must not change any more; what does not fit now is sent later."""
+        if self.closed:
+            return
+        sent = 0
+        if not self._pending:
+            sent = self._send(data)
+            if sent == len(data) or self.closed:
+                return
+            self._loop.add_writer(self._fd, self._flush)
+        self._pending.append(memoryview(data)[sent:])
+        self.backlog += len(data) - sent
+
+    def _send(self, data: Bytes) -> int:
+        try:
+            return self._socket.send(data)
+        except (BlockingIOError, InterruptedError):
+            return 0
+        except OSError:  # the peer is gone
+            self.abort()
+            return 0
+
+    def _flush(self) -> None:
+        pending = self._pending
+        while pending:
+            sent = self._send(pending[0])
+            if self.closed:
+                return
+            self.backlog -= sent
+            if sent < len(pending[0]):
+                pending[0] = pending[0][sent:]
+                return
+            pending.popleft()
+        self._loop.remove_writer(self._fd)
+        if self._eof_due:
+            self._shut()
+        if self._closing:
+            self.abort()
+        else:
+            self._owner.drained()
+
+    # -- ends
+
+    def write_eof(self) -> None:
+        """End this side's stream after what was written."""
+        self._eof_due = True
+        if not self._pending and not self.closed:
+            self._shut()
+
+    def _shut(self) -> None:
+        with suppress(OSError):  # the peer may have reset the connection already
+            self._socket.shutdown(socket.SHUT_WR)
+
+    def abort(self) -> None:
+        """Close the socket now; what was not sent is dropped."""
+        if self.closed:
+            return
+        self.closed = True
+        self.pause_reading()
+        self._loop.remove_writer(self._fd)
+        self._pending.clear()
+        self.backlog = 0
+        self._socket.close()
+        self._loop.call_soon(self._owner.lost)

@@ -1,0 +1,68 @@
+"""Connections a node makes: to its master, and to the nodes that publish what it subscribes to.
+
+A shell. Whoever answers is checked before anything is said: its certificate by the channel, its
+revocation here. A publisher that is merely not entitled is found out by its answer; until then it
+has seen the topic's name, which the master told it anyway, and the grant for that topic.
+"""
+
+import time
+from collections.abc import Callable
+
+from ca.certificates import Identity, TrustAnchor
+from rossec.channel.credentials import Credentials
+from rossec.errors import TopicRefused
+from rossec.net.rpc import RpcClient
+from rossec.net.stream import Flavour, SecureStream, connect
+from rossec.ros import settings
+
+CheckPeer = Callable[[Identity, int], None]
+
+
+class Dialer:
+    """Connects as one node."""
+
+    def __init__(
+        self, name: str, credentials: Credentials, anchor: TrustAnchor, check_peer: CheckPeer
+    ) -> None:
+        self._name = name
+        self._credentials = credentials
+        self._anchor = anchor
+        self._check_peer = check_peer
+
+    async def rpc(self, host: str, port: int) -> SecureStream[Identity]:
+        """Connect to a master or slave API; the caller checks who it is."""
+        return await connect(
+            host, port, self._credentials, self._anchor.verify, opening=Flavour.HTTP
+        )
+
+    async def topic(self, uri: str, topic: str) -> SecureStream[Identity]:
+        """Ask the node at `uri` where its topics are, then connect there.
+
+        Raises:
+            RossecError: out of reach, or no connection offered.
+            CAError: the node that answers is revoked, or that is not known.
+        """
+        host, port = settings.parse_uri(uri, "a publisher's URI")
+        host, port = await self._request_topic(await self.rpc(host, port), topic)
+        stream = await connect(host, port, self._credentials, self._anchor.verify)
+        self._judge(stream)
+        return stream
+
+    async def _request_topic(self, stream: SecureStream[Identity], topic: str) -> tuple[str, int]:
+        self._judge(stream)
+        try:
+            answer = await RpcClient(stream).ask("requestTopic", self._name, topic, [["TCPROS"]])
+        finally:
+            await stream.close()
+        match answer:
+            case ["TCPROS", str() as host, int() as port] if 0 < port < 1 << 16:
+                return host, port
+            case _:
+                raise TopicRefused(f"{stream.peer.name} offers no connection for {topic}")
+
+    def _judge(self, stream: SecureStream[Identity]) -> None:
+        try:
+            self._check_peer(stream.peer, int(time.time()))
+        except BaseException:
+            stream.abort("the peer's identity does not hold")
+            raise

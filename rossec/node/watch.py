@@ -1,0 +1,47 @@
+"""The watch over a node's live connections: cut what has expired, been revoked or gone stale.
+
+A shell around `links.why_cut`. It waits for nothing but the clock: a master that hangs must not
+keep an expired link alive.
+"""
+
+import asyncio
+import logging
+import time
+from collections.abc import Callable, Iterable
+from typing import Final
+
+from ca.revocation import Revocations
+from rossec.node.links import Link, why_cut
+from rossec.node.listener import Listener
+
+PERIOD: Final = 1.0  # seconds between looks; an expiry is met to the second
+
+_log = logging.getLogger("rossec.node")
+
+
+class Watch:
+    """Cuts the links of one node."""
+
+    def __init__(
+        self, revocations: Revocations, links: Callable[[], Iterable[Link]], listener: Listener
+    ) -> None:
+        self._revocations = revocations
+        self._links = links
+        self._listener = listener
+
+    async def run(self) -> None:
+        """Look again and again, until cancelled."""
+        while True:
+            now = time.time()
+            soonest = min((link.ends for link in self._links()), default=now + PERIOD)
+            await asyncio.sleep(max(0.0, min(PERIOD, soonest - now)))
+            self.cut(int(time.time()))
+
+    def cut(self, now: int) -> None:
+        """Cut every link that must end at `now`, and every connection of a revoked key."""
+        for link in self._links():
+            reason = why_cut(link, self._revocations, now)
+            if reason is not None:
+                _log.warning("cut %s: %s", link.stream.peer.name, reason)
+                link.stream.abort(reason)
+        self._listener.cut(self._revocations.entries)

@@ -1,0 +1,119 @@
+"""What is fuzzed: every decoder that sees a stranger's bytes, with the seeds to begin from.
+
+A target returns, or raises one of our own errors; anything else is a finding. Seeds are real bytes:
+messages of a handshake between two connections, of RFC 9529, and of plain peers.
+"""
+
+import json
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Final, TypeAlias
+
+from ca.encoding import decode, encode
+from ca.errors import HintedError
+from rossec.channel.known import KnownCertificates, reference
+from rossec.channel.messages import (
+    decode_bytes,
+    decode_error,
+    decode_message_1,
+    decode_plaintext,
+    decode_plaintext_4,
+    encode_error,
+)
+from rossec.channel.opening import (
+    Flavour,
+    first_bytes,
+    judge_answer,
+    judge_caller,
+    refusal,
+)
+from tests.support.wire import ALICE, NOW, joined, wire
+
+Target: TypeAlias = Callable[[bytes], object]
+
+_RFC9529: Final = Path(__file__).parents[1] / "vectors" / "rfc9529.json"
+_PLAIN: Final = (
+    b"\x10\0\0\0\x0c\0\0\0error=go off",
+    b"POST /RPC2 HTTP/1.1\r\nContent-length: 3\r\n\r\nabc",
+    b"HTTP/1.0 501 Unsupported\r\n\r\n",
+)
+
+
+def flights() -> list[bytes]:
+    """What both sides of a handshake and a short conversation send."""
+    w = wire().pump()
+    w.left.core.send_unit(b"x" * 300)
+    w.right.core.send_unit(b"y", b"z" * 20_000)
+    w.pump()
+    w.left.core.close()
+    w.pump()
+    return w.left.sent + w.right.sent
+
+
+def rfc9529() -> list[bytes]:
+    """Every value of the RFC's traces, the invalid ones included."""
+    vectors = json.loads(_RFC9529.read_text())
+    return [
+        bytes.fromhex(vector["hex"])
+        for values in vectors.values()
+        if isinstance(values, list)
+        for vector in values
+        if len(vector["hex"]) <= 4096
+    ]
+
+
+def _responder(data: bytes) -> None:
+    w = wire()
+    w.right.core.receive_data(data, NOW)
+
+
+def _initiator(data: bytes) -> None:
+    w = wire()
+    w.left.take()
+    w.left.core.receive_data(data, NOW)
+
+
+def _records(data: bytes) -> None:
+    """An attacker has no keys: whatever it sends, nothing may be delivered."""
+    w = joined()
+    with suppress(HintedError):
+        events = w.right.core.receive_data(data, NOW)
+        assert events == []
+
+
+def _credential(data: bytes) -> None:
+    KnownCertificates().find(decode(data))
+
+
+def _openings() -> list[bytes]:
+    ours = [first_bytes(flavour) for flavour in Flavour]
+    return [*ours, *(refusal(flavour) for flavour in Flavour), *_PLAIN]
+
+
+def _credentials() -> list[bytes]:
+    certificate = ALICE.chain[0]
+    return [encode(ALICE.id_cred), encode(reference(certificate)), encode({33: [b"a", b"b"]})]
+
+
+DECODERS: Final[dict[str, tuple[Target, Callable[[], list[bytes]]]]] = {
+    "message_1": (decode_message_1, rfc9529),
+    "message_2_3_4": (decode_bytes, rfc9529),
+    "plaintext_2": (lambda data: decode_plaintext(data, with_c_r=True), rfc9529),
+    "plaintext_3": (lambda data: decode_plaintext(data, with_c_r=False), rfc9529),
+    "plaintext_4": (decode_plaintext_4, rfc9529),
+    "error": (decode_error, lambda: [encode_error(1, "no"), encode_error(2, [6, 4]), b"\x03\xf5"]),
+    "credential": (_credential, _credentials),
+    "caller": (judge_caller, _openings),
+    "answer_tcpros": (lambda data: judge_answer(data, Flavour.TCPROS), _openings),
+    "answer_http": (lambda data: judge_answer(data, Flavour.HTTP), _openings),
+    "responder": (_responder, flights),
+    "initiator": (_initiator, flights),
+    "records": (_records, flights),
+}
+
+
+def run(name: str, data: bytes) -> None:
+    """Feed one input; our own errors are right answers."""
+    with suppress(HintedError):
+        DECODERS[name][0](data)

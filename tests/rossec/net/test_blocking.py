@@ -1,0 +1,290 @@
+"""The blocking driver: threads, timeouts, polls."""
+
+import select
+import socket
+import threading
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from rossec.channel.records import Limits
+from rossec.errors import (
+    ChannelClosed,
+    ChannelError,
+    ConnectionTruncated,
+    HandshakeTimeout,
+    IdentityExpired,
+    IdentityRefused,
+    PeerRefused,
+)
+from rossec.net.blocking import SecureSocket
+from rossec.net.halfopen import HalfOpen
+from rossec.net.listener import SecureListener
+from tests.support.wire import ALICE, BOB, STRANGER, FakeIdentity, trust
+
+Secure = SecureSocket[FakeIdentity]
+
+
+def live(chain: tuple[bytes, ...], now: int) -> FakeIdentity:
+    found = trust(chain, now)
+    return FakeIdentity(found.name, found.public_key, found.certificate, 1 << 40)
+
+
+def make_listener(**options: object) -> SecureListener[FakeIdentity]:
+    sock = socket.create_server(("127.0.0.1", 0))
+    return SecureListener(sock, BOB, live, **options)  # type: ignore[arg-type]  # passed on
+
+
+@pytest.fixture
+def listener() -> Iterator[SecureListener[FakeIdentity]]:
+    with make_listener() as made:
+        yield made
+
+
+def background(work: Callable[[], object]) -> threading.Thread:
+    thread = threading.Thread(target=work, daemon=True)
+    thread.start()
+    return thread
+
+
+def pair(listener: SecureListener[FakeIdentity], **options: object) -> tuple[Secure, Secure]:
+    accepted: list[Secure] = []
+
+    def accept() -> None:
+        sock, _ = listener.accept()
+        sock.do_handshake()
+        accepted.append(sock)
+
+    thread = background(accept)
+    left = Secure.connect(listener.getsockname(), ALICE, live, 5, **options)
+    thread.join(5)
+    return left, accepted[0]
+
+
+def read(sock: Secure, size: int) -> bytes:
+    got = bytearray()
+    while len(got) < size:
+        chunk = sock.recv(1 << 20)
+        assert chunk
+        got += chunk
+    return bytes(got)
+
+
+def readable(sock: Secure) -> bool:
+    poll = select.poll()
+    poll.register(sock, select.POLLIN)
+    return len(poll.poll(50)) > 0
+
+
+def test_bytes_there_and_back(listener: SecureListener[FakeIdentity]) -> None:
+    left, right = pair(listener)
+    with left, right:
+        assert left.peer is not None
+        assert right.peer is not None
+        assert (left.peer.name, right.peer.name) == ("/bob", "/alice")
+        assert left.send(b"hello") == 5
+        assert right.recv(3) == b"hel"
+        buffer = bytearray(10)
+        assert right.recv_into(buffer) == 2
+        assert buffer[:2] == b"lo"
+        right.sendall(b"world")
+        assert left.recv_into(buffer, 4) == 4
+        assert left.recv(10) == b"d"
+        assert left.getpeername() == right.getsockname()
+
+
+def test_large_both_ways_at_once(listener: SecureListener[FakeIdentity]) -> None:
+    left, right = pair(listener)
+    size = 20_000_000
+    with left, right:
+        threads = [background(lambda s=s: s.sendall(bytes(size))) for s in (left, right)]  # type: ignore[misc]  # a loop variable
+        other = background(lambda: read(left, size))
+        assert read(right, size) == bytes(size)
+        for thread in (*threads, other):
+            thread.join(10)
+            assert not thread.is_alive()
+
+
+def test_decrypted_bytes_are_never_hidden_from_a_poll(
+    listener: SecureListener[FakeIdentity],
+) -> None:
+    left, right = pair(listener)
+    with left, right:
+        assert not readable(right)
+        left.sendall(b"ab")
+        assert readable(right)
+        assert right.recv(1) == b"a"
+        assert readable(right)
+        assert right.recv(1) == b"b"
+        assert not readable(right)
+        left.close()
+        assert readable(right)
+        assert right.recv(1) == b""
+    assert right.fileno() == -1
+
+
+def test_timeouts(listener: SecureListener[FakeIdentity]) -> None:
+    left, right = pair(listener)
+    with left, right:
+        left.settimeout(0.01)
+        assert left.gettimeout() == 0.01
+        with pytest.raises(TimeoutError):
+            left.recv(1)
+        left.setblocking(False)
+        with pytest.raises(BlockingIOError):
+            left.recv(1)
+        left.setblocking(True)
+        right.sendall(b"x")
+        assert left.recv(1) == b"x"
+        right.settimeout(0.05)
+        with pytest.raises(TimeoutError):
+            right.sendall(bytes(50_000_000))
+        with pytest.raises(ChannelClosed, match="half-way"):
+            right.sendall(b"x")
+
+
+def test_options_go_to_the_socket(listener: SecureListener[FakeIdentity]) -> None:
+    listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    left, right = pair(listener)
+    with left, right:
+        left.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+        assert left.getsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE) == 1
+        assert left.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY) != 0
+
+
+def test_closing_in_order_and_not(listener: SecureListener[FakeIdentity]) -> None:
+    left, right = pair(listener)
+    with right:
+        left.shutdown(socket.SHUT_RD)
+        left.shutdown(socket.SHUT_WR)
+        assert right.recv(1) == b""
+        assert left.recv(1) == b""
+        with pytest.raises(ChannelClosed):
+            left.sendall(b"x")
+        left.close()
+        left.close()
+    left, right = pair(listener)
+    with left, right:
+        left._socket.close()
+        with pytest.raises(ConnectionTruncated):
+            right.recv(1)
+        with pytest.raises(ChannelError):
+            right.recv(1)
+
+
+def test_shutdown_wakes_a_reader(listener: SecureListener[FakeIdentity]) -> None:
+    left, right = pair(listener)
+    with left, right:
+        got: list[bytes] = []
+        thread = background(lambda: got.append(right.recv(1)))
+        thread.join(0.05)
+        right.shutdown()
+        thread.join(5)
+        assert got == [b""]
+
+
+def test_sending_first_makes_the_handshake(listener: SecureListener[FakeIdentity]) -> None:
+    def serve() -> None:
+        sock, _ = listener.accept()
+        with sock:
+            sock.sendall(b"first")
+            sock.recv(1)
+
+    thread = background(serve)
+    with Secure.connect(listener.getsockname(), ALICE, live, 5) as left:
+        assert left.recv(5) == b"first"
+    thread.join(5)
+
+
+def test_a_stranger_is_refused(listener: SecureListener[FakeIdentity]) -> None:
+    errors: list[BaseException] = []
+
+    def serve() -> None:
+        sock, _ = listener.accept()
+        with sock:
+            try:
+                sock.do_handshake()
+            except ChannelError as error:
+                errors.append(error)
+
+    thread = background(serve)
+    left = Secure.connect(listener.getsockname(), STRANGER, live, 5)
+    with left, pytest.raises(PeerRefused):
+        left.recv(1)
+    thread.join(5)
+    assert isinstance(errors[0], IdentityRefused)
+
+
+def test_a_false_responder(listener: SecureListener[FakeIdentity]) -> None:
+    def nobody(chain: tuple[bytes, ...], now: int) -> FakeIdentity:
+        return trust((STRANGER.chain[0],), now)
+
+    def serve() -> None:
+        sock, _ = listener.accept()
+        with sock, pytest.raises(PeerRefused):
+            sock.do_handshake()
+
+    thread = background(serve)
+    with pytest.raises(IdentityRefused):
+        Secure.connect(listener.getsockname(), ALICE, nobody, 5)
+    thread.join(5)
+
+
+def test_the_handshake_deadline() -> None:
+    listener = make_listener(limits=Limits(handshake_seconds=1))
+    with listener, socket.create_connection(listener.getsockname()):
+        sock, _ = listener.accept()
+        with sock, pytest.raises(HandshakeTimeout):
+            sock.recv(1)
+
+
+def test_half_open_caps() -> None:
+    listener = make_listener(half_open=HalfOpen(per_address=1))
+    with listener, socket.create_connection(listener.getsockname()):
+        held, _ = listener.accept()
+        with socket.create_connection(listener.getsockname()) as refused:
+            listener.settimeout(0.05)
+            with pytest.raises(TimeoutError):
+                listener.accept()
+            assert refused.recv(1) == b""
+        held.close()
+        listener.settimeout(5)
+        left, right = pair(listener)
+        left.close()
+        right.close()
+
+
+def test_a_certificate_that_runs_out_cuts_a_waiting_reader() -> None:
+    def short(chain: tuple[bytes, ...], now: int) -> FakeIdentity:
+        found = trust(chain, now)
+        return FakeIdentity(found.name, found.public_key, found.certificate, now + 1)
+
+    with make_listener() as listener:
+        listener._verify = short
+        left, right = pair(listener)
+        with left, right, pytest.raises(IdentityExpired):
+            right.recv(1)
+
+
+def test_renewals_under_way(listener: SecureListener[FakeIdentity]) -> None:
+    left, right = pair(listener, limits=Limits(records=3))
+    with left, right:
+        for count in range(40):
+            left.sendall(b"%02d" % count)
+            assert right.recv(2) == b"%02d" % count
+            right.sendall(b"ok")
+            assert left.recv(2) == b"ok"
+
+
+def test_the_listener_is_a_socket_to_its_user(listener: SecureListener[FakeIdentity]) -> None:
+    assert listener.fileno() >= 0
+
+    def wait() -> None:
+        with pytest.raises(OSError, match=r"\[Errno"):
+            listener.accept()
+
+    thread = background(wait)
+    thread.join(0.05)
+    listener.shutdown(socket.SHUT_RDWR)
+    thread.join(5)
+    assert not thread.is_alive()

@@ -1,0 +1,99 @@
+"""Golden transcripts: every byte of a conversation, from fixed keys and dice.
+
+`python -m tests.support.golden` writes tests/vectors/channel.json; a difference to what is stored
+there is a change of the wire format, which needs a new version of the protocol.
+"""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from cryptography.hazmat.primitives import hashes
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.hazmat.primitives.asymmetric.utils import decode_dss_signature
+
+from rossec.channel.credentials import Credentials
+from rossec.channel.known import KnownCertificates
+from rossec.channel.opening import Flavour
+from rossec.channel.records import Limits
+from tests.support.wire import ALICE, BOB, End, Wire, alice, bob, wire
+
+FILE: Final = Path(__file__).parents[1] / "vectors" / "channel.json"
+_LIMITS: Final = Limits(records=3)
+
+
+@dataclass(frozen=True)
+class Deterministic:
+    """ES256 with RFC 6979 nonces: the same signature every time."""
+
+    key: ec.EllipticCurvePrivateKey
+
+    @property
+    def public_key(self) -> ec.EllipticCurvePublicKey:
+        return self.key.public_key()
+
+    def sign(self, message: bytes) -> bytes:
+        algorithm = ec.ECDSA(hashes.SHA256(), deterministic_signing=True)
+        r, s = decode_dss_signature(self.key.sign(message, algorithm))
+        return r.to_bytes(32) + s.to_bytes(32)
+
+
+def _fixed(credentials: Credentials) -> Credentials:
+    signer = credentials.signer
+    return Credentials(Deterministic(signer._key), credentials.chain)  # type: ignore[attr-defined]  # a KeySigner
+
+
+def _converse(w: Wire) -> list[dict[str, str]]:
+    """Handshake, units both ways, renewals by count, the close; each flight in order."""
+    flights: list[dict[str, str]] = []
+
+    def note(end: End, data: bytes) -> bytes:
+        flights.append({"from": "I" if end is w.left else "R", "hex": data.hex()})
+        return data
+
+    w.meddle = note
+    w.pump()
+    for number in range(8):
+        w.left.core.send_unit(b"from the initiator %d" % number)
+        w.right.core.send_unit(b"from the responder", b" %d" % number)
+        w.pump()
+    w.left.core.close()
+    w.pump()
+    assert w.left.error is None
+    assert w.right.error is None
+    return flights
+
+
+def transcripts() -> dict[str, list[dict[str, str]]]:
+    """All of them, computed now."""
+    left, right = _fixed(ALICE), _fixed(BOB)
+
+    def talk(
+        flavour: Flavour, ours: KnownCertificates, theirs: KnownCertificates, brief: bool
+    ) -> Wire:
+        return wire(
+            alice(flavour, left, _LIMITS, known=ours, brief=brief),
+            bob(right, _LIMITS, known=theirs),
+        )
+
+    ours, theirs = KnownCertificates(), KnownCertificates()
+    return {
+        "suite 6, TCPROS, x5chain": _converse(talk(Flavour.TCPROS, ours, theirs, False)),
+        "suite 6, HTTP, x5t": _converse(talk(Flavour.HTTP, ours, theirs, True)),
+        "suites 4 and 6, error 2": _converse(
+            wire(
+                alice(credentials=left, limits=_LIMITS, suites=(4, 6)),
+                bob(right, _LIMITS, suites=(6,)),
+            )
+        ),
+    }
+
+
+def main() -> None:
+    """Store what the code says today."""
+    FILE.write_text(json.dumps(transcripts(), indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()
