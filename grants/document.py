@@ -87,6 +87,13 @@ def open_grant(
         GrantMalformed: outside the closed schema.
         GrantNotYetValid, GrantExpired: not valid at `now`.
     """
+    grant = verify(data, ca_key, domain=domain)
+    check_time(grant, now)
+    return grant
+
+
+def verify(data: bytes, ca_key: ec.EllipticCurvePublicKey, *, domain: str | None = None) -> Grant:
+    """As `open_grant`, without asking *when*: for `grants.renewal`, which does."""
     try:
         body = GRANT.open_body(data, ca_key)
     except SignatureError as error:
@@ -98,7 +105,6 @@ def open_grant(
         raise GrantForged("signed by this authority in the name of another one")
     if domain is not None and grant.domain != domain:
         raise GrantForged(f"a grant for the trust domain {grant.domain!r}, not {domain!r}")
-    check_time(grant, now)
     return grant
 
 
@@ -156,7 +162,7 @@ def _thumbprint(key: ec.EllipticCurvePublicKey) -> bytes:
 def _claims(draft: Draft, issuer: bytes) -> Value:
     scope: list[Value] = [_entry(permission) for permission in draft.permissions]
     return {
-        _ISS: _uri(issuer),
+        _ISS: issuer_uri(issuer),
         _SUB: draft.subject,
         _AUD: draft.domain,
         _EXP: draft.expires,
@@ -238,7 +244,7 @@ def _read(claims: dict[Any, Any], grant_id: bytes) -> Grant:
         serial=_typed(claims[_CTI], bytes, "cti"),
         permissions=_permissions(_typed(claims[_SCOPE], bytes, "scope")),
         id=grant_id,
-        issuer=_issuer(_typed(claims[_ISS], str, "iss")),
+        issuer=read_issuer(_typed(claims[_ISS], str, "iss")),
     )
 
 
@@ -249,19 +255,25 @@ def _permissions(scope: bytes) -> tuple[Permission, ...]:
 
 
 @lru_cache(maxsize=16)
-def _issuer(text: str) -> bytes:
+def read_issuer(text: str) -> bytes:
+    """The thumbprint in an `iss` claim.
+
+    Raises:
+        GrantMalformed: not exactly the URI of one.
+    """
     encoded = text.removeprefix(_CKT_URI)
     try:
         issuer = base64.b64decode(encoded + "=", altchars=b"-_", validate=True)
     except ValueError:
         issuer = b""
     # Compared after encoding again: base64 ignores the last bits of the last character.
-    if len(issuer) != KEY_SIZE or text != _uri(issuer):
+    if len(issuer) != KEY_SIZE or text != issuer_uri(issuer):
         raise GrantMalformed("iss is not the thumbprint URI of a key")
     return issuer
 
 
-def _uri(issuer: bytes) -> str:
+def issuer_uri(issuer: bytes) -> str:
+    """The `iss` claim for a thumbprint (RFC 9679 section 5)."""
     return _CKT_URI + base64.urlsafe_b64encode(issuer).decode().rstrip("=")
 
 

@@ -76,3 +76,27 @@ class RestrictionMismatch(GrantError):
 
 class MessageRefused(GrantError):
     """A message that does not have the layout of its type; it is dropped."""
+
+
+class RenewalForged(GrantError):
+    """A delegation or ticket not signed by the key it needs, or another kind of statement."""
+
+
+class RenewalMalformed(GrantError):
+    """A delegation or ticket outside its closed schema."""
+
+
+class RenewalForOther(GrantError):
+    """A good delegation or ticket for another grant, key, authority or domain."""
+
+
+class RenewalTooWide(GrantError):
+    """A ticket for longer than the grant, the delegation or its maximum allow."""
+
+
+class RenewalNotInTime(GrantError):
+    """A delegation or ticket that does not hold yet, or no longer."""
+
+
+class RenewalAhead(GrantError):
+    """A ticket made with a newer revocation list than the verifier has: get the list first."""

@@ -191,3 +191,37 @@ def test_restrictions_add_up_whatever_the_order() -> None:
 
 def test_the_same_grant_twice_counts_once() -> None:
     assert decide(granted(), granted()) == decide(granted())
+
+
+PARAMETERS = (
+    Permission("/safety/max_speed", Right.PARAM_SET),
+    Permission("/safety/limits/**", Right.PARAM_SET),
+    Permission("/robot", Right.PARAM_GET | Right.PARAM_SET),
+)
+
+
+@pytest.mark.parametrize(
+    ("right", "name", "allowed"),
+    [
+        (Right.PARAM_SET, "/safety/max_speed", True),
+        (Right.PARAM_SET, "/safety/max_speed/unit", True),  # the value may be a tree
+        (Right.PARAM_SET, "/safety", False),  # a tree with the key in it
+        (Right.PARAM_SET, "/safety/max_speedy", False),
+        (Right.PARAM_SET, "/safety/limits", False),
+        (Right.PARAM_SET, "/safety/limits/arm/left", True),
+        (Right.PARAM_SET, "/robot/name", True),
+        (Right.PARAM_GET, "/robot/name", True),
+        (Right.PARAM_GET, "/safety/max_speed", False),  # the setter's right is not the getter's
+    ],
+)
+def test_a_parameter_right_covers_what_lies_below_and_nothing_above(
+    right: Right, name: str, allowed: bool
+) -> None:
+    """Parents, prefixes and the order of the rules (faults of earlier systems)."""
+    for order in permutations(PARAMETERS):
+        found = [granted(permission) for permission in order]
+        if allowed:
+            assert decide(*found, right=right, name=name).name == name
+        else:
+            with pytest.raises(GrantMissing):
+                decide(*found, right=right, name=name)

@@ -1,0 +1,276 @@
+"""Renewal: a grant lives on, unchanged, as long as the master confirms it within bounds.
+
+The authority signs a *delegation* to the master's key; the master signs short *tickets* for
+grants. A ticket has no field for rights, so a renewal cannot widen any, and the grant keeps its
+bytes, its id and its place in the revocation list. What a stolen master key gives: tickets for
+grants that exist, up to their caps, until the delegation ends or is revoked.
+"""
+
+import hashlib
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+from cryptography.hazmat.primitives.asymmetric import ec
+
+from ca.cose import Profile
+from ca.encoding import Value, decode
+from ca.errors import EncodingError, HintedError, SignatureError
+from ca.publickey import thumbprint
+from ca.signer import Signer
+from grants.document import issuer_uri, read_issuer
+from grants.errors import (
+    GrantMalformed,
+    GrantRevoked,
+    RenewalAhead,
+    RenewalForged,
+    RenewalForOther,
+    RenewalMalformed,
+    RenewalNotInTime,
+    RenewalTooWide,
+)
+from grants.model import ID_SIZE, KEY_SIZE, Grant
+from grants.validity import moment
+
+DELEGATION: Final = Profile("rossec-delegation+cwt")
+TICKET: Final = Profile("rossec-ticket+cwt")
+
+MAX_STATEMENT: Final = 1024  # bytes
+MAX_DELEGATION: Final = 90 * 86400  # seconds a delegation may hold
+MAX_TICKET: Final = 7 * 86400  # seconds any delegation may allow a ticket
+
+_MAX_TIME: Final = 1 << 53
+_ID_PREFIX: Final = (
+    b"rossec-delegation-id\0" + len(DELEGATION.protected).to_bytes(4) + DELEGATION.protected
+)
+
+# RFC 8392 section 3.1, RFC 8747; below -65536 for private use.
+_ISS, _AUD, _EXP, _NBF, _CTI, _CNF, _CKT = 1, 3, 4, 5, 7, 8, 5
+_SEQ, _MAX_TTL, _GRANT = -70002, -70010, -70011
+
+Check = Callable[[bytes, int], None]
+
+
+@dataclass(frozen=True)
+class Delegation:
+    """Leave to renew grants of one authority in one domain, for one key.
+
+    Args:
+        domain: the trust domain.
+        holder: thumbprint of the key that may sign tickets, 32 bytes.
+        not_before, expires: seconds since the epoch; at most 90 days apart.
+        max_ttl: seconds a ticket may hold, at most 7 days.
+        serial: 16 random bytes.
+    """
+
+    domain: str
+    holder: bytes
+    not_before: int
+    expires: int
+    max_ttl: int
+    serial: bytes
+
+    def __post_init__(self) -> None:
+        if not 0 < len(self.domain) <= 255:
+            raise RenewalMalformed("a delegation needs a trust domain of 1 to 255 characters")
+        if len(self.holder) != KEY_SIZE or len(self.serial) != ID_SIZE:
+            raise RenewalMalformed("holder must be 32 bytes, serial 16")
+        if not 0 <= self.not_before < self.expires < _MAX_TIME:
+            raise RenewalMalformed("a delegation needs not_before < expires")
+        if self.expires - self.not_before > MAX_DELEGATION or not 0 < self.max_ttl <= MAX_TICKET:
+            raise RenewalMalformed("a delegation holds at most 90 days, its tickets 7")
+
+
+@dataclass(frozen=True)
+class OpenDelegation(Delegation):
+    """A delegation as signed: `id` names it for revocation."""
+
+    id: bytes
+    issuer: bytes
+
+
+@dataclass(frozen=True)
+class Ticket:
+    """A grant is good from `not_before` until `expires`, says who has revocation list `seq`."""
+
+    grant: bytes
+    not_before: int
+    expires: int
+    seq: int
+
+    def __post_init__(self) -> None:
+        if len(self.grant) != ID_SIZE or not 0 <= self.seq < _MAX_TIME:
+            raise RenewalMalformed("a ticket names a grant by 16 bytes and a list by its number")
+        if not 0 <= self.not_before < self.expires < _MAX_TIME:
+            raise RenewalMalformed("a ticket needs not_before < expires")
+
+
+def sign_delegation(signer: Signer, delegation: Delegation) -> bytes:
+    """Sign as the authority."""
+    return DELEGATION.sign(
+        signer,
+        {
+            _ISS: issuer_uri(thumbprint(signer.public_key)),
+            _AUD: delegation.domain,
+            _EXP: delegation.expires,
+            _NBF: delegation.not_before,
+            _CTI: delegation.serial,
+            _CNF: {_CKT: delegation.holder},
+            _MAX_TTL: delegation.max_ttl,
+        },
+    )
+
+
+def sign_ticket(signer: Signer, ticket: Ticket) -> bytes:
+    """Sign as the holder of a delegation."""
+    return TICKET.sign(
+        signer,
+        {
+            _EXP: ticket.expires,
+            _NBF: ticket.not_before,
+            _SEQ: ticket.seq,
+            _GRANT: ticket.grant,
+        },
+    )
+
+
+def open_delegation(data: bytes, ca_key: ec.EllipticCurvePublicKey) -> OpenDelegation:
+    """Verify and read a delegation; whether it holds now is asked when it is used.
+
+    Raises:
+        RenewalForged: not signed by `ca_key`, or another kind of statement.
+        RenewalMalformed: outside the closed schema.
+    """
+    body = _open(DELEGATION, data, ca_key)
+    match _decode(body):
+        case {
+            1: str() as iss, 3: str() as aud, 4: exp, 5: nbf, 7: bytes() as cti,
+            8: {5: bytes() as ckt, **more}, -70010: ttl, **rest,
+        } if not rest and not more:  # fmt: skip
+            opened = OpenDelegation(
+                aud, ckt, _number(nbf), _number(exp), _number(ttl), cti,
+                hashlib.sha256(_ID_PREFIX + body).digest()[:ID_SIZE], _issuer(iss),
+            )  # fmt: skip
+        case _:
+            raise RenewalMalformed("the delegation has missing or unknown claims")
+    if opened.issuer != thumbprint(ca_key):
+        raise RenewalForOther("signed by this authority in the name of another one")
+    return opened
+
+
+def open_ticket(data: bytes, key: ec.EllipticCurvePublicKey) -> Ticket:
+    """Verify and read a ticket signed by `key`.
+
+    Raises:
+        RenewalForged: not signed by `key`, or another kind of statement.
+        RenewalMalformed: outside the closed schema.
+    """
+    match _decode(_open(TICKET, data, key)):
+        case {4: exp, 5: nbf, -70002: seq, -70011: bytes() as grant, **rest} if not rest:
+            return Ticket(grant, _number(nbf), _number(exp), _number(seq))
+        case _:
+            raise RenewalMalformed("the ticket has missing or unknown claims")
+
+
+def renew(
+    grant: Grant,
+    ticket: bytes,
+    delegation: OpenDelegation,
+    key: ec.EllipticCurvePublicKey,
+    *,
+    now: int,
+    seq: int,
+    check: Check,
+) -> Grant:
+    """The same grant, valid until the ticket ends.
+
+    Args:
+        grant: from `document.verify`; it may have expired.
+        ticket: as received.
+        delegation: from `open_delegation`.
+        key: the delegate's, proved by its identity.
+        now: seconds since the epoch.
+        seq: number of the newest revocation list the verifier holds.
+        check: called as `check(id, now)` for grant and delegation; raises when revoked.
+
+    Raises:
+        RenewalForged, RenewalMalformed: as `open_ticket` does.
+        RenewalForOther: the delegation is for another key, domain or authority, or the ticket for
+            another grant.
+        RenewalTooWide: beyond the grant's cap, the delegation's end or its `max_ttl`.
+        RenewalNotInTime: ticket or delegation do not hold at `now`.
+        RenewalAhead: the ticket was made with a newer revocation list.
+        GrantRevoked: the grant or the delegation is.
+    """
+    if delegation.holder != thumbprint(key):
+        raise RenewalForOther("the delegation is for another key than this one")
+    if (grant.issuer, grant.domain) != (delegation.issuer, delegation.domain):
+        raise RenewalForOther("the delegation is of another authority or domain than the grant")
+    opened = open_ticket(ticket, key)
+    if opened.grant != grant.id:
+        raise RenewalForOther(f"the ticket is not for grant {grant.short_id}")
+    _check_width(grant, opened, delegation)
+    for what, held in (("delegation", delegation), ("ticket", opened), ("grant", grant)):
+        _check_time(what, held, now)
+    if opened.seq > seq:
+        raise RenewalAhead(
+            f"the ticket knows revocation list {opened.seq}, here is {seq}", "fetch the list first"
+        )
+    for what, entry in (("grant", grant.id), ("delegation", delegation.id)):
+        try:
+            check(entry, now)
+        except HintedError as error:
+            raise GrantRevoked(f"{what} {entry.hex()[:8]}: {error}", error.hint) from error
+    return replace(grant, expires=opened.expires)
+
+
+def _check_width(grant: Grant, ticket: Ticket, delegation: Delegation) -> None:
+    if grant.cap <= grant.expires:
+        raise RenewalTooWide(f"grant {grant.short_id} is not renewable", "ask for a new grant")
+    if ticket.expires > grant.cap:
+        raise RenewalTooWide(f"the ticket reaches beyond {moment(grant.cap)}, the grant's cap")
+    if ticket.expires > delegation.expires:
+        raise RenewalTooWide(f"the ticket outlives the delegation, {moment(delegation.expires)}")
+    if ticket.expires - ticket.not_before > delegation.max_ttl:
+        raise RenewalTooWide(f"a ticket for more than {delegation.max_ttl} s")
+
+
+def _check_time(what: str, held: Delegation | Ticket | Grant, now: int) -> None:
+    if now < held.not_before:
+        raise RenewalNotInTime(
+            f"the {what} holds only from {moment(held.not_before)}", "check this host's clock"
+        )
+    # The grant's own end is what the ticket replaces.
+    if not isinstance(held, Grant) and now >= held.expires:
+        raise RenewalNotInTime(
+            f"the {what} expired at {moment(held.expires)}", "ask the master for a new ticket"
+        )
+
+
+def _open(profile: Profile, data: bytes, key: ec.EllipticCurvePublicKey) -> bytes:
+    try:
+        return profile.open_body(data, key, limit=MAX_STATEMENT)
+    except SignatureError as error:
+        raise RenewalForged(f"the {profile.typ} statement is refused: {error}") from None
+    except EncodingError as error:
+        raise RenewalMalformed(f"not a {profile.typ} statement: {error}") from None
+
+
+def _decode(body: bytes) -> Value:
+    try:
+        return decode(body)
+    except EncodingError as error:
+        raise RenewalMalformed(f"not a renewal: {error}") from None
+
+
+def _issuer(text: str) -> bytes:
+    try:
+        return read_issuer(text)
+    except GrantMalformed as error:
+        raise RenewalMalformed(f"in a delegation: {error}") from None
+
+
+def _number(value: Any) -> int:
+    if type(value) is not int:
+        raise RenewalMalformed("a number of the statement is of a wrong type")
+    return value

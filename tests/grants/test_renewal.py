@@ -1,0 +1,221 @@
+"""Renewal: the grant stays as it is, and every attack of a master's key or a holder is named."""
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+from cryptography.hazmat.primitives.asymmetric import ec
+
+from ca.encoding import Value, encode
+from ca.errors import Revoked
+from ca.publickey import thumbprint
+from ca.signer import KeySigner
+from grants import document
+from grants.decision import authorize
+from grants.document import issuer_uri
+from grants.errors import (
+    GrantExpired,
+    GrantForged,
+    GrantRevoked,
+    RenewalAhead,
+    RenewalForged,
+    RenewalForOther,
+    RenewalMalformed,
+    RenewalNotInTime,
+    RenewalTooWide,
+)
+from grants.model import Grant, Right
+from grants.renewal import (
+    DELEGATION,
+    MAX_DELEGATION,
+    MAX_TICKET,
+    TICKET,
+    Delegation,
+    Ticket,
+    open_delegation,
+    open_ticket,
+    renew,
+    sign_delegation,
+    sign_ticket,
+)
+from tests.grants.authority import CA, DRAFT, HOLDER, NOW, OTHER_CA
+
+MASTER, STRANGER = (KeySigner(ec.generate_private_key(ec.SECP256R1())) for _ in range(2))
+DATA = document.sign(CA, DRAFT)
+GRANT = document.verify(DATA, CA.public_key)
+LATER = DRAFT.expires + 5
+LEAVE = Delegation(
+    "home", thumbprint(MASTER.public_key), NOW - 10, NOW + 5000, max_ttl=600, serial=bytes(16)
+)
+TICKET_FOR = Ticket(GRANT.id, LATER - 5, LATER + 300, seq=7)
+
+
+def renewed(
+    grant: Grant = GRANT,
+    *,
+    ticket: Ticket = TICKET_FOR,
+    data: bytes | None = None,
+    signer: KeySigner = MASTER,
+    leave: Delegation = LEAVE,
+    key: KeySigner = MASTER,
+    now: int = LATER,
+    seq: int = 7,
+    revoked: bytes = b"",
+    authority: KeySigner = CA,
+) -> Grant:
+    def check(entry: bytes, _: int) -> None:
+        if entry == revoked:
+            raise Revoked("it is on the list")
+
+    delegation = open_delegation(sign_delegation(authority, leave), authority.public_key)
+    signed = sign_ticket(signer, ticket) if data is None else data
+    return renew(grant, signed, delegation, key.public_key, now=now, seq=seq, check=check)
+
+
+def test_the_same_grant_for_longer() -> None:
+    with pytest.raises(GrantExpired):
+        document.open_grant(DATA, CA.public_key, LATER)
+    grant = renewed()
+    assert grant == replace(GRANT, expires=TICKET_FOR.expires)
+    decided = authorize(
+        [grant], Right.SUBSCRIBE, "/robot/pose", holder=HOLDER, now=LATER, check=lambda *_: None
+    )
+    assert decided.expires == TICKET_FOR.expires
+    assert decided.grant_ids == (GRANT.id,)
+
+
+def test_at_the_bounds() -> None:
+    renewed(ticket=replace(TICKET_FOR, expires=TICKET_FOR.not_before + LEAVE.max_ttl))
+    renewed(ticket=replace(TICKET_FOR, not_before=GRANT.cap - 600, expires=GRANT.cap),
+            now=GRANT.cap - 1)  # fmt: skip
+    renewed(seq=8)
+    renewed(now=TICKET_FOR.not_before)
+
+
+def open_id() -> bytes:
+    return open_delegation(sign_delegation(CA, LEAVE), CA.public_key).id
+
+
+def ticket(**changes: Any) -> dict[str, Any]:
+    return {"ticket": replace(TICKET_FOR, **changes)}
+
+
+def leave(**changes: Any) -> dict[str, Any]:
+    return {"leave": replace(LEAVE, **changes)}
+
+
+END = GRANT.cap
+ATTACKS: dict[str, tuple[dict[str, Any], type[Exception], str]] = {
+    "ticket of another grant": (ticket(grant=bytes(16)), RenewalForOther, "is not for grant"),
+    "too long": (ticket(expires=TICKET_FOR.not_before + 601), RenewalTooWide, "more than 600 s"),
+    "beyond the cap": (ticket(not_before=END - 5, expires=END + 1) | {"now": END - 1},
+                       RenewalTooWide, "the grant's cap"),
+    "after the cap": (ticket(not_before=END, expires=END + 1) | {"now": END},
+                      RenewalTooWide, "the grant's cap"),
+    "beyond the delegation": (leave(expires=LATER + 100), RenewalTooWide, "outlives"),
+    "after the delegation": (leave(expires=LATER) | ticket(expires=LATER),
+                             RenewalNotInTime, "delegation expired"),
+    "before the delegation": (leave(not_before=LATER + 1), RenewalNotInTime, "delegation holds"),
+    "before the ticket": (ticket(not_before=LATER + 1), RenewalNotInTime, "ticket holds only"),
+    "after the ticket": (ticket(expires=LATER), RenewalNotInTime, "ticket expired"),
+    "before the grant": ({"grant": replace(GRANT, not_before=LATER + 1, expires=LATER + 2)},
+                         RenewalNotInTime, "grant holds only"),
+    "revoked grant": ({"revoked": GRANT.id}, GrantRevoked, "grant .*: it is on the list"),
+    "revoked delegation": ({"revoked": open_id()}, GrantRevoked, "delegation .*: it is on"),
+    "foreign signer": ({"signer": STRANGER}, RenewalForged, "does not verify"),
+    "foreign key": ({"signer": STRANGER, "key": STRANGER}, RenewalForOther, "another key"),
+    "another authority": ({"authority": OTHER_CA}, RenewalForOther, "another authority"),
+    "another domain": (leave(domain="work"), RenewalForOther, "or domain"),
+    "a grant as ticket": ({"data": DATA}, RenewalForged, "not a statement of kind"),
+    "a delegation as ticket": ({"data": sign_delegation(MASTER, LEAVE)}, RenewalForged, "kind"),
+    "a grant that is not renewable": ({"grant": replace(GRANT, expires=GRANT.cap)},
+                                      RenewalTooWide, "not renewable"),
+    "an older own list": ({"seq": 6}, RenewalAhead, "knows revocation list 7, here is 6"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ATTACKS)
+def test_attacks(name: str) -> None:
+    changes, error, message = ATTACKS[name]
+    with pytest.raises(error, match=message):
+        renewed(**changes)
+
+
+def test_a_widened_grant_signed_by_the_master() -> None:
+    with pytest.raises(GrantForged):
+        document.verify(document.sign(MASTER, replace(DRAFT, expires=DRAFT.cap)), CA.public_key)
+
+
+def test_a_delegation_the_master_gave_itself() -> None:
+    with pytest.raises(RenewalForged, match="does not verify"):
+        open_delegation(sign_delegation(MASTER, LEAVE), CA.public_key)
+
+
+def test_a_ticket_is_no_delegation() -> None:
+    with pytest.raises(RenewalForged, match="not a statement of kind"):
+        open_delegation(sign_ticket(CA, TICKET_FOR), CA.public_key)
+
+
+CLAIMS: dict[int | str, Value] = {
+    1: issuer_uri(thumbprint(CA.public_key)), 3: "home", 4: NOW + 100, 5: NOW, 7: bytes(16),
+    8: {5: bytes(32)}, -70010: 600,
+}  # fmt: skip
+TICKET_CLAIMS: dict[int | str, Value] = {4: NOW + 100, 5: NOW, -70002: 1, -70011: bytes(16)}
+
+
+def test_delegation_claims() -> None:
+    assert open_delegation(DELEGATION.sign(CA, CLAIMS), CA.public_key).max_ttl == 600
+    other = issuer_uri(thumbprint(OTHER_CA.public_key))
+    with pytest.raises(RenewalForOther, match="in the name of another"):
+        open_delegation(DELEGATION.sign(CA, CLAIMS | {1: other}), CA.public_key)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({99: 1}, "missing or unknown claims"),
+        ({8: {5: bytes(32), 1: 1}}, "missing or unknown claims"),
+        ({8: 1}, "missing or unknown claims"),
+        ({1: "urn:x"}, "in a delegation: iss is not the thumbprint URI"),
+        ({3: ""}, "needs a trust domain"),
+        ({4: "x"}, "of a wrong type"),
+        ({4: True}, "of a wrong type"),
+        ({4: NOW}, "not_before < expires"),
+        ({4: 1 << 60}, "not_before < expires"),
+        ({5: -1}, "not_before < expires"),
+        ({4: NOW + MAX_DELEGATION + 1}, "at most 90 days"),
+        ({7: b""}, "holder must be 32 bytes"),
+        ({8: {5: b""}}, "holder must be 32 bytes"),
+        ({-70010: 0}, "its tickets 7"),
+        ({-70010: MAX_TICKET + 1}, "its tickets 7"),
+    ],
+)
+def test_delegations_outside_the_schema(change: dict[int | str, Value], message: str) -> None:
+    with pytest.raises(RenewalMalformed, match=message):
+        open_delegation(DELEGATION.sign(CA, CLAIMS | change), CA.public_key)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({9: encode([])}, "missing or unknown claims"),
+        ({-70011: "x"}, "missing or unknown claims"),
+        ({-70011: b"x"}, "names a grant by 16 bytes"),
+        ({-70002: -1}, "a list by its number"),
+        ({-70002: 1.5}, "of a wrong type"),
+        ({4: NOW}, "not_before < expires"),
+    ],
+)
+def test_tickets_outside_the_schema(change: dict[int | str, Value], message: str) -> None:
+    with pytest.raises(RenewalMalformed, match=message):
+        open_ticket(TICKET.sign(MASTER, TICKET_CLAIMS | change), MASTER.public_key)
+
+
+def test_frames() -> None:
+    data = sign_ticket(MASTER, TICKET_FOR)
+    for damaged in [*(data[:end] for end in range(len(data))), data + b"\0", bytes(2000)]:
+        with pytest.raises((RenewalForged, RenewalMalformed)):
+            open_ticket(damaged, MASTER.public_key)
+    long = MASTER.sign(encode(["Signature1", TICKET.protected, b"", b"\x18\x01"]))
+    with pytest.raises(RenewalMalformed, match="deterministic"):
+        open_ticket(b"\xd2" + encode([TICKET.protected, {}, b"\x18\x01", long]), MASTER.public_key)
