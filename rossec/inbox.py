@@ -104,11 +104,6 @@ class Inbox:
             if (request.id, int(wish.right), wish.pattern) not in answered
         ]
 
-    def knows(self, request: GrantRequest) -> bool:
-        """Whether it was recorded before."""
-        query = "SELECT 1 FROM request WHERE id = ?"
-        return self._db.execute(query, (request.id,)).fetchone() is not None
-
     @contextmanager
     def _changing(self) -> Iterator[sqlite3.Connection]:
         try:

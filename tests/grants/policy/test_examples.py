@@ -82,3 +82,16 @@ def test_visitor() -> None:
 def test_there_is_nothing_to_remark_on_an_example(name: str) -> None:
     found = lint(decider(name).policy, lambda kind: parse(kind, definition(kind)))
     assert [item.message for item in found] == []
+
+
+def test_the_how_to_says_what_is_so() -> None:
+    text = (FOLDER.parents[1] / "docs" / "howto" / "room-not-position.md").read_text()
+    decided = Decider(load(text.split("```yaml\n")[1].split("```")[0], definition))
+    verdict = decided.decide(node("/heating"), Right.SUBSCRIBE, "/robot/pose")
+    explained = "\n".join(decided.explain(verdict))
+    assert f"$ rossec explain /heating subscribe /robot/pose\n{explained}\n```" in text
+    messages = [
+        item.message for item in lint(decided.policy, lambda kind: parse(kind, definition(kind)))
+    ]
+    assert all(word in " ".join(messages) for word in ("full rate", "hysteresis"))
+    assert messages[0] in text

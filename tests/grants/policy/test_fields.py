@@ -3,7 +3,14 @@
 import pytest
 
 from grants.layout import parse
-from grants.policy.fields import check_fields, check_when, nearest_field, read_fields, read_when
+from grants.policy.fields import (
+    check_fields,
+    check_preset,
+    check_when,
+    nearest_field,
+    read_fields,
+    read_when,
+)
 from grants.policy.mistakes import Mistakes
 from grants.policy.source import Row, Table, Word, read_source
 from tests.grants.policy.policies import definition
@@ -123,6 +130,12 @@ def test_conditions_are_checked_for_a_type(mistakes: Mistakes) -> None:
     assert mixed is not None
     assert not check_when(POSE, mixed, mistakes)
     assert mistakes.found[-1].hint == "write whole numbers as 2.0 beside a double"
+
+
+def test_presets_are_for_some_types(mistakes: Mistakes) -> None:
+    assert check_preset(POSE, "coarse-position", HERE, mistakes)
+    assert not check_preset(STATUS, "coarse-position", HERE, mistakes)
+    assert (mistakes.found[0].line, "does not exist for" in mistakes.found[0].message) == (5, True)
 
 
 @pytest.mark.parametrize(

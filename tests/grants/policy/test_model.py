@@ -3,7 +3,7 @@
 import pytest
 
 from grants.model import Right
-from grants.policy.model import Clause, Effect, Rule, Who, type_of
+from grants.policy.model import Clause, Defaults, Effect, Policy, Rule, Who, type_of
 from tests.grants.policy.policies import HEATING, HEATING_KEY, node
 
 NAMED = Who("heating", "/heating", HEATING_KEY)
@@ -58,3 +58,4 @@ def test_the_type_of_a_topic() -> None:
     assert type_of(types, "/b/d/*") is None
     assert type_of(types, "/c/c") is None  # two say different things
     assert type_of(types, "/z") is None
+    assert Policy("r", Defaults(), {}, types, ()).type_of("/a") == "x/A"

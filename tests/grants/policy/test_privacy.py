@@ -1,5 +1,7 @@
 """Each field, each receiver, how, why and until when; and a page nothing can be smuggled into."""
 
+from dataclasses import replace
+
 from grants.layout import Layout, parse
 from grants.model import FilterRule
 from grants.policy.decision import Decider
@@ -92,9 +94,9 @@ def test_in_words() -> None:
 def test_the_page_escapes_every_text() -> None:
     evil = "<script>alert(1)</script>"
     (row,) = rows([Access("/a", None, "/x", evil, evil, evil)], layout)
-    page = html([row], evil)
+    page = html([row, replace(row, topic="/b")], evil)
     assert "<script" not in page
-    assert page.count("&lt;script&gt;") == 4
+    assert page.count("&lt;script&gt;") == 6
     assert 'class="open"' in page
     assert "Nobody sees anything" in html([], "t")
     assert "http" not in page.replace("http-equiv", "")

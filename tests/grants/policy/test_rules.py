@@ -90,6 +90,11 @@ def test_a_condition_on_time_needs_no_type() -> None:
 @pytest.mark.parametrize(
     ("line", "message", "hint"),
     [
+        ("just words", "a rule must be a mapping", "write key: value"),
+        ("{id: a, who: y, allow: {call: /b}}", "unknown identity 'y'", "there are x"),
+        ("{id: a, who: x, allow: {call: /b/}}", "call: not a name pattern", "segment"),
+        ("{id: a, who: x, allow: {subscribe: /pose}, filter: {/poze: {header: {clear: true}}}}",
+         "rule a does not let subscribe '/poze'", "'/pose'"),
         ("{id: a, who: x}", "rule a needs one of allow, deny and prompt", "for example allow"),
         ("{id: a, who: x, allow: {call: /b}, deny: {call: /b}}", "rule a needs one", "two rules"),
         ("{id: a, who: x, allow: 5}", "allow of rule a must be a mapping", "write key: value"),

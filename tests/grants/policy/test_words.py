@@ -49,6 +49,11 @@ def test_tables(mistakes: Mistakes) -> None:
 def test_a_closed_table(mistakes: Mistakes) -> None:
     words.closed(TABLE, "x", ("a", "b"), ("b",), mistakes)
     assert only(mistakes) == ("x has no 'b'", "add b: ...")
+    words.closed(TABLE, "x", ("a",), ("a",), mistakes)
+    words.closed(TABLE, "x", ("b", "aa"), (), mistakes)
+    assert (mistakes.found[1].message, mistakes.found[1].hint) == (
+        "unknown key 'a' in x", "did you mean 'aa'?",
+    )  # fmt: skip
 
 
 def test_words_of_a_list_or_one() -> None:

@@ -90,6 +90,15 @@ def test_a_person_says_approximately_and_only_today(site: Shell) -> None:
     assert rows[0]["expires"] - rows[0]["not_before"] <= 86400
 
 
+def test_a_person_says_through_a_preset(site: Shell) -> None:
+    path = site.root / "ca" / "policy.yaml"
+    path.write_text(POLICY.replace("who: /heating\n    allow", "who: /other\n    allow"))
+    number = ask(site, "--subscribe", "/robot/pose")
+    said = site.unlocked("grant", "approve", number, "--approximate", "coarse-position")
+    assert "    pose.position: round hysteresis 0.5 step 2.0" in said.out
+    assert "    at most 0.2 messages a second" in said.out
+
+
 def test_a_filter_that_is_not_there(site: Shell) -> None:
     number = ask(site, "--subscribe", "/other")
     said = site.unlocked("grant", "approve", number, "--approximate", "rom")

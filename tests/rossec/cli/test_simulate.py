@@ -109,6 +109,13 @@ def test_a_bag_is_bounded(
     assert "2 of 2 admitted before" in said.out
 
 
+def test_a_message_of_unknown_layout_is_not_tried(
+    shell: Shell, options: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "_layout", lambda _: None)
+    assert "holds nothing" in shell("simulate", *options).out
+
+
 def test_a_connection_without_a_good_definition_is_left_out(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
