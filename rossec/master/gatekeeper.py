@@ -15,6 +15,7 @@ from ca.errors import HintedError
 from grants.model import Right
 from rossec.master.registry import Kind, Registry
 
+_ASK: Final = "ask the authority's operator for a grant"
 SEES_TOPICS: Final = (Right.PUBLISH, Right.SUBSCRIBE, Right.CALL, Right.PROVIDE, Right.GRAPH)
 
 
@@ -174,12 +175,15 @@ def require(caller: Caller, right: Right, name: str) -> None:
         raise Refused(f"{wanted}: {error}{hint}") from error
 
 
-def require_tree(caller: Caller, right: Right, leaves: list[str]) -> None:
-    """Raise `Refused` unless `caller` has `right` on every one of `leaves`; none means no."""
-    if not leaves:
-        raise Refused(f"{caller.name} needs the right {_label(right)} on this parameter")
-    for leaf in leaves:
-        require(caller, right, leaf)
+def require_tree(caller: Caller, right: Right, key: str, leaves: list[str]) -> None:
+    """Raise `Refused` unless `caller` has `right` on every one of `leaves`; none means no.
+
+    The text depends on `key` alone, which the caller knows: the leaf that is missing, or the
+    grants that nearly cover it, would tell which parameters exist.
+    """
+    if not leaves or not all(caller.may(right, leaf) for leaf in leaves):
+        wanted = f"{caller.name} needs the right {_label(right)} on {key}"
+        raise Refused(f"{wanted}: no grant covers it and all below it ({_ASK})")
 
 
 def _label(right: Right) -> str:

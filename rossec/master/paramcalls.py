@@ -48,7 +48,7 @@ class ParameterCalls:
 
     def _get(self, request: Request) -> Reply:
         key = request.text(1)
-        require_tree(request.caller, Right.PARAM_GET, self._parameters.leaves(key))
+        require_tree(request.caller, Right.PARAM_GET, key, self._parameters.leaves(key))
         try:
             return Reply(self._parameters.get(key), f"Parameter [{key}]")
         except ParameterMissing:
@@ -56,13 +56,13 @@ class ParameterCalls:
 
     def _has(self, request: Request) -> Reply:
         key = request.text(1)
-        require_tree(request.caller, Right.PARAM_GET, self._parameters.leaves(key))
+        require_tree(request.caller, Right.PARAM_GET, key, self._parameters.leaves(key))
         return Reply(self._parameters.has(key), key)
 
     def _set(self, request: Request) -> Reply:
         key, value = request.text(1), request.arguments[2]
         reach = [*self._parameters.reach(key), *params.leaves_of(key, value)]
-        require_tree(request.caller, Right.PARAM_SET, reach)
+        require_tree(request.caller, Right.PARAM_SET, key, reach)
         try:
             self._parameters.set(key, value)
         except (TypeError, ValueError) as error:
@@ -72,7 +72,7 @@ class ParameterCalls:
 
     def _delete(self, request: Request) -> Reply:
         key = request.text(1)
-        require_tree(request.caller, Right.PARAM_SET, self._parameters.leaves(key))
+        require_tree(request.caller, Right.PARAM_SET, key, self._parameters.leaves(key))
         try:
             self._parameters.delete(key)
         except ParameterMissing:
@@ -101,7 +101,7 @@ class ParameterCalls:
 
     def _subscribe(self, request: Request) -> Reply:
         uri, key = request.text(1), request.text(2)
-        require_tree(request.caller, Right.PARAM_GET, self._parameters.leaves(key))
+        require_tree(request.caller, Right.PARAM_GET, key, self._parameters.leaves(key))
         node = NodeRef(request.caller.name, uri)
         events = self._registry.register_parameter(params.subscription_key(key), node)
         value = self._parameters.get(key) if self._parameters.has(key) else {}
