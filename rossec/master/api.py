@@ -22,7 +22,7 @@ from rossec.master.calls import (
     RevocationsChanged,
     StopMaster,
 )
-from rossec.master.gatekeeper import RULES, Caller, Gatekeeper, Refused, Scope
+from rossec.master.gatekeeper import RULES, Caller, Gatekeeper, Peer, Refused, Scope
 from rossec.master.graph import GraphCalls
 from rossec.master.paramcalls import ParameterCalls
 from rossec.master.params import Parameters
@@ -45,8 +45,8 @@ class Presented(NamedTuple):
 class Statements(Protocol):
     """What the master holds of the authority's statements; `rossec.master.trust` is it."""
 
-    def caller_of(self, name: str, now: int) -> Caller | None:
-        """What the node last seen under this name may do now."""
+    def caller_of(self, peer: Peer, now: int) -> Caller | None:
+        """What a name and key seen before may do now; None: the key is revoked."""
 
     def present(self, caller: Caller, tokens: Sequence[bytes], now: int) -> Presented:
         """Keep a caller's grants."""

@@ -64,6 +64,10 @@ class Request:
             raise TypeError(f"argument {index} is not text")
         return value
 
+    def node(self, index: int) -> NodeRef:
+        """The caller with the slave API URI that is this argument."""
+        return NodeRef(self.caller.name, self.text(index), self.caller.thumbprint)
+
 
 Handler = Callable[[Request], Reply]
 

@@ -24,7 +24,7 @@ def enforce(registry: Registry, statements: Statements, now: int) -> list[Master
     """Remove every registration without a right, and say whom to tell."""
     events: list[MasterEvent] = []
     for node in tuple(registry.nodes()):
-        caller = statements.caller_of(node.name, now)
+        caller = statements.caller_of(node, now)
         if caller is None:
             events += registry.remove_node(node.name)
         else:

@@ -30,6 +30,18 @@ class Access(Protocol):
         """Raise a `HintedError` unless some valid grant covers `right` on `name`."""
 
 
+class Peer(Protocol):
+    """A certified name and its key: what is used of `ca.certificates.Identity`, or a `NodeRef`."""
+
+    @property
+    def name(self) -> str:
+        """The certified name."""
+
+    @property
+    def thumbprint(self) -> bytes:
+        """The certified key's thumbprint."""
+
+
 @dataclass(frozen=True)
 class Caller:
     """Who calls: the certified name, the thumbprint of its key, and what it may do."""

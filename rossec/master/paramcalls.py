@@ -26,7 +26,7 @@ class ParameterCalls:
         self,
         parameters: Parameters,
         registry: Registry,
-        caller_of: Callable[[str, int], Caller | None],
+        caller_of: Callable[[NodeRef, int], Caller | None],
     ) -> None:
         self._parameters = parameters
         self._registry = registry
@@ -100,16 +100,14 @@ class ParameterCalls:
         return Reply(shown, "Parameter names")
 
     def _subscribe(self, request: Request) -> Reply:
-        uri, key = request.text(1), request.text(2)
+        node, key = request.node(1), request.text(2)
         require_tree(request.caller, Right.PARAM_GET, key, self._parameters.leaves(key))
-        node = NodeRef(request.caller.name, uri)
         events = self._registry.register_parameter(params.subscription_key(key), node)
         value = self._parameters.get(key) if self._parameters.has(key) else {}
         return Reply(value, f"Subscribed to parameter [{key}]", events=tuple(events))
 
     def _unsubscribe(self, request: Request) -> Reply:
-        uri, key = request.text(1), request.text(2)
-        node = NodeRef(request.caller.name, uri)
+        node, key = request.node(1), request.text(2)
         self._registry.unregister(Kind.PARAMETER, params.subscription_key(key), node)
         return Reply(1, f"Unsubscribe to parameter [{key}]")
 
@@ -122,11 +120,11 @@ class ParameterCalls:
             for update in params.updates(subscriptions, key, value)
             for node in self._registry.members(Kind.PARAMETER, update.subscription)
             if (update.to_setter or node.name != setter)
-            and self._may_hear(node.name, update.key, update.value, request.now)
+            and self._may_hear(node, update.key, update.value, request.now)
         )
 
-    def _may_hear(self, name: str, key: str, value: object, now: int) -> bool:
-        caller = self._caller_of(name, now)
+    def _may_hear(self, node: NodeRef, key: str, value: object, now: int) -> bool:
+        caller = self._caller_of(node, now)
         if caller is None:
             return False
         leaves = params.leaves_of(key.removesuffix("/") or key, value)

@@ -25,7 +25,7 @@ from rossec.master.calls import (
     StopMaster,
 )
 from rossec.master.enforce import enforce
-from rossec.master.gatekeeper import Caller
+from rossec.master.gatekeeper import Caller, Peer
 from rossec.master.registry import NodeRef, PublishersChanged, Registry, ShutdownNode
 from rossec.master.updates import Updates
 from rossec.net.rpc import RpcClient, serve_calls
@@ -42,16 +42,8 @@ _log = logging.getLogger(__name__)
 _audit = logging.getLogger("rossec.audit")
 
 
-class Peer(PeerIdentity, Protocol):
-    """What is used of `ca.certificates.Identity`."""
-
-    @property
-    def name(self) -> str:
-        """The certified name."""
-
-    @property
-    def thumbprint(self) -> bytes:
-        """The certified key's thumbprint."""
+class ChannelPeer(Peer, PeerIdentity, Protocol):
+    """A peer as the channel hands it over: `ca.certificates.Identity` is one."""
 
 
 class Standing(Statements, Protocol):
@@ -79,7 +71,7 @@ class MasterServer:
     def __init__(
         self,
         credentials: OwnCredential,
-        verify: Verify[Peer],
+        verify: Verify[ChannelPeer],
         standing: Standing,
         *,
         name: str = DEFAULT_NAME,
@@ -99,8 +91,8 @@ class MasterServer:
         self._timestamp_every = timestamp_every
         self._registry = Registry()
         self._api: MasterApi | None = None
-        self._server: SecureServer[Peer] | None = None
-        self._streams: set[SecureStream[Peer]] = set()
+        self._server: SecureServer[ChannelPeer] | None = None
+        self._streams: set[SecureStream[ChannelPeer]] = set()
         self._updates = Updates(self._dial)
         self._tasks = TaskSet()
         self._stopping = asyncio.Event()
@@ -142,7 +134,7 @@ class MasterServer:
         if self._server is not None:
             await self._server.close()
 
-    async def _handle(self, stream: SecureStream[Peer]) -> None:
+    async def _handle(self, stream: SecureStream[ChannelPeer]) -> None:
         held = Counter(other.peer.thumbprint for other in self._streams)
         if held[stream.peer.thumbprint] >= PEER_CONNECTIONS:
             _audit.warning("%s has too many connections", stream.peer.name)
@@ -158,7 +150,7 @@ class MasterServer:
         finally:
             self._streams.discard(stream)
 
-    async def _dispatch(self, method: str, params: tuple[object, ...], peer: Peer) -> object:
+    async def _dispatch(self, method: str, params: tuple[object, ...], peer: ChannelPeer) -> object:
         if self._api is None:
             raise RuntimeError("a call before the master was started")
         now = self._now()
@@ -220,11 +212,9 @@ class MasterServer:
     def _forget_the_gone(self) -> None:
         nodes = frozenset(self._registry.nodes())
         self._updates.prune(nodes)
-        now = self._now()
-        callers = (self._standing.caller_of(node.name, now) for node in nodes)
-        registered = {caller.thumbprint for caller in callers if caller is not None}
+        registered = {node.thumbprint for node in nodes}
         connected = {stream.peer.thumbprint for stream in self._streams}
-        self._standing.keep_only(frozenset(registered | connected), now)
+        self._standing.keep_only(frozenset(registered | connected), self._now())
 
     def _push_revocations(self) -> None:
         revocations, timestamp = self._standing.current(self._now())
@@ -235,10 +225,10 @@ class MasterServer:
             self._updates.post(node, key, self._name, revocations, timestamp)
 
     async def _dial(self, node: NodeRef) -> RpcClient:
-        """Connect to a slave API; whoever answers must be certified as the registered node."""
+        """Connect to a slave API; whoever answers must be the node that registered."""
         host, port = parse_uri(node.uri, "the slave API")
         stream = await connect(host, port, self._credentials, self._verify, opening=Flavour.HTTP)
-        if stream.peer.name != node.name:
+        if (stream.peer.name, stream.peer.thumbprint) != (node.name, node.thumbprint):
             stream.abort("not the node that was registered")
             raise CallerMismatch(f"{stream.peer.name} answers at the slave API of {node.name}")
         return RpcClient(stream)

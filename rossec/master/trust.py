@@ -9,7 +9,7 @@ holds. Grants are kept per key, verified once, bounded in number and size.
 import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Final, Protocol
+from typing import Final
 
 from cryptography.hazmat.primitives.asymmetric import ec
 
@@ -21,22 +21,10 @@ from grants.document import open_grant
 from grants.errors import GrantError, GrantNotHeld
 from grants.model import Grant, Right
 from rossec.master.api import Presented
-from rossec.master.gatekeeper import Caller
+from rossec.master.gatekeeper import Caller, Peer
 
 MAX_HELD: Final = 64
 MAX_HELD_BYTES: Final = 256 * 1024
-
-
-class Peer(Protocol):
-    """What is used of `ca.certificates.Identity`."""
-
-    @property
-    def name(self) -> str:
-        """The certified name."""
-
-    @property
-    def thumbprint(self) -> bytes:
-        """The certified key's thumbprint."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +78,6 @@ class Trust:
         self._revocations = revocations
         self._persist = persist
         self._held: dict[bytes, _Held] = {}
-        self._keys: dict[str, bytes] = {}
         self._stamp: tuple[int, bytes] = (-1, b"")
         self._confirmed_at = -1
 
@@ -102,15 +89,13 @@ class Trust:
         """
         if peer.thumbprint in self._revocations.entries:
             raise Revoked(f"the key of {peer.name} is revoked", "enroll the node with a new key")
-        self._keys[peer.name] = peer.thumbprint
         return self._caller(peer.name, peer.thumbprint, now)
 
-    def caller_of(self, name: str, now: int) -> Caller | None:
-        """What the node last seen under `name` may do now; None: unknown or revoked."""
-        thumbprint = self._keys.get(name)
-        if thumbprint is None or thumbprint in self._revocations.entries:
+    def caller_of(self, peer: Peer, now: int) -> Caller | None:
+        """What a name and key seen before may do now; None: the key is revoked."""
+        if peer.thumbprint in self._revocations.entries:
             return None
-        return self._caller(name, thumbprint, now)
+        return self._caller(peer.name, peer.thumbprint, now)
 
     def present(self, caller: Caller, tokens: Sequence[bytes], now: int) -> Presented:
         """Verify and keep grants; one that is refused does not spoil the others.
@@ -150,7 +135,6 @@ class Trust:
     def keep_only(self, thumbprints: frozenset[bytes], now: int) -> None:
         """Forget the grants of all other keys, and what has expired of these."""
         self._held = {key: held for key, held in self._held.items() if key in thumbprints}
-        self._keys = {name: key for name, key in self._keys.items() if key in thumbprints}
         for held in self._held.values():
             held.drop_expired(now)
 

@@ -5,7 +5,7 @@ from rossec.master.enforce import enforce
 from rossec.master.registry import Kind, NodeRef, PublishersChanged, Registry
 from tests.rossec.master.fakes import FakeStatements, caller
 
-A, B = NodeRef("/a", "http://h:1/"), NodeRef("/b", "http://h:2/")
+A, B = NodeRef("/a", "http://h:1/", b"/a"), NodeRef("/b", "http://h:2/", b"/b")
 
 
 def registry() -> Registry:

@@ -159,6 +159,29 @@ async def test_a_restarted_node_replaces_itself(world: World) -> None:
     assert node.heard("shutdown") == [("[/node] Reason: new node registered with same name",)]
 
 
+async def test_an_older_key_of_a_name_cannot_disturb_the_node(world: World) -> None:
+    older = world.site.enroll("/viewer")
+    viewer, camera = await world.node("/viewer"), await world.node("/camera")
+    await viewer.ask("registerSubscriber", "/image", T, viewer.uri)
+    thief = await world.call_as(older)
+    assert isinstance(await thief.ask("getPid", "/viewer"), int)
+    assert await thief.ask("unregisterSubscriber", "/viewer", "/image", viewer.uri) == 0
+    world.server._enforce()
+    assert await camera.ask("registerPublisher", "/image", T, camera.uri) == [viewer.uri]
+    await until(lambda: viewer.heard("publisherUpdate") == [("/image", [camera.uri])])
+
+
+async def test_news_for_one_key_never_goes_to_another_of_the_same_name(world: World) -> None:
+    node, other = await world.node("/node"), await world.node("/other")
+    newer = SlaveNode(world, world.site.enroll("/node"))
+    await newer.start(EVERYTHING)
+    await node.ask("registerSubscriber", "/t", T, newer.uri)
+    await other.ask("registerSubscriber", "/t", T, other.uri)
+    await other.ask("registerPublisher", "/t", T, other.uri)
+    await until(lambda: other.heard("publisherUpdate") != [])
+    assert newer.told == []
+
+
 async def test_parameters_are_passed_on(world: World) -> None:
     one, two = await world.node("/one"), await world.node("/two")
     assert await one.ask("subscribeParam", one.uri, "/rate") == {}

@@ -98,12 +98,20 @@ def test_a_revoked_grant_ends_at_once(world: World) -> None:
 
 def test_a_revoked_key_is_nobody(world: World) -> None:
     world.present(world.site.grant(world.node, {"/t": Right.PUBLISH}))
-    assert world.trust.caller_of("/node", world.now) is not None
+    assert world.trust.caller_of(world.node, world.now) is not None
     world.trust.update(world.site.revoke(world.node), world.now)
     with pytest.raises(Revoked, match="the key of /node is revoked"):
         world.trust.caller(world.node, world.now)
-    assert world.trust.caller_of("/node", world.now) is None
-    assert world.trust.caller_of("/unknown", world.now) is None
+    assert world.trust.caller_of(world.node, world.now) is None
+
+
+def test_two_keys_of_one_name_are_two_callers(world: World) -> None:
+    world.present(world.site.grant(world.node, {"/t": Right.PUBLISH}))
+    older = world.site.enroll("/node")
+    assert not world.trust.caller(older, world.now).may(Right.PUBLISH, "/t")
+    node = world.trust.caller_of(world.node, world.now)
+    assert node is not None
+    assert node.may(Right.PUBLISH, "/t")
 
 
 def test_lists_are_persisted_first_and_only_newer_ones_taken(world: World) -> None:

@@ -71,12 +71,12 @@ async def updates(nodes: Nodes) -> AsyncIterator[Updates]:
 
 
 def ref(name: str) -> NodeRef:
-    return NodeRef(name, f"http://{name[1:]}:1/")
+    return NodeRef(name, f"http://{name[1:]}:1/", name.encode())
 
 
 async def test_dead_nodes_do_not_delay_a_live_one(nodes: Nodes, updates: Updates) -> None:
     for port in range(3):
-        updates.post(NodeRef("/dead", f"http://dead:{port}/"), KEY, "first")
+        updates.post(NodeRef("/dead", f"http://dead:{port}/", b"/dead"), KEY, "first")
     updates.post(ref("/slow"), KEY, "first")
     for n in range(3):
         updates.post(ref("/live"), (KEY[0], f"/t{n}"), n)
