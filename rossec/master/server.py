@@ -32,6 +32,7 @@ from rossec.net.rpc import RpcClient, serve_calls
 from rossec.net.stream import Flavour, SecureServer, SecureStream, connect, serve
 from rossec.net.tasks import TaskSet
 from rossec.ros.settings import parse_uri
+from rossec.ros.text import printable
 from rossec.ros.xmlrpc import Fault
 
 DEFAULT_NAME: Final = "/master"
@@ -145,7 +146,7 @@ class MasterServer:
             self._standing.caller(stream.peer, self._now())
             await serve_calls(stream, self._dispatch)
         except HintedError as error:
-            _audit.warning("%s is cut off: %s", stream.peer.name, error)
+            _audit.warning("%s is cut off: %s", stream.peer.name, printable(error))
             stream.abort(str(error))
         finally:
             self._streams.discard(stream)
@@ -161,7 +162,7 @@ class MasterServer:
         outcome = self._api.call(method, params, caller, now)
         match outcome.answer:
             case [-1, str(status), _] if status.startswith("rossec: "):
-                _audit.warning("%s may not %s: %s", peer.name, method, status)
+                _audit.warning("%s may not %s: %s", peer.name, method, printable(status))
             case _:
                 pass
         for event in outcome.events:
@@ -183,7 +184,7 @@ class MasterServer:
             case GrantsPresented():
                 pass
             case StopMaster(reason):
-                _audit.warning("stopping: %s", reason)
+                _audit.warning("stopping: %s", printable(reason))
                 self._stopping.set()
 
     def _tell(self, node: NodeRef, method: str, subject: object, *rest: object) -> None:
@@ -204,7 +205,7 @@ class MasterServer:
             try:
                 self._standing.caller(stream.peer, now)
             except HintedError as error:
-                _audit.warning("%s is cut off: %s", stream.peer.name, error)
+                _audit.warning("%s is cut off: %s", stream.peer.name, printable(error))
                 stream.abort(str(error))
         for event in enforce(self._registry, self._standing, now):
             self._deliver(event)

@@ -16,6 +16,7 @@ from rossec.errors import AnswerRefused, RossecError
 from rossec.master.registry import NodeRef
 from rossec.net.rpc import RpcClient
 from rossec.net.tasks import TaskSet
+from rossec.ros.text import printable
 from rossec.ros.xmlrpc import Fault
 
 PENDING_LIMIT: Final = 1024
@@ -100,9 +101,9 @@ class NodeClient:
                     self._client = await self._dial(self.node)
                 await self._client.ask(method, *params)
         except (Fault, AnswerRefused) as error:
-            _log.info("%s answers %s: %s", self.node.name, method, error)
+            _log.info("%s answers %s: %s", self.node.name, method, printable(error))
         except (RossecError, OSError, TimeoutError) as error:
-            _log.info("cannot reach %s for %s: %s", self.node.name, method, error)
+            _log.info("cannot reach %s for %s: %s", self.node.name, method, printable(error))
             await self._hang_up()
             return False
         return True

@@ -152,6 +152,18 @@ DIFFERENCES: list[tuple[Call, list[Any]]] = [
     (("registerService", "/a", "/1s", S1, A), [
         -1, "ERROR: parameter [service] contains illegal chars", 0,
     ]),
+    *(
+        ((method, "/a", *before, key, *after), [
+            -1, "ERROR: parameter [key] contains illegal chars", default,
+        ])
+        for method, before, after, default in (
+            ("getParam", (), (), 0), ("hasParam", (), (), False), ("setParam", (), (T,), 0),
+            ("deleteParam", (), (), 0), ("subscribeParam", (A,), (), 0),
+        )
+        for key in ("/my-param", "/a\nb", "has space", A)
+    ),
+    # Stock finds the tree /http: that setParam made of the URI above.
+    (("searchParam", "/a", A), [-1, f"Cannot find parameter [{A}] in an upwards search", ""]),
     # The master dials slave APIs: without a port, or at a service's URI, it cannot.
     (("registerPublisher", "/a", "/t", T, "http://h/"), [
         -1, "ERROR: parameter [caller_api] is not an RPC URI", [],
@@ -169,7 +181,7 @@ DIFFERENCES: list[tuple[Call, list[Any]]] = [
 TABLES["differences"] = [
     ("registerService", "/old", "/s", S1, A2),
     ("registerService", "/b", "/s", S2, B),
-    *[call for call, _ in DIFFERENCES if call[0] != "deleteParam"],
+    *[call for call, _ in DIFFERENCES if call != DIFFERENCES[0][0]],
 ]
 
 

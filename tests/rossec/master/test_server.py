@@ -1,6 +1,7 @@
 """The running master over real secure connections on loopback, with a real authority."""
 
 import asyncio
+import contextlib
 import socket
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import AsyncExitStack
@@ -30,6 +31,7 @@ class SlaveNode:
         self.world = world
         self.member = member
         self.told: list[tuple[Any, ...]] = []
+        self.answer: list[Any] = [1, "", 0]
 
     async def start(self, rights: dict[str, Right]) -> None:
         self.server = await serve(
@@ -46,7 +48,7 @@ class SlaveNode:
 
     async def dispatch(self, method: str, params: tuple[object, ...], peer: Identity) -> object:
         self.told.append((peer.name, method, *params[1:]))
-        return [1, "", 0]
+        return self.answer
 
     async def ask(self, method: str, *params: object) -> Any:
         return await self.client.ask(method, self.member.name, *params)
@@ -239,6 +241,33 @@ async def test_an_administrator_stops_it(world: World) -> None:
     await admin.ask("shutdown", "maintenance")
     async with asyncio.timeout(5):
         await world.server.stopped()
+
+
+async def test_nobody_writes_lines_into_the_log(
+    world: World, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level("INFO")
+    eve = await world.node("/eve", {"/eve/t": Right.SUBSCRIBE, "/master": Right.ADMIN})
+    forged = "x\nrossec: WARNING: /robot is cut off\x9b31m\u202e"
+    for method, *params in (
+        ("getParam", f"/{forged}"),
+        ("setParam", f"/{forged}", 1),
+        ("setParam", "/a", {forged: 1}),
+        ("lookupNode", f"/{forged}"),
+        ("lookupService", f"/{forged}"),
+        ("registerPublisher", "/t", f"a/{forged}", eve.uri),
+        ("rossec.presentGrants", [forged.encode()]),
+        ("rossec.updateRevocations", forged.encode()),
+    ):
+        with contextlib.suppress(AnswerRefused):
+            await eve.ask(method, *params)
+    eve.answer = [-1, forged, 0]
+    await eve.ask("registerSubscriber", "/eve/t", T, eve.uri)
+    await until(lambda: "/eve answers" in caplog.text)
+    await eve.ask("shutdown", forged)
+    messages = [record.getMessage() for record in caplog.records]
+    assert any("stopping: /eve: x" in message for message in messages)
+    assert [message for message in messages if not message.isprintable()] == []
 
 
 async def test_denials_are_audited(world: World, caplog: pytest.LogCaptureFixture) -> None:
