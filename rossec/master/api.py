@@ -172,10 +172,11 @@ class MasterApi:
         tokens = [token for token in _items(request.arguments[1]) if isinstance(token, bytes)]
         presented = self._statements.present(request.caller, tokens, request.now)
         refused = "; ".join(presented.refused)
-        if tokens and len(presented.refused) == len(tokens):
-            raise Refused(refused)
-        status = f"grants accepted, but refused: {refused}" if refused else "grants accepted"
-        return Reply(presented.held, status, events=(GrantsPresented(request.caller.name),))
+        # No error even if all are refused: a node whose grants have expired keeps its session, in
+        # which it will present new ones.
+        status = f"grants presented, but refused: {refused}" if refused else "grants accepted"
+        event = GrantsPresented(request.caller.name, presented.refused)
+        return Reply(presented.held, status, events=(event,))
 
     def _revocations(self, request: Request) -> Reply:
         return Reply(list(self._statements.current(request.now)), "revocations")

@@ -27,9 +27,10 @@ class StopMaster:
 
 @dataclass(frozen=True)
 class GrantsPresented:
-    """A caller has handed in grants; what it may do has changed."""
+    """A caller has handed in grants; what it may do has changed, except for those refused."""
 
     name: str
+    refused: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -181,8 +181,10 @@ class MasterServer:
             case RevocationsChanged():
                 self._enforce()
                 self._push_revocations()
-            case GrantsPresented():
-                pass
+            case GrantsPresented(name, refused):
+                if refused:
+                    text = printable("; ".join(refused))
+                    _audit.warning("%s presents grants that are refused: %s", name, text)
             case StopMaster(reason):
                 _audit.warning("stopping: %s", printable(reason))
                 self._stopping.set()

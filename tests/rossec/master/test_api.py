@@ -85,9 +85,13 @@ def test_presenting_grants(api: MasterApi, statements: FakeStatements) -> None:
     assert outcome.events == (GrantsPresented("/a"),)
     assert statements.presented == [b"one", b"two"]
     good_and_bad = ask(api, caller("/a"), "rossec.presentGrants", "/a", [b"forged", b"three"])
-    assert good_and_bad == [1, "grants accepted, but refused: forged", 3]
-    bad = ask(api, caller("/a"), "rossec.presentGrants", "/a", [b"forged"])
-    assert bad == [-1, "rossec: forged", 0]
+    assert good_and_bad == [1, "grants presented, but refused: forged", 3]
+
+
+def test_a_node_without_one_good_grant_keeps_its_session(api: MasterApi) -> None:
+    outcome = api.call("rossec.presentGrants", ("/a", [b"forged"] * 2), caller("/a"), 0)
+    assert outcome.answer == [1, "grants presented, but refused: forged; forged", 0]
+    assert outcome.events == (GrantsPresented("/a", ("forged", "forged")),)
 
 
 @pytest.mark.parametrize("value", [5, b"x", ["text"], [b"x"] * (PRESENT_LIMIT + 1)])

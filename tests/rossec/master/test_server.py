@@ -243,6 +243,18 @@ async def test_an_administrator_stops_it(world: World) -> None:
         await world.server.stopped()
 
 
+async def test_refused_grants_are_audited_but_no_error(
+    world: World, caplog: pytest.LogCaptureFixture
+) -> None:
+    node = await world.node("/node")
+    member = world.site.enroll("/late")
+    old = world.site.grant(member, EVERYTHING, start=-9 * 86400)
+    late = await world.call_as(member)
+    assert await late.ask("rossec.presentGrants", "/late", [old]) == 0
+    assert "/late presents grants that are refused: " in caplog.text
+    assert await node.ask("rossec.presentGrants", [old]) == 1
+
+
 async def test_nobody_writes_lines_into_the_log(
     world: World, caplog: pytest.LogCaptureFixture
 ) -> None:
