@@ -11,8 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
-from cryptography.hazmat.primitives.asymmetric import ec
-
+from ca.certificates import TrustAnchor
 from ca.errors import HintedError, Revoked
 from ca.revocation import MAX_AGE, Revocations, Timestamp, digest, sign_timestamp
 from ca.signer import Signer
@@ -60,7 +59,7 @@ class Trust:
     """The master's `Standing`.
 
     Args:
-        anchor_key: the authority's key.
+        anchor: the authority, and the domain that grants must be for.
         signer: the master's own identity key; signs timestamps.
         revocations: loaded with what was persisted, if anything.
         persist: makes a list durable; called before the list takes effect.
@@ -68,12 +67,12 @@ class Trust:
 
     def __init__(
         self,
-        anchor_key: ec.EllipticCurvePublicKey,
+        anchor: TrustAnchor,
         signer: Signer,
         revocations: Revocations,
         persist: Callable[[bytes], None],
     ) -> None:
-        self._anchor_key = anchor_key
+        self._anchor = anchor
         self._signer = signer
         self._revocations = revocations
         self._persist = persist
@@ -152,7 +151,7 @@ class Trust:
             return
         if held.is_full_for(len(token)):
             raise GrantError(f"the master holds at most {MAX_HELD} grants of one node")
-        grant = open_grant(token, self._anchor_key, now)
+        grant = open_grant(token, self._anchor.public_key, now, domain=self._anchor.domain)
         if grant.holder != caller.thumbprint:
             raise GrantNotHeld("a grant bound to another key", f"it was given to {grant.subject}")
         held.grants[key], held.sizes[key] = grant, len(token)

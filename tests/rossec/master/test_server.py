@@ -63,7 +63,7 @@ class World:
         self.site = Site()
         self.master = self.site.enroll("/master")
         self.trust = Trust(
-            self.site.anchor.public_key,
+            self.site.anchor,
             self.master.credentials.signer,
             self.site.revocations(),
             lambda _: None,

@@ -19,7 +19,7 @@ class World:
         self.node = self.site.enroll("/node")
         self.persisted: list[bytes] = []
         self.trust = Trust(
-            self.site.anchor.public_key,
+            self.site.anchor,
             self.master.credentials.signer,
             self.site.revocations(),
             self.persisted.append,
@@ -67,15 +67,20 @@ def test_a_refusal_names_what_is_missing(world: World) -> None:
 
 def test_bad_grants_do_not_spoil_good_ones(world: World) -> None:
     stranger = Site()
+    world.site.domain = "office"  # the same authority serves two domains
+    elsewhere = world.site.grant(world.node, {"/t": Right.PUBLISH})
+    world.site.domain = "home"
     held, refused = world.present(
         world.site.grant(world.master, {"/t": Right.PUBLISH}),
         stranger.grant(world.node, {"/t": Right.PUBLISH}),
         world.site.grant(world.node, {"/t": Right.PUBLISH}, start=-2 * DAY),
         b"garbage",
+        elsewhere,
         world.site.grant(world.node, {"/u": Right.PUBLISH}),
     )
     assert held == 1
-    assert len(refused) == 4
+    assert len(refused) == 5
+    assert "office" in refused[4]
     assert "another key" in refused[0]
     assert world.may(Right.PUBLISH, "/u")
     assert not world.may(Right.PUBLISH, "/t")

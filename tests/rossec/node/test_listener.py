@@ -12,7 +12,6 @@ from rossec.errors import ChannelError, PlainPeer
 from rossec.net.rpc import RpcClient
 from rossec.net.stream import Flavour, SecureStream, connect
 from rossec.node import Node, listener
-from rossec.node.listener import is_loopback
 from rossec.ros import header
 from tests.support.site import Site
 
@@ -144,12 +143,3 @@ async def test_the_slave_api_answers_no_revoked_node(site: Site, robot: Node) ->
         answer = await RpcClient(again).call("requestTopic", "/viewer", "/t", [["TCPROS"]])
         assert isinstance(answer, list)
         assert (answer[0], "is revoked" in answer[1], answer[2]) == (-1, True, 0)
-
-
-@pytest.mark.parametrize(
-    ("address", "alone"),
-    [("127.0.0.1", True), ("127.1.2.3", True), ("::1", True), ("localhost", True),
-     ("192.168.1.5", False), ("robot.local", False), ("::", False)],
-)  # fmt: skip
-def test_loopback_listens_on_loopback_alone(address: str, alone: bool) -> None:
-    assert is_loopback(address) is alone
