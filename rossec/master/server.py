@@ -209,6 +209,9 @@ class MasterServer:
             except HintedError as error:
                 _audit.warning("%s is cut off: %s", stream.peer.name, printable(error))
                 stream.abort(str(error))
+        for node in self._updates.nodes:
+            if self._standing.caller_of(node, now) is None:
+                self._updates.drop(node)
         for event in enforce(self._registry, self._standing, now):
             self._deliver(event)
 
@@ -233,8 +236,20 @@ class MasterServer:
         stream = await connect(host, port, self._credentials, self._verify, opening=Flavour.HTTP)
         if (stream.peer.name, stream.peer.thumbprint) != (node.name, node.thumbprint):
             stream.abort("not the node that was registered")
+            self._evict(node, stream.peer)
             raise CallerMismatch(f"{stream.peer.name} answers at the slave API of {node.name}")
         return RpcClient(stream)
+
+    def _evict(self, node: NodeRef, found: Peer) -> None:
+        """Forget a node that registered an address at which another one lives.
+
+        Otherwise whoever is first to register the address of another keeps it out.
+        """
+        self._updates.drop(node)
+        if self._registry.is_current(node):
+            _audit.warning("%s is removed: %s answers at %s", node.name, found.name, node.uri)
+            for event in self._registry.remove_node(node.name):
+                self._deliver(event)
 
     def _now(self) -> int:
         return int(self._clock())

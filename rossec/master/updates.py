@@ -144,11 +144,16 @@ class Updates:
             _, tasks = self._clients.pop(node)
             self._leaving.spawn(tasks.close(), f"hanging up on {node.name}")
 
-    def drop(self, name: str) -> None:
-        """Hang up on a node now, whatever it was to be told (its identity is revoked)."""
-        for node in [node for node in self._clients if node.name == name]:
-            _, tasks = self._clients.pop(node)
-            self._leaving.spawn(tasks.close(), f"dropping {name}")
+    @property
+    def nodes(self) -> tuple[NodeRef, ...]:
+        """The nodes there is a client for, registered or not."""
+        return tuple(self._clients)
+
+    def drop(self, node: NodeRef) -> None:
+        """Hang up now, whatever was to be told (its key is revoked, or it is somebody else's)."""
+        client = self._clients.pop(node, None)
+        if client is not None:
+            self._leaving.spawn(client[1].close(), f"dropping {node.name}")
 
     async def close(self) -> None:
         """Stop all clients."""

@@ -13,6 +13,7 @@ from ca.certificates import Identity
 from ca.revocation import digest, open_timestamp
 from grants.model import Right
 from rossec.errors import AnswerRefused, RossecError
+from rossec.master.registry import NodeRef
 from rossec.master.server import PEER_CONNECTIONS, MasterServer
 from rossec.master.trust import Trust
 from rossec.net.rpc import RpcClient, serve_calls
@@ -151,6 +152,43 @@ async def test_whoever_answers_must_be_the_registered_node(world: World) -> None
     await other.ask("registerPublisher", "/t", T, other.uri)
     await until(lambda: other.heard("publisherUpdate") != [])
     assert victim.told == []
+
+
+async def test_who_registers_the_address_of_another_is_removed(
+    world: World, caplog: pytest.LogCaptureFixture
+) -> None:
+    squatter, victim = await world.node("/squatter"), await world.node("/victim")
+    viewer = await world.node("/viewer")
+    await viewer.ask("registerSubscriber", "/t", T, viewer.uri)
+    await squatter.ask("registerPublisher", "/t", T, victim.uri)
+    with pytest.raises(AnswerRefused, match="registered by another node"):
+        await victim.ask("registerPublisher", "/t", T, victim.uri)
+    await squatter.ask("registerSubscriber", "/t", T, victim.uri)
+    await viewer.ask("registerPublisher", "/t", T, viewer.uri)  # of which the squatter is told
+    await until(lambda: viewer.heard("publisherUpdate")[-1:] == [("/t", [viewer.uri])])
+    assert f"/squatter is removed: /victim answers at {victim.uri}" in caplog.text
+    assert world.server._updates.nodes == (
+        NodeRef("/viewer", viewer.uri, viewer.member.thumbprint),
+    )
+    assert await victim.ask("registerPublisher", "/t", T, victim.uri) == [viewer.uri]
+    assert victim.told == []
+
+
+async def test_a_revoked_node_is_told_nothing_more(world: World) -> None:
+    loop = asyncio.get_running_loop()
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        silent.setblocking(False)
+        dead, other = await world.node("/dead"), await world.node("/other")
+        uri = f"http://127.0.0.1:{silent.getsockname()[1]}/"
+        await dead.ask("registerSubscriber", "/t", T, uri)
+        await other.ask("registerPublisher", "/t", T, other.uri)
+        connected, _ = await loop.sock_accept(silent)
+        with connected:
+            assert await loop.sock_recv(connected, 1) != b""  # the handshake, never answered
+            [client] = world.server._updates.nodes
+            assert client.name == "/dead"
+            await other.ask("rossec.updateRevocations", world.site.revoke(dead.member))
+            await until(lambda: client not in world.server._updates.nodes)
 
 
 async def test_a_restarted_node_replaces_itself(world: World) -> None:
