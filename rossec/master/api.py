@@ -32,6 +32,9 @@ Fault = xmlrpc.client.Fault
 MULTICALL: Final = "system.multicall"
 MULTICALL_LIMIT: Final = 4096  # roslaunch sets every parameter of a launch file in one
 MULTICALL_QUERIES: Final = 16  # answers over the whole graph; more in one call only amplifies
+MULTICALL_ONCE: Final = frozenset(  # each of these costs signatures or carries a whole list
+    {"rossec.presentGrants", "rossec.revocations", "rossec.updateRevocations"}
+)
 PRESENT_LIMIT: Final = 64
 
 
@@ -134,8 +137,10 @@ class MasterApi:
             raise Fault(1, f"rossec: more than {MULTICALL_QUERIES} state queries in a multicall")
         answers: list[object] = []
         events: list[MasterEvent] = []
+        seen: set[str] = set()
         for element in calls:
             try:
+                _check_once(element, seen)
                 outcome = self._element(element, caller, now)
             except Fault as fault:
                 answers.append({"faultCode": fault.faultCode, "faultString": fault.faultString})
@@ -192,10 +197,22 @@ class MasterApi:
         return Reply(1, "revocations updated", events=(RevocationsChanged(),))
 
 
-def _is_query(element: object) -> bool:
+def _method_of(element: object) -> str:
     method = element.get("methodName") if isinstance(element, dict) else None
-    rule = RULES.get(method) if isinstance(method, str) else None
+    return method if isinstance(method, str) else ""
+
+
+def _is_query(element: object) -> bool:
+    rule = RULES.get(_method_of(element))
     return rule is not None and rule.scope is Scope.FILTERED
+
+
+def _check_once(element: object, seen: set[str]) -> None:
+    method = _method_of(element)
+    if method in seen:
+        raise Fault(1, f"rossec: more than one {method} in a multicall")
+    if method in MULTICALL_ONCE:
+        seen.add(method)
 
 
 def _items(value: object) -> Sequence[object]:

@@ -13,7 +13,7 @@ from typing import Final, Protocol
 
 from ca.errors import HintedError
 from grants.model import Right
-from rossec.master.registry import Kind, Registry
+from rossec.master.registry import KEYS_LIMIT, Kind, NodeRef, Registry
 
 _ASK: Final = "ask the authority's operator for a grant"
 SEES_TOPICS: Final = (Right.PUBLISH, Right.SUBSCRIBE, Right.CALL, Right.PROVIDE, Right.GRAPH)
@@ -185,6 +185,14 @@ def require(caller: Caller, right: Right, name: str) -> None:
         hint = f" ({error.hint})" if error.hint else ""
         wanted = f"{caller.name} needs the right {_label(right)} on {name}"
         raise Refused(f"{wanted}: {error}{hint}") from error
+
+
+def require_room(registry: Registry, kind: Kind, key: str, node: NodeRef) -> None:
+    """Raise `Refused` when a node already is registered for as many names as one may be."""
+    if not registry.has_room(kind, key, node):
+        raise Refused(
+            f"{node.name} has {KEYS_LIMIT} registrations as {kind.value}, the most of a node"
+        )
 
 
 def require_tree(caller: Caller, right: Right, key: str, leaves: list[str]) -> None:

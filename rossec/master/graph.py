@@ -6,7 +6,7 @@ grants cover.
 
 from rossec.master import arguments as arg
 from rossec.master.calls import Method, Methods, Reply, Request
-from rossec.master.gatekeeper import Caller, Gatekeeper
+from rossec.master.gatekeeper import Caller, Gatekeeper, require_room
 from rossec.master.registry import Kind, Registry
 
 
@@ -38,18 +38,21 @@ class GraphCalls:
 
     def _register_publisher(self, request: Request) -> Reply:
         name, topic, type_name = (request.text(i) for i in range(3))
+        require_room(self._registry, Kind.PUBLISHER, topic, request.node(3))
         events = self._registry.register_publisher(topic, type_name, request.node(3))
         status = f"Registered [{name}] as publisher of [{topic}]"
         return Reply(self._registry.uris(Kind.SUBSCRIBER, topic), status, events=tuple(events))
 
     def _register_subscriber(self, request: Request) -> Reply:
         topic, type_name = request.text(1), request.text(2)
+        require_room(self._registry, Kind.SUBSCRIBER, topic, request.node(3))
         events = self._registry.register_subscriber(topic, type_name, request.node(3))
         publishers = self._registry.uris(Kind.PUBLISHER, topic)
         return Reply(publishers, f"Subscribed to [{topic}]", events=tuple(events))
 
     def _register_service(self, request: Request) -> Reply:
         name, service, service_uri = (request.text(i) for i in range(3))
+        require_room(self._registry, Kind.SERVICE, service, request.node(3))
         events = self._registry.register_service(service, service_uri, request.node(3))
         return Reply(1, f"Registered [{name}] as provider of [{service}]", events=tuple(events))
 

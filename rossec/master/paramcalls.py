@@ -10,7 +10,7 @@ from grants.model import Right
 from rossec.master import arguments as arg
 from rossec.master import params
 from rossec.master.calls import Method, Methods, ParameterChanged, Reply, Request
-from rossec.master.gatekeeper import Caller, require_tree
+from rossec.master.gatekeeper import Caller, require_room, require_tree
 from rossec.master.params import ParameterMissing, Parameters
 from rossec.master.registry import Kind, NodeRef, Registry
 
@@ -102,7 +102,9 @@ class ParameterCalls:
     def _subscribe(self, request: Request) -> Reply:
         node, key = request.node(1), request.text(2)
         require_tree(request.caller, Right.PARAM_GET, key, self._parameters.leaves(key))
-        events = self._registry.register_parameter(params.subscription_key(key), node)
+        subscription = params.subscription_key(key)
+        require_room(self._registry, Kind.PARAMETER, subscription, node)
+        events = self._registry.register_parameter(subscription, node)
         value = self._parameters.get(key) if self._parameters.has(key) else {}
         return Reply(value, f"Subscribed to parameter [{key}]", events=tuple(events))
 

@@ -15,6 +15,7 @@ from typing import Final, NamedTuple
 from urllib.parse import urlsplit
 
 ANY_TYPE: Final = "*"
+KEYS_LIMIT: Final = 1024  # registrations of one kind of one node
 REPLACED: Final = "new node registered with same name"
 
 
@@ -168,6 +169,13 @@ class Registry:
         node = self._nodes.get(name)
         return None if node is None else node.ref.uri
 
+    def has_room(self, kind: Kind, key: str, node: NodeRef) -> bool:
+        """Whether a node may register for `key`: it already has, or has not too many."""
+        if not self.is_current(node):
+            return True  # new, or it replaces its own name
+        keys = self._nodes[node.name].keys[kind]
+        return key in keys or len(keys) < KEYS_LIMIT
+
     def is_current(self, node: NodeRef) -> bool:
         """Whether this very node, with this URI and key, is the one registered."""
         known = self._nodes.get(node.name)
@@ -208,7 +216,7 @@ class Registry:
         return self._service_uris.get(service)
 
     def topic_types(self) -> Iterable[tuple[str, str]]:
-        """Every topic ever registered with its type, as stock keeps them."""
+        """Every registered topic whose type is known; stock also keeps those that are gone."""
         return self._types.items()
 
     def topic_type(self, topic: str) -> str:
@@ -244,6 +252,8 @@ class Registry:
             del self._names[kind][key]
             if kind is Kind.SERVICE:
                 del self._service_uris[key]
+            if not any(key in self._names[each] for each in (Kind.PUBLISHER, Kind.SUBSCRIBER)):
+                self._types.pop(key, None)  # or one node could fill the memory with types
         if node.is_empty():
             del self._nodes[name]
             if self.owner(node.ref.uri) == name:

@@ -6,6 +6,7 @@ so there is nothing to lock. What other nodes must hear goes to `Updates`, which
 """
 
 import asyncio
+import contextlib
 import logging
 import os
 import time
@@ -24,7 +25,7 @@ from rossec.master.calls import (
     RevocationsChanged,
     StopMaster,
 )
-from rossec.master.enforce import enforce
+from rossec.master.enforce import enforce, steps
 from rossec.master.gatekeeper import Caller, Peer
 from rossec.master.registry import NodeRef, PublishersChanged, Registry, ShutdownNode
 from rossec.master.updates import Updates
@@ -97,6 +98,7 @@ class MasterServer:
         self._updates = Updates(self._dial)
         self._tasks = TaskSet()
         self._stopping = asyncio.Event()
+        self._changed = asyncio.Event()  # revocations: what follows must not wait for the beat
 
     @property
     def port(self) -> int:
@@ -179,8 +181,8 @@ class MasterServer:
             case ShutdownNode(node, reason):
                 self._tell(node, "shutdown", f"[{node.name}] Reason: {reason}")
             case RevocationsChanged():
-                self._enforce()
-                self._push_revocations()
+                self._cut_revoked()
+                self._changed.set()
             case GrantsPresented(name, refused):
                 if refused:
                     text = printable("; ".join(refused))
@@ -195,13 +197,24 @@ class MasterServer:
 
     async def _beat(self) -> None:
         while True:
-            self._enforce()
+            self._changed.clear()
+            self._cut_revoked()
+            await self._enforce()
             self._push_revocations()
             self._forget_the_gone()
-            await asyncio.sleep(self._timestamp_every)
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(self._timestamp_every):
+                    await self._changed.wait()
 
-    def _enforce(self) -> None:
-        """Cut revoked identities, drop what is no longer allowed, tell those concerned."""
+    async def _enforce(self) -> None:
+        """Drop what is no longer allowed, tell those concerned; others are answered meanwhile."""
+        for step in steps(self._registry):
+            for event in enforce(self._registry, self._standing, step, self._now()):
+                self._deliver(event)
+            await asyncio.sleep(0)
+
+    def _cut_revoked(self) -> None:
+        """Cut the connections of revoked identities, and tell them nothing more."""
         now = self._now()
         for stream in tuple(self._streams):
             try:
@@ -212,8 +225,6 @@ class MasterServer:
         for node in self._updates.nodes:
             if self._standing.caller_of(node, now) is None:
                 self._updates.drop(node)
-        for event in enforce(self._registry, self._standing, now):
-            self._deliver(event)
 
     def _forget_the_gone(self) -> None:
         nodes = frozenset(self._registry.nodes())

@@ -24,6 +24,8 @@ from rossec.master.gatekeeper import Caller, Peer
 
 MAX_HELD: Final = 64
 MAX_HELD_BYTES: Final = 256 * 1024
+MAX_FAILURES: Final = 256  # refused grants of one key in FAILURES_WITHIN; each costs a verification
+FAILURES_WITHIN: Final = 60  # seconds
 
 
 @dataclass(frozen=True)
@@ -46,10 +48,22 @@ class _Held:
 
     grants: dict[bytes, Grant] = field(default_factory=dict)
     sizes: dict[bytes, int] = field(default_factory=dict)
+    failures: int = 0
+    failing_since: int = 0
 
     def drop_expired(self, now: int) -> None:
         for key in [key for key, grant in self.grants.items() if grant.expires <= now]:
             del self.grants[key], self.sizes[key]
+
+    def count_failure(self, now: int) -> None:
+        self.failures += 1
+        if self.failures == 1:
+            self.failing_since = now
+
+    def has_failed_too_often(self, now: int) -> bool:
+        if not 0 <= now - self.failing_since < FAILURES_WITHIN:
+            self.failures = 0
+        return self.failures >= MAX_FAILURES
 
     def is_full_for(self, size: int) -> bool:
         return len(self.grants) >= MAX_HELD or sum(self.sizes.values()) + size > MAX_HELD_BYTES
@@ -108,6 +122,7 @@ class Trust:
             try:
                 self._keep(held, caller, token, now)
             except HintedError as error:
+                held.count_failure(now)
                 refused.append(str(error))
         return Presented(len(held.grants), tuple(refused))
 
@@ -149,6 +164,10 @@ class Trust:
         key = hashlib.sha256(token).digest()
         if key in held.grants:
             return
+        if held.has_failed_too_often(now):
+            raise GrantError(
+                "too many grants of this node were refused", f"wait {FAILURES_WITHIN} s"
+            )
         if held.is_full_for(len(token)):
             raise GrantError(f"the master holds at most {MAX_HELD} grants of one node")
         grant = open_grant(token, self._anchor.public_key, now, domain=self._anchor.domain)

@@ -175,13 +175,22 @@ DIFFERENCES: list[tuple[Call, list[Any]]] = [
     (("setParam", "/a", "/y", {"b/c": 1}), [
         -1, "Error: invalid arguments: 'b/c' cannot be the name of a parameter in a tree", 0,
     ]),
+    # Stock keeps the type of a topic that nobody publishes or subscribes to any more.
+    (("getTopicTypes", "/gone"), [1, "current system state", []]),
     # A service that another node took over keeps the old node in stock's list for ever.
     (("lookupNode", "/b", "/old"), [-1, "unknown node [/old]", ""]),
 ]  # fmt: skip
 TABLES["differences"] = [
     ("registerService", "/old", "/s", S1, A2),
     ("registerService", "/b", "/s", S2, B),
-    *[call for call, _ in DIFFERENCES if call != DIFFERENCES[0][0]],
+    ("registerPublisher", "/gone", "/gone/t", T, "http://h:77/"),
+    ("unregisterPublisher", "/gone", "/gone/t", "http://h:77/"),
+    ("getTopicTypes", "/gone"),
+    *[
+        call
+        for call, _ in DIFFERENCES
+        if call not in (DIFFERENCES[0][0], ("getTopicTypes", "/gone"))
+    ],
 ]
 
 

@@ -5,6 +5,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
 from rossec.master.registry import (
+    KEYS_LIMIT,
     Kind,
     NodeRef,
     PublishersChanged,
@@ -120,6 +121,29 @@ def test_types_a_real_one_wins_over_any() -> None:
     registry.register_publisher("/t", TYPE, B)
     registry.register_publisher("/t", "*", C)
     assert registry.topic_type("/t") == TYPE
+
+
+def test_types_go_with_the_last_registration() -> None:
+    registry = Registry()
+    registry.register_publisher("/t", TYPE, A)
+    registry.register_subscriber("/t", TYPE, B)
+    registry.register_service("/t", "rosrpc://h:1", B)
+    registry.unregister(Kind.PUBLISHER, "/t", A)
+    assert list(registry.topic_types()) == [("/t", TYPE)]
+    registry.unregister(Kind.SUBSCRIBER, "/t", B)
+    assert list(registry.topic_types()) == []
+
+
+def test_a_node_has_so_many_registrations_of_a_kind() -> None:
+    registry = Registry()
+    for n in range(KEYS_LIMIT):
+        assert registry.has_room(Kind.PUBLISHER, f"/t{n}", A)
+        registry.register_publisher(f"/t{n}", TYPE, A)
+    assert registry.has_room(Kind.PUBLISHER, "/t0", A)
+    assert not registry.has_room(Kind.PUBLISHER, "/more", A)
+    assert registry.has_room(Kind.SUBSCRIBER, "/more", A)
+    assert registry.has_room(Kind.PUBLISHER, "/more", B)
+    assert registry.has_room(Kind.PUBLISHER, "/more", A._replace(uri="http://h:9/"))
 
 
 def test_removing_a_node_tells_its_subscribers() -> None:

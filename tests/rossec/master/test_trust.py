@@ -7,7 +7,7 @@ from ca.revocation import digest, open_timestamp
 from ca.signer import KeySigner
 from grants.errors import GrantError
 from grants.model import Right
-from rossec.master.trust import MAX_HELD, Trust
+from rossec.master.trust import FAILURES_WITHIN, MAX_FAILURES, MAX_HELD, Trust
 from tests.support.authority import DAY, Site
 
 
@@ -92,6 +92,17 @@ def test_grants_are_bounded_and_not_counted_twice(world: World) -> None:
     held, refused = world.present(tokens[-1])
     assert held == MAX_HELD
     assert "at most" in refused[0]
+
+
+def test_only_so_many_grants_are_verified_in_vain(world: World) -> None:
+    good = world.site.grant(world.node, {"/t": Right.PUBLISH})
+    held = world.site.grant(world.node, {"/u": Right.PUBLISH})
+    world.present(held)
+    assert world.present(*[b"garbage"] * MAX_FAILURES)[0] == 1
+    assert world.present(good) == (1, ("too many grants of this node were refused",))
+    assert world.present(held) == (1, ())
+    world.now += FAILURES_WITHIN
+    assert world.present(good) == (2, ())
 
 
 def test_a_revoked_grant_ends_at_once(world: World) -> None:
