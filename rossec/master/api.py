@@ -22,7 +22,7 @@ from rossec.master.calls import (
     RevocationsChanged,
     StopMaster,
 )
-from rossec.master.gatekeeper import RULES, Caller, Gatekeeper, Refused, Scope
+from rossec.master.gatekeeper import RULES, Caller, Gatekeeper, Peer, Refused, Scope
 from rossec.master.graph import GraphCalls
 from rossec.master.paramcalls import ParameterCalls
 from rossec.master.params import Parameters
@@ -32,6 +32,9 @@ Fault = xmlrpc.client.Fault
 MULTICALL: Final = "system.multicall"
 MULTICALL_LIMIT: Final = 4096  # roslaunch sets every parameter of a launch file in one
 MULTICALL_QUERIES: Final = 16  # answers over the whole graph; more in one call only amplifies
+MULTICALL_ONCE: Final = frozenset(  # each of these costs signatures or carries a whole list
+    {"rossec.presentGrants", "rossec.revocations", "rossec.updateRevocations"}
+)
 PRESENT_LIMIT: Final = 64
 
 
@@ -45,8 +48,8 @@ class Presented(NamedTuple):
 class Statements(Protocol):
     """What the master holds of the authority's statements; `rossec.master.trust` is it."""
 
-    def caller_of(self, name: str, now: int) -> Caller | None:
-        """What the node last seen under this name may do now."""
+    def caller_of(self, peer: Peer, now: int) -> Caller | None:
+        """What a name and key seen before may do now; None: the key is revoked."""
 
     def present(self, caller: Caller, tokens: Sequence[bytes], now: int) -> Presented:
         """Keep a caller's grants."""
@@ -134,8 +137,10 @@ class MasterApi:
             raise Fault(1, f"rossec: more than {MULTICALL_QUERIES} state queries in a multicall")
         answers: list[object] = []
         events: list[MasterEvent] = []
+        seen: set[str] = set()
         for element in calls:
             try:
+                _check_once(element, seen)
                 outcome = self._element(element, caller, now)
             except Fault as fault:
                 answers.append({"faultCode": fault.faultCode, "faultString": fault.faultString})
@@ -172,10 +177,11 @@ class MasterApi:
         tokens = [token for token in _items(request.arguments[1]) if isinstance(token, bytes)]
         presented = self._statements.present(request.caller, tokens, request.now)
         refused = "; ".join(presented.refused)
-        if tokens and len(presented.refused) == len(tokens):
-            raise Refused(refused)
-        status = f"grants accepted, but refused: {refused}" if refused else "grants accepted"
-        return Reply(presented.held, status, events=(GrantsPresented(request.caller.name),))
+        # No error even if all are refused: a node whose grants have expired keeps its session, in
+        # which it will present new ones.
+        status = f"grants presented, but refused: {refused}" if refused else "grants accepted"
+        event = GrantsPresented(request.caller.name, presented.refused)
+        return Reply(presented.held, status, events=(event,))
 
     def _revocations(self, request: Request) -> Reply:
         return Reply(list(self._statements.current(request.now)), "revocations")
@@ -191,10 +197,22 @@ class MasterApi:
         return Reply(1, "revocations updated", events=(RevocationsChanged(),))
 
 
-def _is_query(element: object) -> bool:
+def _method_of(element: object) -> str:
     method = element.get("methodName") if isinstance(element, dict) else None
-    rule = RULES.get(method) if isinstance(method, str) else None
+    return method if isinstance(method, str) else ""
+
+
+def _is_query(element: object) -> bool:
+    rule = RULES.get(_method_of(element))
     return rule is not None and rule.scope is Scope.FILTERED
+
+
+def _check_once(element: object, seen: set[str]) -> None:
+    method = _method_of(element)
+    if method in seen:
+        raise Fault(1, f"rossec: more than one {method} in a multicall")
+    if method in MULTICALL_ONCE:
+        seen.add(method)
 
 
 def _items(value: object) -> Sequence[object]:

@@ -1,6 +1,6 @@
 """What each argument of a master call must be; the texts are stock rosmaster's (validators.py).
 
-Stricter than stock, because rights are matched on names: a topic, service or node name must be a
+Stricter than stock, because rights are matched on names: a topic, service or parameter must have a
 well-formed ROS name after it is resolved, and a URI must have a host and a port that we can dial.
 """
 
@@ -8,7 +8,8 @@ from collections.abc import Callable
 from typing import Final
 from urllib.parse import urlsplit
 
-from ca.errors import HintedError
+from ca.errors import NameRefused
+from ca.names import check_name
 from rossec.ros import names
 
 URI_LIMIT: Final = 512
@@ -39,13 +40,13 @@ def not_none(label: str) -> Check:
 
 
 def key(label: str) -> Check:
-    """A parameter name, resolved; its characters are the caller's business."""
+    """A parameter name, resolved and well-formed, or the root: no grant covers anything else."""
 
     def check(value: object, caller: str) -> str:
         resolved = names.resolve(_text(value, label), caller)
         if len(resolved) > KEY_LIMIT:
             raise ArgumentRefused(f"ERROR: parameter [{label}] is too long")
-        return resolved
+        return resolved if resolved == names.SEPARATOR else _well_formed(resolved, label)
 
     return check
 
@@ -75,10 +76,7 @@ def topic(label: str) -> Check:
         plain = _plain_name(value, label)
         if plain == names.SEPARATOR:
             raise ArgumentRefused(f"ERROR: parameter [{label}] cannot be the global namespace")
-        try:
-            return names.resolve_checked(plain, caller)
-        except HintedError as error:
-            raise ArgumentRefused(f"ERROR: parameter [{label}] contains illegal chars") from error
+        return _well_formed(names.resolve(plain, caller), label)
 
     return check
 
@@ -100,7 +98,7 @@ def type_name(label: str) -> Check:
     def check(value: object, _caller: str) -> str:
         if not value or not isinstance(value, str):
             raise ArgumentRefused(f"ERROR: parameter [{label}] must be a non-empty string")
-        if value != names.ANY_TYPE and (value.count("/") != 1 or len(value) > KEY_LIMIT):
+        if value != names.ANY_TYPE and not _is_resource(value):
             text = f"ERROR: parameter [{label}] is not a valid package resource name"
             raise ArgumentRefused(text)
         return value
@@ -146,6 +144,10 @@ def binaries(label: str, most: int) -> Check:
     return check
 
 
+def _is_resource(value: str) -> bool:
+    return value.count("/") == 1 and len(value) <= KEY_LIMIT and value.isprintable()
+
+
 def _dialable(value: str, scheme: str) -> bool:
     if len(value) > URI_LIMIT or not value.isascii() or not value.isprintable() or " " in value:
         return False
@@ -155,6 +157,13 @@ def _dialable(value: str, scheme: str) -> bool:
     except ValueError:
         return False
     return parts.scheme == scheme and bool(parts.hostname) and bool(port) and "@" not in value
+
+
+def _well_formed(resolved: str, label: str) -> str:
+    try:
+        return check_name(resolved)
+    except NameRefused as error:
+        raise ArgumentRefused(f"ERROR: parameter [{label}] contains illegal chars") from error
 
 
 def _text(value: object, label: str) -> str:

@@ -27,9 +27,10 @@ class StopMaster:
 
 @dataclass(frozen=True)
 class GrantsPresented:
-    """A caller has handed in grants; what it may do has changed."""
+    """A caller has handed in grants; what it may do has changed, except for those refused."""
 
     name: str
+    refused: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -63,6 +64,10 @@ class Request:
         if not isinstance(value, str):
             raise TypeError(f"argument {index} is not text")
         return value
+
+    def node(self, index: int) -> NodeRef:
+        """The caller with the slave API URI that is this argument."""
+        return NodeRef(self.caller.name, self.text(index), self.caller.thumbprint)
 
 
 Handler = Callable[[Request], Reply]

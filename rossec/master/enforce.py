@@ -5,13 +5,12 @@ nodes may do *now*, so none of these needs bookkeeping of its own. Parameter sub
 each update asks for the right again before it is sent.
 """
 
-from typing import Final
+from typing import Final, NamedTuple
 
 from grants.model import Right
 from rossec.master.api import Statements
 from rossec.master.calls import MasterEvent
-from rossec.master.gatekeeper import Caller
-from rossec.master.registry import Kind, Registry
+from rossec.master.registry import Kind, NodeRef, Registry
 
 _NEEDED: Final = {
     Kind.PUBLISHER: Right.PUBLISH,
@@ -20,22 +19,35 @@ _NEEDED: Final = {
 }
 
 
-def enforce(registry: Registry, statements: Statements, now: int) -> list[MasterEvent]:
-    """Remove every registration without a right, and say whom to tell."""
-    events: list[MasterEvent] = []
-    for node in tuple(registry.nodes()):
-        caller = statements.caller_of(node.name, now)
-        if caller is None:
-            events += registry.remove_node(node.name)
-        else:
-            events += _enforce_node(registry, caller)
-    return events
+BATCH: Final = 64  # registrations judged in one step: what the loop waits for
 
 
-def _enforce_node(registry: Registry, caller: Caller) -> list[MasterEvent]:
-    events: list[MasterEvent] = []
-    for kind, right in _NEEDED.items():
-        for key in registry.keys_of(caller.name, kind):
-            if not caller.may(right, key):
-                events += registry.remove(kind, key, caller.name)
-    return events
+class Step(NamedTuple):
+    """Some registrations of one node."""
+
+    node: NodeRef
+    kind: Kind
+    keys: tuple[str, ...]
+
+
+def steps(registry: Registry) -> list[Step]:
+    """The work of judging all registrations, in pieces; calls may be answered between two."""
+    return [
+        Step(node, kind, keys[begin : begin + BATCH])
+        for node in registry.nodes()
+        for kind in Kind
+        for keys in (registry.keys_of(node.name, kind),)
+        for begin in range(0, len(keys), BATCH)
+    ]
+
+
+def enforce(registry: Registry, statements: Statements, step: Step, now: int) -> list[MasterEvent]:
+    """Remove the registrations of `step` that have no right any more, and say whom to tell."""
+    if not registry.is_current(step.node):
+        return []
+    caller = statements.caller_of(step.node, now)
+    if caller is None:
+        return [*registry.remove_node(step.node.name)]
+    right = _NEEDED.get(step.kind)
+    lost = () if right is None else [key for key in step.keys if not caller.may(right, key)]
+    return [event for key in lost for event in registry.remove(step.kind, key, caller.name)]

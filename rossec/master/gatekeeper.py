@@ -13,8 +13,9 @@ from typing import Final, Protocol
 
 from ca.errors import HintedError
 from grants.model import Right
-from rossec.master.registry import Kind, Registry
+from rossec.master.registry import KEYS_LIMIT, Kind, NodeRef, Registry
 
+_ASK: Final = "ask the authority's operator for a grant"
 SEES_TOPICS: Final = (Right.PUBLISH, Right.SUBSCRIBE, Right.CALL, Right.PROVIDE, Right.GRAPH)
 
 
@@ -27,6 +28,18 @@ class Access(Protocol):
 
     def require(self, right: Right, name: str) -> None:
         """Raise a `HintedError` unless some valid grant covers `right` on `name`."""
+
+
+class Peer(Protocol):
+    """A certified name and its key: what is used of `ca.certificates.Identity`, or a `NodeRef`."""
+
+    @property
+    def name(self) -> str:
+        """The certified name."""
+
+    @property
+    def thumbprint(self) -> bytes:
+        """The certified key's thumbprint."""
 
 
 @dataclass(frozen=True)
@@ -174,12 +187,23 @@ def require(caller: Caller, right: Right, name: str) -> None:
         raise Refused(f"{wanted}: {error}{hint}") from error
 
 
-def require_tree(caller: Caller, right: Right, leaves: list[str]) -> None:
-    """Raise `Refused` unless `caller` has `right` on every one of `leaves`; none means no."""
-    if not leaves:
-        raise Refused(f"{caller.name} needs the right {_label(right)} on this parameter")
-    for leaf in leaves:
-        require(caller, right, leaf)
+def require_room(registry: Registry, kind: Kind, key: str, node: NodeRef) -> None:
+    """Raise `Refused` when a node already is registered for as many names as one may be."""
+    if not registry.has_room(kind, key, node):
+        raise Refused(
+            f"{node.name} has {KEYS_LIMIT} registrations as {kind.value}, the most of a node"
+        )
+
+
+def require_tree(caller: Caller, right: Right, key: str, leaves: list[str]) -> None:
+    """Raise `Refused` unless `caller` has `right` on every one of `leaves`; none means no.
+
+    The text depends on `key` alone, which the caller knows: the leaf that is missing, or the
+    grants that nearly cover it, would tell which parameters exist.
+    """
+    if not leaves or not all(caller.may(right, leaf) for leaf in leaves):
+        wanted = f"{caller.name} needs the right {_label(right)} on {key}"
+        raise Refused(f"{wanted}: no grant covers it and all below it ({_ASK})")
 
 
 def _label(right: Right) -> str:

@@ -6,8 +6,8 @@ grants cover.
 
 from rossec.master import arguments as arg
 from rossec.master.calls import Method, Methods, Reply, Request
-from rossec.master.gatekeeper import Caller, Gatekeeper
-from rossec.master.registry import Kind, NodeRef, Registry
+from rossec.master.gatekeeper import Caller, Gatekeeper, require_room
+from rossec.master.registry import Kind, Registry
 
 
 class GraphCalls:
@@ -37,20 +37,23 @@ class GraphCalls:
         }
 
     def _register_publisher(self, request: Request) -> Reply:
-        name, topic, type_name, uri = (request.text(i) for i in range(4))
-        events = self._registry.register_publisher(topic, type_name, NodeRef(name, uri))
+        name, topic, type_name = (request.text(i) for i in range(3))
+        require_room(self._registry, Kind.PUBLISHER, topic, request.node(3))
+        events = self._registry.register_publisher(topic, type_name, request.node(3))
         status = f"Registered [{name}] as publisher of [{topic}]"
         return Reply(self._registry.uris(Kind.SUBSCRIBER, topic), status, events=tuple(events))
 
     def _register_subscriber(self, request: Request) -> Reply:
-        name, topic, type_name, uri = (request.text(i) for i in range(4))
-        events = self._registry.register_subscriber(topic, type_name, NodeRef(name, uri))
+        topic, type_name = request.text(1), request.text(2)
+        require_room(self._registry, Kind.SUBSCRIBER, topic, request.node(3))
+        events = self._registry.register_subscriber(topic, type_name, request.node(3))
         publishers = self._registry.uris(Kind.PUBLISHER, topic)
         return Reply(publishers, f"Subscribed to [{topic}]", events=tuple(events))
 
     def _register_service(self, request: Request) -> Reply:
-        name, service, service_uri, uri = (request.text(i) for i in range(4))
-        events = self._registry.register_service(service, service_uri, NodeRef(name, uri))
+        name, service, service_uri = (request.text(i) for i in range(3))
+        require_room(self._registry, Kind.SERVICE, service, request.node(3))
+        events = self._registry.register_service(service, service_uri, request.node(3))
         return Reply(1, f"Registered [{name}] as provider of [{service}]", events=tuple(events))
 
     def _unregister_publisher(self, request: Request) -> Reply:
@@ -60,13 +63,14 @@ class GraphCalls:
         return self._unregister(Kind.SUBSCRIBER, request)
 
     def _unregister(self, kind: Kind, request: Request) -> Reply:
-        name, topic, uri = (request.text(i) for i in range(3))
-        done, events = self._registry.unregister(kind, topic, NodeRef(name, uri))
+        done, events = self._registry.unregister(kind, request.text(1), request.node(2))
         return Reply(done.removed, done.status, events=tuple(events))
 
     def _unregister_service(self, request: Request) -> Reply:
         name, service, service_uri = (request.text(i) for i in range(3))
-        done = self._registry.unregister_service(service, name, service_uri)
+        done = self._registry.unregister_service(
+            service, name, service_uri, request.caller.thumbprint
+        )
         return Reply(done.removed, done.status)
 
     def _lookup_node(self, request: Request) -> Reply:

@@ -10,7 +10,7 @@ from grants.model import Right
 from rossec.master import arguments as arg
 from rossec.master import params
 from rossec.master.calls import Method, Methods, ParameterChanged, Reply, Request
-from rossec.master.gatekeeper import Caller, require_tree
+from rossec.master.gatekeeper import Caller, require_room, require_tree
 from rossec.master.params import ParameterMissing, Parameters
 from rossec.master.registry import Kind, NodeRef, Registry
 
@@ -26,7 +26,7 @@ class ParameterCalls:
         self,
         parameters: Parameters,
         registry: Registry,
-        caller_of: Callable[[str, int], Caller | None],
+        caller_of: Callable[[NodeRef, int], Caller | None],
     ) -> None:
         self._parameters = parameters
         self._registry = registry
@@ -48,7 +48,7 @@ class ParameterCalls:
 
     def _get(self, request: Request) -> Reply:
         key = request.text(1)
-        require_tree(request.caller, Right.PARAM_GET, self._parameters.leaves(key))
+        require_tree(request.caller, Right.PARAM_GET, key, self._parameters.leaves(key))
         try:
             return Reply(self._parameters.get(key), f"Parameter [{key}]")
         except ParameterMissing:
@@ -56,13 +56,13 @@ class ParameterCalls:
 
     def _has(self, request: Request) -> Reply:
         key = request.text(1)
-        require_tree(request.caller, Right.PARAM_GET, self._parameters.leaves(key))
+        require_tree(request.caller, Right.PARAM_GET, key, self._parameters.leaves(key))
         return Reply(self._parameters.has(key), key)
 
     def _set(self, request: Request) -> Reply:
         key, value = request.text(1), request.arguments[2]
         reach = [*self._parameters.reach(key), *params.leaves_of(key, value)]
-        require_tree(request.caller, Right.PARAM_SET, reach)
+        require_tree(request.caller, Right.PARAM_SET, key, reach)
         try:
             self._parameters.set(key, value)
         except (TypeError, ValueError) as error:
@@ -72,7 +72,7 @@ class ParameterCalls:
 
     def _delete(self, request: Request) -> Reply:
         key = request.text(1)
-        require_tree(request.caller, Right.PARAM_SET, self._parameters.leaves(key))
+        require_tree(request.caller, Right.PARAM_SET, key, self._parameters.leaves(key))
         try:
             self._parameters.delete(key)
         except ParameterMissing:
@@ -100,16 +100,16 @@ class ParameterCalls:
         return Reply(shown, "Parameter names")
 
     def _subscribe(self, request: Request) -> Reply:
-        uri, key = request.text(1), request.text(2)
-        require_tree(request.caller, Right.PARAM_GET, self._parameters.leaves(key))
-        node = NodeRef(request.caller.name, uri)
-        events = self._registry.register_parameter(params.subscription_key(key), node)
+        node, key = request.node(1), request.text(2)
+        require_tree(request.caller, Right.PARAM_GET, key, self._parameters.leaves(key))
+        subscription = params.subscription_key(key)
+        require_room(self._registry, Kind.PARAMETER, subscription, node)
+        events = self._registry.register_parameter(subscription, node)
         value = self._parameters.get(key) if self._parameters.has(key) else {}
         return Reply(value, f"Subscribed to parameter [{key}]", events=tuple(events))
 
     def _unsubscribe(self, request: Request) -> Reply:
-        uri, key = request.text(1), request.text(2)
-        node = NodeRef(request.caller.name, uri)
+        node, key = request.node(1), request.text(2)
         self._registry.unregister(Kind.PARAMETER, params.subscription_key(key), node)
         return Reply(1, f"Unsubscribe to parameter [{key}]")
 
@@ -122,11 +122,11 @@ class ParameterCalls:
             for update in params.updates(subscriptions, key, value)
             for node in self._registry.members(Kind.PARAMETER, update.subscription)
             if (update.to_setter or node.name != setter)
-            and self._may_hear(node.name, update.key, update.value, request.now)
+            and self._may_hear(node, update.key, update.value, request.now)
         )
 
-    def _may_hear(self, name: str, key: str, value: object, now: int) -> bool:
-        caller = self._caller_of(name, now)
+    def _may_hear(self, node: NodeRef, key: str, value: object, now: int) -> bool:
+        caller = self._caller_of(node, now)
         if caller is None:
             return False
         leaves = params.leaves_of(key.removesuffix("/") or key, value)

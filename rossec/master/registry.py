@@ -15,6 +15,7 @@ from typing import Final, NamedTuple
 from urllib.parse import urlsplit
 
 ANY_TYPE: Final = "*"
+KEYS_LIMIT: Final = 1024  # registrations of one kind of one node
 REPLACED: Final = "new node registered with same name"
 
 
@@ -28,10 +29,15 @@ class Kind(Enum):
 
 
 class NodeRef(NamedTuple):
-    """A registered node: its name and the URI of its slave API."""
+    """A registered node: its name, the URI of its slave API, and the key that registered it.
+
+    The key belongs to the registration: while a certificate of an older key of the same name has
+    not expired, two keys can call under one name, and only one of them is the registered node.
+    """
 
     name: str
     uri: str
+    thumbprint: bytes
 
 
 @dataclass(frozen=True)
@@ -63,7 +69,7 @@ class Unregistered(NamedTuple):
 
 @dataclass
 class _Node:
-    uri: str
+    ref: NodeRef
     keys: dict[Kind, dict[str, None]] = field(default_factory=lambda: {kind: {} for kind in Kind})
 
     def is_empty(self) -> bool:
@@ -118,15 +124,18 @@ class Registry:
         known = self._nodes.get(node.name)
         if known is None:
             return Unregistered(f"[{node.name}] is not a registered node", 0), []
-        if key not in known.keys[kind] or known.uri != node.uri:
+        if key not in known.keys[kind] or known.ref != node:
             return Unregistered(f"[{node.name}] is not a known provider of [{key}]", 0), []
         self._discard(kind, key, node.name)
         done = Unregistered(f"Unregistered [{node.name}] as provider of [{key}]", 1)
         return done, [self._publishers_changed(key)] if kind is Kind.PUBLISHER else []
 
-    def unregister_service(self, service: str, name: str, service_uri: str) -> Unregistered:
-        """Forget a provider; name and service URI must both match."""
-        if name not in self._nodes:
+    def unregister_service(
+        self, service: str, name: str, service_uri: str, thumbprint: bytes
+    ) -> Unregistered:
+        """Forget a provider; name, key and service URI must match."""
+        node = self._nodes.get(name)
+        if node is None or node.ref.thumbprint != thumbprint:
             return Unregistered(f"[{name}] is not a registered node", 0)
         if not self._had_service:
             return Unregistered(f"[{name}] is not a provider of [{service}]", 0)
@@ -158,7 +167,19 @@ class Registry:
     def node_uri(self, name: str) -> str | None:
         """The slave API of a node that has registered something."""
         node = self._nodes.get(name)
-        return None if node is None else node.uri
+        return None if node is None else node.ref.uri
+
+    def has_room(self, kind: Kind, key: str, node: NodeRef) -> bool:
+        """Whether a node may register for `key`: it already has, or has not too many."""
+        if not self.is_current(node):
+            return True  # new, or it replaces its own name
+        keys = self._nodes[node.name].keys[kind]
+        return key in keys or len(keys) < KEYS_LIMIT
+
+    def is_current(self, node: NodeRef) -> bool:
+        """Whether this very node, with this URI and key, is the one registered."""
+        known = self._nodes.get(node.name)
+        return known is not None and known.ref == node
 
     def owner(self, uri: str) -> str | None:
         """The node that registered a slave API at this host and port, however spelt."""
@@ -166,7 +187,7 @@ class Registry:
 
     def nodes(self) -> Iterator[NodeRef]:
         """All nodes that have registered something."""
-        return (NodeRef(name, node.uri) for name, node in self._nodes.items())
+        return (node.ref for node in self._nodes.values())
 
     def keys_of(self, name: str, kind: Kind) -> tuple[str, ...]:
         """The names a node is registered for."""
@@ -180,7 +201,7 @@ class Registry:
     def members(self, kind: Kind, key: str) -> tuple[NodeRef, ...]:
         """The nodes registered for a name, first come first."""
         names = self._names[kind].get(key, ())
-        return tuple(NodeRef(name, self._nodes[name].uri) for name in names)
+        return tuple(self._nodes[name].ref for name in names)
 
     def uris(self, kind: Kind, key: str) -> list[str]:
         """The slave APIs of the nodes registered for a name."""
@@ -195,7 +216,7 @@ class Registry:
         return self._service_uris.get(service)
 
     def topic_types(self) -> Iterable[tuple[str, str]]:
-        """Every topic ever registered with its type, as stock keeps them."""
+        """Every registered topic whose type is known; stock also keeps those that are gone."""
         return self._types.items()
 
     def topic_type(self, topic: str) -> str:
@@ -205,9 +226,10 @@ class Registry:
     def _register(self, kind: Kind, key: str, ref: NodeRef) -> list[Event]:
         events: list[Event] = []
         old = self._nodes.get(ref.name)
-        if old is not None and old.uri != ref.uri:
+        if old is not None and old.ref != ref:
             events = self.remove_node(ref.name)
-            events.append(ShutdownNode(NodeRef(ref.name, old.uri), REPLACED))
+            if old.ref.uri != ref.uri:  # else the new node itself is what answers there
+                events.append(ShutdownNode(old.ref, REPLACED))
             old = None
         node = old or self._add_node(ref)
         if key not in node.keys[kind]:
@@ -217,7 +239,7 @@ class Registry:
         return events
 
     def _add_node(self, ref: NodeRef) -> _Node:
-        node = self._nodes[ref.name] = _Node(ref.uri)
+        node = self._nodes[ref.name] = _Node(ref)
         self._owners[_endpoint(ref.uri)] = ref.name
         return node
 
@@ -230,10 +252,12 @@ class Registry:
             del self._names[kind][key]
             if kind is Kind.SERVICE:
                 del self._service_uris[key]
+            if not any(key in self._names[each] for each in (Kind.PUBLISHER, Kind.SUBSCRIBER)):
+                self._types.pop(key, None)  # or one node could fill the memory with types
         if node.is_empty():
             del self._nodes[name]
-            if self.owner(node.uri) == name:
-                del self._owners[_endpoint(node.uri)]
+            if self.owner(node.ref.uri) == name:
+                del self._owners[_endpoint(node.ref.uri)]
 
     def _set_type(self, topic: str, type_name: str) -> None:
         self.version += self._types.get(topic) != type_name

@@ -6,6 +6,7 @@ so there is nothing to lock. What other nodes must hear goes to `Updates`, which
 """
 
 import asyncio
+import contextlib
 import logging
 import os
 import time
@@ -24,14 +25,15 @@ from rossec.master.calls import (
     RevocationsChanged,
     StopMaster,
 )
-from rossec.master.enforce import enforce
-from rossec.master.gatekeeper import Caller
+from rossec.master.enforce import enforce, steps
+from rossec.master.gatekeeper import Caller, Peer
 from rossec.master.registry import NodeRef, PublishersChanged, Registry, ShutdownNode
 from rossec.master.updates import Updates
 from rossec.net.rpc import RpcClient, serve_calls
 from rossec.net.stream import Flavour, SecureServer, SecureStream, connect, serve
 from rossec.net.tasks import TaskSet
 from rossec.ros.settings import parse_uri
+from rossec.ros.text import printable
 from rossec.ros.xmlrpc import Fault
 
 DEFAULT_NAME: Final = "/master"
@@ -42,16 +44,8 @@ _log = logging.getLogger(__name__)
 _audit = logging.getLogger("rossec.audit")
 
 
-class Peer(PeerIdentity, Protocol):
-    """What is used of `ca.certificates.Identity`."""
-
-    @property
-    def name(self) -> str:
-        """The certified name."""
-
-    @property
-    def thumbprint(self) -> bytes:
-        """The certified key's thumbprint."""
+class ChannelPeer(Peer, PeerIdentity, Protocol):
+    """A peer as the channel hands it over: `ca.certificates.Identity` is one."""
 
 
 class Standing(Statements, Protocol):
@@ -79,7 +73,7 @@ class MasterServer:
     def __init__(
         self,
         credentials: OwnCredential,
-        verify: Verify[Peer],
+        verify: Verify[ChannelPeer],
         standing: Standing,
         *,
         name: str = DEFAULT_NAME,
@@ -99,11 +93,12 @@ class MasterServer:
         self._timestamp_every = timestamp_every
         self._registry = Registry()
         self._api: MasterApi | None = None
-        self._server: SecureServer[Peer] | None = None
-        self._streams: set[SecureStream[Peer]] = set()
+        self._server: SecureServer[ChannelPeer] | None = None
+        self._streams: set[SecureStream[ChannelPeer]] = set()
         self._updates = Updates(self._dial)
         self._tasks = TaskSet()
         self._stopping = asyncio.Event()
+        self._changed = asyncio.Event()  # revocations: what follows must not wait for the beat
 
     @property
     def port(self) -> int:
@@ -142,7 +137,7 @@ class MasterServer:
         if self._server is not None:
             await self._server.close()
 
-    async def _handle(self, stream: SecureStream[Peer]) -> None:
+    async def _handle(self, stream: SecureStream[ChannelPeer]) -> None:
         held = Counter(other.peer.thumbprint for other in self._streams)
         if held[stream.peer.thumbprint] >= PEER_CONNECTIONS:
             _audit.warning("%s has too many connections", stream.peer.name)
@@ -153,12 +148,12 @@ class MasterServer:
             self._standing.caller(stream.peer, self._now())
             await serve_calls(stream, self._dispatch)
         except HintedError as error:
-            _audit.warning("%s is cut off: %s", stream.peer.name, error)
+            _audit.warning("%s is cut off: %s", stream.peer.name, printable(error))
             stream.abort(str(error))
         finally:
             self._streams.discard(stream)
 
-    async def _dispatch(self, method: str, params: tuple[object, ...], peer: Peer) -> object:
+    async def _dispatch(self, method: str, params: tuple[object, ...], peer: ChannelPeer) -> object:
         if self._api is None:
             raise RuntimeError("a call before the master was started")
         now = self._now()
@@ -169,7 +164,7 @@ class MasterServer:
         outcome = self._api.call(method, params, caller, now)
         match outcome.answer:
             case [-1, str(status), _] if status.startswith("rossec: "):
-                _audit.warning("%s may not %s: %s", peer.name, method, status)
+                _audit.warning("%s may not %s: %s", peer.name, method, printable(status))
             case _:
                 pass
         for event in outcome.events:
@@ -186,12 +181,14 @@ class MasterServer:
             case ShutdownNode(node, reason):
                 self._tell(node, "shutdown", f"[{node.name}] Reason: {reason}")
             case RevocationsChanged():
-                self._enforce()
-                self._push_revocations()
-            case GrantsPresented():
-                pass
+                self._cut_revoked()
+                self._changed.set()
+            case GrantsPresented(name, refused):
+                if refused:
+                    text = printable("; ".join(refused))
+                    _audit.warning("%s presents grants that are refused: %s", name, text)
             case StopMaster(reason):
-                _audit.warning("stopping: %s", reason)
+                _audit.warning("stopping: %s", printable(reason))
                 self._stopping.set()
 
     def _tell(self, node: NodeRef, method: str, subject: object, *rest: object) -> None:
@@ -200,31 +197,41 @@ class MasterServer:
 
     async def _beat(self) -> None:
         while True:
-            self._enforce()
+            self._changed.clear()
+            self._cut_revoked()
+            await self._enforce()
             self._push_revocations()
             self._forget_the_gone()
-            await asyncio.sleep(self._timestamp_every)
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(self._timestamp_every):
+                    await self._changed.wait()
 
-    def _enforce(self) -> None:
-        """Cut revoked identities, drop what is no longer allowed, tell those concerned."""
+    async def _enforce(self) -> None:
+        """Drop what is no longer allowed, tell those concerned; others are answered meanwhile."""
+        for step in steps(self._registry):
+            for event in enforce(self._registry, self._standing, step, self._now()):
+                self._deliver(event)
+            await asyncio.sleep(0)
+
+    def _cut_revoked(self) -> None:
+        """Cut the connections of revoked identities, and tell them nothing more."""
         now = self._now()
         for stream in tuple(self._streams):
             try:
                 self._standing.caller(stream.peer, now)
             except HintedError as error:
-                _audit.warning("%s is cut off: %s", stream.peer.name, error)
+                _audit.warning("%s is cut off: %s", stream.peer.name, printable(error))
                 stream.abort(str(error))
-        for event in enforce(self._registry, self._standing, now):
-            self._deliver(event)
+        for node in self._updates.nodes:
+            if self._standing.caller_of(node, now) is None:
+                self._updates.drop(node)
 
     def _forget_the_gone(self) -> None:
         nodes = frozenset(self._registry.nodes())
         self._updates.prune(nodes)
-        now = self._now()
-        callers = (self._standing.caller_of(node.name, now) for node in nodes)
-        registered = {caller.thumbprint for caller in callers if caller is not None}
+        registered = {node.thumbprint for node in nodes}
         connected = {stream.peer.thumbprint for stream in self._streams}
-        self._standing.keep_only(frozenset(registered | connected), now)
+        self._standing.keep_only(frozenset(registered | connected), self._now())
 
     def _push_revocations(self) -> None:
         revocations, timestamp = self._standing.current(self._now())
@@ -235,13 +242,25 @@ class MasterServer:
             self._updates.post(node, key, self._name, revocations, timestamp)
 
     async def _dial(self, node: NodeRef) -> RpcClient:
-        """Connect to a slave API; whoever answers must be certified as the registered node."""
+        """Connect to a slave API; whoever answers must be the node that registered."""
         host, port = parse_uri(node.uri, "the slave API")
         stream = await connect(host, port, self._credentials, self._verify, opening=Flavour.HTTP)
-        if stream.peer.name != node.name:
+        if (stream.peer.name, stream.peer.thumbprint) != (node.name, node.thumbprint):
             stream.abort("not the node that was registered")
+            self._evict(node, stream.peer)
             raise CallerMismatch(f"{stream.peer.name} answers at the slave API of {node.name}")
         return RpcClient(stream)
+
+    def _evict(self, node: NodeRef, found: Peer) -> None:
+        """Forget a node that registered an address at which another one lives.
+
+        Otherwise whoever is first to register the address of another keeps it out.
+        """
+        self._updates.drop(node)
+        if self._registry.is_current(node):
+            _audit.warning("%s is removed: %s answers at %s", node.name, found.name, node.uri)
+            for event in self._registry.remove_node(node.name):
+                self._deliver(event)
 
     def _now(self) -> int:
         return int(self._clock())

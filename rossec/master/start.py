@@ -1,12 +1,12 @@
 """Making a master from the directory of its node."""
 
-import ipaddress
 import socket
 
 from ca.revocation import Revocations
 from rossec.home import NodeHome
 from rossec.master.server import MasterServer
 from rossec.master.trust import Trust
+from rossec.ros.settings import is_loopback
 
 
 def master_of(
@@ -31,20 +31,13 @@ def master_of(
         revocations.update(saved, now)
     if newest is not None:
         revocations.update(newest, now, home.save_revocations)
-    trust = Trust(anchor.public_key, credentials.signer, revocations, home.save_revocations)
+    trust = Trust(anchor, credentials.signer, revocations, home.save_revocations)
     return MasterServer(
         credentials,
         anchor.verify,
         trust,
         name=home.name,
-        host=host if host is not None and _is_loopback(host) else None,
+        host=host if host is not None and is_loopback(host) else None,
         port=port,
         advertise=host or socket.gethostname(),
     )
-
-
-def _is_loopback(host: str) -> bool:
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost"

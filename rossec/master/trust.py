@@ -9,10 +9,9 @@ holds. Grants are kept per key, verified once, bounded in number and size.
 import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Final, Protocol
+from typing import Final
 
-from cryptography.hazmat.primitives.asymmetric import ec
-
+from ca.certificates import TrustAnchor
 from ca.errors import HintedError, Revoked
 from ca.revocation import MAX_AGE, Revocations, Timestamp, digest, sign_timestamp
 from ca.signer import Signer
@@ -21,22 +20,12 @@ from grants.document import open_grant
 from grants.errors import GrantError, GrantNotHeld
 from grants.model import Grant, Right
 from rossec.master.api import Presented
-from rossec.master.gatekeeper import Caller
+from rossec.master.gatekeeper import Caller, Peer
 
 MAX_HELD: Final = 64
 MAX_HELD_BYTES: Final = 256 * 1024
-
-
-class Peer(Protocol):
-    """What is used of `ca.certificates.Identity`."""
-
-    @property
-    def name(self) -> str:
-        """The certified name."""
-
-    @property
-    def thumbprint(self) -> bytes:
-        """The certified key's thumbprint."""
+MAX_FAILURES: Final = 256  # refused grants of one key in FAILURES_WITHIN; each costs a verification
+FAILURES_WITHIN: Final = 60  # seconds
 
 
 @dataclass(frozen=True)
@@ -59,10 +48,22 @@ class _Held:
 
     grants: dict[bytes, Grant] = field(default_factory=dict)
     sizes: dict[bytes, int] = field(default_factory=dict)
+    failures: int = 0
+    failing_since: int = 0
 
     def drop_expired(self, now: int) -> None:
         for key in [key for key, grant in self.grants.items() if grant.expires <= now]:
             del self.grants[key], self.sizes[key]
+
+    def count_failure(self, now: int) -> None:
+        self.failures += 1
+        if self.failures == 1:
+            self.failing_since = now
+
+    def has_failed_too_often(self, now: int) -> bool:
+        if not 0 <= now - self.failing_since < FAILURES_WITHIN:
+            self.failures = 0
+        return self.failures >= MAX_FAILURES
 
     def is_full_for(self, size: int) -> bool:
         return len(self.grants) >= MAX_HELD or sum(self.sizes.values()) + size > MAX_HELD_BYTES
@@ -72,7 +73,7 @@ class Trust:
     """The master's `Standing`.
 
     Args:
-        anchor_key: the authority's key.
+        anchor: the authority, and the domain that grants must be for.
         signer: the master's own identity key; signs timestamps.
         revocations: loaded with what was persisted, if anything.
         persist: makes a list durable; called before the list takes effect.
@@ -80,17 +81,16 @@ class Trust:
 
     def __init__(
         self,
-        anchor_key: ec.EllipticCurvePublicKey,
+        anchor: TrustAnchor,
         signer: Signer,
         revocations: Revocations,
         persist: Callable[[bytes], None],
     ) -> None:
-        self._anchor_key = anchor_key
+        self._anchor = anchor
         self._signer = signer
         self._revocations = revocations
         self._persist = persist
         self._held: dict[bytes, _Held] = {}
-        self._keys: dict[str, bytes] = {}
         self._stamp: tuple[int, bytes] = (-1, b"")
         self._confirmed_at = -1
 
@@ -102,15 +102,13 @@ class Trust:
         """
         if peer.thumbprint in self._revocations.entries:
             raise Revoked(f"the key of {peer.name} is revoked", "enroll the node with a new key")
-        self._keys[peer.name] = peer.thumbprint
         return self._caller(peer.name, peer.thumbprint, now)
 
-    def caller_of(self, name: str, now: int) -> Caller | None:
-        """What the node last seen under `name` may do now; None: unknown or revoked."""
-        thumbprint = self._keys.get(name)
-        if thumbprint is None or thumbprint in self._revocations.entries:
+    def caller_of(self, peer: Peer, now: int) -> Caller | None:
+        """What a name and key seen before may do now; None: the key is revoked."""
+        if peer.thumbprint in self._revocations.entries:
             return None
-        return self._caller(name, thumbprint, now)
+        return self._caller(peer.name, peer.thumbprint, now)
 
     def present(self, caller: Caller, tokens: Sequence[bytes], now: int) -> Presented:
         """Verify and keep grants; one that is refused does not spoil the others.
@@ -124,6 +122,7 @@ class Trust:
             try:
                 self._keep(held, caller, token, now)
             except HintedError as error:
+                held.count_failure(now)
                 refused.append(str(error))
         return Presented(len(held.grants), tuple(refused))
 
@@ -150,7 +149,6 @@ class Trust:
     def keep_only(self, thumbprints: frozenset[bytes], now: int) -> None:
         """Forget the grants of all other keys, and what has expired of these."""
         self._held = {key: held for key, held in self._held.items() if key in thumbprints}
-        self._keys = {name: key for name, key in self._keys.items() if key in thumbprints}
         for held in self._held.values():
             held.drop_expired(now)
 
@@ -166,9 +164,13 @@ class Trust:
         key = hashlib.sha256(token).digest()
         if key in held.grants:
             return
+        if held.has_failed_too_often(now):
+            raise GrantError(
+                "too many grants of this node were refused", f"wait {FAILURES_WITHIN} s"
+            )
         if held.is_full_for(len(token)):
             raise GrantError(f"the master holds at most {MAX_HELD} grants of one node")
-        grant = open_grant(token, self._anchor_key, now)
+        grant = open_grant(token, self._anchor.public_key, now, domain=self._anchor.domain)
         if grant.holder != caller.thumbprint:
             raise GrantNotHeld("a grant bound to another key", f"it was given to {grant.subject}")
         held.grants[key], held.sizes[key] = grant, len(token)

@@ -16,6 +16,7 @@ from rossec.errors import AnswerRefused, RossecError
 from rossec.master.registry import NodeRef
 from rossec.net.rpc import RpcClient
 from rossec.net.tasks import TaskSet
+from rossec.ros.text import printable
 from rossec.ros.xmlrpc import Fault
 
 PENDING_LIMIT: Final = 1024
@@ -100,9 +101,9 @@ class NodeClient:
                     self._client = await self._dial(self.node)
                 await self._client.ask(method, *params)
         except (Fault, AnswerRefused) as error:
-            _log.info("%s answers %s: %s", self.node.name, method, error)
+            _log.info("%s answers %s: %s", self.node.name, method, printable(error))
         except (RossecError, OSError, TimeoutError) as error:
-            _log.info("cannot reach %s for %s: %s", self.node.name, method, error)
+            _log.info("cannot reach %s for %s: %s", self.node.name, method, printable(error))
             await self._hang_up()
             return False
         return True
@@ -143,11 +144,16 @@ class Updates:
             _, tasks = self._clients.pop(node)
             self._leaving.spawn(tasks.close(), f"hanging up on {node.name}")
 
-    def drop(self, name: str) -> None:
-        """Hang up on a node now, whatever it was to be told (its identity is revoked)."""
-        for node in [node for node in self._clients if node.name == name]:
-            _, tasks = self._clients.pop(node)
-            self._leaving.spawn(tasks.close(), f"dropping {name}")
+    @property
+    def nodes(self) -> tuple[NodeRef, ...]:
+        """The nodes there is a client for, registered or not."""
+        return tuple(self._clients)
+
+    def drop(self, node: NodeRef) -> None:
+        """Hang up now, whatever was to be told (its key is revoked, or it is somebody else's)."""
+        client = self._clients.pop(node, None)
+        if client is not None:
+            self._leaving.spawn(client[1].close(), f"dropping {node.name}")
 
     async def close(self) -> None:
         """Stop all clients."""

@@ -25,6 +25,7 @@ from rossec.node.publisher import Publisher
 from rossec.node.slave import MASTER, REVOCATION_UPDATE, SlaveApi
 from rossec.node.topics import admit_subscriber, check_type, publisher_header, requested_topic
 from rossec.ros import header
+from rossec.ros.settings import is_loopback
 
 HEADER_DEADLINE: Final = 5.0
 SLAVE_DEADLINE: Final = 30.0
@@ -175,8 +176,3 @@ async def first_frame(stream: SecureStream[Identity]) -> bytes:
     if len(frames) != 1 or reader.pending:
         raise TopicRefused("bytes after the connection header, before its answer")
     return frames[0]
-
-
-def is_loopback(address: str) -> bool:
-    """Whether only this host can reach `address`: then nothing else is listened on, as in rospy."""
-    return address in {"localhost", "::1"} or address.startswith("127.")

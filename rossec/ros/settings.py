@@ -100,6 +100,17 @@ def parse_uri(uri: str, what: str = "uri") -> tuple[str, int]:
     return host, port
 
 
+def is_loopback(host: str) -> bool:
+    """Whether only this host can reach `host`, an address or name, without asking anybody.
+
+    A name is loopback only if it is `localhost`: 127.example.org is anybody's.
+    """
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host.lower() == "localhost"
+
+
 def _split(argv: Sequence[str]) -> tuple[list[tuple[str, str]], tuple[str, ...]]:
     assignments: list[tuple[str, str]] = []
     rest: list[str] = []

@@ -12,6 +12,7 @@ from typing import Final, NamedTuple, NoReturn
 from xml.parsers import expat
 
 from rossec.errors import AnswerMalformed, AnswerRefused, XmlRpcRefused
+from rossec.ros.text import printable
 
 Fault = xmlrpc.client.Fault
 """What a server answers when there is no value: `Fault(faultCode, faultString)`."""
@@ -71,10 +72,14 @@ def load_response(data: bytes, *, limit: int = BODY_LIMIT) -> object:
     """The one value of a response.
 
     Raises:
-        Fault: the server answered with a fault.
+        Fault: the server answered with a fault, whose text is made printable.
         XmlRpcRefused: too long, too deep, malformed, or not a response.
     """
-    params, _, root = _load(data, limit)
+    try:
+        params, _, root = _load(data, limit)
+    except Fault as fault:
+        code: object = fault.faultCode  # whatever the peer put there
+        raise Fault(code if isinstance(code, int) else 0, printable(fault.faultString)) from None
     if root != "methodResponse" or len(params) != 1:
         raise XmlRpcRefused("XML that is not an XML-RPC response")
     return params[0]
@@ -84,7 +89,7 @@ def value_of(answer: object) -> object:
     """The value in ROS's `[1, status, value]`.
 
     Raises:
-        AnswerRefused: the code is not 1; the message is the status text.
+        AnswerRefused: the code is not 1; the message is the status text, made printable.
         AnswerMalformed: anything but such a triple.
     """
     if not isinstance(answer, list | tuple) or len(answer) != 3:
@@ -93,7 +98,7 @@ def value_of(answer: object) -> object:
     if not isinstance(code, int) or isinstance(code, bool) or not isinstance(status, str):
         raise AnswerMalformed("an answer whose code or status has the wrong type")
     if code != 1:
-        raise AnswerRefused(status or "refused without a reason", code=code)
+        raise AnswerRefused(printable(status) or "refused without a reason", code=code)
     return value
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from grants.errors import GrantError
 from grants.model import Right
 from rossec.master.api import Presented
-from rossec.master.gatekeeper import Caller
+from rossec.master.gatekeeper import Caller, Peer
 
 ALL = Right(255)
 
@@ -42,8 +42,9 @@ class FakeStatements:
     lists: list[bytes] = field(default_factory=list)
     presented: list[bytes] = field(default_factory=list)
 
-    def caller_of(self, name: str, now: int) -> Caller | None:
-        return self.callers.get(name)
+    def caller_of(self, peer: Peer, now: int) -> Caller | None:
+        known = self.callers.get(peer.name)
+        return known if known is not None and known.thumbprint == peer.thumbprint else None
 
     def present(self, caller: Caller, tokens: Sequence[bytes], now: int) -> Presented:
         good = [token for token in tokens if token != b"forged"]

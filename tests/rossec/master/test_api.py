@@ -7,7 +7,7 @@ import pytest
 from rossec.master.api import MULTICALL_LIMIT, PRESENT_LIMIT, Fault, MasterApi
 from rossec.master.calls import GrantsPresented, RevocationsChanged
 from rossec.master.gatekeeper import Caller
-from rossec.master.registry import Registry
+from rossec.master.registry import KEYS_LIMIT, Registry
 from tests.rossec.master.fakes import FakeStatements, caller, everything
 
 
@@ -49,6 +49,46 @@ def test_multicall_events_are_all_delivered(api: MasterApi) -> None:
     assert len(api.call("system.multicall", [calls], who, 0).events) == 3
 
 
+@pytest.mark.parametrize(
+    ("method", "params"),
+    [
+        ("rossec.presentGrants", ([b"one"],)),
+        ("rossec.revocations", ()),
+        ("rossec.updateRevocations", (b"list",)),
+    ],
+)
+def test_what_is_costly_comes_once_in_a_multicall(
+    api: MasterApi, method: str, params: tuple[object, ...]
+) -> None:
+    again = element(method, "/a", *params)
+    calls = [again, element("getPid", "/a"), again, again]
+    first, other, *rest = ask(api, caller("/a"), "system.multicall", calls)
+    assert (first[0][0], other) == (1, [[1, "", 7]])
+    assert [answer["faultString"] for answer in rest] == [
+        f"rossec: more than one {method} in a multicall"
+    ] * 2
+
+
+@pytest.mark.parametrize(
+    ("method", "params", "kind"),
+    [
+        ("registerPublisher", ("/n{}", "*", "http://a:1/"), "publisher"),
+        ("registerSubscriber", ("/n{}", "*", "http://a:1/"), "subscriber"),
+        ("registerService", ("/n{}", "rosrpc://a:2", "http://a:1/"), "service"),
+        ("subscribeParam", ("http://a:1/", "/n{}"), "parameter subscriber"),
+    ],
+)
+def test_one_node_cannot_fill_the_registry(
+    api: MasterApi, method: str, params: tuple[str, ...], kind: str
+) -> None:
+    for n in range(KEYS_LIMIT):
+        filled = [text.format(n) for text in params]
+        assert ask(api, everything("/a"), method, "/a", *filled)[0] == 1
+    refused = ask(api, everything("/a"), method, "/a", *[text.format("x") for text in params])
+    assert refused[0] == -1
+    assert refused[1] == f"rossec: /a has 1024 registrations as {kind}, the most of a node"
+
+
 def test_a_multicall_in_a_multicall_is_refused(api: MasterApi) -> None:
     inner = element("system.multicall", [element("getPid", "/a")])
     [answer] = ask(api, caller("/a"), "system.multicall", [inner])
@@ -85,9 +125,13 @@ def test_presenting_grants(api: MasterApi, statements: FakeStatements) -> None:
     assert outcome.events == (GrantsPresented("/a"),)
     assert statements.presented == [b"one", b"two"]
     good_and_bad = ask(api, caller("/a"), "rossec.presentGrants", "/a", [b"forged", b"three"])
-    assert good_and_bad == [1, "grants accepted, but refused: forged", 3]
-    bad = ask(api, caller("/a"), "rossec.presentGrants", "/a", [b"forged"])
-    assert bad == [-1, "rossec: forged", 0]
+    assert good_and_bad == [1, "grants presented, but refused: forged", 3]
+
+
+def test_a_node_without_one_good_grant_keeps_its_session(api: MasterApi) -> None:
+    outcome = api.call("rossec.presentGrants", ("/a", [b"forged"] * 2), caller("/a"), 0)
+    assert outcome.answer == [1, "grants presented, but refused: forged; forged", 0]
+    assert outcome.events == (GrantsPresented("/a", ("forged", "forged")),)
 
 
 @pytest.mark.parametrize("value", [5, b"x", ["text"], [b"x"] * (PRESENT_LIMIT + 1)])

@@ -48,7 +48,7 @@ def test_names_are_resolved_against_the_caller() -> None:
     assert arg.subgraph("subgraph")("sub", "/ns/n") == "/ns/sub"
 
 
-@pytest.mark.parametrize("value", ["", 5, "String", "a/b/c", "a/" + "b" * 300])
+@pytest.mark.parametrize("value", ["", 5, "String", "a/b/c", "a/" + "b" * 300, "a/b\n"])
 def test_types_are_package_and_name(value: object) -> None:
     with pytest.raises(arg.ArgumentRefused, match="topic_type"):
         arg.type_name("topic_type")(value, "/n")
@@ -57,6 +57,18 @@ def test_types_are_package_and_name(value: object) -> None:
 def test_keys_are_bounded() -> None:
     with pytest.raises(arg.ArgumentRefused, match="too long"):
         arg.key("key")("/" + "a" * 300, "/n")
+
+
+@pytest.mark.parametrize(
+    "value", ["/a b", "/1a", "/a\nrossec: WARNING: /b", "a-b", "/a/~b", "/\u0430"]
+)
+def test_keys_are_well_formed_names(value: str) -> None:
+    with pytest.raises(arg.ArgumentRefused, match=r"\[key\] contains illegal chars"):
+        arg.key("key")(value, "/n")
+
+
+def test_the_root_is_a_key_and_searching_takes_anything() -> None:
+    assert arg.key("key")("/", "/n") == "/"
     assert arg.search_key("key")("a" * 300, "/n") == "a" * 255
 
 

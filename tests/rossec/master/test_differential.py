@@ -152,6 +152,18 @@ DIFFERENCES: list[tuple[Call, list[Any]]] = [
     (("registerService", "/a", "/1s", S1, A), [
         -1, "ERROR: parameter [service] contains illegal chars", 0,
     ]),
+    *(
+        ((method, "/a", *before, key, *after), [
+            -1, "ERROR: parameter [key] contains illegal chars", default,
+        ])
+        for method, before, after, default in (
+            ("getParam", (), (), 0), ("hasParam", (), (), False), ("setParam", (), (T,), 0),
+            ("deleteParam", (), (), 0), ("subscribeParam", (A,), (), 0),
+        )
+        for key in ("/my-param", "/a\nb", "has space", A)
+    ),
+    # Stock finds the tree /http: that setParam made of the URI above.
+    (("searchParam", "/a", A), [-1, f"Cannot find parameter [{A}] in an upwards search", ""]),
     # The master dials slave APIs: without a port, or at a service's URI, it cannot.
     (("registerPublisher", "/a", "/t", T, "http://h/"), [
         -1, "ERROR: parameter [caller_api] is not an RPC URI", [],
@@ -163,13 +175,22 @@ DIFFERENCES: list[tuple[Call, list[Any]]] = [
     (("setParam", "/a", "/y", {"b/c": 1}), [
         -1, "Error: invalid arguments: 'b/c' cannot be the name of a parameter in a tree", 0,
     ]),
+    # Stock keeps the type of a topic that nobody publishes or subscribes to any more.
+    (("getTopicTypes", "/gone"), [1, "current system state", []]),
     # A service that another node took over keeps the old node in stock's list for ever.
     (("lookupNode", "/b", "/old"), [-1, "unknown node [/old]", ""]),
 ]  # fmt: skip
 TABLES["differences"] = [
     ("registerService", "/old", "/s", S1, A2),
     ("registerService", "/b", "/s", S2, B),
-    *[call for call, _ in DIFFERENCES if call[0] != "deleteParam"],
+    ("registerPublisher", "/gone", "/gone/t", T, "http://h:77/"),
+    ("unregisterPublisher", "/gone", "/gone/t", "http://h:77/"),
+    ("getTopicTypes", "/gone"),
+    *[
+        call
+        for call, _ in DIFFERENCES
+        if call not in (DIFFERENCES[0][0], ("getTopicTypes", "/gone"))
+    ],
 ]
 
 

@@ -1,11 +1,16 @@
 """What a lost right takes with it."""
 
 from grants.model import Right
-from rossec.master.enforce import enforce
+from rossec.master.calls import MasterEvent
+from rossec.master.enforce import BATCH, Step, enforce, steps
 from rossec.master.registry import Kind, NodeRef, PublishersChanged, Registry
 from tests.rossec.master.fakes import FakeStatements, caller
 
-A, B = NodeRef("/a", "http://h:1/"), NodeRef("/b", "http://h:2/")
+A, B = NodeRef("/a", "http://h:1/", b"/a"), NodeRef("/b", "http://h:2/", b"/b")
+
+
+def judge(state: Registry, statements: FakeStatements) -> list[MasterEvent]:
+    return [event for step in steps(state) for event in enforce(state, statements, step, 0)]
 
 
 def registry() -> Registry:
@@ -26,21 +31,36 @@ BOTH = {
 
 def test_nothing_goes_while_the_rights_hold() -> None:
     state = registry()
-    assert enforce(state, FakeStatements(dict(BOTH)), 0) == []
+    assert judge(state, FakeStatements(dict(BOTH))) == []
     assert len(list(state.nodes())) == 2
 
 
 def test_only_what_lost_its_right_goes() -> None:
     state = registry()
     callers = {**BOTH, "/a": caller("/a", {"/u": Right.PUBLISH, "/t": Right.SUBSCRIBE})}
-    assert enforce(state, FakeStatements(callers), 0) == [PublishersChanged("/t", (B,), ())]
+    assert judge(state, FakeStatements(callers)) == [PublishersChanged("/t", (B,), ())]
     assert state.keys_of("/a", Kind.PUBLISHER) == ("/u",)
     assert state.service_uri("/s") is None
 
 
 def test_a_revoked_node_goes_with_all_it_registered() -> None:
     state = registry()
-    events = enforce(state, FakeStatements({"/b": BOTH["/b"]}), 0)
+    events = judge(state, FakeStatements({"/b": BOTH["/b"]}))
     assert PublishersChanged("/t", (B,), ()) in events
     assert [node.name for node in state.nodes()] == ["/b"]
     assert state.members(Kind.PARAMETER, "/p/") == ()
+
+
+def test_a_step_is_small_and_judges_what_is_there_when_it_is_taken() -> None:
+    state = Registry()
+    for n in range(BATCH + 1):
+        state.register_publisher(f"/t{n}", "*", A)
+    first, second = steps(state)
+    assert (len(first.keys), len(second.keys)) == (BATCH, 1)
+    nobody = FakeStatements()
+    assert enforce(state, nobody, Step(A._replace(uri="http://h:9/"), *first[1:]), 0) == []
+    assert len(state.keys_of("/a", Kind.PUBLISHER)) == BATCH + 1
+    nothing = FakeStatements({"/a": caller("/a")})
+    assert len(enforce(state, nothing, second, 0)) == 1
+    assert enforce(state, nothing, second, 0) == []
+    assert len(state.keys_of("/a", Kind.PUBLISHER)) == BATCH

@@ -218,4 +218,33 @@ def test_asking_raises() -> None:
     with pytest.raises(Refused, match="needs the right call on /u"):
         require(caller("/a", {"/t": Right.CALL}), Right.CALL, "/u")
     with pytest.raises(Refused):
-        require_tree(everything("/a"), Right.PARAM_GET, [])
+        require_tree(everything("/a"), Right.PARAM_GET, "/k", [])
+
+
+@pytest.mark.parametrize(
+    ("method", "params"),
+    [
+        ("getParam", ("KEY",)),
+        ("hasParam", ("KEY",)),
+        ("deleteParam", ("KEY",)),
+        ("setParam", ("KEY", 1)),
+        ("setParam", ("KEY", {"wifi": {"psk": 1}})),
+        ("setParam", ("KEY/wifi/psk/deeper", 1)),
+        ("subscribeParam", ("http://eve:1/", "KEY")),
+    ],
+)
+@pytest.mark.parametrize("held", [None, "KEY/wifi/ssid", "KEY/other", "/near/**"])
+def test_m6_a_refusal_does_not_tell_what_is_below(
+    api: MasterApi, method: str, params: tuple[object, ...], held: str | None
+) -> None:
+    ask(api, everything("/admin"), "setParam", "/admin", "/robot/wifi", {"ssid": 1, "psk": 2})
+    answers = []
+    for key in ("/robot", "/absent"):
+        eve = caller("/eve", {held.replace("KEY", key): Right(255)} if held else {})
+        filled = (p.replace("KEY", key) if isinstance(p, str) else p for p in params)
+        code, status, _ = ask(api, eve, method, "/eve", *filled)
+        assert code == -1
+        answers.append(status.replace(key, "KEY"))
+    assert answers[0] == answers[1]
+    asked = next(p for p in reversed(params) if isinstance(p, str) and p.startswith("KEY"))
+    assert f" on {asked}: no grant covers it and all below it (ask the auth" in answers[0]

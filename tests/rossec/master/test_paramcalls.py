@@ -9,7 +9,7 @@ from rossec.master.gatekeeper import Caller
 from rossec.master.registry import NodeRef, Registry
 from tests.rossec.master.fakes import FakeStatements, caller, everything
 
-A, B = NodeRef("/a", "http://a:1/"), NodeRef("/b", "http://b:1/")
+A, B = NodeRef("/a", "http://a:1/", b"/a"), NodeRef("/b", "http://b:1/", b"/b")
 
 
 @pytest.fixture
@@ -59,7 +59,7 @@ def test_unsubscribing(api: MasterApi) -> None:
 
 
 def test_a_new_slave_api_takes_the_subscription_along(api: MasterApi) -> None:
-    moved = NodeRef("/b", "http://b:2/")
+    moved = NodeRef("/b", "http://b:2/", b"/b")
     ask(api, everything("/b"), "subscribeParam", moved.uri, "/ns")
     [event] = ask(api, everything("/a"), "setParam", "/ns/k", 1)
     assert event == ParameterChanged(moved, "/ns/k/", 1)

@@ -5,6 +5,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
 from rossec.master.registry import (
+    KEYS_LIMIT,
     Kind,
     NodeRef,
     PublishersChanged,
@@ -13,7 +14,11 @@ from rossec.master.registry import (
     Unregistered,
 )
 
-A, B, C = NodeRef("/a", "http://h:1/"), NodeRef("/b", "http://h:2/"), NodeRef("/c", "http://h:3/")
+A, B, C = (
+    NodeRef("/a", "http://h:1/", b"/a"),
+    NodeRef("/b", "http://h:2/", b"/b"),
+    NodeRef("/c", "http://h:3/", b"/c"),
+)
 TYPE = "std_msgs/String"
 
 
@@ -45,7 +50,9 @@ def test_unregistering_is_announced_once() -> None:
 def test_unregistering_needs_the_registered_uri() -> None:
     registry = Registry()
     registry.register_publisher("/t", TYPE, A)
-    done, events = registry.unregister(Kind.PUBLISHER, "/t", NodeRef("/a", "http://other:1/"))
+    done, events = registry.unregister(
+        Kind.PUBLISHER, "/t", NodeRef("/a", "http://other:1/", b"/a")
+    )
     assert done == Unregistered("[/a] is not a known provider of [/t]", 0)
     assert events == []
 
@@ -55,7 +62,7 @@ def test_a_node_with_a_new_uri_replaces_the_old_one() -> None:
     registry.register_subscriber("/t", "*", B)
     registry.register_publisher("/t", TYPE, A)
     registry.register_service("/s", "rosrpc://h:9", A)
-    new = NodeRef("/a", "http://h:7/")
+    new = NodeRef("/a", "http://h:7/", b"/a")
     assert registry.register_subscriber("/u", "*", new) == [
         PublishersChanged("/t", (B,), ()),
         ShutdownNode(A, "new node registered with same name"),
@@ -66,14 +73,43 @@ def test_a_node_with_a_new_uri_replaces_the_old_one() -> None:
     assert registry.owner(new.uri) == "/a"
 
 
+def test_another_key_of_the_same_name_touches_nothing() -> None:
+    registry = Registry()
+    registry.register_publisher("/t", TYPE, A)
+    registry.register_parameter("/p/", A)
+    registry.register_service("/s", "rosrpc://h:1", A)
+    other = A._replace(thumbprint=b"another key")
+    before = registry.version
+    for kind, key in ((Kind.PUBLISHER, "/t"), (Kind.PARAMETER, "/p/")):
+        done, events = registry.unregister(kind, key, other)
+        assert (done.removed, events) == (0, [])
+    done = registry.unregister_service("/s", A.name, "rosrpc://h:1", other.thumbprint)
+    assert done == Unregistered("[/a] is not a registered node", 0)
+    assert registry.version == before
+    assert registry.is_current(A)
+    assert not registry.is_current(other)
+
+
+def test_another_key_that_registers_replaces_the_node() -> None:
+    registry = Registry()
+    registry.register_subscriber("/t", "*", B)
+    registry.register_publisher("/t", TYPE, A)
+    other = A._replace(thumbprint=b"another key")
+    assert registry.register_publisher("/u", TYPE, other)[:-1] == [
+        PublishersChanged("/t", (B,), ())
+    ]
+    assert registry.is_current(other)
+    assert registry.owner(A.uri) == "/a"
+
+
 def test_the_last_provider_has_the_service() -> None:
     registry = Registry()
     registry.register_service("/s", "rosrpc://h:1", A)
     registry.register_service("/s", "rosrpc://h:2", B)
     assert registry.service_uri("/s") == "rosrpc://h:2"
     assert registry.node_uri("/a") is None
-    assert registry.unregister_service("/s", "/b", "rosrpc://h:1").removed == 0
-    assert registry.unregister_service("/s", "/b", "rosrpc://h:2").removed == 1
+    assert registry.unregister_service("/s", "/b", "rosrpc://h:1", b"/b").removed == 0
+    assert registry.unregister_service("/s", "/b", "rosrpc://h:2", b"/b").removed == 1
 
 
 def test_types_a_real_one_wins_over_any() -> None:
@@ -85,6 +121,29 @@ def test_types_a_real_one_wins_over_any() -> None:
     registry.register_publisher("/t", TYPE, B)
     registry.register_publisher("/t", "*", C)
     assert registry.topic_type("/t") == TYPE
+
+
+def test_types_go_with_the_last_registration() -> None:
+    registry = Registry()
+    registry.register_publisher("/t", TYPE, A)
+    registry.register_subscriber("/t", TYPE, B)
+    registry.register_service("/t", "rosrpc://h:1", B)
+    registry.unregister(Kind.PUBLISHER, "/t", A)
+    assert list(registry.topic_types()) == [("/t", TYPE)]
+    registry.unregister(Kind.SUBSCRIBER, "/t", B)
+    assert list(registry.topic_types()) == []
+
+
+def test_a_node_has_so_many_registrations_of_a_kind() -> None:
+    registry = Registry()
+    for n in range(KEYS_LIMIT):
+        assert registry.has_room(Kind.PUBLISHER, f"/t{n}", A)
+        registry.register_publisher(f"/t{n}", TYPE, A)
+    assert registry.has_room(Kind.PUBLISHER, "/t0", A)
+    assert not registry.has_room(Kind.PUBLISHER, "/more", A)
+    assert registry.has_room(Kind.SUBSCRIBER, "/more", A)
+    assert registry.has_room(Kind.PUBLISHER, "/more", B)
+    assert registry.has_room(Kind.PUBLISHER, "/more", A._replace(uri="http://h:9/"))
 
 
 def test_removing_a_node_tells_its_subscribers() -> None:
@@ -120,7 +179,14 @@ def test_version_grows_only_with_changes() -> None:
     assert before < middle < registry.version
 
 
-refs = st.sampled_from([NodeRef(n, f"http://{n[1:]}:{p}/") for n in ("/a", "/b") for p in (1, 2)])
+refs = st.sampled_from(
+    [
+        NodeRef(n, f"http://{n[1:]}:{p}/", k)
+        for n in ("/a", "/b")
+        for p in (1, 2)
+        for k in (b"k", b"l")
+    ]
+)
 topics = st.sampled_from(["/t", "/u"])
 
 
@@ -155,7 +221,9 @@ class Machine(RuleBasedStateMachine):
     @rule(kind=st.sampled_from(list(Kind)), topic=topics, ref=refs)
     def unregister(self, kind: Kind, topic: str, ref: NodeRef) -> None:
         if kind is Kind.SERVICE:
-            self.registry.unregister_service(topic, ref.name, f"rosrpc://{ref.name}")
+            self.registry.unregister_service(
+                topic, ref.name, f"rosrpc://{ref.name}", ref.thumbprint
+            )
         else:
             self.hear(self.registry.unregister(kind, topic, ref)[1])
 

@@ -1,6 +1,7 @@
 """The running master over real secure connections on loopback, with a real authority."""
 
 import asyncio
+import contextlib
 import socket
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import AsyncExitStack
@@ -12,6 +13,7 @@ from ca.certificates import Identity
 from ca.revocation import digest, open_timestamp
 from grants.model import Right
 from rossec.errors import AnswerRefused, RossecError
+from rossec.master.registry import NodeRef
 from rossec.master.server import PEER_CONNECTIONS, MasterServer
 from rossec.master.trust import Trust
 from rossec.net.rpc import RpcClient, serve_calls
@@ -30,6 +32,7 @@ class SlaveNode:
         self.world = world
         self.member = member
         self.told: list[tuple[Any, ...]] = []
+        self.answer: list[Any] = [1, "", 0]
 
     async def start(self, rights: dict[str, Right]) -> None:
         self.server = await serve(
@@ -46,7 +49,7 @@ class SlaveNode:
 
     async def dispatch(self, method: str, params: tuple[object, ...], peer: Identity) -> object:
         self.told.append((peer.name, method, *params[1:]))
-        return [1, "", 0]
+        return self.answer
 
     async def ask(self, method: str, *params: object) -> Any:
         return await self.client.ask(method, self.member.name, *params)
@@ -61,7 +64,7 @@ class World:
         self.site = Site()
         self.master = self.site.enroll("/master")
         self.trust = Trust(
-            self.site.anchor.public_key,
+            self.site.anchor,
             self.master.credentials.signer,
             self.site.revocations(),
             lambda _: None,
@@ -151,12 +154,72 @@ async def test_whoever_answers_must_be_the_registered_node(world: World) -> None
     assert victim.told == []
 
 
+async def test_who_registers_the_address_of_another_is_removed(
+    world: World, caplog: pytest.LogCaptureFixture
+) -> None:
+    squatter, victim = await world.node("/squatter"), await world.node("/victim")
+    viewer = await world.node("/viewer")
+    await viewer.ask("registerSubscriber", "/t", T, viewer.uri)
+    await squatter.ask("registerPublisher", "/t", T, victim.uri)
+    with pytest.raises(AnswerRefused, match="registered by another node"):
+        await victim.ask("registerPublisher", "/t", T, victim.uri)
+    await squatter.ask("registerSubscriber", "/t", T, victim.uri)
+    await viewer.ask("registerPublisher", "/t", T, viewer.uri)  # of which the squatter is told
+    await until(lambda: viewer.heard("publisherUpdate")[-1:] == [("/t", [viewer.uri])])
+    assert f"/squatter is removed: /victim answers at {victim.uri}" in caplog.text
+    assert world.server._updates.nodes == (
+        NodeRef("/viewer", viewer.uri, viewer.member.thumbprint),
+    )
+    assert await victim.ask("registerPublisher", "/t", T, victim.uri) == [viewer.uri]
+    assert victim.told == []
+
+
+async def test_a_revoked_node_is_told_nothing_more(world: World) -> None:
+    loop = asyncio.get_running_loop()
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        silent.setblocking(False)
+        dead, other = await world.node("/dead"), await world.node("/other")
+        uri = f"http://127.0.0.1:{silent.getsockname()[1]}/"
+        await dead.ask("registerSubscriber", "/t", T, uri)
+        await other.ask("registerPublisher", "/t", T, other.uri)
+        connected, _ = await loop.sock_accept(silent)
+        with connected:
+            assert await loop.sock_recv(connected, 1) != b""  # the handshake, never answered
+            [client] = world.server._updates.nodes
+            assert client.name == "/dead"
+            await other.ask("rossec.updateRevocations", world.site.revoke(dead.member))
+            await until(lambda: client not in world.server._updates.nodes)
+
+
 async def test_a_restarted_node_replaces_itself(world: World) -> None:
     node = await world.node("/node")
     await node.ask("registerPublisher", "/t", T, node.uri)
     await node.ask("registerPublisher", "/t", T, "http://127.0.0.1:9/")
     await until(lambda: node.heard("shutdown") != [])
     assert node.heard("shutdown") == [("[/node] Reason: new node registered with same name",)]
+
+
+async def test_an_older_key_of_a_name_cannot_disturb_the_node(world: World) -> None:
+    older = world.site.enroll("/viewer")
+    viewer, camera = await world.node("/viewer"), await world.node("/camera")
+    await viewer.ask("registerSubscriber", "/image", T, viewer.uri)
+    thief = await world.call_as(older)
+    assert isinstance(await thief.ask("getPid", "/viewer"), int)
+    assert await thief.ask("unregisterSubscriber", "/viewer", "/image", viewer.uri) == 0
+    await world.server._enforce()
+    assert await camera.ask("registerPublisher", "/image", T, camera.uri) == [viewer.uri]
+    await until(lambda: viewer.heard("publisherUpdate") == [("/image", [camera.uri])])
+
+
+async def test_news_for_one_key_never_goes_to_another_of_the_same_name(world: World) -> None:
+    node, other = await world.node("/node"), await world.node("/other")
+    newer = SlaveNode(world, world.site.enroll("/node"))
+    await newer.start(EVERYTHING)
+    await node.ask("registerSubscriber", "/t", T, newer.uri)
+    await other.ask("registerSubscriber", "/t", T, other.uri)
+    await other.ask("registerPublisher", "/t", T, other.uri)
+    await until(lambda: other.heard("publisherUpdate") != [])
+    assert newer.told == []
 
 
 async def test_parameters_are_passed_on(world: World) -> None:
@@ -216,6 +279,45 @@ async def test_an_administrator_stops_it(world: World) -> None:
     await admin.ask("shutdown", "maintenance")
     async with asyncio.timeout(5):
         await world.server.stopped()
+
+
+async def test_refused_grants_are_audited_but_no_error(
+    world: World, caplog: pytest.LogCaptureFixture
+) -> None:
+    node = await world.node("/node")
+    member = world.site.enroll("/late")
+    old = world.site.grant(member, EVERYTHING, start=-9 * 86400)
+    late = await world.call_as(member)
+    assert await late.ask("rossec.presentGrants", "/late", [old]) == 0
+    assert "/late presents grants that are refused: " in caplog.text
+    assert await node.ask("rossec.presentGrants", [old]) == 1
+
+
+async def test_nobody_writes_lines_into_the_log(
+    world: World, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level("INFO")
+    eve = await world.node("/eve", {"/eve/t": Right.SUBSCRIBE, "/master": Right.ADMIN})
+    forged = "x\nrossec: WARNING: /robot is cut off\x9b31m\u202e"
+    for method, *params in (
+        ("getParam", f"/{forged}"),
+        ("setParam", f"/{forged}", 1),
+        ("setParam", "/a", {forged: 1}),
+        ("lookupNode", f"/{forged}"),
+        ("lookupService", f"/{forged}"),
+        ("registerPublisher", "/t", f"a/{forged}", eve.uri),
+        ("rossec.presentGrants", [forged.encode()]),
+        ("rossec.updateRevocations", forged.encode()),
+    ):
+        with contextlib.suppress(AnswerRefused):
+            await eve.ask(method, *params)
+    eve.answer = [-1, forged, 0]
+    await eve.ask("registerSubscriber", "/eve/t", T, eve.uri)
+    await until(lambda: "/eve answers" in caplog.text)
+    await eve.ask("shutdown", forged)
+    messages = [record.getMessage() for record in caplog.records]
+    assert any("stopping: /eve: x" in message for message in messages)
+    assert [message for message in messages if not message.isprintable()] == []
 
 
 async def test_denials_are_audited(world: World, caplog: pytest.LogCaptureFixture) -> None:

@@ -7,7 +7,7 @@ from ca.revocation import digest, open_timestamp
 from ca.signer import KeySigner
 from grants.errors import GrantError
 from grants.model import Right
-from rossec.master.trust import MAX_HELD, Trust
+from rossec.master.trust import FAILURES_WITHIN, MAX_FAILURES, MAX_HELD, Trust
 from tests.support.authority import DAY, Site
 
 
@@ -19,7 +19,7 @@ class World:
         self.node = self.site.enroll("/node")
         self.persisted: list[bytes] = []
         self.trust = Trust(
-            self.site.anchor.public_key,
+            self.site.anchor,
             self.master.credentials.signer,
             self.site.revocations(),
             self.persisted.append,
@@ -67,15 +67,20 @@ def test_a_refusal_names_what_is_missing(world: World) -> None:
 
 def test_bad_grants_do_not_spoil_good_ones(world: World) -> None:
     stranger = Site()
+    world.site.domain = "office"  # the same authority serves two domains
+    elsewhere = world.site.grant(world.node, {"/t": Right.PUBLISH})
+    world.site.domain = "home"
     held, refused = world.present(
         world.site.grant(world.master, {"/t": Right.PUBLISH}),
         stranger.grant(world.node, {"/t": Right.PUBLISH}),
         world.site.grant(world.node, {"/t": Right.PUBLISH}, start=-2 * DAY),
         b"garbage",
+        elsewhere,
         world.site.grant(world.node, {"/u": Right.PUBLISH}),
     )
     assert held == 1
-    assert len(refused) == 4
+    assert len(refused) == 5
+    assert "office" in refused[4]
     assert "another key" in refused[0]
     assert world.may(Right.PUBLISH, "/u")
     assert not world.may(Right.PUBLISH, "/t")
@@ -89,6 +94,17 @@ def test_grants_are_bounded_and_not_counted_twice(world: World) -> None:
     assert "at most" in refused[0]
 
 
+def test_only_so_many_grants_are_verified_in_vain(world: World) -> None:
+    good = world.site.grant(world.node, {"/t": Right.PUBLISH})
+    held = world.site.grant(world.node, {"/u": Right.PUBLISH})
+    world.present(held)
+    assert world.present(*[b"garbage"] * MAX_FAILURES)[0] == 1
+    assert world.present(good) == (1, ("too many grants of this node were refused",))
+    assert world.present(held) == (1, ())
+    world.now += FAILURES_WITHIN
+    assert world.present(good) == (2, ())
+
+
 def test_a_revoked_grant_ends_at_once(world: World) -> None:
     token = world.site.grant(world.node, {"/t": Right.PUBLISH})
     world.present(token)
@@ -98,12 +114,20 @@ def test_a_revoked_grant_ends_at_once(world: World) -> None:
 
 def test_a_revoked_key_is_nobody(world: World) -> None:
     world.present(world.site.grant(world.node, {"/t": Right.PUBLISH}))
-    assert world.trust.caller_of("/node", world.now) is not None
+    assert world.trust.caller_of(world.node, world.now) is not None
     world.trust.update(world.site.revoke(world.node), world.now)
     with pytest.raises(Revoked, match="the key of /node is revoked"):
         world.trust.caller(world.node, world.now)
-    assert world.trust.caller_of("/node", world.now) is None
-    assert world.trust.caller_of("/unknown", world.now) is None
+    assert world.trust.caller_of(world.node, world.now) is None
+
+
+def test_two_keys_of_one_name_are_two_callers(world: World) -> None:
+    world.present(world.site.grant(world.node, {"/t": Right.PUBLISH}))
+    older = world.site.enroll("/node")
+    assert not world.trust.caller(older, world.now).may(Right.PUBLISH, "/t")
+    node = world.trust.caller_of(world.node, world.now)
+    assert node is not None
+    assert node.may(Right.PUBLISH, "/t")
 
 
 def test_lists_are_persisted_first_and_only_newer_ones_taken(world: World) -> None:

@@ -71,12 +71,12 @@ async def updates(nodes: Nodes) -> AsyncIterator[Updates]:
 
 
 def ref(name: str) -> NodeRef:
-    return NodeRef(name, f"http://{name[1:]}:1/")
+    return NodeRef(name, f"http://{name[1:]}:1/", name.encode())
 
 
 async def test_dead_nodes_do_not_delay_a_live_one(nodes: Nodes, updates: Updates) -> None:
     for port in range(3):
-        updates.post(NodeRef("/dead", f"http://dead:{port}/"), KEY, "first")
+        updates.post(NodeRef("/dead", f"http://dead:{port}/", b"/dead"), KEY, "first")
     updates.post(ref("/slow"), KEY, "first")
     for n in range(3):
         updates.post(ref("/live"), (KEY[0], f"/t{n}"), n)
@@ -163,5 +163,19 @@ async def test_gone_nodes_are_hung_up_on_once_they_have_heard(
     await nodes.until(lambda: all(c.idle for c, _ in updates._clients.values()))
     updates.prune({ref("/live")})
     assert set(updates._clients) == {ref("/live")}
-    updates.drop("/live")
-    assert updates._clients == {}
+    assert updates.nodes == (ref("/live"),)
+
+
+async def test_a_dropped_node_hears_nothing_more(nodes: Nodes, updates: Updates) -> None:
+    for name in ("/slow", "/live"):
+        updates.post(ref(name), KEY, 1)
+        updates.post(ref(name), ("paramUpdate", "/k"), 2)
+    await nodes.until(lambda: len(nodes.calls) == 3)
+    other = ref("/slow")._replace(thumbprint=b"another key")
+    updates.drop(other)
+    assert ref("/slow") in updates.nodes
+    updates.drop(ref("/slow"))
+    assert updates.nodes == (ref("/live"),)
+    await nodes.until(lambda: len(updates._leaving) == 0)
+    nodes.gate.set()
+    assert nodes.heard("/slow") == [(1,)]

@@ -12,7 +12,6 @@ from rossec.errors import ChannelError, PlainPeer
 from rossec.net.rpc import RpcClient
 from rossec.net.stream import Flavour, SecureStream, connect
 from rossec.node import Node, listener
-from rossec.node.listener import is_loopback
 from rossec.ros import header
 from tests.support.site import Site
 
@@ -175,12 +174,3 @@ async def test_a_caller_that_stays_is_sent_away(
     port = int(robot.uri.rstrip("/").rpartition(":")[2])
     dial = (credentials, site.anchor.verify)
     await ended(await connect("127.0.0.1", port, *dial, opening=Flavour.HTTP))
-
-
-@pytest.mark.parametrize(
-    ("address", "alone"),
-    [("127.0.0.1", True), ("127.1.2.3", True), ("::1", True), ("localhost", True),
-     ("192.168.1.5", False), ("robot.local", False), ("::", False)],
-)  # fmt: skip
-def test_loopback_listens_on_loopback_alone(address: str, alone: bool) -> None:
-    assert is_loopback(address) is alone

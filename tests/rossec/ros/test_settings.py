@@ -3,7 +3,7 @@
 import pytest
 
 from rossec.errors import SettingsRefused
-from rossec.ros.settings import Settings, parse_uri, read
+from rossec.ros.settings import Settings, is_loopback, parse_uri, read
 
 
 def settings(*argv: str, **environ: str) -> Settings:
@@ -91,3 +91,14 @@ def test_refusals_teach(
 def test_parse_uri_names_what_it_read() -> None:
     with pytest.raises(SettingsRefused, match="node uri"):
         parse_uri("x", "node uri")
+
+
+@pytest.mark.parametrize(
+    ("address", "alone"),
+    [("127.0.0.1", True), ("127.1.2.3", True), ("::1", True), ("localhost", True),
+     ("192.168.1.5", False), ("robot.local", False), ("::", False), ("0.0.0.0", False),
+     ("127.evil.example", False), ("127.0.0.1.evil.example", False), ("LOCALHOST", True),
+     ("", False)],
+)  # fmt: skip
+def test_what_only_this_host_can_reach(address: str, alone: bool) -> None:
+    assert is_loopback(address) is alone

@@ -117,6 +117,21 @@ def test_the_ros_triple() -> None:
         xmlrpc.value_of([0, "", 0])
 
 
+def test_what_a_peer_says_is_one_printable_line() -> None:
+    with pytest.raises(AnswerRefused) as refused:
+        xmlrpc.value_of([-1, "no\nrossec: forged\x1b[0m", 0])
+    assert str(refused.value) == "no\\u000arossec: forged\\u001b[0m"
+    with pytest.raises(xmlrpc.Fault) as fault:
+        xmlrpc.load_response(xmlrpc.dump_response(xmlrpc.Fault(7, "no\nrossec: forged")))
+    assert (fault.value.faultCode, fault.value.faultString) == (7, "no\\u000arossec: forged")
+    odd = xmlrpc.dump_response(xmlrpc.Fault(7, "no")).replace(
+        b"<int>7</int>", b"<string>a\n</string>"
+    )
+    with pytest.raises(xmlrpc.Fault) as fault:
+        xmlrpc.load_response(odd)
+    assert fault.value.faultCode == 0
+
+
 @pytest.mark.parametrize(
     "answer", [None, 1, [1, ""], [1, "", 0, 0], ["1", "", 0], [True, "", 0], [1, 2, 3]]
 )
