@@ -59,17 +59,29 @@ def moment(seconds: int) -> str:
     return time.strftime("%Y-%m-%d %H:%M:%S UTC", time.gmtime(seconds))
 
 
+def reraise_interrupt(abort: click.Abort) -> None:
+    """Tell Ctrl-C from the end of input: click says `Abort` for both, only its context differs.
+
+    Raises:
+        KeyboardInterrupt: it was Ctrl-C.
+    """
+    if isinstance(abort.__context__, KeyboardInterrupt):
+        raise KeyboardInterrupt from None
+
+
 def confirm(question: str, *, yes: bool) -> None:
     """Ask, unless `--yes` was given.
 
     Raises:
         ConfigurationError: the answer was no, or there is nobody to ask.
+        KeyboardInterrupt: Ctrl-C.
     """
     if yes:
         return
     try:
         agreed = click.confirm(question, default=False, err=True)
-    except click.Abort:
+    except click.Abort as abort:
+        reraise_interrupt(abort)
         raise ConfigurationError("there was no answer, nothing was done", _ANSWER) from None
     if not agreed:
         raise ConfigurationError("nothing was done", _ANSWER)

@@ -10,6 +10,7 @@ from typing import Any, Final
 
 import click
 
+from rossec.cli.context import reraise_interrupt
 from rossec.errors import ConfigurationError
 
 CREDENTIAL: Final = "rossec-ca-passphrase"
@@ -59,7 +60,8 @@ def choose(file: Path | None, environ: Mapping[str, str]) -> str:
 def _ask(question: str, *, twice: bool = False) -> str:
     try:
         answer: str = click.prompt(question, hide_input=True, confirmation_prompt=twice, err=True)
-    except click.Abort:
+    except click.Abort as abort:
+        reraise_interrupt(abort)
         raise ConfigurationError(
             "no passphrase was given", "type it, or give --passphrase-file FILE"
         ) from None

@@ -4,6 +4,7 @@ import click
 import pytest
 
 from rossec.cli import context
+from rossec.errors import ConfigurationError
 
 
 @pytest.mark.parametrize(
@@ -18,6 +19,21 @@ def test_durations(text: Any, seconds: int) -> None:
 def test_what_is_no_duration(text: str) -> None:
     with pytest.raises(click.BadParameter, match="write 30s, 15m, 8h, 7d or 4w"):
         context.Duration().convert(text, None, None)
+
+
+@pytest.mark.parametrize(
+    ("end", "raised"), [(KeyboardInterrupt, KeyboardInterrupt), (EOFError, ConfigurationError)]
+)
+def test_ctrl_c_is_no_answer(
+    monkeypatch: pytest.MonkeyPatch, end: type[BaseException], raised: type[BaseException]
+) -> None:
+    def ended(*_: object, **__: object) -> str:
+        raise end
+
+    monkeypatch.setattr("builtins.input", ended)
+    monkeypatch.setattr("click.termui.visible_prompt_func", ended)
+    with pytest.raises(raised):
+        context.confirm("really?", yes=False)
 
 
 def test_moments_are_utc() -> None:

@@ -52,6 +52,15 @@ def test_a_person_is_asked(monkeypatch: pytest.MonkeyPatch) -> None:
     assert [twice for _, twice in asked] == [False, True]
 
 
+def test_ctrl_c_is_no_answer(monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(_: str) -> str:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("getpass.getpass", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        passphrase.read(None, {})
+
+
 def test_nobody_to_ask(monkeypatch: pytest.MonkeyPatch) -> None:
     def nobody(*_: object, **__: object) -> str:
         raise click.Abort
