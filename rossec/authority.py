@@ -4,7 +4,9 @@ A shell around `ca.authority` (what is signed) and `ca.store` (what was signed):
 out that is not recorded first.
 """
 
+import contextlib
 import secrets
+import shutil
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Self
@@ -126,17 +128,15 @@ class AuthorityHome:
             )
         key = keys.generate()
         root = create_root(KeySigner(key), domain, now=now, serial=secrets.randbits(127) + 1)
-        files.make_private_directory(path)
-        keys.write_private(path / "ca.key", key, passphrase)
-        store = Store.create(path / "ca.db")
-        unlocked = OpenAuthority(Authority(KeySigner(key), root), store, path)
-        unlocked.sign_list(now)
-        own = NodeHome(path / "node", OWN_NODE)
-        own.create_request(domain)
-        own.install(unlocked.issue(own.request(), now, _OWN_LIFETIME), now)
-        store.close()
-        # Last: an authority without it does not count as one.
-        files.create(path / "ca.pem", to_pem(root), 0o644)
+        # Beside its place: an interrupted beginning is no authority, and is not in the way of one.
+        begun = path.with_name(f".{path.name}.{secrets.token_hex(8)}")
+        try:
+            _build(begun, KeySigner(key), root, now)
+            keys.write_private(begun / "ca.key", key, passphrase)
+            files.settle(begun, path)
+        except BaseException:
+            shutil.rmtree(begun, ignore_errors=True)
+            raise
         return cls(path)
 
     @property
@@ -178,6 +178,18 @@ class AuthorityHome:
         if data is None:
             raise ConfigurationError("no revocation list was signed yet", "next: rossec ca refresh")
         return data
+
+
+def _build(path: Path, signer: KeySigner, root: bytes, now: int) -> None:
+    """Everything of a new authority but its key."""
+    files.make_private_directory(path)
+    with contextlib.closing(Store.create(path / "ca.db")) as store:
+        unlocked = OpenAuthority(Authority(signer, root), store, path)
+        unlocked.sign_list(now)
+        own = NodeHome(path / "node", OWN_NODE)
+        own.create_request(unlocked.domain)
+        own.install(unlocked.issue(own.request(), now, _OWN_LIFETIME), now)
+    files.create(path / "ca.pem", to_pem(root), 0o644)
 
 
 def fingerprint(anchor: TrustAnchor) -> str:
