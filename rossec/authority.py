@@ -14,6 +14,7 @@ from typing import Final, Self
 from ca import keys
 from ca.authority import LIFETIME, Authority, create_root
 from ca.certificates import TrustAnchor, from_pem, to_pem
+from ca.names import check_name
 from ca.revocation import RevocationList, open_list, sign_list
 from ca.signer import KeySigner, Signer
 from ca.store import CertificateRow, GrantRow, Store
@@ -51,7 +52,10 @@ class OpenAuthority:
     def issue(
         self, request: bytes, now: int, lifetime: int = LIFETIME, *, allow_new_key: bool = False
     ) -> bytes:
-        """Sign and record an identity; returns the node's bundle (PEM, leaf and authority)."""
+        """Sign and record an identity; returns the node's bundle (PEM, leaf and authority).
+
+        A new key that takes a name over revokes the key it replaces: the list is to be delivered.
+        """
         der = self.authority.issue(
             request, now=now, serial=secrets.randbits(127) + 1, lifetime=lifetime
         )
@@ -62,6 +66,9 @@ class OpenAuthority:
             identity.not_before, identity.not_after,
         )  # fmt: skip
         self.store.add_certificate(row, now, allow_new_key=allow_new_key)
+        replaced = self.store.live_keys(identity.name, now) - {identity.thumbprint}
+        if replaced:
+            self._revoke(replaced, f"{identity.name} has a new key", now)
         return to_pem(der, self.authority.anchor.certificate)
 
     def grant(self, draft: Draft, now: int) -> bytes:
@@ -77,6 +84,29 @@ class OpenAuthority:
     def revoke(self, entry: bytes, reason: str, now: int) -> RevocationList:
         """Add a grant id or key thumbprint to the list of revocations, and sign that anew."""
         self.store.revoke(entry, reason, now)
+        return self.sign_list(now)
+
+    def revoke_identity(self, name: str, reason: str, now: int) -> tuple[RevocationList, int]:
+        """Revoke every living key of `name`; returns the list, signed anew, and how many keys.
+
+        Raises:
+            ConfigurationError: there is none, or it is the authority's own.
+        """
+        if name == OWN_NODE:
+            raise ConfigurationError(
+                f"{name} is the authority's own node: without it no list reaches the master",
+                "a stolen authority must be made anew, in another ROSSEC_HOME",
+            )
+        found = self.store.live_keys(check_name(name), now)
+        if not found:
+            raise ConfigurationError(
+                f"{name} has no living identity to revoke", "see: rossec ca show"
+            )
+        return self._revoke(found, reason, now), len(found)
+
+    def _revoke(self, entries: frozenset[bytes], reason: str, now: int) -> RevocationList:
+        for entry in entries:
+            self.store.revoke(entry, reason, now)
         return self.sign_list(now)
 
     def _refresh_list(self, now: int) -> None:

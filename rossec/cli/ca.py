@@ -53,7 +53,10 @@ def init(environment: Environment, domain: str, passphrase_file: Path | None) ->
     show_default=True,
     help="how long the identity lasts",
 )
-@click.option("--new-key", is_flag=True, help="allow a known name to come with another key")
+@click.option(
+    "--new-key", is_flag=True, help="let a known name come with another key; revokes the old one"
+)
+@click.option("--master", "master_uri", help="master to tell, instead of ROS_MASTER_URI")
 @click.option("--yes", is_flag=True, help="do not ask")
 @passphrase.option
 @pass_environment
@@ -63,6 +66,7 @@ def sign(
     codes: tuple[str, ...],
     lifetime: int,
     new_key: bool,
+    master_uri: str | None,
     yes: bool,
     passphrase_file: Path | None,
 ) -> None:
@@ -80,11 +84,15 @@ def sign(
         _introduce(path, request, home, vouched=bool(codes))
     confirm(f"sign {_count(len(checked))}?", yes=yes)
     authority = home.unlock(passphrase.read(passphrase_file, environment.variables))
+    revoked = authority.store.revoked_entries()
     for path, data, request in checked:
         bundle = authority.issue(data, now(), lifetime, allow_new_key=new_key)
         target = path.with_name("node.pem" if path.name == "node.csr" else f"{path.stem}.pem")
         target.write_bytes(bundle)
         say(f"signed {request.name}: {target}")
+    if authority.store.revoked_entries() != revoked:
+        say("the replaced key is revoked")
+        _tell(environment, master_uri)
 
 
 @ca.command()
@@ -128,6 +136,34 @@ def refresh(environment: Environment, master_uri: str | None, passphrase_file: P
     authority = home.unlock(passphrase.read(passphrase_file, environment.variables))
     listed = authority.sign_list(now())
     say(f"list {listed.seq} holds until {moment(listed.expires)}")
+    _tell(environment, master_uri)
+
+
+@ca.command()
+@click.argument("name")
+@click.option("--reason", default="", help="why, for the record")
+@click.option("--master", "master_uri", help="master to tell, instead of ROS_MASTER_URI")
+@passphrase.option
+@pass_environment
+def revoke(
+    environment: Environment,
+    name: str,
+    reason: str,
+    master_uri: str | None,
+    passphrase_file: Path | None,
+) -> None:
+    """Revoke the identity of the node NAME, and tell the master at once.
+
+    Its connections end and its key is never trusted again; to return it needs a new key.
+    """
+    home = AuthorityHome.at(environment.home)
+    authority = home.unlock(passphrase.read(passphrase_file, environment.variables))
+    listed, count = authority.revoke_identity(name, reason, now())
+    say(f"revoked {name}, {count} key{'s' * (count != 1)} (list {listed.seq})")
+    _tell(environment, master_uri)
+
+
+def _tell(environment: Environment, master_uri: str | None) -> None:
     asyncio.run(deliver(environment, master_uri))
     say("the master has the new list")
 
