@@ -11,7 +11,7 @@ from ca.names import spiffe_id
 from rossec.authority import AuthorityHome, fingerprint
 from rossec.cli import passphrase
 from rossec.cli.context import Duration, Environment, confirm, moment, now, pass_environment
-from rossec.cli.publish import deliver
+from rossec.cli.publish import deliver, remind
 from rossec.cli.voice import printable, say, say_json
 from rossec.errors import ConfigurationError
 
@@ -84,7 +84,7 @@ def sign(
         _introduce(path, request, home, vouched=bool(codes))
     confirm(f"sign {_count(len(checked))}?", yes=yes)
     authority = home.unlock(passphrase.read(passphrase_file, environment.variables))
-    revoked = authority.store.revoked_entries()
+    revoked, number = authority.store.revoked_entries(), authority.store.next_number()
     for path, data, request in checked:
         bundle = authority.issue(data, now(), lifetime, allow_new_key=new_key)
         target = path.with_name("node.pem" if path.name == "node.csr" else f"{path.stem}.pem")
@@ -93,6 +93,8 @@ def sign(
     if authority.store.revoked_entries() != revoked:
         say("the replaced key is revoked")
         _tell(environment, master_uri)
+    else:
+        remind(authority.store, number)
 
 
 @ca.command()

@@ -16,7 +16,7 @@ from grants.model import Draft, Permission, Restriction, Right, filter_rules
 from rossec.authority import AuthorityHome
 from rossec.cli import passphrase
 from rossec.cli.context import Duration, Environment, moment, now, pass_environment
-from rossec.cli.publish import deliver
+from rossec.cli.publish import deliver, remind
 from rossec.cli.voice import note, say, say_json
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
@@ -85,9 +85,11 @@ def sign(
         expires=signed + lifetime, cap=signed + lifetime,
         serial=secrets.token_bytes(16), permissions=permissions,
     )  # fmt: skip
+    number = authority.store.next_number()
     data = authority.grant(draft, signed)
     say(f"grant {document.grant_id(data).hex()} for {node} until {moment(draft.expires)}")
     _hand_over(environment, node, data, out)
+    remind(authority.store, number)
 
 
 @grant.command("list")
