@@ -17,7 +17,7 @@ from rossec.authority import AuthorityHome
 from rossec.cli import passphrase
 from rossec.cli.context import Duration, Environment, moment, now, pass_environment
 from rossec.cli.publish import deliver, remind
-from rossec.cli.voice import note, say, say_json
+from rossec.cli.voice import note, printable, say, say_json
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
 from rossec.node.messages import message_type
@@ -113,12 +113,13 @@ def list_(environment: Environment, node: str | None, as_json: bool) -> None:
 def show(file: Path) -> None:
     """Say in words what the grant in FILE allows; its signature is not checked."""
     content = document.peek(_read(file))
-    say(f"grant {content.id.hex()} of {content.domain} for {content.subject}")
+    said = printable(f"of {content.domain} for {content.subject}")
+    say(f"grant {content.id.hex()} {said}")
     say(f"holds from {moment(content.not_before)} until {moment(content.expires)}")
     for permission in content.permissions:
-        say(f"may {permission.rights.label} {permission.pattern}")
+        say(printable(f"may {permission.rights.label} {permission.pattern}"))
         for line in permission.restriction.lines() if permission.restriction else []:
-            say(f"  {line}")
+            say(printable(f"  {line}"))
 
 
 @grant.command()
