@@ -223,6 +223,14 @@ def _build(path: Path, signer: KeySigner, root: bytes, now: int) -> None:
 
 
 def fingerprint(anchor: TrustAnchor) -> str:
-    """What two people compare to be sure of an authority: half its key's thumbprint, in fours."""
-    digits = anchor.thumbprint.hex()
+    """What two people compare to be sure of an authority."""
+    return grouped(anchor.thumbprint)
+
+
+def grouped(thumbprint: bytes) -> str:
+    """The fingerprint of a key, for reading aloud: half its thumbprint, in fours.
+
+    128 bits: enough, as a forger needs a second key with the same half, not just any two.
+    """
+    digits = thumbprint.hex()
     return " ".join(digits[start : start + 4] for start in range(0, 32, 4))

@@ -6,9 +6,10 @@ from pathlib import Path
 import click
 
 from ca import qr
+from ca.authority import DAY, MAX_LIFETIME
 from ca.certificates import Request, check_request
 from ca.names import spiffe_id
-from rossec.authority import AuthorityHome, fingerprint
+from rossec.authority import AuthorityHome, fingerprint, grouped
 from rossec.cli import passphrase
 from rossec.cli.context import Duration, Environment, confirm, moment, now, pass_environment
 from rossec.cli.publish import deliver, remind
@@ -48,7 +49,7 @@ def init(environment: Environment, domain: str, passphrase_file: Path | None) ->
 @click.option(
     "--for",
     "lifetime",
-    type=Duration(),
+    type=Duration(MAX_LIFETIME // DAY),
     default="30d",
     show_default=True,
     help="how long the identity lasts",
@@ -116,7 +117,7 @@ def show(environment: Environment, as_json: bool) -> None:
     say(f"authority of {home.domain} in {home.path}")
     say(f"fingerprint {fingerprint(home.anchor())}")
     for row in rows:
-        say(f"{row.name}  until {moment(row.not_after)}  key {row.thumbprint.hex()[:16]}")
+        say(f"{row.name}  until {moment(row.not_after)}  fingerprint {grouped(row.thumbprint)}")
 
 
 @ca.command()
@@ -187,10 +188,10 @@ def _introduce(path: Path, request: Request, home: AuthorityHome, *, vouched: bo
     how = (
         "its code fits"
         if vouched
-        else "no code was checked: compare the fingerprint with the node's"
+        else "no code was checked: compare the fingerprint with the one the node shows"
     )
     say(f"{printable(spiffe_id(home.domain, request.name))} asks for an identity ({path})")
-    say(f"  key {request.thumbprint.hex()}")
+    say(f"  fingerprint {grouped(request.thumbprint)}")
     say(f"  {how}")
 
 

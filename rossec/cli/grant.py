@@ -7,6 +7,7 @@ from typing import Final
 
 import click
 
+from ca.names import check_name
 from grants import document
 from grants.conditions import compile_condition
 from grants.errors import ConditionRefused, FilterRefused
@@ -23,6 +24,7 @@ from rossec.home import NodeHome
 from rossec.node.messages import message_type
 
 SKEW: Final = 60  # seconds another host's clock may be behind: it must not find the grant too new
+MAX_DAYS: Final = 3650  # an authority's own certificate does not last longer
 _EXAMPLES: Final = (
     "for example --clear header.frame_id, --round pose.position=2.0,"
     " --when 'msg.header.frame_id == \"map\"'"
@@ -49,7 +51,12 @@ def grant() -> None:
     help="only messages and times for which this holds",
 )
 @click.option(
-    "--for", "lifetime", type=Duration(), default="7d", show_default=True, help="how long it holds"
+    "--for",
+    "lifetime",
+    type=Duration(MAX_DAYS),
+    default="7d",
+    show_default=True,
+    help="how long it holds",
 )
 @click.option(
     "--out", type=click.Path(path_type=Path), help="also write the grant to this new file"
@@ -74,6 +81,9 @@ def sign(
 
     PATTERN is a topic name; * stands for one segment, ** for any depth.
     """
+    check_name(node)
+    if out is not None:
+        _check_new(out)
     restriction = _restriction(type_name, clear, rounds, when)
     permissions = _permissions(publish, subscribe, graph, restriction)
     home = AuthorityHome.at(environment.home)
@@ -211,6 +221,14 @@ def _rounding(text: str) -> tuple[str, float]:
         raise ConfigurationError(
             f"--round {text} has no step", "for example --round pose.position=2.0"
         ) from None
+
+
+def _check_new(out: Path) -> None:
+    """Before anything is signed: a grant that cannot be written would exist nevertheless."""
+    if out.exists() or out.is_symlink():
+        raise ConfigurationError(f"{out} exists and is not overwritten", "give a new file")
+    if not out.parent.is_dir():
+        raise ConfigurationError(f"there is no directory {out.parent}", "make it first")
 
 
 def _hand_over(environment: Environment, node: str, data: bytes, out: Path | None) -> None:

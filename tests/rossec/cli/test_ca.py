@@ -163,3 +163,21 @@ def test_a_list_can_be_signed_anew(shell: Shell) -> None:
     said = shell.unlocked("ca", "refresh", "--master", "http://127.0.0.1:1")
     assert said.out.startswith("list 2 holds until ")
     refused(said, "did not take the list", "rossec ca publish", code=3)
+
+
+def test_both_sides_show_the_same_fingerprint(shell: Shell) -> None:
+    requested = shell("node", "request", "/robot").out.splitlines()[1]
+    assert len(requested.split()) == 9
+    request = str(shell.node("/robot") / "node.csr")
+    assert f"  {requested}\n" in shell.unlocked("ca", "sign", request, "--yes").out
+    shell("node", "install", str(shell.node("/robot") / "node.pem"), "--yes")
+    assert requested in shell("node", "show", "/robot").out.splitlines()
+    assert requested in shell("ca", "show").out.splitlines()[-1]
+
+
+def test_an_identity_lasts_a_year_at_most(shell: Shell) -> None:
+    shell("node", "request", "/robot")
+    request = str(shell.node("/robot") / "node.csr")
+    said = shell.unlocked("ca", "sign", request, "--yes", "--for", "367d")
+    refused(said, "367d is too long; at most 366d are allowed", "ca sign --help", code=2)
+    assert shell.unlocked("ca", "sign", request, "--yes", "--for", "366d").code == 0

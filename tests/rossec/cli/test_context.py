@@ -15,6 +15,12 @@ def test_durations(text: Any, seconds: int) -> None:
     assert context.Duration().convert(text, None, None) == seconds
 
 
+def test_a_duration_has_its_limit() -> None:
+    assert context.Duration(14).convert("2w", None, None) == 14 * 86400
+    with pytest.raises(click.BadParameter, match="15d is too long; at most 14d are allowed"):
+        context.Duration(14).convert("15d", None, None)
+
+
 @pytest.mark.parametrize("text", ["", "7", "d", "0d", "-1d", "1.5h", "1 h", "1y", "\u0661d", "7D"])
 def test_what_is_no_duration(text: str) -> None:
     with pytest.raises(click.BadParameter, match="write 30s, 15m, 8h, 7d or 4w"):

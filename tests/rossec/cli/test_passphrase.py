@@ -20,6 +20,15 @@ def test_the_first_line_of_a_file(tmp_path: Path) -> None:
     assert passphrase.choose(file, {}) == "four random words"
 
 
+def test_a_file_that_is_no_text(tmp_path: Path) -> None:
+    file = written(tmp_path / "x", "")
+    file.write_bytes(b"caf\xe9 with latin letters\n")
+    with pytest.raises(ConfigurationError, match="is not UTF-8 text"):
+        passphrase.read(file, {})
+    file.write_bytes("café in four words\n\xff".encode() + b"\xff")
+    assert passphrase.read(file, {}) == "café in four words"
+
+
 def test_a_systemd_credential(tmp_path: Path) -> None:
     written(tmp_path / passphrase.CREDENTIAL, "from systemd, here")
     environ = {"CREDENTIALS_DIRECTORY": str(tmp_path)}
