@@ -152,13 +152,27 @@ class Store:
         )
         return [CertificateRow(int.from_bytes(serial), *rest) for serial, *rest in rows]
 
+    def live_keys(self, name: str, now: int) -> frozenset[bytes]:
+        """Thumbprints of the keys with which `name` can still prove itself."""
+        alive = {
+            row.thumbprint
+            for row in self.certificates()
+            if row.name == name and now <= row.not_after
+        }
+        return frozenset(alive) - self.revoked_entries()
+
     def live_certificate(self, name: str, now: int) -> CertificateRow:
-        """The newest identity of `name` that is still valid.
+        """The newest identity of `name` that is still valid and not revoked.
 
         Raises:
             StoreError: there is none.
         """
-        alive = [row for row in self.certificates() if row.name == name and now <= row.not_after]
+        keys = self.live_keys(name, now)
+        alive = [
+            row
+            for row in self.certificates()
+            if row.name == name and row.thumbprint in keys and now <= row.not_after
+        ]
         if not alive:
             raise StoreError(
                 f"{name} has no valid identity here",

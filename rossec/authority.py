@@ -4,7 +4,9 @@ A shell around `ca.authority` (what is signed) and `ca.store` (what was signed):
 out that is not recorded first.
 """
 
+import contextlib
 import secrets
+import shutil
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Self
@@ -12,6 +14,7 @@ from typing import Final, Self
 from ca import keys
 from ca.authority import LIFETIME, Authority, create_root
 from ca.certificates import TrustAnchor, from_pem, to_pem
+from ca.names import check_name
 from ca.revocation import RevocationList, open_list, sign_list
 from ca.signer import KeySigner, Signer
 from ca.store import CertificateRow, GrantRow, Store
@@ -49,7 +52,10 @@ class OpenAuthority:
     def issue(
         self, request: bytes, now: int, lifetime: int = LIFETIME, *, allow_new_key: bool = False
     ) -> bytes:
-        """Sign and record an identity; returns the node's bundle (PEM, leaf and authority)."""
+        """Sign and record an identity; returns the node's bundle (PEM, leaf and authority).
+
+        A new key that takes a name over revokes the key it replaces: the list is to be delivered.
+        """
         der = self.authority.issue(
             request, now=now, serial=secrets.randbits(127) + 1, lifetime=lifetime
         )
@@ -60,6 +66,9 @@ class OpenAuthority:
             identity.not_before, identity.not_after,
         )  # fmt: skip
         self.store.add_certificate(row, now, allow_new_key=allow_new_key)
+        replaced = self.store.live_keys(identity.name, now) - {identity.thumbprint}
+        if replaced:
+            self._revoke(replaced, f"{identity.name} has a new key", now)
         return to_pem(der, self.authority.anchor.certificate)
 
     def grant(self, draft: Draft, now: int) -> bytes:
@@ -75,6 +84,29 @@ class OpenAuthority:
     def revoke(self, entry: bytes, reason: str, now: int) -> RevocationList:
         """Add a grant id or key thumbprint to the list of revocations, and sign that anew."""
         self.store.revoke(entry, reason, now)
+        return self.sign_list(now)
+
+    def revoke_identity(self, name: str, reason: str, now: int) -> tuple[RevocationList, int]:
+        """Revoke every living key of `name`; returns the list, signed anew, and how many keys.
+
+        Raises:
+            ConfigurationError: there is none, or it is the authority's own.
+        """
+        if name == OWN_NODE:
+            raise ConfigurationError(
+                f"{name} is the authority's own node: without it no list reaches the master",
+                "a stolen authority must be made anew, in another ROSSEC_HOME",
+            )
+        found = self.store.live_keys(check_name(name), now)
+        if not found:
+            raise ConfigurationError(
+                f"{name} has no living identity to revoke", "see: rossec ca show"
+            )
+        return self._revoke(found, reason, now), len(found)
+
+    def _revoke(self, entries: frozenset[bytes], reason: str, now: int) -> RevocationList:
+        for entry in entries:
+            self.store.revoke(entry, reason, now)
         return self.sign_list(now)
 
     def _refresh_list(self, now: int) -> None:
@@ -126,17 +158,15 @@ class AuthorityHome:
             )
         key = keys.generate()
         root = create_root(KeySigner(key), domain, now=now, serial=secrets.randbits(127) + 1)
-        files.make_private_directory(path)
-        keys.write_private(path / "ca.key", key, passphrase)
-        store = Store.create(path / "ca.db")
-        unlocked = OpenAuthority(Authority(KeySigner(key), root), store, path)
-        unlocked.sign_list(now)
-        own = NodeHome(path / "node", OWN_NODE)
-        own.create_request(domain)
-        own.install(unlocked.issue(own.request(), now, _OWN_LIFETIME), now)
-        store.close()
-        # Last: an authority without it does not count as one.
-        files.create(path / "ca.pem", to_pem(root), 0o644)
+        # Beside its place: an interrupted beginning is no authority, and is not in the way of one.
+        begun = path.with_name(f".{path.name}.{secrets.token_hex(8)}")
+        try:
+            _build(begun, KeySigner(key), root, now)
+            keys.write_private(begun / "ca.key", key, passphrase)
+            files.settle(begun, path)
+        except BaseException:
+            shutil.rmtree(begun, ignore_errors=True)
+            raise
         return cls(path)
 
     @property
@@ -180,7 +210,27 @@ class AuthorityHome:
         return data
 
 
+def _build(path: Path, signer: KeySigner, root: bytes, now: int) -> None:
+    """Everything of a new authority but its key."""
+    files.make_private_directory(path)
+    with contextlib.closing(Store.create(path / "ca.db")) as store:
+        unlocked = OpenAuthority(Authority(signer, root), store, path)
+        unlocked.sign_list(now)
+        own = NodeHome(path / "node", OWN_NODE)
+        own.create_request(unlocked.domain)
+        own.install(unlocked.issue(own.request(), now, _OWN_LIFETIME), now)
+    files.create(path / "ca.pem", to_pem(root), 0o644)
+
+
 def fingerprint(anchor: TrustAnchor) -> str:
-    """What two people compare to be sure of an authority: half its key's thumbprint, in fours."""
-    digits = anchor.thumbprint.hex()
+    """What two people compare to be sure of an authority."""
+    return grouped(anchor.thumbprint)
+
+
+def grouped(thumbprint: bytes) -> str:
+    """The fingerprint of a key, for reading aloud: half its thumbprint, in fours.
+
+    128 bits: enough, as a forger needs a second key with the same half, not just any two.
+    """
+    digits = thumbprint.hex()
     return " ".join(digits[start : start + 4] for start in range(0, 32, 4))

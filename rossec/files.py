@@ -1,5 +1,6 @@
 """Files that must never be half written, overwritten by accident, or readable by others."""
 
+import errno
 import os
 import secrets
 from pathlib import Path
@@ -12,7 +13,9 @@ _CREATE: Final = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLO
 
 def make_private_directory(path: Path) -> None:
     """Create `path` and what is missing above it, for the owner alone; an existing one is kept."""
-    path.mkdir(mode=0o700, parents=True, exist_ok=True)
+    if not path.parent.is_dir():  # mkdir(parents=True) would ignore the mode for those above
+        make_private_directory(path.parent)
+    path.mkdir(mode=0o700, exist_ok=True)
 
 
 def create(path: Path, data: bytes, mode: int = 0o600) -> None:
@@ -47,6 +50,24 @@ def replace(path: Path, data: bytes, mode: int = 0o600) -> None:
     except OSError:
         temporary.unlink(missing_ok=True)
         raise
+    _sync_directory(path.parent)
+
+
+def settle(temporary: Path, path: Path) -> None:
+    """Give a finished directory its name, durable on return: it is there whole or not at all.
+
+    Raises:
+        ConfigurationError: there is something at `path`; it is not touched.
+    """
+    _sync_directory(temporary)
+    try:
+        temporary.rename(path)
+    except OSError as error:
+        if error.errno not in {errno.EEXIST, errno.ENOTEMPTY, errno.ENOTDIR}:
+            raise
+        raise ConfigurationError(
+            f"{path} exists and is not overwritten", "move it away if it is not needed"
+        ) from error
     _sync_directory(path.parent)
 
 

@@ -6,12 +6,13 @@ from pathlib import Path
 import click
 
 from ca import qr
+from ca.authority import DAY, MAX_LIFETIME
 from ca.certificates import Request, check_request
 from ca.names import spiffe_id
-from rossec.authority import AuthorityHome, fingerprint
+from rossec.authority import AuthorityHome, fingerprint, grouped
 from rossec.cli import passphrase
 from rossec.cli.context import Duration, Environment, confirm, moment, now, pass_environment
-from rossec.cli.publish import deliver
+from rossec.cli.publish import deliver, remind
 from rossec.cli.voice import printable, say, say_json
 from rossec.errors import ConfigurationError
 
@@ -48,12 +49,15 @@ def init(environment: Environment, domain: str, passphrase_file: Path | None) ->
 @click.option(
     "--for",
     "lifetime",
-    type=Duration(),
+    type=Duration(MAX_LIFETIME // DAY),
     default="30d",
     show_default=True,
     help="how long the identity lasts",
 )
-@click.option("--new-key", is_flag=True, help="allow a known name to come with another key")
+@click.option(
+    "--new-key", is_flag=True, help="let a known name come with another key; revokes the old one"
+)
+@click.option("--master", "master_uri", help="master to tell, instead of ROS_MASTER_URI")
 @click.option("--yes", is_flag=True, help="do not ask")
 @passphrase.option
 @pass_environment
@@ -63,6 +67,7 @@ def sign(
     codes: tuple[str, ...],
     lifetime: int,
     new_key: bool,
+    master_uri: str | None,
     yes: bool,
     passphrase_file: Path | None,
 ) -> None:
@@ -80,11 +85,17 @@ def sign(
         _introduce(path, request, home, vouched=bool(codes))
     confirm(f"sign {_count(len(checked))}?", yes=yes)
     authority = home.unlock(passphrase.read(passphrase_file, environment.variables))
+    revoked, number = authority.store.revoked_entries(), authority.store.next_number()
     for path, data, request in checked:
         bundle = authority.issue(data, now(), lifetime, allow_new_key=new_key)
         target = path.with_name("node.pem" if path.name == "node.csr" else f"{path.stem}.pem")
         target.write_bytes(bundle)
         say(f"signed {request.name}: {target}")
+    if authority.store.revoked_entries() != revoked:
+        say("the replaced key is revoked")
+        _tell(environment, master_uri)
+    else:
+        remind(authority.store, number)
 
 
 @ca.command()
@@ -106,7 +117,7 @@ def show(environment: Environment, as_json: bool) -> None:
     say(f"authority of {home.domain} in {home.path}")
     say(f"fingerprint {fingerprint(home.anchor())}")
     for row in rows:
-        say(f"{row.name}  until {moment(row.not_after)}  key {row.thumbprint.hex()[:16]}")
+        say(f"{row.name}  until {moment(row.not_after)}  fingerprint {grouped(row.thumbprint)}")
 
 
 @ca.command()
@@ -128,6 +139,34 @@ def refresh(environment: Environment, master_uri: str | None, passphrase_file: P
     authority = home.unlock(passphrase.read(passphrase_file, environment.variables))
     listed = authority.sign_list(now())
     say(f"list {listed.seq} holds until {moment(listed.expires)}")
+    _tell(environment, master_uri)
+
+
+@ca.command()
+@click.argument("name")
+@click.option("--reason", default="", help="why, for the record")
+@click.option("--master", "master_uri", help="master to tell, instead of ROS_MASTER_URI")
+@passphrase.option
+@pass_environment
+def revoke(
+    environment: Environment,
+    name: str,
+    reason: str,
+    master_uri: str | None,
+    passphrase_file: Path | None,
+) -> None:
+    """Revoke the identity of the node NAME, and tell the master at once.
+
+    Its connections end and its key is never trusted again; to return it needs a new key.
+    """
+    home = AuthorityHome.at(environment.home)
+    authority = home.unlock(passphrase.read(passphrase_file, environment.variables))
+    listed, count = authority.revoke_identity(name, reason, now())
+    say(f"revoked {name}, {count} key{'s' * (count != 1)} (list {listed.seq})")
+    _tell(environment, master_uri)
+
+
+def _tell(environment: Environment, master_uri: str | None) -> None:
     asyncio.run(deliver(environment, master_uri))
     say("the master has the new list")
 
@@ -149,10 +188,10 @@ def _introduce(path: Path, request: Request, home: AuthorityHome, *, vouched: bo
     how = (
         "its code fits"
         if vouched
-        else "no code was checked: compare the fingerprint with the node's"
+        else "no code was checked: compare the fingerprint with the one the node shows"
     )
     say(f"{printable(spiffe_id(home.domain, request.name))} asks for an identity ({path})")
-    say(f"  key {request.thumbprint.hex()}")
+    say(f"  fingerprint {grouped(request.thumbprint)}")
     say(f"  {how}")
 
 

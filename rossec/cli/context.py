@@ -42,6 +42,10 @@ class Duration(click.ParamType[int]):
 
     name = "duration"
 
+    def __init__(self, days: int | None = None) -> None:
+        """Allow at most `days` days."""
+        self._days = days
+
     def convert(
         self, value: object, param: click.Parameter | None, ctx: click.Context | None
     ) -> int:
@@ -51,7 +55,10 @@ class Duration(click.ParamType[int]):
         match = _DURATION.fullmatch(str(value))
         if match is None:
             self.fail(f"{value!r} is no duration; write 30s, 15m, 8h, 7d or 4w", param, ctx)
-        return int(match[1]) * _UNITS[match[2]]
+        seconds = int(match[1]) * _UNITS[match[2]]
+        if self._days is not None and seconds > self._days * _UNITS["d"]:
+            self.fail(f"{value} is too long; at most {self._days}d are allowed", param, ctx)
+        return seconds
 
 
 def moment(seconds: int) -> str:
@@ -59,17 +66,29 @@ def moment(seconds: int) -> str:
     return time.strftime("%Y-%m-%d %H:%M:%S UTC", time.gmtime(seconds))
 
 
+def reraise_interrupt(abort: click.Abort) -> None:
+    """Tell Ctrl-C from the end of input: click says `Abort` for both, only its context differs.
+
+    Raises:
+        KeyboardInterrupt: it was Ctrl-C.
+    """
+    if isinstance(abort.__context__, KeyboardInterrupt):
+        raise KeyboardInterrupt from None
+
+
 def confirm(question: str, *, yes: bool) -> None:
     """Ask, unless `--yes` was given.
 
     Raises:
         ConfigurationError: the answer was no, or there is nobody to ask.
+        KeyboardInterrupt: Ctrl-C.
     """
     if yes:
         return
     try:
         agreed = click.confirm(question, default=False, err=True)
-    except click.Abort:
+    except click.Abort as abort:
+        reraise_interrupt(abort)
         raise ConfigurationError("there was no answer, nothing was done", _ANSWER) from None
     if not agreed:
         raise ConfigurationError("nothing was done", _ANSWER)

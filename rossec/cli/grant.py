@@ -7,6 +7,7 @@ from typing import Final
 
 import click
 
+from ca.names import check_name
 from grants import document
 from grants.conditions import compile_condition
 from grants.errors import ConditionRefused, FilterRefused
@@ -17,13 +18,14 @@ from grants.presets import PRESETS, preset
 from rossec.authority import AuthorityHome
 from rossec.cli import passphrase
 from rossec.cli.context import Duration, Environment, moment, now, pass_environment
-from rossec.cli.publish import deliver
-from rossec.cli.voice import note, say, say_json
+from rossec.cli.publish import deliver, remind
+from rossec.cli.voice import note, printable, say, say_json
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
 from rossec.node.messages import message_type
 
 SKEW: Final = 60  # seconds another host's clock may be behind: it must not find the grant too new
+MAX_DAYS: Final = 3650  # an authority's own certificate does not last longer
 _EXAMPLES: Final = (
     "for example --clear header.frame_id, --round pose.position=2.0,"
     " --when 'msg.header.frame_id == \"map\"'"
@@ -60,7 +62,12 @@ def grant() -> None:
     help="only messages and times for which this holds",
 )
 @click.option(
-    "--for", "lifetime", type=Duration(), default="7d", show_default=True, help="how long it holds"
+    "--for",
+    "lifetime",
+    type=Duration(MAX_DAYS),
+    default="7d",
+    show_default=True,
+    help="how long it holds",
 )
 @click.option(
     "--out", type=click.Path(path_type=Path), help="also write the grant to this new file"
@@ -88,6 +95,9 @@ def sign(
 
     PATTERN is a topic name; * stands for one segment, ** for any depth.
     """
+    check_name(node)
+    if out is not None:
+        _check_new(out)
     restrictions = _restrictions(type_name, _rules(clear, rounds, clamps), when, rate, preset_name)
     permissions = _permissions(publish, subscribe, graph, restrictions)
     home = AuthorityHome.at(environment.home)
@@ -99,9 +109,11 @@ def sign(
         expires=signed + lifetime, cap=signed + lifetime,
         serial=secrets.token_bytes(16), permissions=permissions,
     )  # fmt: skip
+    number = authority.store.next_number()
     data = authority.grant(draft, signed)
     say(f"grant {document.grant_id(data).hex()} for {node} until {moment(draft.expires)}")
     hand_over(environment, node, data, out)
+    remind(authority.store, number)
 
 
 @grant.command()
@@ -134,12 +146,13 @@ def list_(environment: Environment, node: str | None, as_json: bool) -> None:
 def show(file: Path) -> None:
     """Say in words what the grant in FILE allows; its signature is not checked."""
     content = document.peek(_read(file))
-    say(f"grant {content.id.hex()} of {content.domain} for {content.subject}")
+    said = printable(f"of {content.domain} for {content.subject}")
+    say(f"grant {content.id.hex()} {said}")
     say(f"holds from {moment(content.not_before)} until {moment(content.expires)}")
     for permission in content.permissions:
-        say(f"may {permission.rights.label} {permission.pattern}")
+        say(printable(f"may {permission.rights.label} {permission.pattern}"))
         for line in permission.restriction.lines() if permission.restriction else []:
-            say(f"  {line}")
+            say(printable(f"  {line}"))
 
 
 @grant.command()
@@ -268,6 +281,14 @@ def _rounding(text: str) -> tuple[str, float]:
         raise ConfigurationError(
             f"--round {text} has no step", "for example --round pose.position=2.0"
         ) from None
+
+
+def _check_new(out: Path) -> None:
+    """Before anything is signed: a grant that cannot be written would exist nevertheless."""
+    if out.exists() or out.is_symlink():
+        raise ConfigurationError(f"{out} exists and is not overwritten", "give a new file")
+    if not out.parent.is_dir():
+        raise ConfigurationError(f"there is no directory {out.parent}", "make it first")
 
 
 def hand_over(environment: Environment, node: str, data: bytes, out: Path | None) -> None:

@@ -5,7 +5,7 @@ import os
 import sys
 from collections.abc import Mapping, Sequence
 from importlib.metadata import version
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import click
 
@@ -22,7 +22,7 @@ from rossec.cli.privacy import privacy
 from rossec.cli.request import COMMANDS
 from rossec.cli.simulate import simulate
 from rossec.cli.topic import topic
-from rossec.cli.voice import INTERRUPTED, REFUSED, UNDELIVERED, USAGE, fail
+from rossec.cli.voice import INTERRUPTED, REFUSED, UNDELIVERED, USAGE, fail, printable
 from rossec.errors import NotDelivered
 
 
@@ -31,17 +31,28 @@ from rossec.errors import NotDelivered
 @click.option("--verbose", "-v", is_flag=True, help="log what happens")
 def rossec(verbose: bool) -> None:
     """Security and access grants for ROS 1."""
-    logging.basicConfig(
-        level=logging.INFO if verbose else logging.WARNING,
-        format="rossec: %(levelname)s: %(message)s",
-        stream=sys.stderr,
-    )
+    handler = logging.StreamHandler(sys.stderr)
+    handler.setFormatter(OneLine("rossec: %(levelname)s: %(message)s"))
+    logging.basicConfig(level=logging.INFO if verbose else logging.WARNING, handlers=[handler])
 
 
 for command in (ca, node, grant, policy, explain, simulate, privacy, master, topic, demo):
     rossec.add_command(command)
 for command in COMMANDS:
     grant.add_command(command)
+
+
+class OneLine(logging.Formatter):
+    """Log lines that hold what peers sent, and can neither be forged nor steer the terminal."""
+
+    def formatMessage(self, record: logging.LogRecord) -> str:  # noqa: N802 - the base's name
+        """One line, arguments included."""
+        return printable(super().formatMessage(record))
+
+    def formatException(self, ei: Any) -> str:  # noqa: N802 - the base's name
+        """A traceback, indented so that no line of it passes for a log line."""
+        lines = super().formatException(ei).split("\n")
+        return "\n".join(f"    {printable(line)}" for line in lines)
 
 
 def main() -> NoReturn:

@@ -5,7 +5,7 @@ from pathlib import Path
 import click
 
 from ca import qr
-from rossec.authority import fingerprint
+from rossec.authority import fingerprint, grouped
 from rossec.cli.context import Environment, confirm, moment, now, pass_environment
 from rossec.cli.voice import say
 from rossec.home import NodeHome
@@ -27,7 +27,7 @@ def request(environment: Environment, name: str, domain: str) -> None:
     home = NodeHome.of(environment.home, name)
     made = home.create_request(domain)
     say(f"request of {name}: {home.request_path}")
-    say(f"key {made.thumbprint.hex()}")
+    say(f"fingerprint {grouped(made.thumbprint)}")
     say(f"next, at the authority: rossec ca sign {home.request_path}")
 
 
@@ -69,5 +69,5 @@ def show(environment: Environment, name: str) -> None:
     home = NodeHome.of(environment.home, name)
     identity = home.identity(now())
     say(f"{identity.name} of {identity.domain} until {moment(identity.not_after)}")
-    say(f"key {identity.thumbprint.hex()}")
+    say(f"fingerprint {grouped(identity.thumbprint)}")
     say(f"{len(home.grants())} grants in {home.path}")

@@ -10,6 +10,7 @@ from typing import Any, Final
 
 import click
 
+from rossec.cli.context import reraise_interrupt
 from rossec.errors import ConfigurationError
 
 CREDENTIAL: Final = "rossec-ca-passphrase"
@@ -30,7 +31,7 @@ def read(file: Path | None, environ: Mapping[str, str]) -> str:
     """The passphrase of an existing key.
 
     Raises:
-        ConfigurationError: the file is empty or unreadable.
+        ConfigurationError: the file is empty, no text, or readable by others.
     """
     given = _given(file, environ)
     if given is not None:
@@ -59,7 +60,8 @@ def choose(file: Path | None, environ: Mapping[str, str]) -> str:
 def _ask(question: str, *, twice: bool = False) -> str:
     try:
         answer: str = click.prompt(question, hide_input=True, confirmation_prompt=twice, err=True)
-    except click.Abort:
+    except click.Abort as abort:
+        reraise_interrupt(abort)
         raise ConfigurationError(
             "no passphrase was given", "type it, or give --passphrase-file FILE"
         ) from None
@@ -74,10 +76,16 @@ def _given(file: Path | None, environ: Mapping[str, str]) -> str | None:
         return None
     if file.stat().st_mode & 0o077 and not _is_ours_alone(file):
         raise ConfigurationError(f"{file} can be read by others", f"chmod 600 {file}")
-    lines = file.read_text()[:_MAX_FILE].splitlines()
+    with file.open("rb") as stream:
+        lines = stream.read(_MAX_FILE).splitlines()
     if not lines or not lines[0]:
         raise ConfigurationError(f"{file} is empty", "its first line is the passphrase")
-    return lines[0]
+    try:
+        return lines[0].decode()
+    except UnicodeDecodeError:
+        raise ConfigurationError(
+            f"{file} is not UTF-8 text", "its first line is the passphrase, as one would type it"
+        ) from None
 
 
 def _is_ours_alone(file: Path) -> bool:

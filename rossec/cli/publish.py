@@ -1,8 +1,13 @@
 """Carry the newest revocation list to the master, as the authority's own node `/ca`."""
 
+from typing import Final
+
 from ca.errors import HintedError
+from ca.revocation import open_list
+from ca.store import Store
 from rossec.authority import AuthorityHome
-from rossec.cli.context import Environment
+from rossec.cli.context import Environment, moment, now
+from rossec.cli.voice import note
 from rossec.errors import ConfigurationError, NotDelivered
 from rossec.net.rpc import RpcClient
 from rossec.net.stream import Flavour, connect
@@ -10,18 +15,26 @@ from rossec.node.slave import MASTER
 from rossec.ros import settings
 
 _HINT = "the list is signed and kept; deliver it with: rossec ca publish"
+_SOON: Final = 7 * 86400
+
+
+def remind(store: Store, number: tuple[int, int]) -> None:
+    """Say so when signing made a new list, where `number` was the next one's before."""
+    if store.next_number() != number:
+        note("the revocation list was due and is signed anew; deliver it with: rossec ca publish")
 
 
 async def deliver(environment: Environment, master_uri: str | None) -> None:
     """Send the list to the master at `master_uri`, by default ROS_MASTER_URI.
 
     Raises:
+        ConfigurationError: the list has expired.
         NotDelivered: the master is out of reach or refuses the list.
     """
     uri = master_uri or environment.variables.get("ROS_MASTER_URI", settings.DEFAULT_MASTER_URI)
     host, port = settings.parse_uri(uri, "the master's URI")
     home = AuthorityHome.at(environment.home)
-    node, data = home.node(), home.revocation_list()
+    node, data = home.node(), _young_list(home)
     try:
         stream = await connect(
             host, port, node.credentials(), node.anchor().verify, opening=Flavour.HTTP
@@ -34,3 +47,17 @@ async def deliver(environment: Environment, master_uri: str | None) -> None:
             await stream.close()
     except (HintedError, OSError, TimeoutError) as error:
         raise NotDelivered(f"the master at {uri} did not take the list: {error}", _HINT) from error
+
+
+def _young_list(home: AuthorityHome) -> bytes:
+    """The newest list; with an expired one no grant would hold any more."""
+    data = home.revocation_list()
+    expires = open_list(data, home.anchor().public_key).expires
+    if now() >= expires:
+        raise ConfigurationError(
+            f"the revocation list expired {moment(expires)} and is of no use to anybody",
+            "sign it anew with: rossec ca refresh",
+        )
+    if now() >= expires - _SOON:
+        note(f"the revocation list expires {moment(expires)}; renew it with: rossec ca refresh")
+    return data

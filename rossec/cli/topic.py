@@ -11,7 +11,7 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
 from rossec.cli.context import Environment, pass_environment
-from rossec.cli.voice import note, say
+from rossec.cli.voice import note, printable, say
 from rossec.errors import ConfigurationError
 from rossec.node import Node, Publisher
 from rossec.node.messages import Message, message_type
@@ -159,16 +159,34 @@ def _like(field: str, current: Any, value: object) -> object:
 
 
 def render(message: Message, indent: int = 0) -> str:
-    """The message as rostopic prints it: one `field: value` a line, nested by two spaces."""
+    """The message as rostopic prints it: one `field: value` a line, nested by two spaces.
+
+    Text was written by a peer: it stays on its line and cannot steer the terminal.
+    """
     lines = []
     for field in _fields(message):
         value = getattr(message, field)
+        head = " " * indent + f"{field}:"
         if hasattr(value, "__msgtype__"):
-            lines.append(" " * indent + f"{field}:")
-            lines.append(render(value, indent + 2))
+            lines += [head, render(value, indent + 2)]
+        elif isinstance(value, list) and value and hasattr(value[0], "__msgtype__"):
+            dash = " " * (indent + 2) + "-"
+            lines += [head, *(f"{dash}\n{render(item, indent + 4)}" for item in value)]
         else:
-            lines.append(" " * indent + f"{field}: {value}")
+            lines.append(f"{head} {_plain(value)}")
     return "\n".join(lines)
+
+
+def _plain(value: Any) -> str:
+    if isinstance(value, np.ndarray):
+        value = value.tolist()
+    if isinstance(value, list):
+        return "[" + ", ".join(_quoted(item) for item in value) + "]"
+    return "\\n".join(map(printable, str(value).split("\n")))
+
+
+def _quoted(item: object) -> str:
+    return f"'{_plain(item)}'" if isinstance(item, str) else str(item)
 
 
 def parse_message(text: str) -> object:

@@ -138,6 +138,17 @@ def test_the_newest_live_certificate(store: Store) -> None:
         store.live_certificate("/a", NOW + DAY + 1)
 
 
+def test_living_keys_are_neither_expired_nor_revoked(store: Store) -> None:
+    store.add_certificate(certificate(), NOW)
+    store.add_certificate(certificate(2, key=OTHER), NOW, allow_new_key=True)
+    store.add_certificate(certificate(3, "/b", b"b" * 32), NOW)
+    assert store.live_keys("/a", NOW) == {KEY, OTHER}
+    store.revoke(OTHER, "lost", NOW)
+    assert store.live_keys("/a", NOW) == {KEY}
+    assert store.live_certificate("/a", NOW).thumbprint == KEY
+    assert store.live_keys("/a", NOW + DAY + 1) == frozenset()
+
+
 def test_lists_are_numbered(store: Store) -> None:
     assert store.newest_list() is None
     assert store.next_number() == (1, 1)

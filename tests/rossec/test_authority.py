@@ -31,6 +31,25 @@ def test_a_second_one_in_the_same_place_is_refused(home: AuthorityHome) -> None:
     assert home.anchor() == before
 
 
+@pytest.mark.parametrize(
+    "step", ["ca.store.Store.create", "ca.keys.write_private", "rossec.files.settle"]
+)
+def test_an_interrupted_beginning_never_was(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, step: str
+) -> None:
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr(step, interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            AuthorityHome.create(tmp_path, "home", PASSPHRASE, NOW)
+    assert list(tmp_path.iterdir()) == []
+    (tmp_path / ".ca.0123").mkdir()  # of one that was killed
+    AuthorityHome.create(tmp_path, "home", PASSPHRASE, NOW)
+    assert AuthorityHome.at(tmp_path).unlock(PASSPHRASE).domain == "home"
+
+
 def test_no_authority_names_the_next_command(tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError) as caught:
         AuthorityHome.at(tmp_path)

@@ -22,6 +22,23 @@ def test_a_directory_is_for_its_owner_alone_and_kept(tmp_path: Path) -> None:
     assert (tmp_path / "a" / "b" / "x").exists()
 
 
+def test_the_missing_directories_above_are_private_too(tmp_path: Path) -> None:
+    files.make_private_directory(tmp_path / "a" / "b" / "c")
+    assert [mode(tmp_path / part) for part in ("a", "a/b", "a/b/c")] == [0o700] * 3
+
+
+def test_a_finished_directory_takes_its_place_and_no_other(tmp_path: Path) -> None:
+    for name in ("begun", "again"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "x").write_text(name)
+    files.settle(tmp_path / "begun", tmp_path / "done")
+    with pytest.raises(ConfigurationError, match="done exists and is not overwritten"):
+        files.settle(tmp_path / "again", tmp_path / "done")
+    assert (tmp_path / "done" / "x").read_text() == "begun"
+    with pytest.raises(FileNotFoundError):
+        files.settle(tmp_path / "again", tmp_path / "missing" / "done")
+
+
 def test_a_new_file_is_private_and_never_overwritten(tmp_path: Path) -> None:
     files.create(tmp_path / "secret", b"one")
     assert mode(tmp_path / "secret") == 0o600

@@ -4,6 +4,8 @@ from pathlib import Path
 
 import pytest
 
+from ca.revocation import open_list
+from rossec.authority import AuthorityHome
 from tests.support.commands import Shell, refused
 
 
@@ -56,7 +58,48 @@ def test_another_key_for_a_known_name_must_be_said(shell: Shell) -> None:
     shell("node", "request", "/robot")
     request = str(shell.node("/robot") / "node.csr")
     refused(shell.unlocked("ca", "sign", request, "--yes"), "another key", "--new-key")
-    assert shell.unlocked("ca", "sign", request, "--yes", "--new-key").code == 0
+    old = key_of(shell, "/robot")
+    sign = ("ca", "sign", request, "--yes", "--new-key", "--master", "http://127.0.0.1:1")
+    said = shell.unlocked(*sign)
+    assert said.out.endswith("node.pem\nthe replaced key is revoked\n")
+    refused(said, "did not take the list", "rossec ca publish", code=3)
+    assert listed(shell) == {old}
+    assert shell.unlocked("ca", "sign", request, "--yes").code == 0  # the same key again
+
+
+def key_of(shell: Shell, name: str) -> bytes:
+    rows = AuthorityHome.at(shell.root).store().certificates()
+    return next(row.thumbprint for row in reversed(rows) if row.name == name)
+
+
+def listed(shell: Shell) -> frozenset[bytes]:
+    home = AuthorityHome.at(shell.root)
+    return open_list(home.revocation_list(), home.anchor().public_key).entries
+
+
+REVOKE = ("ca", "revoke", "/robot", "--reason", "stolen", "--master", "http://127.0.0.1:1")
+
+
+def test_an_identity_can_be_revoked(shell: Shell) -> None:
+    shell.enroll("/robot")
+    said = shell.unlocked(*REVOKE)
+    assert said.out == "revoked /robot, 1 key (list 2)\n"
+    refused(said, "did not take the list", "rossec ca publish", code=3)
+    assert listed(shell) == {key_of(shell, "/robot")}
+    refused(shell.unlocked(*REVOKE), "/robot has no living identity to revoke", "rossec ca show")
+    grant = ("grant", "sign", "/robot", "--publish", "/p")
+    refused(shell.unlocked(*grant), "/robot has no valid identity", "rossec node request /robot")
+    request = str(shell.node("/robot") / "node.csr")
+    refused(shell.unlocked("ca", "sign", request, "--yes"), "key of /robot is revoked", "new key")
+    shell.node("/robot").rename(shell.root / "old")
+    shell.enroll("/robot")
+
+
+def test_what_cannot_be_revoked(shell: Shell) -> None:
+    refused(shell.unlocked("ca", "revoke", "/nobody"), "/nobody has no living identity")
+    refused(shell.unlocked("ca", "revoke", "robot"), "not an absolute ROS name", "/robot1/camera")
+    refused(shell.unlocked("ca", "revoke", "/ca"), "the authority's own node", "made anew")
+    assert listed(shell) == frozenset()
 
 
 def test_what_is_no_request(shell: Shell, tmp_path: Path) -> None:
@@ -120,3 +163,21 @@ def test_a_list_can_be_signed_anew(shell: Shell) -> None:
     said = shell.unlocked("ca", "refresh", "--master", "http://127.0.0.1:1")
     assert said.out.startswith("list 2 holds until ")
     refused(said, "did not take the list", "rossec ca publish", code=3)
+
+
+def test_both_sides_show_the_same_fingerprint(shell: Shell) -> None:
+    requested = shell("node", "request", "/robot").out.splitlines()[1]
+    assert len(requested.split()) == 9
+    request = str(shell.node("/robot") / "node.csr")
+    assert f"  {requested}\n" in shell.unlocked("ca", "sign", request, "--yes").out
+    shell("node", "install", str(shell.node("/robot") / "node.pem"), "--yes")
+    assert requested in shell("node", "show", "/robot").out.splitlines()
+    assert requested in shell("ca", "show").out.splitlines()[-1]
+
+
+def test_an_identity_lasts_a_year_at_most(shell: Shell) -> None:
+    shell("node", "request", "/robot")
+    request = str(shell.node("/robot") / "node.csr")
+    said = shell.unlocked("ca", "sign", request, "--yes", "--for", "367d")
+    refused(said, "367d is too long; at most 366d are allowed", "ca sign --help", code=2)
+    assert shell.unlocked("ca", "sign", request, "--yes", "--for", "366d").code == 0

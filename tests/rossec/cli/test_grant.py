@@ -104,3 +104,19 @@ def test_what_is_not_there_cannot_be_revoked(robot: Shell) -> None:
     common = "" if ids[0][0] != ids[1][0] else ids[0][0]
     if common:
         refused(robot.unlocked("grant", "revoke", common), "several grants begin")
+
+
+def test_a_slip_is_found_before_anything_is_signed(robot: Shell, tmp_path: Path) -> None:
+    sign = ("grant", "sign", "/robot", "--publish", "/p")
+    taken = tmp_path / "taken"
+    taken.write_text("mine")
+    said = robot.unlocked(*sign, "--out", str(taken))
+    refused(said, "taken exists and is not overwritten", "give a new file")
+    said = robot.unlocked(*sign, "--out", str(tmp_path / "missing" / "x"))
+    refused(said, "there is no directory", "make it first")
+    said = robot.unlocked(*sign, "--for", "3651d")
+    refused(said, "at most 3650d are allowed", "grant sign --help", code=2)
+    said = robot.unlocked("grant", "sign", "robot", "--publish", "/p")
+    refused(said, "'robot' is not an absolute ROS name", "write it as /robot1/camera")
+    assert robot("grant", "list").out == ""
+    assert taken.read_text() == "mine"

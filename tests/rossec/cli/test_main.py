@@ -1,3 +1,4 @@
+import logging
 import os
 from pathlib import Path
 
@@ -47,6 +48,30 @@ def test_every_end_has_its_code(
 
     monkeypatch.setattr(main.rossec, "main", fail)
     assert main.run([], os.environ) == code
+
+
+def logged(message: str, *values: object, error: Exception | None = None) -> str:
+    info = (type(error), error, None) if error is not None else None
+    record = logging.LogRecord("x", logging.WARNING, "", 0, message, values, info)
+    return main.OneLine("rossec: %(levelname)s: %(message)s").format(record)
+
+
+def test_what_peers_say_cannot_forge_a_log_line() -> None:
+    hostile = "x\nrossec: WARNING: all is well\x1b[1A\u202e"
+    escaped = r"x\u000arossec: WARNING: all is well\u001b[1A\u202e"
+    assert logged("refused %s", hostile) == f"rossec: WARNING: refused {escaped}"
+    assert logged(f"refused {hostile}") == f"rossec: WARNING: refused {escaped}"
+    lines = logged("crashed", error=ValueError(hostile)).splitlines()
+    assert lines[0] == "rossec: WARNING: crashed"
+    assert len(lines) == 3
+    assert all(line.startswith("    ") and line.isprintable() for line in lines[1:])
+
+
+def test_logs_leave_through_it(monkeypatch: pytest.MonkeyPatch, empty: Shell) -> None:
+    used: list[logging.Handler] = []
+    monkeypatch.setattr(logging, "basicConfig", lambda level, handlers: used.extend(handlers))
+    empty("grant", "--help")
+    assert [type(handler.formatter) for handler in used] == [main.OneLine]
 
 
 def test_the_program_exits_with_the_code(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

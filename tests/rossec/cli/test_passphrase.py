@@ -20,6 +20,15 @@ def test_the_first_line_of_a_file(tmp_path: Path) -> None:
     assert passphrase.choose(file, {}) == "four random words"
 
 
+def test_a_file_that_is_no_text(tmp_path: Path) -> None:
+    file = written(tmp_path / "x", "")
+    file.write_bytes(b"caf\xe9 with latin letters\n")
+    with pytest.raises(ConfigurationError, match="is not UTF-8 text"):
+        passphrase.read(file, {})
+    file.write_bytes("café in four words\n\xff".encode() + b"\xff")
+    assert passphrase.read(file, {}) == "café in four words"
+
+
 def test_a_systemd_credential(tmp_path: Path) -> None:
     written(tmp_path / passphrase.CREDENTIAL, "from systemd, here")
     environ = {"CREDENTIALS_DIRECTORY": str(tmp_path)}
@@ -50,6 +59,15 @@ def test_a_person_is_asked(monkeypatch: pytest.MonkeyPatch) -> None:
     assert passphrase.read(None, {}) == "typed by a person"
     assert passphrase.choose(None, {"CREDENTIALS_DIRECTORY": "/nonexistent"})
     assert [twice for _, twice in asked] == [False, True]
+
+
+def test_ctrl_c_is_no_answer(monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(_: str) -> str:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("getpass.getpass", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        passphrase.read(None, {})
 
 
 def test_nobody_to_ask(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -98,6 +98,27 @@ def test_messages_are_written_as_in_rostopic() -> None:
     assert "header:\n  seq: 0\n  stamp:\n    sec: 0" in topic.render(scan)
 
 
+def test_text_of_a_peer_stays_on_its_line() -> None:
+    assert topic.render(filled(STRING, {"data": "a\n---\ndata: \x1b[2J\u202eb"})) == (
+        "data: a\\n---\\ndata: \\u001b[2J\\u202eb"
+    )
+
+
+def test_arrays_are_shown_as_in_rostopic() -> None:
+    scan = filled("sensor_msgs/LaserScan", {"ranges": [1, 2.5] * 1000})
+    assert "\nranges: [1.0, 2.5, 1.0, 2.5," in topic.render(scan)
+    assert "\nintensities: []" in topic.render(scan)
+    image = filled("sensor_msgs/Image", {"data": [1, 255]})
+    assert topic.render(image).endswith("\ndata: [1, 255]")
+    joints = message_type("sensor_msgs/JointState").create()
+    joints.name = ["left", "a\n', '"]
+    assert "\nname: ['left', 'a\\n', '']\n" in topic.render(joints)
+    path = message_type("nav_msgs/Path").create()
+    assert topic.render(path).endswith("\nposes: []")
+    path.poses = [filled("geometry_msgs/PoseStamped", {"header": {"frame_id": "map"}})] * 2
+    assert topic.render(path).count("\n  -\n    header:\n      seq: 0\n") == 2
+
+
 @pytest.mark.parametrize(
     ("content", "error"),
     [
