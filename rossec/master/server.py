@@ -182,6 +182,7 @@ class MasterServer:
                 self._tell(node, "shutdown", f"[{node.name}] Reason: {reason}")
             case RevocationsChanged():
                 self._cut_revoked()
+                self._push_revocations()
                 self._changed.set()
             case GrantsPresented(name, refused):
                 if refused:
@@ -237,9 +238,10 @@ class MasterServer:
         revocations, timestamp = self._standing.current(self._now())
         if not revocations:
             return
+        now, key = self._now(), ("rossec.revocationUpdate", "")
         for node in self._registry.nodes():
-            key = ("rossec.revocationUpdate", "")
-            self._updates.post(node, key, self._name, revocations, timestamp)
+            if self._standing.caller_of(node, now) is not None:
+                self._updates.post(node, key, self._name, revocations, timestamp)
 
     async def _dial(self, node: NodeRef) -> RpcClient:
         """Connect to a slave API; whoever answers must be the node that registered."""
