@@ -67,7 +67,7 @@ def _for(types: Mapping[str, _Rules]) -> Callable[[Layout], _Rules]:
 
 
 def _everything(layout: Layout) -> _Rules:
-    """All fields cleared; one that only holds fixed arrays of texts cannot be, and is refused."""
+    """All fields cleared; only arrays of a fixed length keep theirs."""
     return {name: _CLEAR for name, _ in layout.root.fields}
 
 

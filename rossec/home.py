@@ -167,8 +167,9 @@ class NodeHome:
         key = files.read(path, FILTER_KEY_SIZE, self._missing(path, ""))
         if len(key) != FILTER_KEY_SIZE:
             raise ConfigurationError(
-                f"{path} is not a key of {FILTER_KEY_SIZE} bytes",
-                "move it away: a new one is made, and pseudonyms change",
+                # A peer may read this: no path in it.
+                f"the filter key {name} is not a key of {FILTER_KEY_SIZE} bytes",
+                f"move {path} away: a new one is made, and pseudonyms change",
             )
         return key
 

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from ca.errors import CAError, CertificateExpired
-from grants.model import Right
+from grants.model import Restriction, Right, filter_rules
 from rossec.errors import ConfigurationError, MessageError, NodeShutdown, RossecError
 from rossec.node import Node, Publisher, Subscriber
 from tests.support.site import Site, coarse
@@ -61,6 +61,25 @@ async def test_the_order_of_starting_does_not_matter(site: Site) -> None:
         publisher = await robot.publisher("/robot/pose", POSE, latch=True)
         publisher.publish(pose(publisher))
         assert (await first(subscriber)).pose.position.x == 3.3
+
+
+async def test_pseudonyms_and_rates(site: Site) -> None:
+    """Two receivers under one key see one pseudonym; a rate counts for each of them."""
+    rules = filter_rules({"header.frame_id": {"hash": {"key": "frames", "length": 12}}})
+    site.publish("/robot", "/robot/pose")
+    for name in ("/one", "/two"):
+        site.subscribe(name, "/robot/pose", Restriction(POSE, (), rules, rate=0.001))
+    nodes = site.node("/robot"), site.node("/one"), site.node("/two")
+    async with nodes[0] as robot, nodes[1] as one, nodes[2] as two:
+        publisher = await robot.publisher("/robot/pose", POSE)
+        subscribers = [await node.subscriber("/robot/pose", POSE) for node in (one, two)]
+        await publisher.wait_for_subscribers(2)
+        for _ in range(3):
+            publisher.publish(pose(publisher))
+        seen = [(await first(subscriber)).header.frame_id for subscriber in subscribers]
+        assert [link.withheld for link in publisher.links] == [2, 2]
+    assert seen[0] == seen[1]
+    assert len(seen[0]) == 12
 
 
 async def test_each_subscriber_sees_what_its_grant_says(site: Site) -> None:
