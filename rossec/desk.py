@@ -21,7 +21,6 @@ from grants.policy.model import Effect, Subject
 from grants.request import GrantRequest, open_request, peek_request
 from rossec import inbox
 from rossec.authority import AuthorityHome, OpenAuthority
-from rossec.errors import ConfigurationError
 from rossec.inbox import Asked, Inbox
 
 MAX_ASKED: Final = 16  # prompts one node may have waiting
@@ -61,8 +60,6 @@ class Desk:
         """
         named = peek_request(data).node
         row = self._store.live_certificate(named, self._now)
-        if row.thumbprint in self._store.revoked_entries():
-            raise ConfigurationError(f"the key of {named} is revoked", "enroll it anew")
         key = x509.load_der_x509_certificate(row.der).public_key()
         assert isinstance(key, ec.EllipticCurvePublicKey)  # noqa: S101 - we signed it
         request = open_request(data, key, domain=self._home.domain, now=self._now)

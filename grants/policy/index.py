@@ -47,8 +47,12 @@ class Index:
         root = self._roots.get(right)
         if root is None:
             return []
-        found: list[Hit] = []
+        branches: dict[int, tuple[_Branch, bool]] = {}
         for branch, whole in _reach(root, name, tree=bool(right & TREE_RIGHTS)):
+            _, before = branches.get(id(branch), (branch, False))
+            branches[id(branch)] = (branch, whole or before)  # `**` leads to one in several ways
+        found: list[Hit] = []
+        for branch, whole in branches.values():
             for key in (subject.name, _ANYBODY):
                 for rule, clause in branch.hits.get(key, ()):
                     if (whole or rule.effect is Effect.DENY) and rule.is_for(subject):
