@@ -23,12 +23,13 @@ ros:
 demo: $(READY)
 	@$(BIN)/rossec demo
 
+# The venv is looked at after the ROS packages: installing them may bring a better Python for it.
 test: ros
-	@$(MAKE) --no-print-directory $(READY)
 	@tools/venv.sh
 	$(BIN)/python -m pytest $(ARGS)
 
-check: $(READY)
+check: ros
+	@tools/venv.sh
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
@@ -37,7 +38,8 @@ check: $(READY)
 	@$(MAKE) --no-print-directory cover
 
 # Unit tests alone must cover the packages; integration tests only add confidence.
-cover: $(READY)
+cover: ros
+	@tools/venv.sh
 	$(BIN)/coverage erase
 	$(BIN)/coverage run -m pytest -q tests/ca tests/grants tests/rossec
 	$(BIN)/coverage combine -q
