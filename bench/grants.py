@@ -17,6 +17,7 @@ from cryptography.hazmat.primitives import hashes
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.asymmetric.utils import encode_dss_signature
 
+from bench import policy
 from ca.signer import KeySigner
 from grants.conditions import compile_condition
 from grants.document import open_grant, sign
@@ -47,6 +48,7 @@ def measure(seconds: float) -> dict[str, object]:
         "verify_vs_raw": round(verify / raw, 3),
         "verify_new_rights_vs_raw": round(first / raw, 3),
         "sign_us": round(signing, 1),
+        **policy.measure(min(3.0, seconds / 4)),
     }
 
 
