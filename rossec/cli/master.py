@@ -2,6 +2,7 @@
 
 import asyncio
 import signal
+from pathlib import Path
 
 import click
 
@@ -9,6 +10,7 @@ from rossec.authority import AuthorityHome
 from rossec.cli.context import Environment, now, pass_environment
 from rossec.cli.voice import say, say_json
 from rossec.home import NodeHome
+from rossec.master.complaints import Complain, ComplainLog, unheard
 from rossec.master.start import master_of
 from rossec.node.slave import MASTER
 from rossec.ros import settings
@@ -22,13 +24,23 @@ from rossec.ros import settings
     help="instead of the one in ROS_MASTER_URI; 0 for any",
 )
 @click.option("--json", "as_json", is_flag=True, help="say the address as a line of JSON")
+@click.option(
+    "--complaints",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="append what nodes lack the right to, for: rossec policy learn --from-log",
+)
 @pass_environment
-def master(environment: Environment, port: int | None, as_json: bool) -> None:
+def master(
+    environment: Environment, port: int | None, as_json: bool, complaints: Path | None
+) -> None:
     """Run the master, as the node /master. Ends with Ctrl-C."""
-    asyncio.run(_serve(environment, port, as_json))
+    log = ComplainLog(complaints) if complaints is not None else unheard
+    asyncio.run(_serve(environment, port, as_json, log))
 
 
-async def _serve(environment: Environment, port: int | None, as_json: bool) -> None:
+async def _serve(
+    environment: Environment, port: int | None, as_json: bool, complain: Complain
+) -> None:
     own = settings.read((), environment.variables, default_name=MASTER)
     stop = asyncio.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -40,6 +52,7 @@ async def _serve(environment: Environment, port: int | None, as_json: bool) -> N
         port=own.master_port if port is None else port,
         newest=_newest_list(environment),
         now=now(),
+        complain=complain,
     )
     await server.start()
     try:

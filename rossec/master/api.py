@@ -13,6 +13,7 @@ from ca.errors import HintedError
 from rossec.master import arguments as arg
 from rossec.master.arguments import ArgumentRefused
 from rossec.master.calls import (
+    Denied,
     GrantsPresented,
     MasterEvent,
     Method,
@@ -107,7 +108,8 @@ class MasterApi:
         except ArgumentRefused as refused:
             return Outcome([-1, str(refused), row.default])
         except Refused as refused:
-            return Outcome([-1, f"rossec: {refused}", row.default])
+            denied = () if refused.wanted is None else (Denied(caller.name, *refused.wanted),)
+            return Outcome([-1, f"rossec: {refused}", row.default], denied)
         return Outcome([reply.code, reply.status, reply.value], reply.events)
 
     def _request(

@@ -4,6 +4,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from grants.model import Right
 from rossec.master.arguments import Check
 from rossec.master.gatekeeper import Caller
 from rossec.master.registry import Event, NodeRef
@@ -38,7 +39,16 @@ class RevocationsChanged:
     """A newer revocation list is in force: enforce it and pass it on."""
 
 
-MasterEvent = Event | ParameterChanged | StopMaster | GrantsPresented | RevocationsChanged
+@dataclass(frozen=True)
+class Denied:
+    """A caller lacks a right on a name: what a complain log is made of."""
+
+    node: str
+    right: Right
+    name: str
+
+
+MasterEvent = Event | ParameterChanged | StopMaster | GrantsPresented | RevocationsChanged | Denied
 
 
 class Reply(NamedTuple):

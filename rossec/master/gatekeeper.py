@@ -20,7 +20,14 @@ SEES_TOPICS: Final = (Right.PUBLISH, Right.SUBSCRIBE, Right.CALL, Right.PROVIDE,
 
 
 class Refused(Exception):
-    """The status text to answer with, after `rossec: `."""
+    """The status text to answer with, after `rossec: `.
+
+    `wanted` is the right that is missing, and the name it is missing on, if that was the reason.
+    """
+
+    def __init__(self, text: str, wanted: tuple[Right, str] | None = None) -> None:
+        super().__init__(text)
+        self.wanted = wanted
 
 
 class Access(Protocol):
@@ -184,7 +191,7 @@ def require(caller: Caller, right: Right, name: str) -> None:
     except HintedError as error:
         hint = f" ({error.hint})" if error.hint else ""
         wanted = f"{caller.name} needs the right {_label(right)} on {name}"
-        raise Refused(f"{wanted}: {error}{hint}") from error
+        raise Refused(f"{wanted}: {error}{hint}", (right, name)) from error
 
 
 def require_room(registry: Registry, kind: Kind, key: str, node: NodeRef) -> None:
@@ -203,7 +210,7 @@ def require_tree(caller: Caller, right: Right, key: str, leaves: list[str]) -> N
     """
     if not leaves or not all(caller.may(right, leaf) for leaf in leaves):
         wanted = f"{caller.name} needs the right {_label(right)} on {key}"
-        raise Refused(f"{wanted}: no grant covers it and all below it ({_ASK})")
+        raise Refused(f"{wanted}: no grant covers it and all below it ({_ASK})", (right, key))
 
 
 def _label(right: Right) -> str:

@@ -19,12 +19,14 @@ from rossec.channel.credentials import OwnCredential, PeerIdentity, Verify
 from rossec.errors import CallerMismatch
 from rossec.master.api import MasterApi, Statements
 from rossec.master.calls import (
+    Denied,
     GrantsPresented,
     MasterEvent,
     ParameterChanged,
     RevocationsChanged,
     StopMaster,
 )
+from rossec.master.complaints import Complain, unheard
 from rossec.master.enforce import enforce, steps
 from rossec.master.gatekeeper import Caller, Peer
 from rossec.master.registry import NodeRef, PublishersChanged, Registry, ShutdownNode
@@ -82,6 +84,7 @@ class MasterServer:
         advertise: str = "localhost",
         clock: Callable[[], float] = time.time,
         timestamp_every: float = TIMESTAMP_EVERY,
+        complain: Complain = unheard,
     ) -> None:
         self._credentials = credentials
         self._verify = verify
@@ -91,6 +94,7 @@ class MasterServer:
         self._advertise = advertise
         self._clock = clock
         self._timestamp_every = timestamp_every
+        self._complain = complain
         self._registry = Registry()
         self._api: MasterApi | None = None
         self._server: SecureServer[ChannelPeer] | None = None
@@ -184,6 +188,8 @@ class MasterServer:
                 self._cut_revoked()
                 self._push_revocations()
                 self._changed.set()
+            case Denied(node_name, right, name):
+                self._complain(self._now(), node_name, right, name)
             case GrantsPresented(name, refused):
                 if refused:
                     text = printable("; ".join(refused))

@@ -4,13 +4,20 @@ import socket
 
 from ca.revocation import Revocations
 from rossec.home import NodeHome
+from rossec.master.complaints import Complain, unheard
 from rossec.master.server import MasterServer
 from rossec.master.trust import Trust
 from rossec.ros.settings import is_loopback
 
 
 def master_of(
-    home: NodeHome, *, host: str | None, port: int, newest: bytes | None, now: int
+    home: NodeHome,
+    *,
+    host: str | None,
+    port: int,
+    newest: bytes | None,
+    now: int,
+    complain: Complain = unheard,
 ) -> MasterServer:
     """The master whose identity is in `home`, not yet started.
 
@@ -19,6 +26,7 @@ def master_of(
             loopback, as in ROS; None: this machine's name, and any address.
         newest: a revocation list that may be newer than the one saved, when the authority lives on
             this host; otherwise the master waits until one is published.
+        complain: hears of every right that somebody lacks.
 
     Raises:
         ConfigurationError: the node is not enrolled.
@@ -40,4 +48,5 @@ def master_of(
         host=host if host is not None and is_loopback(host) else None,
         port=port,
         advertise=host or socket.gethostname(),
+        complain=complain,
     )

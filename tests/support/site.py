@@ -15,6 +15,7 @@ from grants import document
 from grants.model import Draft, Permission, Restriction, Right, filter_rules
 from rossec.authority import OpenAuthority
 from rossec.home import NodeHome
+from rossec.master.complaints import Complain, unheard
 from rossec.master.server import MasterServer
 from rossec.master.start import master_of
 from rossec.node import Node
@@ -41,6 +42,7 @@ class Site:
         )
         self.authority.sign_list(now)
         self.master: MasterServer | None = None
+        self.complain: Complain = unheard
 
     def now(self) -> int:
         """Seconds since the epoch, by this site's clock."""
@@ -139,7 +141,7 @@ class Site:
         """Start a master on `port` of loopback."""
         self.master = master_of(
             self.enroll(MASTER), host="127.0.0.1", port=port,
-            newest=self.authority.store.newest_list(), now=self.now(),
+            newest=self.authority.store.newest_list(), now=self.now(), complain=self.complain,
         )  # fmt: skip
         await self.master.start()
 

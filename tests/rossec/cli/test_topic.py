@@ -136,3 +136,15 @@ def test_a_message_that_is_none(content: object, error: str) -> None:
 
 def test_content_that_is_no_yaml(empty: Shell) -> None:
     refused(empty("topic", "pub", "/chatter", STRING, "{data: [", "--as", "/talker"), "is no YAML")
+
+
+def test_a_complaint_is_written_down(site: Site, tmp_path: Path) -> None:
+    log = tmp_path / "complaints"
+    process = start(site, {}, "master", "--port", "0", "--complaints", str(log))
+    assert process.stdout is not None
+    uri = process.stdout.readline().split()[-1]
+    echo = ("topic", "echo", "/secret", STRING, "--as", "/listener")
+    start(site, {"ROS_MASTER_URI": uri}, *echo).communicate(timeout=30)
+    process.send_signal(signal.SIGTERM)
+    process.communicate(timeout=10)
+    assert '"node": "/listener", "right": "subscribe", "name": "/secret"' in log.read_text()
