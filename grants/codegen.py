@@ -78,7 +78,7 @@ class Source:
 
     def compile(self) -> Callable[..., Any]:
         """The function."""
-        exec(compile(self.text, "<rossec layout>", "exec"), self._namespace)  # noqa: S102
+        exec(compile(self.text, "<rossec layout>", "exec"), self._namespace)  # noqa: S102 - only names and offsets made here
         function: Callable[..., Any] = self._namespace["generated"]
         return function
 
@@ -109,7 +109,7 @@ class Cursor:
             case Array(size=None, element=element):
                 self._skip_array(kind, element)
             case _:
-                assert kind.size is not None  # noqa: S101
+                assert kind.size is not None  # noqa: S101 - for the type checker
                 self.position = (self.position[0], self.position[1] + kind.size)
 
     def _skip_array(self, kind: Array, element: Type) -> None:

@@ -92,7 +92,7 @@ class _Compiler:
         self._source.line(f"return {code}")
         return self._source.compile()
 
-    def compile(self, node: Expression) -> tuple[str, str]:  # noqa: PLR0911
+    def compile(self, node: Expression) -> tuple[str, str]:  # noqa: PLR0911 - one per node
         """The CEL type of `node` and its Python source, in parentheses where needed."""
         match node:
             case Literal(value):

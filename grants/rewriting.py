@@ -118,7 +118,7 @@ class _Writer(Cursor):
                 else:
                     self._extend(kind, data)
             case Numbers():
-                assert isinstance(kind, Primitive)  # noqa: S101
+                assert isinstance(kind, Primitive)  # noqa: S101 - for the type checker
                 self._extend(kind, (kind, treatment))
             case _:  # `Inside` is never met outside of its message
                 self._body(kind, treatment.rewrite, [])

@@ -60,7 +60,7 @@ def _merged(found: list[Column]) -> list[Column]:
     for column in found:
         if merged and merged[-1].joins(column):
             last = merged.pop()
-            column = Column(last.offset, last.code, last.count + column.count, last.vector)  # noqa: PLW2901
+            column = Column(last.offset, last.code, last.count + column.count, last.vector)  # noqa: PLW2901 - merged
         merged.append(column)
     return merged
 

@@ -163,7 +163,8 @@ def install(environment: Environment, file: Path) -> None:
     data = _read(file)
     content = document.peek(data)
     home = NodeHome.of(environment.home, content.subject)
-    document.open_grant(data, home.anchor().public_key, now())
+    anchor = home.anchor()
+    document.open_grant(data, anchor.public_key, now(), domain=anchor.domain)
     home.add_grant(document.grant_id(data), data)
     say(f"{content.subject} holds grant {content.id.hex()}")
 

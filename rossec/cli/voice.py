@@ -6,8 +6,9 @@ Results go to stdout, everything else to stderr. Exit codes: 0 done, 1 refused, 
 
 import json
 import sys
-import unicodedata
 from typing import Any
+
+from rossec.ros.text import printable as text_on_one_line
 
 REFUSED = 1
 USAGE = 2
@@ -43,8 +44,4 @@ def printable(text: str) -> str:
 
     Tabs and newlines are kept out as well: one error is one line.
     """
-    return "".join(char if _harmless(char) else f"\\u{ord(char):04x}" for char in text)
-
-
-def _harmless(char: str) -> bool:
-    return unicodedata.category(char) not in {"Cc", "Cf", "Cs", "Co", "Zl", "Zp"}
+    return text_on_one_line(text, len(text))
