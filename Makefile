@@ -5,12 +5,13 @@ SHELL := /bin/bash
 BIN := .venv/bin
 READY := .venv/.ready
 
-.PHONY: help demo test check cover bench ros format clean
+.PHONY: help demo test check static cover bench ros format clean
 help:
 	@echo "make demo    the main job, end to end, in under 30 s (no ROS needed)"
-	@echo "make test    the whole suite (installs Debian's ROS packages when it can)"
-	@echo "make check   formatting, lint, types, import contracts, wheel contents, coverage gates"
+	@echo "make test    the whole suite and its coverage gates (installs Debian's ROS packages when it can)"
+	@echo "make static  formatting, lint, types, import contracts, wheel contents"
 	@echo "make cover   the unit tests with their coverage gates"
+	@echo "make check   make static and make cover"
 	@echo "make bench   measurements beside plain TCPROS and TLS (BENCH=name for one)"
 
 $(READY): pyproject.toml constraints.txt tools/venv.sh
@@ -24,26 +25,26 @@ demo: $(READY)
 	@$(BIN)/rossec demo
 
 # The venv is looked at after the ROS packages: installing them may bring a better Python for it.
-test: ros
-	@tools/venv.sh
-	$(BIN)/python -m pytest $(ARGS)
+# Unit tests alone must cover the packages; integration tests only add confidence.
+test: cover
+	$(BIN)/python -m pytest $(ARGS) --ignore tests/ca --ignore tests/grants --ignore tests/rossec
 
-check: ros
+cover: ros
+	@tools/venv.sh
+	$(BIN)/coverage erase
+	$(BIN)/coverage run -m pytest -q -n 2 $(ARGS) tests/ca tests/grants tests/rossec
+	$(BIN)/coverage combine -q
+	$(BIN)/coverage report
+
+static: ros
 	@tools/venv.sh
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-cache
 	tools/wheel.sh
-	@$(MAKE) --no-print-directory cover
 
-# Unit tests alone must cover the packages; integration tests only add confidence.
-cover: ros
-	@tools/venv.sh
-	$(BIN)/coverage erase
-	$(BIN)/coverage run -m pytest -q tests/ca tests/grants tests/rossec
-	$(BIN)/coverage combine -q
-	$(BIN)/coverage report
+check: static cover
 
 bench: $(READY)
 	$(BIN)/python -m bench $(BENCH)

@@ -6,7 +6,10 @@ packages=(
     python3-venv python3-rospy python3-rosmaster python3-rostopic python3-rosnode
     python3-std-msgs python3-geometry-msgs python3-sensor-msgs python3-nav-msgs
     python3-diagnostic-msgs python3-stereo-msgs python3-shape-msgs python3-trajectory-msgs
-    python3-visualization-msgs python3-actionlib-msgs python3-actionlib python3-tf2-msgs tcpdump
+    python3-visualization-msgs python3-actionlib-msgs python3-actionlib python3-tf2-msgs
+    python3-std-srvs python3-rosgraph-msgs python3-rosbag python3-rosservice python3-rosparam
+    python3-roslaunch python3-tf2-ros rosout topic-tools libroscpp-dev libstd-msgs-dev g++ pkg-config
+    tcpdump iproute2 openssl stunnel4 softhsm2 fonts-dejavu-core
 )
 
 missing=()
