@@ -11,11 +11,10 @@ from dataclasses import dataclass
 from ca.certificates import Identity
 from grants.decision import Decision
 from grants.model import Right
-from rossec.errors import CallerMismatch, TopicRefused
+from rossec.errors import TopicRefused
 from rossec.node.access import FIELD, Access
+from rossec.node.fields import Fields, check_caller, text
 from rossec.node.messages import MessageType
-
-Fields = dict[str, bytes]
 
 
 @dataclass(frozen=True)
@@ -60,7 +59,7 @@ def requested_topic(fields: Mapping[str, bytes]) -> str:
     Raises:
         TopicRefused: no topic, or a name that is not text.
     """
-    return _text(fields, "topic")
+    return text(fields, "topic")
 
 
 def admit_subscriber(
@@ -72,8 +71,8 @@ def admit_subscriber(
         CallerMismatch, TopicRefused: the header does not fit the peer.
         GrantError, CAError: the peer may not subscribe.
     """
-    _check_caller(fields, peer)
-    return access.authorize(peer, fields.get(FIELD), Right.SUBSCRIBE, _text(fields, "topic"), now)
+    check_caller(fields, peer)
+    return access.authorize(peer, fields.get(FIELD), Right.SUBSCRIBE, text(fields, "topic"), now)
 
 
 def admit_publisher(
@@ -86,9 +85,9 @@ def admit_publisher(
         GrantError, CAError: the peer may not publish.
     """
     if "error" in fields:
-        raise TopicRefused(f"{peer.name} refuses: {_text(fields, 'error')}")
-    _check_caller(fields, peer)
-    if _text(fields, "topic") != endpoint.topic:
+        raise TopicRefused(f"{peer.name} refuses: {text(fields, 'error')}")
+    check_caller(fields, peer)
+    if text(fields, "topic") != endpoint.topic:
         raise TopicRefused(f"{peer.name} answers with another topic than {endpoint.topic}")
     check_type(fields, endpoint)
     return access.authorize(peer, fields.get(FIELD), Right.PUBLISH, endpoint.topic, now)
@@ -100,32 +99,10 @@ def check_type(fields: Mapping[str, bytes], endpoint: Endpoint) -> None:
     Raises:
         TopicRefused: the two sides do not mean the same message.
     """
-    name, md5sum = _text(fields, "type"), _text(fields, "md5sum")
+    name, md5sum = text(fields, "type"), text(fields, "md5sum")
     if name not in {"*", endpoint.type.name} or md5sum not in {"*", endpoint.type.md5sum}:
         raise TopicRefused(
             f"{endpoint.topic} carries {endpoint.type.name} ({endpoint.type.md5sum}),"
             f" the peer expects {name} ({md5sum})",
             "both sides need the same version of the message package",
         )
-
-
-def _check_caller(fields: Mapping[str, bytes], peer: Identity) -> None:
-    caller = _text(fields, "callerid")
-    if caller != peer.name:
-        raise CallerMismatch(
-            f"a node certified as {peer.name} calls itself {caller}",
-            "start it under the name it was enrolled with",
-        )
-
-
-def _text(fields: Mapping[str, bytes], key: str) -> str:
-    value = fields.get(key)
-    if value is None:
-        raise TopicRefused(f"the connection header has no {key!r}")
-    try:
-        text = value.decode()
-    except UnicodeDecodeError:
-        raise TopicRefused(f"the connection header's {key!r} is not text") from None
-    if not text.isprintable() and key != "error":
-        raise TopicRefused(f"the connection header's {key!r} holds control characters")
-    return "".join(char if char.isprintable() else " " for char in text)[:4096]

@@ -9,8 +9,9 @@ from grants.errors import GrantMissing
 from rossec.errors import CallerMismatch, TopicRefused
 from rossec.node import topics
 from rossec.node.access import Access
+from rossec.node.fields import Fields
 from rossec.node.messages import message_type
-from rossec.node.topics import Endpoint, Fields
+from rossec.node.topics import Endpoint
 from tests.support.site import Site
 
 NOW = int(time.time())

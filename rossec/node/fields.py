@@ -1,0 +1,41 @@
+"""Fields of a TCPROS connection header as peers write them: strictly read, never trusted."""
+
+from collections.abc import Mapping
+
+from ca.certificates import Identity
+from rossec.errors import CallerMismatch, TopicRefused
+
+Fields = dict[str, bytes]
+
+
+def check_caller(fields: Mapping[str, bytes], peer: Identity) -> None:
+    """Hold the name a peer gives itself against its certificate.
+
+    Raises:
+        CallerMismatch: it is another one.
+        TopicRefused: there is none.
+    """
+    caller = text(fields, "callerid")
+    if caller != peer.name:
+        raise CallerMismatch(
+            f"a node certified as {peer.name} calls itself {caller}",
+            "start it under the name it was enrolled with",
+        )
+
+
+def text(fields: Mapping[str, bytes], key: str) -> str:
+    """Field `key` as printable text of at most 4096 characters.
+
+    Raises:
+        TopicRefused: missing, not UTF-8, or with control characters.
+    """
+    value = fields.get(key)
+    if value is None:
+        raise TopicRefused(f"the connection header has no {key!r}")
+    try:
+        decoded = value.decode()
+    except UnicodeDecodeError:
+        raise TopicRefused(f"the connection header's {key!r} is not text") from None
+    if not decoded.isprintable() and key != "error":
+        raise TopicRefused(f"the connection header's {key!r} holds control characters")
+    return "".join(char if char.isprintable() else " " for char in decoded)[:4096]
