@@ -155,7 +155,7 @@ class Listener:
         publisher = self._publishers.get(requested_topic(fields))
         if publisher is None:
             raise TopicRefused(f"{self._name} does not publish {requested_topic(fields)}")
-        check_type(fields, publisher.endpoint)
+        check_type(fields, publisher.endpoint.expected)
         return publisher, decision, publisher.guard(decision)
 
 
