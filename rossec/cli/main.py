@@ -20,6 +20,8 @@ from rossec.cli.node import node
 from rossec.cli.policy import policy
 from rossec.cli.privacy import privacy
 from rossec.cli.request import COMMANDS
+from rossec.cli.run import run as run_program
+from rossec.cli.run import sidecar
 from rossec.cli.simulate import simulate
 from rossec.cli.topic import topic
 from rossec.cli.voice import INTERRUPTED, REFUSED, UNDELIVERED, USAGE, fail, printable
@@ -37,6 +39,8 @@ def rossec(verbose: bool) -> None:
 
 
 for command in (ca, node, grant, policy, explain, simulate, privacy, master, topic, demo):
+    rossec.add_command(command)
+for command in (run_program, sidecar):
     rossec.add_command(command)
 for command in COMMANDS:
     grant.add_command(command)

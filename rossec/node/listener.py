@@ -18,9 +18,9 @@ from grants.guard import Guard
 from rossec.channel.credentials import Credentials
 from rossec.errors import TopicRefused
 from rossec.net.rpc import serve_calls
-from rossec.net.server import Handler
 from rossec.net.stream import Flavour, SecureServer, SecureStream, serve
 from rossec.node.access import Access
+from rossec.node.guests import Guests
 from rossec.node.publisher import Publisher
 from rossec.node.slave import MASTER, REVOCATION_UPDATE, SlaveApi
 from rossec.node.topics import admit_subscriber, check_type, publisher_header, requested_topic
@@ -29,7 +29,6 @@ from rossec.ros.settings import is_loopback
 
 HEADER_DEADLINE: Final = 5.0
 SLAVE_DEADLINE: Final = 30.0
-PEER_CONNECTIONS: Final = 64  # of one identity: one for each topic it subscribes to here
 
 _log = logging.getLogger("rossec.node")
 
@@ -53,7 +52,7 @@ class Listener:
         self._publishers = publishers
         self._slave = slave
         self._servers: list[SecureServer[Identity]] = []
-        self._streams: set[SecureStream[Identity]] = set()
+        self._guests = Guests()
 
     @property
     def slave_port(self) -> int:
@@ -73,7 +72,7 @@ class Listener:
             (self._serve_topic, Flavour.TCPROS),
         ):
             server = await serve(
-                self._bounded(handler),
+                self._guests.bounded(handler),
                 bind,
                 0,
                 self._credentials,
@@ -84,30 +83,12 @@ class Listener:
 
     def cut(self, revoked: frozenset[bytes]) -> None:
         """Cut every connection of a revoked key, whatever it is used for."""
-        for stream in tuple(self._streams):
-            if stream.peer.thumbprint in revoked:
-                stream.abort("the peer's identity is revoked")
+        self._guests.cut(revoked)
 
     async def close(self) -> None:
         """Stop listening and cut what was accepted."""
         for server in self._servers:
             await server.close()
-
-    def _bounded(self, handler: Handler[Identity]) -> Handler[Identity]:
-        """Serve an entitled peer, and no more than a few connections of one identity (N8)."""
-
-        async def serve_one(stream: SecureStream[Identity]) -> None:
-            peer = stream.peer.thumbprint
-            if sum(other.peer.thumbprint == peer for other in self._streams) >= PEER_CONNECTIONS:
-                _log.warning("%s has too many connections", stream.peer.name)
-                return
-            self._streams.add(stream)
-            try:
-                await handler(stream)
-            finally:
-                self._streams.discard(stream)
-
-        return serve_one
 
     async def _serve_slave(self, stream: SecureStream[Identity]) -> None:
         """The master's connection stays; another node asks where a topic is, and goes."""

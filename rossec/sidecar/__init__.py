@@ -1,1 +1,1 @@
-"""Secures programs that know nothing of rossec: a master of their own on loopback, and its guard."""
+"""Secures programs that know nothing of rossec: a loopback master of their own, and a guard."""

@@ -1,8 +1,8 @@
 """Endpoints, and which door stands for which: the two tables every rewriting goes through. Pure.
 
-A program keeps its loopback port, and gets a door to the network (export); a peer keeps its address,
-and gets a door on loopback (import). A program's own URI is given back to it byte for byte: roscpp
-compares it so to recognise itself.
+A program keeps its loopback port, and gets a door to the network (export); a peer keeps its
+address, and gets a door on loopback (import). A program's own URI is given back to it byte for
+byte: roscpp compares it so to recognise itself.
 """
 
 from dataclasses import dataclass
@@ -56,14 +56,14 @@ class Doors:
     """
 
     def __init__(self, host: str) -> None:
-        self._host = host
+        self.host = host
         self._exported: dict[Endpoint, Endpoint] = {}  # outside -> inside
         self._imported: dict[int, Endpoint] = {}  # loopback port -> remote
         self._spelt: dict[Endpoint, str] = {}
 
     def opened_outside(self, local: Endpoint, port: int) -> Endpoint:
         """A door to the network for `local`; returns what peers are told."""
-        outside = Endpoint(local.flavour, self._host, port)
+        outside = Endpoint(local.flavour, self.host, port)
         self._exported[outside] = local
         return outside
 

@@ -1,9 +1,9 @@
 """Which programs of this host may use the sidecar's loopback ports, and be reached by it.
 
-The kernel's socket table tells the user at the other end. A private sidecar also wants the socket to
-be held by the program it was started for, or a descendant of it: another program of the same user
-is refused. What this cannot keep out: root, and a program of the same user that attaches to one of
-these (ptrace) or reads the identity's files.
+The kernel's socket table tells the user at the other end. A private sidecar also wants the socket
+to be held by the program it was started for, or a descendant of it: another program of the same
+user is refused. What this cannot keep out: root, and a program of the same user that attaches to
+one of these (ptrace) or reads the identity's files.
 """
 
 import os

@@ -1,8 +1,8 @@
 """What a layer can ask the shell to do. One page, nothing else.
 
 Inside is loopback, where the programs are; outside is the network, where every connection is a
-secured one. A layer can reach a program only at a loopback port and a peer only through the channel:
-there is no command that would send in clear to another host.
+secured one. A layer can reach a program only at a loopback port and a peer only through the
+channel: there is no command that would send in clear to another host.
 """
 
 from collections.abc import Mapping
@@ -78,11 +78,20 @@ class Knock:
 
 
 @dataclass(frozen=True)
-class Introduce:
-    """Connect for TCPROS and send this header. -> HeaderArrived, Silent"""
+class MeetProgram:
+    """Connect to a program for TCPROS and send this header. -> HeaderArrived, Silent"""
 
-    target: Endpoint
+    local: Endpoint
     fields: Mapping[str, bytes]
 
 
-Command = Export | Import | Rest | AskMaster | AskLocal | AskRemote | Knock | Introduce
+@dataclass(frozen=True)
+class MeetPeer:
+    """Connect to a peer for TCPROS and send this header. -> HeaderArrived, Silent"""
+
+    remote: Endpoint
+    fields: Mapping[str, bytes]
+
+
+Question = AskMaster | AskLocal | AskRemote | Knock | MeetProgram | MeetPeer
+Command = Export | Import | Rest | Question

@@ -1,7 +1,7 @@
 """What can happen to a layer: the answers to its commands. One page, nothing else.
 
-A layer is a generator that yields commands and is sent one of these for each. What does not fit the
-command is a mistake of the shell and ends the layer, and with it the connection.
+A layer is a generator that yields commands and is sent one of these for each. What does not fit
+the command is a mistake of the shell and ends the layer, and with it the connection.
 """
 
 from collections.abc import Mapping

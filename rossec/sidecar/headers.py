@@ -1,8 +1,9 @@
 """The TCPROS handshake between a program and a peer, both directions. Pure layers.
 
-The header of the one end is read once, judged, given to the other end, and its answer judged in turn;
-grants are added towards the network and taken out towards the program. What comes back says how the
-bytes that follow must be treated: a guard for outgoing messages that are restricted, nothing else.
+The header of the one end is read once, judged, given to the other end, and its answer judged in
+turn; grants are added towards the network and taken out towards the program. What comes back says
+how the bytes that follow must be treated: a guard for outgoing messages that are restricted,
+nothing else.
 """
 
 from collections.abc import Callable, Mapping
@@ -18,7 +19,7 @@ from rossec.node import services, topics
 from rossec.node.access import FIELD
 from rossec.node.fields import Fields, text
 from rossec.sidecar.addresses import Endpoint
-from rossec.sidecar.commands import Introduce, Rest
+from rossec.sidecar.commands import MeetPeer, MeetProgram, Rest
 from rossec.sidecar.events import Event, HeaderArrived, Silent
 from rossec.sidecar.layers import Layer, Tenant, Unforeseen
 
@@ -63,7 +64,7 @@ def admit_peer(
         decision.require_unrestricted()
     else:
         decision = topics.admit_subscriber(fields, peer, tenant.access, now)
-    event = yield Introduce(local, without_grants(fields))
+    event = yield MeetProgram(local, without_grants(fields))
     if isinstance(event, Silent) and event.dead:
         yield Rest(local)
     arrived = _arrived(event)
@@ -133,7 +134,7 @@ def reach_peer(
     if service:
         name = services.requested_service(fields)
         asked |= services.caller_proof(name, tenant.access, now)
-        event = yield Introduce(remote, asked)
+        event = yield MeetPeer(remote, asked)
         arrived, peer = _from_peer(event)
         decision = services.admit_provider(arrived.fields, peer, name, tenant.access, arrived.now)
         decision.require_unrestricted()
@@ -142,7 +143,7 @@ def reach_peer(
             topics.requested_topic(fields), text(fields, "type"), text(fields, "md5sum")
         )
         asked[FIELD] = tenant.access.present(Right.SUBSCRIBE, expected.topic, now)
-        arrived, peer = _from_peer((yield Introduce(remote, asked)))
+        arrived, peer = _from_peer((yield MeetPeer(remote, asked)))
         decision = topics.admit_publisher(
             arrived.fields, peer, expected, tenant.access, arrived.now
         )

@@ -1,8 +1,8 @@
 """Calls of programs to their master, rewritten for the secured one. Pure layers.
 
 The table says where a call carries an address: the program's slave API, its service, or one in the
-answer. A method that is not in it is not passed on. Elements of a multicall are calls of their own.
-What a program registers is remembered, so that a restarted master hears of it again.
+answer. A method that is not in it is not passed on. Elements of a multicall are calls of their
+own. What a program registers is remembered, so that a restarted master hears of it again.
 """
 
 from dataclasses import dataclass

@@ -1,7 +1,7 @@
 """A plain TCP connection with a program of this host: bytes as they come, with back-pressure.
 
-It has the methods of a secure stream, so that both kinds of end can be served and pumped alike. Its
-buffer is small until a program fills it: fifty quiet nodes must not cost fifty large buffers.
+It has the methods of a secure stream, so that both kinds of end can be served and pumped alike.
+Its buffer is small until a program fills it: fifty quiet nodes must not cost fifty large buffers.
 """
 
 import asyncio

@@ -1,8 +1,8 @@
 """Calls between nodes: a peer's to a program's slave API, and a program's to a peer's. Pure layers.
 
-Both directions are default deny and drop UDPROS, which would leave the channel (attack N10). A peer
-is judged before the program hears of it. What a program answers is parsed only where it carries an
-address: roscpp's `getBusStats` is malformed XML-RPC, and travels as it is.
+Both directions are default deny and drop UDPROS, which would leave the channel (attack N10). A
+peer is judged before the program hears of it. What a program answers is parsed only where it
+carries an address: roscpp's `getBusStats` is malformed XML-RPC, and travels as it is.
 """
 
 from collections.abc import Mapping
