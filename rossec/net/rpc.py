@@ -47,7 +47,7 @@ class Dispatch(Protocol[PeerT_contra]):
     """Answers one call: returns the value, or raises `Fault`; `HangUp` ends the connection."""
 
     def __call__(
-        self, method: str, params: tuple[object, ...], peer: PeerT_contra
+        self, method: str, params: tuple[object, ...], peer: PeerT_contra, /
     ) -> Awaitable[object]:
         """The value to answer with."""
 

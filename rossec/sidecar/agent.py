@@ -297,7 +297,7 @@ class Agent:
         """A program's calls to a peer's slave API."""
         visit = Visit(self)
 
-        async def dispatch(method: str, params: tuple[object, ...], peer: str) -> object:
+        async def dispatch(method: str, params: tuple[object, ...], _: str) -> object:
             return await visit.run(slavecalls.ask_peer(self.tenant, remote, method, params))
 
         try:

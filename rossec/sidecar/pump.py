@@ -9,6 +9,7 @@ import asyncio
 import logging
 import struct
 import time
+from collections.abc import Coroutine
 from typing import Final
 
 from ca.certificates import Identity
@@ -68,11 +69,7 @@ async def publish(
     program: PlainStream, peer: SecureStream[Identity], guard: Guard | None, first: bytes
 ) -> None:
     """Pass a program's messages to a peer that subscribes; `first` came with its header."""
-    if guard is None:
-        work = to_peer(program, peer, first)
-    else:
-        work = guarded(program, peer, guard, first)
-    await _both(program, peer, work, _nothing_more(peer))
+    await _both(program, peer, outgoing(program, peer, guard, first), _nothing_more(peer))
 
 
 async def subscribe(program: PlainStream, peer: SecureStream[Identity], first: bytes) -> None:
@@ -96,6 +93,15 @@ async def to_program(peer: SecureStream[Identity], program: PlainStream, first: 
         await program.send(first)
     while True:
         await program.send(await peer.receive())
+
+
+def outgoing(
+    program: PlainStream, peer: SecureStream[Identity], guard: Guard | None, first: bytes
+) -> Coroutine[None, None, None]:
+    """The way of messages out: through the guard if there is one."""
+    if guard is None:
+        return to_peer(program, peer, first)
+    return guarded(program, peer, guard, first)
 
 
 async def guarded(

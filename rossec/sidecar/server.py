@@ -75,7 +75,7 @@ class Sidecar:
     async def _serve(self, program: PlainStream) -> None:
         await serve_calls(program, self._call)
 
-    async def _call(self, method: str, params: tuple[object, ...], peer: str) -> object:
+    async def _call(self, method: str, params: tuple[object, ...], _: str) -> object:
         try:
             agent = self._agent_for(_caller(method, params))
             return await agent.call_master(method, params)
