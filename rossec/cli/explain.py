@@ -85,11 +85,13 @@ def subject_of(environment: Environment, node: str) -> Subject:
     if (environment.home / "ca" / "ca.pem").exists():
         store = AuthorityHome.at(environment.home).store()
         try:
-            rows = [row for row in store.certificates() if row.name == node]
+            rows = [row for row in store.certificates() if row.covers(node)]
         finally:
             store.close()
         if rows:
-            return Subject(node, rows[-1].thumbprint)
+            own = [row for row in rows if row.name == node]
+            row = (own or rows)[-1]
+            return Subject(row.name, row.thumbprint)
     note(f"{node} is not enrolled here: rules that pin its key do not count")
     return Subject(node, bytes(32))
 
