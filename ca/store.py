@@ -175,6 +175,19 @@ class Store:
         }
         return frozenset(alive) - self.revoked_entries()
 
+    def certified(self, name: str, now: int) -> str:
+        """The name under which grants, rules and revocations are for the node called `name`.
+
+        Its own, unless it is an anonymous one: then that of the living identity that covers it.
+        """
+        revoked = self.revoked_entries()
+        covering = (
+            row.name
+            for row in self.certificates()
+            if now <= row.not_after and row.thumbprint not in revoked and row.covers(name)
+        )
+        return max(covering, key=len, default=name)
+
     def live_certificate(self, name: str, now: int) -> CertificateRow:
         """The newest identity of `name` that is still valid and not revoked.
 
@@ -188,9 +201,12 @@ class Store:
             if row.name == name and row.thumbprint in keys and now <= row.not_after
         ]
         if not alive:
+            certified = self.certified(name, now)
             raise StoreError(
                 f"{name} has no valid identity here",
-                f"first enroll it: rossec node request {name}, then rossec ca sign",
+                f"first enroll it: rossec node request {name}, then rossec ca sign"
+                if certified == name
+                else f"it is one of the anonymous nodes of {certified}: name that",
             )
         return alive[-1]
 

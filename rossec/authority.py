@@ -110,8 +110,12 @@ class OpenAuthority:
             )
         found = self.store.live_keys(check_name(name), now)
         if not found:
+            certified = self.store.certified(name, now)
             raise ConfigurationError(
-                f"{name} has no living identity to revoke", "see: rossec ca show"
+                f"{name} has no living identity to revoke",
+                "see: rossec ca show"
+                if certified == name
+                else f"it is one of the anonymous nodes of {certified}: revoking that ends all",
             )
         return self._revoke(found, reason, now), len(found)
 

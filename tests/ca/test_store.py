@@ -312,3 +312,16 @@ def test_a_tail_is_in_nobodys_way(store: Store) -> None:
     store.add_certificate(real(5, "/rviz_18", OTHER), NOW + DAY + 1)  # expired by then
     store.add_certificate(real(6, "/plain"), NOW)
     store.add_certificate(real(7, "/plain_1", OTHER), NOW)
+
+
+def test_the_name_an_anonymous_node_is_certified_under(store: Store) -> None:
+    store.add_certificate(real(1, "/rviz", wildcard=True), NOW)
+    store.add_certificate(real(2, "/plain", OTHER), NOW)
+    names = {"/rviz": "/rviz", "/rviz_1": "/rviz", "/plain_1": "/plain_1", "/new": "/new"}
+    assert {name: store.certified(name, NOW) for name in names} == names
+    with pytest.raises(StoreError, match="/rviz_1 has no valid identity") as caught:
+        store.live_certificate("/rviz_1", NOW)
+    assert caught.value.hint == "it is one of the anonymous nodes of /rviz: name that"
+    assert store.certified("/rviz_1", NOW + DAY + 1) == "/rviz_1"
+    store.revoke(KEY, "lost", NOW)
+    assert store.certified("/rviz_1", NOW) == "/rviz_1"

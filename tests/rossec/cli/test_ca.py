@@ -219,3 +219,11 @@ def test_no_tail_for_those_whom_all_trust(shell: Shell, name: str) -> None:
     request = str(shell.node(name) / "node.csr")
     said = shell.unlocked("ca", "sign", request, "--yes", "--anonymous")
     refused(said, f"{name} is one node", "a name of their own")
+
+
+def test_an_anonymous_node_goes_with_its_identity(shell: Shell) -> None:
+    shell("node", "request", "/rviz")
+    request = str(shell.node("/rviz") / "node.csr")
+    shell.unlocked("ca", "sign", request, "--yes", "--anonymous")
+    revoke = ("ca", "revoke", "/rviz_17", "--master", "http://127.0.0.1:1")
+    refused(shell.unlocked(*revoke), "/rviz_17 has no living", "nodes of /rviz: revoking that ends")
