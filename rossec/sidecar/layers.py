@@ -59,7 +59,7 @@ class Tenant:
 
     def covers(self, name: str) -> bool:
         """Whether a program may go by `name`."""
-        return self.identity.name == name
+        return self.identity.covers(name)
 
     def export(self, local: Endpoint) -> Layer[Endpoint]:
         """The address under which peers reach the program at `local`."""

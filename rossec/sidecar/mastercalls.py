@@ -141,7 +141,8 @@ def _outward(
 ) -> Layer[tuple[object, ...] | None]:
     """The parameters for the secured master; None: an address that is not the program's."""
     changed = list(params)
-    changed[0] = tenant.name_for(caller)
+    if rule.undoes is None:  # `rosnode cleanup` speaks for dead nodes; the master judges that
+        changed[0] = tenant.name_for(caller)
     if rule.key is not None and rule.key < len(params) and changed[0] != caller:
         key = params[rule.key]
         changed[rule.key] = names.resolve(key, caller) if isinstance(key, str) else key

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Final
 
 from ca.errors import HintedError
+from ca.names import check_name
 from rossec.channel.opening import Flavour
 from rossec.errors import ConfigurationError, HangUp
 from rossec.home import NodeHome
@@ -54,7 +55,6 @@ class Sidecar:
         self._callers = callers
         self._each = each
         self._agents: dict[str, Agent] = {}
-        self._names: dict[str, str] = {}
         self._master = LoopbackPort(callers, self._serve, port)
         self._default = None if identity is None else self._agent(NodeHome.of(home, identity))
 
@@ -88,10 +88,10 @@ class Sidecar:
     def _agent_for(self, name: str) -> Agent:
         if self._default is not None and not self._each:
             return self._default
-        known = self._names.get(name)
-        if known is not None:
-            return self._agents[known]
-        home = NodeHome.of(self._home, name)
+        # rosparam calls itself /rosparam-1234, which is no ROS name; meant is an anonymous one.
+        home = NodeHome.find(self._home, check_name(name.replace("-", "_")))
+        if home.name in self._agents:
+            return self._agents[home.name]
         if not (home.path / "node.key").exists():
             if self._default is not None:
                 return self._default
@@ -101,9 +101,7 @@ class Sidecar:
             )
         if len(self._agents) >= _LIMIT:
             raise ConfigurationError("too many identities in one sidecar")
-        agent = self._agent(home)
-        self._names[name] = agent.name
-        return agent
+        return self._agent(home)
 
     def _agent(self, home: NodeHome) -> Agent:
         if home.name not in self._agents:

@@ -1,0 +1,44 @@
+// An ordinary roscpp program, as anybody writes it: it knows nothing of rossec.
+//   talker TOPIC [SIZE RATE]   publishes the parameter ~word and a number, padded to SIZE
+//   listener TOPIC [COUNT]     prints what it hears, the first 40 characters
+//   both TOPIC [COUNT]         subscribes to what it publishes itself
+#include <ros/ros.h>
+#include <std_msgs/String.h>
+
+static int heard = 0, wanted = 0;
+
+static void hear(const std_msgs::String::ConstPtr& message) {
+  std::printf("HEARD %s\n", message->data.substr(0, 40).c_str());
+  std::fflush(stdout);
+  if (++heard == wanted) ros::shutdown();
+}
+
+int main(int argc, char** argv) {
+  const std::string mode = argc > 1 ? argv[1] : "";
+  ros::init(argc, argv, mode == "listener" ? "listener" : "talker");
+  ros::NodeHandle node, own("~");
+  const std::string topic = argc > 2 ? argv[2] : "/chatter";
+  ros::Subscriber subscriber;
+  if (mode != "talker") {
+    wanted = argc > 3 ? std::atoi(argv[3]) : 0;
+    subscriber = node.subscribe(topic, 100, hear, ros::TransportHints().tcpNoDelay());
+  }
+  if (mode == "listener") {
+    ros::spin();
+    return heard >= wanted ? 0 : 3;
+  }
+  ros::Publisher publisher = node.advertise<std_msgs::String>(topic, 100);
+  const size_t size = mode == "talker" && argc > 3 ? std::atoi(argv[3]) : 0;
+  ros::Rate rate(mode == "talker" && argc > 4 ? std::atof(argv[4]) : 20);
+  for (int number = 0; ros::ok(); ++number) {
+    std::string word = "hello";
+    own.getParamCached("word", word);
+    std_msgs::String message;
+    message.data = word + " " + std::to_string(number);
+    if (message.data.size() < size) message.data.resize(size, '.');
+    publisher.publish(message);
+    ros::spinOnce();
+    rate.sleep();
+  }
+  return 0;
+}
