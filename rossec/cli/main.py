@@ -13,6 +13,7 @@ from ca.errors import HintedError
 from rossec.cli.ca import ca
 from rossec.cli.context import Environment
 from rossec.cli.demo import demo
+from rossec.cli.discover import discover
 from rossec.cli.explain import explain
 from rossec.cli.grant import grant
 from rossec.cli.master import master
@@ -40,7 +41,7 @@ def rossec(verbose: bool) -> None:
 
 for command in (ca, node, grant, policy, explain, simulate, privacy, master, topic, demo):
     rossec.add_command(command)
-for command in (run_program, sidecar):
+for command in (run_program, sidecar, discover):
     rossec.add_command(command)
 for command in COMMANDS:
     grant.add_command(command)

@@ -9,6 +9,7 @@ import click
 from rossec.authority import AuthorityHome
 from rossec.cli.context import Environment, now, pass_environment
 from rossec.cli.voice import say, say_json
+from rossec.discovery.announcer import announce as announcing
 from rossec.home import NodeHome
 from rossec.master.complaints import Complain, ComplainLog, unheard
 from rossec.master.start import master_of
@@ -29,17 +30,27 @@ from rossec.ros import settings
     type=click.Path(path_type=Path, dir_okay=False),
     help="append what nodes lack the right to, for: rossec policy learn --from-log",
 )
+@click.option("--announce", is_flag=True, help="say on the local links where the master is")
 @pass_environment
 def master(
-    environment: Environment, port: int | None, as_json: bool, complaints: Path | None
+    environment: Environment,
+    port: int | None,
+    as_json: bool,
+    complaints: Path | None,
+    announce: bool,
 ) -> None:
     """Run the master, as the node /master. Ends with Ctrl-C."""
     log = ComplainLog(complaints) if complaints is not None else unheard
-    asyncio.run(_serve(environment, port, as_json, log))
+    asyncio.run(_serve(environment, port, as_json, log, announce=announce))
 
 
 async def _serve(
-    environment: Environment, port: int | None, as_json: bool, complain: Complain
+    environment: Environment,
+    port: int | None,
+    as_json: bool,
+    complain: Complain,
+    *,
+    announce: bool,
 ) -> None:
     own = settings.read((), environment.variables, default_name=MASTER)
     stop = asyncio.Event()
@@ -62,9 +73,14 @@ async def _serve(
             say(f"master of {home.anchor().domain} at {server.uri}")
         asked = asyncio.ensure_future(server.stopped())
         signalled = asyncio.ensure_future(stop.wait())
-        await asyncio.wait({asked, signalled}, return_when=asyncio.FIRST_COMPLETED)
-        asked.cancel()
-        signalled.cancel()
+        ends = {asked, signalled}
+        if announce:
+            ends.add(asyncio.ensure_future(announcing(home.credentials(), server.uri)))
+        done, running = await asyncio.wait(ends, return_when=asyncio.FIRST_COMPLETED)
+        for task in running:
+            task.cancel()
+        for task in done:
+            task.result()
     finally:
         await server.close()
 

@@ -13,6 +13,7 @@ import sys
 from typing import Any
 
 from ca.errors import HintedError
+from rossec.discovery.choose import settle_master
 from rossec.home import rossec_home
 from rossec.ros import settings
 from rossec.ros.text import printable
@@ -42,7 +43,7 @@ def main() -> int:
 
 
 async def _run(options: dict[str, Any]) -> int:
-    before = child.outside(os.environ)
+    before = await settle_master(child.outside(os.environ), options["identity"])
     sidecar = Sidecar(
         rossec_home(before),
         settings.read((), before, default_name="/sidecar"),

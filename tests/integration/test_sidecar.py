@@ -2,7 +2,6 @@
 
 import signal
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 
@@ -42,9 +41,7 @@ def talker(world: World, probe: str) -> Iterator[Running]:
         yield running
 
 
-def test_a_roscpp_listener_hears_a_roscpp_talker(
-    world: World, talker: Running, probe: str
-) -> None:
+def test_a_roscpp_listener_hears_a_roscpp_talker(world: World, talker: Running, probe: str) -> None:
     done = world.run(world.hosts.far, probe, "listener", "/chatter", "5")
     assert done.returncode == 0, done.stdout + done.stderr
     assert done.stdout.count("HEARD hello") == 5
@@ -52,7 +49,7 @@ def test_a_roscpp_listener_hears_a_roscpp_talker(
 
 def test_rostopic(world: World, talker: Running) -> None:
     assert "/chatter" in world.tool("rostopic", "list")
-    assert "data: \"hello" in world.tool("rostopic", "echo", "-n", "2", "/chatter")
+    assert 'data: "hello' in world.tool("rostopic", "echo", "-n", "2", "/chatter")
     assert world.tool("rostopic", "type", "/chatter") == "std_msgs/String\n"
     about = world.tool("rostopic", "info", "/chatter")
     assert "/talker (http://127.0.0.1:" in about
