@@ -113,10 +113,14 @@ class World:
         self, host: Host, *command: str, options: tuple[str, ...] = ()
     ) -> subprocess.CompletedProcess[str]:
         """`command` on `host` behind a sidecar of its own, to its end."""
-        return subprocess.run(
-            host.at(ROSSEC, "run", *options, "--", *command),
-            env=self.env(host), text=True, capture_output=True, timeout=DEADLINE, check=False,
-        )  # fmt: skip
+        try:
+            return subprocess.run(
+                host.at(ROSSEC, "run", *options, "--", *command),
+                env=self.env(host), text=True, capture_output=True, timeout=DEADLINE, check=False,
+            )  # fmt: skip
+        except subprocess.TimeoutExpired as late:
+            said = b"".join(part for part in (late.stdout, late.stderr) if isinstance(part, bytes))
+            raise AssertionError(f"{command} does not end: {said.decode()}") from None
 
     def tool(self, *command: str, options: tuple[str, ...] = ()) -> str:
         """What a tool says that is run on the far host and succeeds."""

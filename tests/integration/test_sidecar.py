@@ -24,8 +24,8 @@ def world(tmp_path_factory: pytest.TempPathFactory) -> Iterator[World]:
     site = Site(directory / "site")
     with two_hosts() as hosts:
         world = World(hosts, site, directory)
-        world.enroll("/talker", publish="/chatter")
-        world.enroll("/listener", subscribe="/chatter")
+        world.enroll("/talker", publish="/chatter", provide="/talker/say")
+        world.enroll("/listener", subscribe="/chatter", provide="/listener/say")
         world.enroll("/rostopic", wildcard=True, subscribe="/**", publish="/far", graph="/**")
         world.enroll("/rosnode", graph="/**", admin="/talker /victim")
         world.enroll("/rosservice", wildcard=True, call="/**", graph="/**")
@@ -64,9 +64,10 @@ def test_rosnode(world: World, talker: Running) -> None:
 
 
 def test_rosservice(world: World, talker: Running) -> None:
-    assert "/talker/get_loggers" in world.tool("rosservice", "list")
-    assert world.tool("rosservice", "type", "/talker/get_loggers") == "roscpp/GetLoggers\n"
-    assert "ros.roscpp" in world.tool("rosservice", "call", "/talker/get_loggers")
+    assert "/talker/say" in world.tool("rosservice", "list")
+    assert world.tool("rosservice", "type", "/talker/say") == "roscpp/SetLoggerLevel\n"
+    world.tool("rosservice", "call", "/talker/say", "one", "two")
+    talker.wait_for("ASKED one two")
 
 
 def test_parameters_arrive_while_the_program_runs(world: World, talker: Running) -> None:

@@ -2,7 +2,9 @@
 //   talker TOPIC [SIZE RATE]   publishes the parameter ~word and a number, padded to SIZE
 //   listener TOPIC [COUNT]     prints what it hears, the first 40 characters
 //   both TOPIC [COUNT]         subscribes to what it publishes itself
+// All offer the service ~say; not one of roscpp's own, which crash with Debian's log4cxx.
 #include <ros/ros.h>
+#include <roscpp/SetLoggerLevel.h>
 #include <std_msgs/String.h>
 
 static int heard = 0, wanted = 0;
@@ -13,11 +15,18 @@ static void hear(const std_msgs::String::ConstPtr& message) {
   if (++heard == wanted) ros::shutdown();
 }
 
+static bool say(roscpp::SetLoggerLevelRequest& asked, roscpp::SetLoggerLevelResponse&) {
+  std::printf("ASKED %s %s\n", asked.logger.c_str(), asked.level.c_str());
+  std::fflush(stdout);
+  return true;
+}
+
 int main(int argc, char** argv) {
   const std::string mode = argc > 1 ? argv[1] : "";
   ros::init(argc, argv, mode == "listener" ? "listener" : "talker");
   ros::NodeHandle node, own("~");
   const std::string topic = argc > 2 ? argv[2] : "/chatter";
+  ros::ServiceServer service = own.advertiseService("say", say);
   ros::Subscriber subscriber;
   if (mode != "talker") {
     wanted = argc > 3 ? std::atoi(argv[3]) : 0;
