@@ -178,14 +178,15 @@ def test_rosout_and_roslaunch_with_four_nodes(world: World, probe: str) -> None:
     (package / "package.xml").write_text("<package><name>probe</name></package>")
     (package / "probe").symlink_to(probe)
     path = f"ROS_PACKAGE_PATH={package.parent}:/usr/share"
-    with world.secured(world.hosts.far, "env", path, "roslaunch", str(launch)) as running:
+    far = world.hosts.far
+    with (
+        world.secured(far, "/usr/lib/rosout/rosout"),
+        world.secured(far, "env", path, "roslaunch", str(launch)) as running,
+    ):
         running.wait_for("HEARD launched")
-        wait(
-            lambda: (
-                {"/one", "/two", "/three", "/rosout"} <= set(world.tool("rosnode", "list").split())
-            )
-        )
-        assert "/rosout_agg" in world.tool("rostopic", "list")
+        running.wait_for("[four-4] process has finished cleanly")
+        assert {"/one", "/two", "/three", "/rosout"} <= set(world.tool("rosnode", "list").split())
+        assert 'msg: "still here"' in world.tool("rostopic", "echo", "-n", "1", "/rosout_agg")
         running.end(signal.SIGINT)
 
 
