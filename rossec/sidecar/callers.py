@@ -57,7 +57,7 @@ class Callers:
         if holder.user not in self._users:
             raise PeerUserRefused(f"user {holder.user} may not use this sidecar", _HINT)
         if self._ancestor is not None and not held_by(
-            holder.inode, descendants(_stats(), self._ancestor)
+            holder.inode, descendants(parents(), self._ancestor)
         ):
             raise PeerUserRefused("this sidecar belongs to another program", _HINT)
 
@@ -76,7 +76,8 @@ def descendants(parents: Iterable[tuple[int, int]], ancestor: int) -> list[int]:
     return found
 
 
-def _stats() -> Iterable[tuple[int, int]]:
+def parents() -> Iterable[tuple[int, int]]:
+    """Each process of this host with its parent."""
     for entry in os.listdir(_PROC):  # noqa: PTH208 - names alone, and there are many
         if entry.isdecimal():
             try:

@@ -76,6 +76,8 @@ class Sidecar:
         await serve_calls(program, self._call)
 
     async def _call(self, method: str, params: tuple[object, ...], _: str) -> object:
+        if method == MULTICALL and params == ([],):  # nobody's: roslaunch without parameters
+            return []
         try:
             agent = self._agent_for(_caller(method, params))
             return await agent.call_master(method, params)

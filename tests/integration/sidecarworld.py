@@ -17,6 +17,7 @@ from typing import Final
 
 from grants.model import Right
 from rossec.node.questions import MASTER
+from rossec.sidecar.callers import descendants, parents
 from tests.support.hosts import Host, Hosts
 from tests.support.site import Site
 
@@ -54,8 +55,10 @@ class Running:
         return self.process.wait(DEADLINE)
 
     def close(self) -> None:
-        with contextlib.suppress(ProcessLookupError):
-            os.killpg(self.process.pid, signal.SIGKILL)
+        """Kill it and all it has started, in whatever session: roslaunch makes one for each."""
+        for process in (self.process.pid, *descendants(parents(), self.process.pid)):
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(process, signal.SIGKILL)
         self.process.wait()
         self._reader.join()
         assert self.process.stdout is not None
@@ -99,7 +102,7 @@ class World:
         newest = self.site.authority.store.newest_list()
         assert newest is not None
         self.site.enroll(MASTER).save_revocations(newest)
-        with self.started(self.hosts.near, ROSSEC, "master") as running:
+        with self.started(self.hosts.near, ROSSEC, "master", "-p", str(self.port)) as running:
             running.wait_for("master of home at")
             yield running
 

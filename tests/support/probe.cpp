@@ -46,6 +46,7 @@ int main(int argc, char** argv) {
     message.data = word + " " + std::to_string(number);
     if (message.data.size() < size) message.data.resize(size, '.');
     publisher.publish(message);
+    ROS_INFO_THROTTLE(1, "still here");
     ros::spinOnce();
     rate.sleep();
   }
