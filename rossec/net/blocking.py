@@ -118,6 +118,21 @@ class SecureSocket(SocketOptions, Generic[PeerT]):
             view[: len(chunk)] = chunk
             return len(chunk)
 
+    def receive_unit(self) -> memoryview:
+        """The rest of a unit that `recv` began, or the next one; empty after the peer's close."""
+        with self._reading:
+            return self._take(self._core.unit_limit)
+
+    def pump(self) -> None:
+        """Take in what has arrived, without waiting: for a side that only sends.
+
+        Its peer's renewals and its close are met; units are dropped, for nobody asks for them.
+        """
+        end = self._end()
+        with self._reading:
+            while self._error is None and self._take_in(end):
+                self._units.clear()
+
     def _take(self, size: int) -> memoryview:
         end = self._end()
         while not self._units:
@@ -138,8 +153,8 @@ class SecureSocket(SocketOptions, Generic[PeerT]):
         self.sendall(data)
         return len(data)
 
-    def sendall(self, data: Bytes) -> None:
-        """Send `data` as one unit."""
+    def sendall(self, *pieces: Bytes) -> None:
+        """Send the pieces as one unit."""
         end = self._end()
         if self.peer is None:
             with self._reading:
@@ -148,7 +163,7 @@ class SecureSocket(SocketOptions, Generic[PeerT]):
         with self._writing:
             self._raise_if_over()
             with self._core_lock:
-                records = self._core.seal_unit(data, reuse=True)
+                records = self._core.seal_unit(*pieces, reuse=True)
             while True:
                 with self._core_lock:
                     record = self._guarded(lambda: next(records, None))
@@ -163,11 +178,15 @@ class SecureSocket(SocketOptions, Generic[PeerT]):
         """Move bytes from the socket to the core, once; the caller is the one reader."""
         self._flush(end)
         self._tick()
+        if not self._take_in(end):
+            self._wait(select.POLLIN, end)
+
+    def _take_in(self, end: float | None) -> bool:
+        """Whether something had arrived."""
         try:
             count = self._socket.recv_into(self._core.get_buffer())
         except BlockingIOError:
-            self._wait(select.POLLIN, end)
-            return
+            return False
         except OSError:
             count = 0
         with self._core_lock:
@@ -180,6 +199,7 @@ class SecureSocket(SocketOptions, Generic[PeerT]):
             self._flush(end)
         else:
             self._send_last(self._core.data_to_send())  # the peer may be gone
+        return True
 
     def _note(self, events: Sequence[object]) -> None:
         for event in events:

@@ -103,20 +103,35 @@ class FrameReader:
         """Bytes received that do not complete a frame yet."""
         return len(self._buffer)
 
-    def feed(self, data: bytes) -> list[bytes]:
+    def feed(self, data: bytes | memoryview) -> list[bytes]:
         """All frames that `data` completes.
 
         Raises:
             FrameRefused: a frame is longer than allowed. Frames before it are lost with it.
         """
-        self._buffer += data
         frames: list[bytes] = []
+        if not self._buffer and self._first is None and not self._lead and self._refusal is None:
+            data = self._cut(data, frames)
+        self._buffer += data
         while (content := self._next()) is not None:
             frames.append(content)
         return frames
 
+    def _cut(self, data: bytes | memoryview, frames: list[bytes]) -> memoryview:
+        """Frames that lie whole in `data` need no detour through the buffer; returns the rest."""
+        view, position, size = memoryview(data), 0, len(data)
+        while position + _LENGTH.size <= size:
+            length: int = _LENGTH.unpack_from(view, position)[0]
+            start = position + _LENGTH.size
+            if length > self._limit or start + length > size:
+                break
+            position = start + length
+            frames.append(bytes(view[start:position]))
+        return view[position:]
+
     def _next(self) -> bytes | None:
         if self._refusal is not None:
+            self._buffer.clear()
             raise FrameRefused(self._refusal)
         lead = 0 if self._first is not None else self._lead
         start = lead + _LENGTH.size
