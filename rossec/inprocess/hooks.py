@@ -25,8 +25,10 @@ import rospy.impl.tcpros_base
 import rospy.impl.tcpros_pubsub
 import rospy.impl.tcpros_service
 import rospy.topics
+from rospy.impl.validators import ParameterInvalid
 
-from rossec.errors import ConfigurationError
+from rossec.errors import ConfigurationError, SettingsRefused
+from rossec.inprocess.addresses import bracketed, parse_rosrpc
 from rossec.inprocess.process import Process
 from rossec.inprocess.publishing import Outbox, publish, write_data
 from rossec.inprocess.services import Probe
@@ -99,6 +101,15 @@ def hooks(process: Process, start_node: StartNode) -> list[Hook]:
     def make_probe(family: int = socket.AF_INET, kind: int = socket.SOCK_STREAM) -> Probe:
         return Probe(process, socket.socket(family, kind))
 
+    def set_uri(node: Any, uri: str) -> None:
+        node.uri = bracketed(uri)
+
+    def parse_service_uri(uri: str) -> tuple[str, int]:
+        try:
+            return parse_rosrpc(uri)
+        except SettingsRefused as error:
+            raise ParameterInvalid(str(error)) from error
+
     def accepted(tcpros: Any, sock: RosSocket, where: Any) -> None:
         arguments = (tcpros, sock, where)
         threading.Thread(target=connections.serve, args=arguments, daemon=True).start()
@@ -129,6 +140,8 @@ def hooks(process: Process, start_node: StartNode) -> list[Hook]:
         Hook(rosgraph.impl.graph, "ServerProxy", proxy),
         Hook(api, "verify_request", _plain(server.verify_request), _CALLER),
         Hook(api, "finish_request", _plain(server.finish_request), _CALLER),
+        Hook(rosgraph.xmlrpc.XmlRpcNode, "set_uri", set_uri, ("self", "uri")),
+        Hook(rospy.core, "parse_rosrpc_uri", parse_service_uri, ("uri",)),
         Hook(
             rospy.impl.init, "start_node", start_node,
             ("environ", "resolved_name", "master_uri", "port", "tcpros_port"),

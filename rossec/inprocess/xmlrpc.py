@@ -18,6 +18,7 @@ from ca.certificates import Identity
 from ca.errors import HintedError, RevocationsStale
 from rossec.channel.opening import Flavour
 from rossec.errors import ChannelClosed, ChannelError, HttpRefused, PlainPeer, XmlRpcRefused
+from rossec.inprocess.addresses import bracketed
 from rossec.inprocess.member import now
 from rossec.inprocess.process import Process
 from rossec.inprocess.registrations import REFUSED
@@ -30,6 +31,7 @@ from rossec.ros.settings import parse_uri
 from rossec.ros.xmlrpc import Fault, dump_call, dump_response, load_call, load_response
 
 _MULTICALL: Final = "system.multicall"
+_WITH_SERVICE_URI: Final = ("registerService", "unregisterService")
 _FAULT_CODE: Final = 1
 _READ: Final = 64 * 1024
 _log = logging.getLogger("rossec.rospy")
@@ -97,6 +99,8 @@ class Client:
         if method == _MULTICALL:
             calls = [{**call, "params": [name, *call["params"][1:]]} for call in params[0]]
             return (calls,)
+        if method in _WITH_SERVICE_URI and isinstance(params[2], str):
+            params = (*params[:2], bracketed(params[2]), *params[3:])
         return (name, *params[1:]) if params else params
 
     def _noted(self, method: str, params: Params, answer: object) -> object:

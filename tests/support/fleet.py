@@ -1,0 +1,78 @@
+"""Secured rospy programs as processes of their own, and what they are told."""
+
+import asyncio
+import contextlib
+import sys
+from collections.abc import AsyncIterator, Mapping
+from pathlib import Path
+from typing import Final
+
+from grants.model import Right
+from tests.support import stock
+from tests.support.site import Site
+
+PROJECT: Final = Path(__file__).resolve().parents[2]
+SECURE: Final = "import rossec\nrossec.secure()\n"
+
+
+def environment(site: Site, logs: Path, **more: str) -> dict[str, str]:
+    """Of a program of this site; `logs` is where rospy writes its own."""
+    assert site.master is not None
+    return {
+        **stock.environment(site.master.uri, logs), **site.environ,
+        "PYTHONPATH": str(PROJECT), **more,
+    }  # fmt: skip
+
+
+def entitle(site: Site, name: str, rights: Mapping[Right, tuple[str, ...]]) -> None:
+    """Enroll `name` and give it a grant for each of these."""
+    site.enroll(name)
+    for right, patterns in rights.items():
+        for pattern in patterns:
+            site.grant(name, right, pattern)
+
+
+class Program:
+    """A running program, and all it has said."""
+
+    def __init__(self, process: asyncio.subprocess.Process) -> None:
+        self.process = process
+        self.said = ""
+
+    async def hears(self, words: str, within: float = 30.0) -> str:
+        """Read until a line holds `words`; that line."""
+        assert self.process.stdout is not None
+        async with asyncio.timeout(within):
+            while True:
+                line = (await self.process.stdout.readline()).decode()
+                assert line, f"it ended without saying {words!r}, but: {self.said}"
+                self.said += line
+                if words in line:
+                    return line.rstrip("\n")
+
+    async def ends(self, within: float = 30.0) -> int:
+        """Read to the end; the exit code."""
+        assert self.process.stdout is not None
+        async with asyncio.timeout(within):
+            self.said += (await self.process.stdout.read()).decode()
+            return await self.process.wait()
+
+    async def tell(self, line: str) -> None:
+        """Write a line to its standard input."""
+        assert self.process.stdin is not None
+        self.process.stdin.write(f"{line}\n".encode())
+        await self.process.stdin.drain()
+
+
+@contextlib.asynccontextmanager
+async def program(env: Mapping[str, str], source: str, *arguments: str) -> AsyncIterator[Program]:
+    """Run Python `source`; it is killed at the end."""
+    async with stock.process(dict(env), *stock.python(source, *arguments)) as process:
+        running = Program(process)
+        try:
+            yield running
+        except BaseException:
+            process.kill()
+            assert process.stdout is not None
+            sys.stderr.write(running.said + (await process.stdout.read()).decode())
+            raise
