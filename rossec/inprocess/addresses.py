@@ -1,4 +1,4 @@
-"""URIs with IPv6 literals: stock rospy writes them without brackets, and cannot read its own. Pure."""
+"""URIs with IPv6 literals, which stock rospy writes without brackets and cannot read. Pure."""
 
 from typing import Final
 
@@ -8,7 +8,7 @@ ROSRPC: Final = "rosrpc://"
 
 
 def bracketed(uri: str) -> str:
-    """`uri` with brackets around an IPv6 literal that lacks them; others are returned as they are."""
+    """`uri` with brackets around an IPv6 literal that lacks them; any other as it is."""
     scheme, mark, rest = uri.partition("://")
     authority, slash, path = rest.partition("/")
     host, colon, port = authority.rpartition(":")

@@ -79,7 +79,7 @@ class _Secured:
         return self._stock_start(environ, resolved_name, master_uri, port, tcpros_port)
 
     def _member(self, name: str) -> Member:
-        return Member(NodeHome.of(self.options.home, name), name)
+        return Member(NodeHome.find(self.options.home, name), name)
 
     def _begin(self, member: Member) -> None:
         uri = importlib.import_module("rosgraph").get_master_uri()

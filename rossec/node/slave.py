@@ -72,7 +72,7 @@ def refusal(method: str, params: tuple[object, ...], peer: Identity) -> Answer |
         return [_ERROR, f"rossec: {method} is for the master alone", rule.default]
     if not _fits(params, rule.kinds):
         return [_ERROR, "Error: bad call arity or types", rule.default]
-    if params[0] != peer.name:
+    if not peer.covers(str(params[0])):
         return [_ERROR, f"rossec: caller_id is not {peer.name}", rule.default]
     return None
 
