@@ -40,6 +40,11 @@ class Session:
         """The epoch the peer's next record must be of."""
         return self._epochs.receiver.epoch
 
+    @property
+    def ahead(self) -> bool:
+        """Whether this direction was renewed, and the peer has not followed yet."""
+        return self._epochs.sender.epoch > self._epochs.receiver.epoch
+
     def check_unit(self, pieces: Sequence[Bytes]) -> None:
         """Refuse a unit that the peer would not take; nothing has happened to the connection.
 
@@ -86,7 +91,7 @@ class Session:
     def _record(self, kind: Frame, plaintext: Bytes, scratch: bytearray | None) -> Iterator[Bytes]:
         limits, sender = self._limits, self._epochs.sender
         if sender.records >= limits.records or sender.octets >= limits.octets:
-            if sender.epoch <= self._epochs.receiver.epoch:
+            if not self.ahead:
                 yield self._rekey()
             elif _beyond(sender, limits):
                 raise LimitExceeded("the peer does not follow the renewal of the keys")
@@ -111,7 +116,7 @@ class Session:
             return b""
         self.renew_at = now + self._limits.seconds
         sender = self._epochs.sender
-        if sender.epoch > self._epochs.receiver.epoch:
+        if self.ahead:
             raise LimitExceeded("the peer does not follow the renewal of the keys")
         return self._rekey() if sender.records > 0 else b""
 

@@ -9,9 +9,9 @@ import logging
 import struct
 import time
 from collections import deque
-from collections.abc import Hashable, Iterable
+from collections.abc import Hashable, Iterable, Iterator
 from contextlib import suppress
-from threading import Condition, Thread
+from threading import Condition, Lock, Thread
 from typing import Any, Final
 
 from rospy.core import is_shutdown
@@ -115,12 +115,17 @@ def _treat(name: str, link: Link, data: bytes, moment: int) -> Pieces | None:
 
 
 class Outbox:
-    """A connection with a queue: `write_data` never waits; a full queue drops the oldest."""
+    """A connection with a queue: `write_data` never waits; a full queue drops the oldest.
+
+    The sender takes all that waits and sends it as one unit. It is woken, and given its turn, only
+    when it has nothing to do: a publisher that is faster than the wire makes larger batches.
+    """
 
     def __init__(self, connection: Any, queue_size: int) -> None:
         self._connection = connection
         self._queue: deque[Pieces] = deque(maxlen=queue_size if queue_size > 0 else None)
-        self._filled = Condition()
+        self._filled = Condition(Lock())
+        self._idle = False
         self._error: Exception | None = None
         self._connection.set_cleanup_callback(self._closed)
         self._thread = Thread(target=self._run, name="rossec outbox")
@@ -137,13 +142,15 @@ class Outbox:
         Raises:
             Exception: what an earlier one failed with.
         """
-        with self._filled:
-            if self._error is not None:
-                error, self._error = self._error, None
-                raise error
-            self._queue.append(data)
-            self._filled.notify()
-        time.sleep(0)  # as rospy: the sender's turn
+        if self._error is not None:
+            error, self._error = self._error, None
+            raise error
+        self._queue.append(data)
+        if self._idle:
+            with self._filled:
+                self._idle = False
+                self._filled.notify()
+            time.sleep(0)  # as rospy: the sender's turn
         return True
 
     def _closed(self, _: Any) -> None:
@@ -153,27 +160,34 @@ class Outbox:
     def _run(self) -> None:
         while not self._connection.done:
             with self._filled:
-                while not self._queue and not self._connection.done:
-                    self._filled.wait()
-                waiting = list(self._queue)
-                self._queue.clear()
+                self._wait()
             try:
-                for batch in _batches(waiting):
+                for batch in _batches(self._queue):
                     write(self._connection, batch)
             except Exception as error:  # noqa: BLE001 - as rospy: the publisher's next call raises it
-                with self._filled:
-                    self._error = error
+                self._error = error
+
+    def _wait(self) -> None:
+        """Until there is something to send, or the connection ends; the lock is held."""
+        self._idle = True  # before each look: who queues after the look must find it set
+        while not self._queue and not self._connection.done:
+            self._filled.wait()
+            self._idle = True
+        self._idle = False
 
 
-def _batches(messages: Iterable[Pieces]) -> Iterable[list[Pieces]]:
+def _batches(queue: deque[Pieces]) -> Iterator[list[Pieces]]:
+    """Take messages from the front, as many as make a unit; others may be added meanwhile."""
     batch: list[Pieces] = []
     size = 0
-    for message in messages:
-        batch.append(message)
-        size += len(message) if isinstance(message, bytes) else sum(map(len, message))
-        if size >= _BATCH:
-            yield batch
-            batch, size = [], 0
+    with suppress(IndexError):
+        while True:
+            message = queue.popleft()
+            batch.append(message)
+            size += len(message) if isinstance(message, bytes) else sum(map(len, message))
+            if size >= _BATCH:
+                yield batch
+                batch, size = [], 0
     if batch:
         yield batch
 

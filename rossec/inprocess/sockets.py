@@ -26,6 +26,7 @@ from rossec.net.halfopen import HalfOpen, HalfOpenCount
 
 CONNECT_TIMEOUT: Final = 10.0
 _OUT_OF_THEM: Final = (errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.ENOBUFS)
+_PUMP_EVERY: Final = 1.0  # seconds
 _REST: Final = 1.0  # seconds, when the host is out of descriptors: callers wait in the kernel
 
 Stream = SecureSocket[Identity]
@@ -99,6 +100,7 @@ class RosSocket:
         self._stream = stream
         self._fd = sock.fileno()
         self.link: Link | None = None
+        self._pump_at = 0.0
 
     @property
     def stream(self) -> Stream:
@@ -188,8 +190,11 @@ class RosSocket:
         Raises:
             ChannelError, OSError: as of `SecureSocket`.
         """
-        self.stream.pump()
-        self.stream.sendall(*pieces)
+        stream = self.stream
+        if stream.awaits_peer or time.monotonic() >= self._pump_at:
+            stream.pump()
+            self._pump_at = time.monotonic() + _PUMP_EVERY
+        stream.sendall(*pieces)
 
     # -- options and ends
 
