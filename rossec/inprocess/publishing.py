@@ -23,9 +23,11 @@ from grants.errors import GrantError
 from rossec.channel.records import Bytes
 from rossec.inprocess.links import Link
 from rossec.inprocess.member import now
+from rossec.inprocess.sockets import RosSocket
 
 _LENGTH: Final = struct.Struct("<I")
 _BATCH: Final = 256 * 1024  # beyond this a unit only adds latency
+_ALONE: Final = 128 * 1024
 _log = logging.getLogger("rossec.rospy")
 
 Pieces = bytes | tuple[Bytes, ...]
@@ -201,14 +203,28 @@ def write(transport: Any, messages: list[Pieces]) -> None:
     sock = transport.socket
     if sock is None or transport.done:
         raise TransportTerminated("connection closed")
-    pieces = _flat(messages)
     try:
-        sock.send_unit(*pieces)
+        transport.stat_bytes += _send(sock, messages)
     except (HintedError, OSError) as error:
         transport.close()
         raise TransportTerminated(str(error)) from error
-    transport.stat_bytes += sum(map(len, pieces))
     transport.stat_num_msg += len(messages)
+
+
+def _send(sock: RosSocket, messages: list[Pieces]) -> int:
+    """Send messages; a large one without its length, which goes before it.
+
+    It is a unit of its own then, and its receiver need not copy it.
+    """
+    match messages:
+        case [bytes() as message] if len(message) > _ALONE:
+            sock.send_unit(message[: _LENGTH.size])
+            sock.send_unit(memoryview(message)[_LENGTH.size :])
+            return len(message)
+        case _:
+            pieces = _flat(messages)
+            sock.send_unit(*pieces)
+            return sum(map(len, pieces))
 
 
 def _flat(messages: list[Pieces]) -> list[Bytes]:

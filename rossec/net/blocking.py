@@ -131,10 +131,12 @@ class SecureSocket(SocketOptions, Generic[PeerT]):
             view[: len(chunk)] = chunk
             return len(chunk)
 
-    def receive_unit(self) -> memoryview:
+    def receive_unit(self) -> bytes | memoryview:
         """The rest of a unit that `recv` began, or the next one; empty after the peer's close."""
         with self._reading:
-            return self._take(self._core.unit_limit)
+            rest = self._take(self._core.unit_limit)
+        unit = rest.obj
+        return unit if isinstance(unit, bytes) and len(unit) == len(rest) else rest
 
     @property
     def awaits_peer(self) -> bool:

@@ -110,8 +110,12 @@ class FrameReader:
             FrameRefused: a frame is longer than allowed. Frames before it are lost with it.
         """
         frames: list[bytes] = []
-        if not self._buffer and self._first is None and not self._lead and self._refusal is None:
-            data = self._cut(data, frames)
+        if self._first is None and not self._lead and self._refusal is None:
+            if not self._buffer:
+                data = self._cut(data, frames)
+            elif len(self._buffer) == _LENGTH.size and self._checked_length(0) == len(data):
+                self._buffer.clear()
+                return [bytes(data)]  # which is no copy if it is bytes
         self._buffer += data
         while (content := self._next()) is not None:
             frames.append(content)
