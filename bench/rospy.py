@@ -51,7 +51,9 @@ inner, outer = int(sys.argv[2]), int(sys.argv[3])
 if outer:
     base.TCPServer.get_full_addr = lambda self: ("127.0.0.1", outer)
 rospy.init_node("bench_publisher", tcpros_port=inner, disable_rosout=True)
-made = {name: rospy.Publisher("/bench/" + name, kind, queue_size=0) for name, kind in TOPICS.items()}
+made = {}
+for name, kind in TOPICS.items():
+    made[name] = rospy.Publisher("/bench/" + name, kind, queue_size=0)
 print("READY", flush=True)
 for line in sys.stdin:
     name, size, count = line.split()
@@ -93,7 +95,8 @@ def clock(message):
     delays.append((time.monotonic_ns() - int(message.data)) / 1000)
     count(message)
 for name in sys.argv[3:]:
-    rospy.Subscriber("/bench/" + name, TOPICS[name], clock if name == "time" else count, buff_size=1 << 20)
+    note = clock if name == "time" else count
+    rospy.Subscriber("/bench/" + name, TOPICS[name], note, buff_size=1 << 20)
 print("READY", flush=True)
 for line in sys.stdin:
     if line.startswith("delays"):
@@ -104,6 +107,16 @@ for line in sys.stdin:
         print("ARMED", flush=True)
 """
 )
+
+
+_COMMON: Final = """
+foreground = yes
+syslog = no
+debug = err
+sslVersion = TLSv1.3
+socket = l:TCP_NODELAY=1
+socket = r:TCP_NODELAY=1
+"""
 
 
 class Pair:
@@ -155,17 +168,21 @@ def _free_port() -> int:
     return port
 
 
+def _service(accept: int, connect: int) -> str:
+    return f"[topics]\naccept = 127.0.0.1:{accept}\nconnect = 127.0.0.1:{connect}\n"
+
+
 @contextlib.contextmanager
 def tunnel(folder: Path, inner: int, outer: int) -> Any:
     """stunnel on both sides, as one would put it between two hosts: TLS 1.3, both authenticated."""
     folder.mkdir()
     Certificates(folder)
     middle = _free_port()
-    common = "foreground = yes\nsyslog = no\ndebug = err\nsslVersion = TLSv1.3\nsocket = l:TCP_NODELAY=1\nsocket = r:TCP_NODELAY=1\n"
+    common = _COMMON
     verify = f"CAfile = {folder}/root.pem\nverifyChain = yes\n"
     sides = {
-        "server": f"[topics]\naccept = 127.0.0.1:{middle}\nconnect = 127.0.0.1:{inner}\n",
-        "client": f"[topics]\nclient = yes\naccept = 127.0.0.1:{outer}\nconnect = 127.0.0.1:{middle}\n",
+        "server": _service(middle, inner),
+        "client": _service(outer, middle) + "client = yes\n",
     }
     running = []
     try:
@@ -173,9 +190,7 @@ def tunnel(folder: Path, inner: int, outer: int) -> Any:
             path = folder / f"{side}.conf"
             path.write_text(f"{common}{service}cert = {folder}/{side}.pem\n{verify}")
             (folder / f"{side}.pem").chmod(0o600)
-            running.append(
-                subprocess.Popen(["/usr/bin/stunnel4", str(path)], stdin=subprocess.DEVNULL)
-            )
+            running.append(subprocess.Popen(["/usr/bin/stunnel4", path], stdin=subprocess.DEVNULL))
         yield
     finally:
         for process in running:

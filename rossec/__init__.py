@@ -4,7 +4,8 @@
 site-packages: a stranger's `ca` would be our trust root. So the siblings must lie beside this
 package, and that is checked before either is imported (docs/decisions/0002).
 
-`rossec.secure()` secures a rospy program. Importing `rossec` itself imports nothing else.
+`rossec.secure()` secures a rospy program, `rossec.ask()` requests a right for it; importing `rossec`
+itself imports nothing else.
 """
 
 import sys as _sys
@@ -14,6 +15,7 @@ from pathlib import Path as _Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from rossec.inprocess.ask import ask as ask
     from rossec.inprocess.secure import secure as secure
 
 
@@ -33,7 +35,7 @@ def _check_siblings() -> None:
 
 _check_siblings()
 
-_PUBLIC = {"secure": "rossec.inprocess.secure"}
+_PUBLIC = {"ask": "rossec.inprocess.ask", "secure": "rossec.inprocess.secure"}
 
 
 def __getattr__(name: str) -> object:

@@ -64,15 +64,17 @@ class Guardian:
         self._tried = Event()
         self._shelf = Shelf(member.home, member.access)
         self._shelf.take_new()
-        self._dialer = Dialer(
-            member.name, member.credentials, member.anchor, member.access.check_peer
-        )
+        self._dialer = self._new_dialer()
         self._session = MasterSession(
             member.name, self._dial, process.take_revocations, self._restore
         )
         self._thread = Thread(target=self._run, name="rossec guardian", daemon=True)
         self.on_publishers: Callable[[str, list[str]], None] = lambda _topic, _uris: None
         self.on_crash: Callable[[], None] = lambda: None
+
+    def _new_dialer(self) -> Dialer:
+        member = self._member
+        return Dialer(member.name, member.credentials, member.anchor, member.access.check_peer)
 
     # -- from other threads
 
@@ -189,6 +191,20 @@ class Guardian:
                 with contextlib.suppress(HintedError, OSError):  # else with the next connection
                     await self._use(new)
                 self._process.rights += 1
+            self._follow_identity()
+
+    def _follow_identity(self) -> None:
+        """A renewed identity counts for every connection from now on."""
+        try:
+            renewed = self._member.refresh_identity()
+        except (HintedError, OSError) as error:
+            _log.warning(
+                "%s: the identity in its directory is no use: %s", self._member.name, error
+            )
+            return
+        if renewed:
+            _log.info("%s: speaks with a new certificate", self._member.name)
+            self._dialer = self._new_dialer()
 
     async def _use(self, new: list[bytes]) -> None:
         await self._session.call("rossec.presentGrants", new)

@@ -81,6 +81,18 @@ class Member:
             self.revocations.confirm(open_timestamp(timestamp, master.public_key), now())
             self.revocations.check(master.thumbprint, now())
 
+    def refresh_identity(self) -> bool:
+        """Speak with the certificate that is in the directory now; whether it is another one.
+
+        Raises:
+            HintedError: it does not hold; the one before stays.
+        """
+        credentials = self.home.credentials()
+        if credentials.chain == self.credentials.chain:
+            return False
+        self.identity, self.credentials = self.home.identity(now()), credentials
+        return True
+
     def why_cut(self, link: Judged) -> str | None:
         """Why a live connection must end now, if it must."""
         with self.access.lock:

@@ -17,7 +17,7 @@ from typing import Any, Final, Protocol
 from ca.certificates import Identity
 from rossec.channel.connection import Connection
 from rossec.channel.opening import Flavour
-from rossec.channel.records import Bytes
+from rossec.channel.records import Bytes, Limits
 from rossec.errors import ChannelClosed, ChannelError
 from rossec.inprocess.links import Link
 from rossec.inprocess.member import Member, now
@@ -25,6 +25,8 @@ from rossec.net.blocking import SecureSocket
 from rossec.net.halfopen import HalfOpen, HalfOpenCount
 
 CONNECT_TIMEOUT: Final = 10.0
+LIMITS = Limits()
+"""When keys are renewed, and what ends a connection."""
 _OUT_OF_THEM: Final = (errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.ENOBUFS)
 _PUMP_EVERY: Final = 1.0  # seconds
 _REST: Final = 1.0  # seconds, when the host is out of descriptors: callers wait in the kernel
@@ -47,7 +49,7 @@ class Doors:
         """
         core = Connection[Identity].initiator(
             self._member.credentials, self._member.anchor.verify,
-            random=secrets.token_bytes, now=now(), opening=opening,
+            random=secrets.token_bytes, now=now(), opening=opening, limits=LIMITS,
         )  # fmt: skip
         stream = SecureSocket(sock, core)
         try:
@@ -67,7 +69,7 @@ class Doors:
         """Answer a caller that was admitted; its handshake is still to come."""
         core = Connection[Identity].responder(
             self._member.credentials, self._member.anchor.verify,
-            random=secrets.token_bytes, now=now(), accept={flavour},
+            random=secrets.token_bytes, now=now(), accept={flavour}, limits=LIMITS,
         )  # fmt: skip
         sock.settimeout(None)  # rospy sets a default for all sockets of the process
         return SecureSocket(sock, core, lambda: self._count.settle(address))

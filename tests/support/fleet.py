@@ -65,14 +65,34 @@ class Program:
 
 
 @contextlib.asynccontextmanager
-async def program(env: Mapping[str, str], source: str, *arguments: str) -> AsyncIterator[Program]:
-    """Run Python `source`; it is killed at the end."""
-    async with stock.process(dict(env), *stock.python(source, *arguments)) as process:
-        running = Program(process)
-        try:
-            yield running
-        except BaseException:
-            process.kill()
-            assert process.stdout is not None
-            sys.stderr.write(running.said + (await process.stdout.read()).decode())
-            raise
+async def program(
+    env: Mapping[str, str], source: str, *arguments: str, told: bool = False
+) -> AsyncIterator[Program]:
+    """Run Python `source`, told what to do on its standard input or not; it is ended after."""
+    process = await asyncio.create_subprocess_exec(
+        *stock.python(source, *arguments), env=dict(env), limit=1 << 20,
+        stdin=asyncio.subprocess.PIPE if told else asyncio.subprocess.DEVNULL,
+        stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.STDOUT,
+    )  # fmt: skip
+    running = Program(process)
+    try:
+        yield running
+    except BaseException:
+        process.kill()
+        assert process.stdout is not None
+        sys.stderr.write(running.said + (await process.stdout.read()).decode())
+        raise
+    finally:
+        await _end(process)
+
+
+async def _end(process: asyncio.subprocess.Process) -> None:
+    """As a person would: with an interrupt first, so that what counts coverage is heard."""
+    if process.returncode is None:
+        process.terminate()
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(5):
+                await process.communicate()
+    if process.returncode is None:
+        process.kill()
+    await process.communicate()
