@@ -43,6 +43,7 @@ class Site:
         self.authority.sign_list(now)
         self.master: MasterServer | None = None
         self.complain: Complain = unheard
+        self.host = "127.0.0.1"
 
     def now(self) -> int:
         """Seconds since the epoch, by this site's clock."""
@@ -139,9 +140,9 @@ class Site:
         await self.start_master(port)
 
     async def start_master(self, port: int) -> None:
-        """Start a master on `port` of loopback."""
+        """Start a master on `port` of `host`."""
         self.master = master_of(
-            self.enroll(MASTER), host="127.0.0.1", port=port,
+            self.enroll(MASTER), host=self.host, port=port,
             newest=self.authority.store.newest_list(), now=self.now(), complain=self.complain,
         )  # fmt: skip
         await self.master.start()
