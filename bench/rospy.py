@@ -168,12 +168,12 @@ def _free_port() -> int:
     return port
 
 
-def _service(accept: int, connect: int) -> str:
-    return f"[topics]\naccept = 127.0.0.1:{accept}\nconnect = 127.0.0.1:{connect}\n"
+def _service(accept: int, connect: int, host: str = "127.0.0.1") -> str:
+    return f"[topics]\naccept = {host}:{accept}\nconnect = 127.0.0.1:{connect}\n"
 
 
 @contextlib.contextmanager
-def tunnel(folder: Path, inner: int, outer: int) -> Any:
+def tunnel(folder: Path, inner: int, outer: int, outer_host: str = "127.0.0.1") -> Any:
     """stunnel on both sides, as one would put it between two hosts: TLS 1.3, both authenticated."""
     folder.mkdir()
     Certificates(folder)
@@ -182,7 +182,7 @@ def tunnel(folder: Path, inner: int, outer: int) -> Any:
     verify = f"CAfile = {folder}/root.pem\nverifyChain = yes\n"
     sides = {
         "server": _service(middle, inner),
-        "client": _service(outer, middle) + "client = yes\n",
+        "client": _service(outer, middle, outer_host) + "client = yes\n",
     }
     running = []
     try:
