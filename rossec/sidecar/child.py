@@ -43,7 +43,7 @@ def outside(environ: Mapping[str, str]) -> dict[str, str]:
     if saved is None:
         return dict(environ)
     try:
-        values = json.loads(saved)
+        values = dict(json.loads(saved))
         before = {key: str(values[key]) for key in _REPLACED if key in values}
     except (ValueError, TypeError) as error:
         raise ConfigurationError(f"{OUTSIDE} is damaged", f"unset {OUTSIDE}") from error

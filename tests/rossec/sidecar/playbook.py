@@ -22,14 +22,15 @@ def play(
     layer: Generator[Command, Event, Outcome], *script: tuple[Command, Event | Exception]
 ) -> Outcome:
     """Run `layer`; it must yield exactly these commands, in this order. Returns its outcome."""
-    answers = [event for _, event in script]
+    left = list(script)
     try:
         command = next(layer)
-        for (expected, _), event in zip(script, answers, strict=True):
+        while left:
+            expected, event = left.pop(0)
             assert command == expected
             command = layer.throw(event) if isinstance(event, Exception) else layer.send(event)
     except StopIteration as done:
-        assert not answers or event is answers[-1], "it ended before the script did"
+        assert not left, "it ended before the script did"
         outcome: Outcome = done.value
         return outcome
     raise AssertionError(f"one command more: {command}")

@@ -57,9 +57,7 @@ def test_another_program_of_the_same_identity_is_met_through_the_channel(stage: 
 
 def test_a_service_is_exported_with_the_slave_api(stage: Stage) -> None:
     answer = play(
-        call(
-            stage.tenant, "registerService", ("/robot", "/say", "rosrpc://127.0.0.1:5001", OWN)
-        ),
+        call(stage.tenant, "registerService", ("/robot", "/say", "rosrpc://127.0.0.1:5001", OWN)),
         (Export(SLAVE), Opened(7000)),
         (Export(SERVICE), Opened(7001)),
         (AskMaster("registerService", ("/robot", "/say", f"rosrpc://{HOST}:7001", OUTSIDE)), OK),
@@ -100,9 +98,7 @@ def test_restoring_ends_with_the_connection_and_bears_refusals(stage: Stage) -> 
 
 
 def test_a_program_may_not_register_under_another_name(stage: Stage) -> None:
-    answer = play(
-        call(stage.tenant, "registerPublisher", ("/victim", "/cmd_vel", "pkg/Type", OWN))
-    )
+    answer = play(call(stage.tenant, "registerPublisher", ("/victim", "/cmd_vel", "pkg/Type", OWN)))
     assert isinstance(answer, list)
     assert answer[0] == -1
     assert "calls itself /victim: start it with __name:=robot" in answer[1]
