@@ -25,20 +25,19 @@ def test_the_kernel_names_parents() -> None:
 
 
 def test_a_child_may_and_a_stranger_may_not() -> None:
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        with subprocess.Popen(
-            [sys.executable, "-c", CONNECT, str(server.getsockname()[1])]
-        ) as child:
-            near, _ = server.accept()
-            with near:
-                Callers({os.getuid()}).check(near)
-                Callers({os.getuid()}, os.getpid()).check(near)
-                with pytest.raises(PeerUserRefused, match="belongs to another program"):
-                    Callers({os.getuid()}, child.pid).check(near)
-                with pytest.raises(PeerUserRefused, match="may not use this sidecar"):
-                    Callers({os.getuid() + 1}, os.getpid()).check(near)
-                with pytest.raises(PeerUserRefused):
-                    Callers(set()).check(near)
+    with socket.create_server(("127.0.0.1", 0)) as server, subprocess.Popen(
+        [sys.executable, "-c", CONNECT, str(server.getsockname()[1])]
+    ) as child:
+        near, _ = server.accept()
+        with near:
+            Callers({os.getuid()}).check(near)
+            Callers({os.getuid()}, os.getpid()).check(near)
+            with pytest.raises(PeerUserRefused, match="belongs to another program"):
+                Callers({os.getuid()}, child.pid).check(near)
+            with pytest.raises(PeerUserRefused, match="may not use this sidecar"):
+                Callers({os.getuid() + 1}, os.getpid()).check(near)
+            with pytest.raises(PeerUserRefused):
+                Callers(set()).check(near)
 
 
 def test_who_listens_is_checked_before_it_is_reached() -> None:

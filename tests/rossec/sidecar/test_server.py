@@ -196,10 +196,9 @@ async def test_one_identity_for_all_and_empty_multicalls(pair: Pair) -> None:
 async def test_a_master_that_is_away_is_no_answer(tmp_path: Path) -> None:
     site = Site(tmp_path / "site")
     site.enroll("/talker")
-    async with site.running():
-        async with sidecar(site) as near:
-            assert site.master is not None
-            await site.master.close()
-            async with Program("/talker", near) as talker:
-                with pytest.raises(RossecError):
-                    await talker.ask(talker.master_uri, "getPid")
+    async with site.running(), sidecar(site) as near:
+        assert site.master is not None
+        await site.master.close()
+        async with Program("/talker", near) as talker:
+            with pytest.raises(RossecError):
+                await talker.ask(talker.master_uri, "getPid")
