@@ -25,9 +25,10 @@ def test_the_kernel_names_parents() -> None:
 
 
 def test_a_child_may_and_a_stranger_may_not() -> None:
-    with socket.create_server(("127.0.0.1", 0)) as server, subprocess.Popen(
-        [sys.executable, "-c", CONNECT, str(server.getsockname()[1])]
-    ) as child:
+    with (
+        socket.create_server(("127.0.0.1", 0)) as server,
+        subprocess.Popen([sys.executable, "-c", CONNECT, str(server.getsockname()[1])]) as child,
+    ):
         near, _ = server.accept()
         with near:
             Callers({os.getuid()}).check(near)
