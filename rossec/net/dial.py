@@ -77,12 +77,16 @@ async def _race(addresses: list[_Address]) -> socket.socket:
                 failure = error if isinstance(error, OSError) else failure
         raise failure
     finally:
-        await _abandon(running)
+        _abandon(running)
 
 
-async def _abandon(tasks: set[asyncio.Task[socket.socket]]) -> None:
+def _abandon(tasks: set[asyncio.Task[socket.socket]]) -> None:
+    """Cancel without waiting: a caller cancelled just then would lose the socket that won."""
     for task in tasks:
+        task.add_done_callback(_drop)
         task.cancel()
-    for result in await asyncio.gather(*tasks, return_exceptions=True):
-        if isinstance(result, socket.socket):
-            result.close()
+
+
+def _drop(task: asyncio.Task[socket.socket]) -> None:
+    if not task.cancelled() and task.exception() is None:
+        task.result().close()

@@ -1,6 +1,7 @@
 """Several addresses of one host: the first that answers."""
 
 import asyncio
+import contextlib
 import socket
 from typing import Any
 
@@ -23,6 +24,12 @@ def resolve(monkeypatch: pytest.MonkeyPatch, *addresses: tuple[int, str, int]) -
         return [(family, 1, 6, "", (host, port)) for family, host, port in addresses]
 
     monkeypatch.setattr(asyncio.get_running_loop(), "getaddrinfo", getaddrinfo)
+
+
+async def the_others() -> None:
+    """Wait for every task but this one."""
+    me = asyncio.current_task()
+    await asyncio.gather(*asyncio.all_tasks() - {me}, return_exceptions=True)
 
 
 def closed_port() -> int:
@@ -80,4 +87,29 @@ async def test_a_silent_address_does_not_hold_up_the_next(
     monkeypatch.setattr(module, "_attempt", attempt)
     with await dial("host", port) as sock:
         assert sock.getpeername() == ("127.0.0.1", port)
+    await the_others()
     assert ended == [1]
+
+
+async def test_the_winner_does_not_wait_for_a_loser_that_will_not_go(
+    port: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whoever is cancelled while it waits for the losers would lose the socket it has."""
+    resolve(monkeypatch, *[(socket.AF_INET, "127.0.0.1", n) for n in (1, 2)])
+    monkeypatch.setattr(module, "_STAGGER", 0.01)
+    real, late, stubborn = module._attempt, [], asyncio.Event()
+
+    async def attempt(family: int, where: tuple[str, int]) -> socket.socket:
+        sock = await real(family, ("127.0.0.1", port))
+        while where[1] == 1 and not stubborn.is_set():
+            late.append(sock)
+            with contextlib.suppress(asyncio.CancelledError):
+                await stubborn.wait()
+        return sock
+
+    monkeypatch.setattr(module, "_attempt", attempt)
+    with await dial("host", port) as sock:
+        assert sock.getpeername() == ("127.0.0.1", port)
+    stubborn.set()
+    await the_others()
+    assert [sock.fileno() for sock in late] == [-1]
