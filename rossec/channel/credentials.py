@@ -12,9 +12,10 @@ from typing import Final, Protocol, TypeAlias, TypeVar
 from ca.encoding import Value
 from ca.signer import Signer
 from rossec.channel.suites import PublicKey
-from rossec.errors import HandshakeFailed
+from rossec.errors import HandshakeFailed, UnknownCredential
 
 _X5CHAIN: Final = 33  # RFC 9360 section 2
+X5T: Final = 34
 MAX_CHAIN: Final = 4
 _MAX_CERTIFICATE: Final = 7 * 1024  # PLAINTEXT_2 cannot carry more than 8160 bytes
 
@@ -89,8 +90,11 @@ def x5chain(id_cred: Value) -> tuple[bytes, ...]:
     """Return the chain an x5chain ID_CRED_x carries.
 
     Raises:
+        UnknownCredential: a reference, where nobody keeps what it could refer to.
         HandshakeFailed: another kind of credential, or not a chain of 1 to 4 certificates.
     """
+    if isinstance(id_cred, dict) and X5T in id_cred:
+        raise UnknownCredential("the peer names a certificate, and this node remembers none")
     named = id_cred.get(_X5CHAIN) if isinstance(id_cred, dict) and len(id_cred) == 1 else None
     match named:
         case bytes():

@@ -95,7 +95,9 @@ class Initiator(Side[PeerT]):
         plaintext = _xor(ciphertext, keystream_2(self._prk, self._th, len(ciphertext)))
         peer = self._check(Label.MAC_2, plaintext, now)
         known = self._party.known
-        self.brief = known is not None and known.is_introduced(self._chain[0])
+        # A responder that sent its whole certificate may have no memory for this side's either.
+        met = known is not None and known.is_introduced(self._chain[0])
+        self.brief = met and self._by_reference
         return self._message_3(), peer
 
     def _message_3(self) -> bytes:

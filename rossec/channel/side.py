@@ -89,6 +89,7 @@ class Side(Generic[PeerT]):
         self._th = b""
         self._exporter: Exporter | None = None
         self._chain: tuple[bytes, ...] = ()
+        self._by_reference = False  # how the peer named its certificate
         self.brief = False  # this side names its certificate by a hash
 
     @property
@@ -140,6 +141,7 @@ class Side(Generic[PeerT]):
         known = self._party.known
         chain = self._party.find_chain(id_cred) if known is None else known.find(id_cred)
         self._chain = chain
+        self._by_reference = known is not None and id_cred == reference(chain[0])
         if chain[0] == self._party.credential.certificate:
             # Reflection: nobody else can hold this certificate's key (notes: selfie attack).
             raise IdentityRefused("the peer shows this node's own certificate")
