@@ -6,16 +6,19 @@ secrets are dropped as early as possible, no more is promised.
 """
 
 import hashlib
-import hmac
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import cached_property
+from typing import Final
 
 from cryptography.hazmat.primitives import hashes
-from cryptography.hazmat.primitives.kdf.hkdf import HKDFExpand
+from cryptography.hazmat.primitives.hmac import HMAC
+from cryptography.hazmat.primitives.kdf.hkdf import HKDF, HKDFExpand
 
-from ca.encoding import encode
+from ca.encoding import encode, head
 from rossec.channel.suites import HASH_LENGTH
+
+_SHA256: Final = hashes.SHA256()
 
 
 class Label(IntEnum):
@@ -35,14 +38,16 @@ class Label(IntEnum):
 
 def extract(salt: bytes, secret: bytes) -> bytes:
     """EDHOC_Extract: HKDF-Extract (RFC 5869)."""
-    return hmac.digest(salt, secret, "sha256")
+    return HKDF.extract(_SHA256, salt, secret)
 
 
 def expand(prk: bytes, info: bytes, length: int) -> bytes:
     """EDHOC_Expand: HKDF-Expand, at most 8160 bytes."""
-    if length <= HASH_LENGTH:  # one block (RFC 5869 section 2.3), at half the price of an object
-        return hmac.digest(prk, info + b"\x01", "sha256")[:length]
-    return HKDFExpand(hashes.SHA256(), length, info).derive(prk)
+    if length <= HASH_LENGTH:  # one block (RFC 5869 section 2.3), at half the price
+        block = HMAC(prk, _SHA256)
+        block.update(info + b"\x01")
+        return block.finalize()[:length]
+    return HKDFExpand(_SHA256, length, info).derive(prk)
 
 
 def bstr(data: bytes) -> bytes:
@@ -61,7 +66,10 @@ def kdf(prk: bytes, label: int, context: bytes, length: int) -> bytes:
 
 
 def _uint(value: int) -> bytes:
-    return bytes((value,)) if value < 24 else encode(value)
+    return _SMALL[value] if value < 24 else head(0, value)
+
+
+_SMALL: Final = tuple(bytes((value,)) for value in range(24))
 
 
 def transcript_2(g_y: bytes, message_1: bytes) -> bytes:

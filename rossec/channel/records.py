@@ -27,6 +27,8 @@ MAX_PLAINTEXT: Final = 256 * 1024  # the measured optimum, and the bound on what
 _JOIN_BELOW: Final = 16 * 1024
 _INTO_FROM: Final = 4 * 1024  # from here on encrypting in place beats one more copy
 
+_RECORD_AEADS: Final = (AESGCM, ChaCha20Poly1305)
+
 Bytes: TypeAlias = bytes | bytearray | memoryview
 
 
@@ -95,7 +97,7 @@ class Direction:
         # The version and the epoch are the context; the role is in the label.
         context = b"rossec/1" + epoch.to_bytes(8)
         aead = suite.aead(exporter.export(label, context, suite.key_length))
-        if not isinstance(aead, AESGCM | ChaCha20Poly1305):
+        if not isinstance(aead, _RECORD_AEADS):
             raise ProtocolViolation("this cipher suite has no record layer")
         self._aead = aead
         self._iv = int.from_bytes(exporter.export(label + 1, context, suite.nonce_length))

@@ -6,13 +6,20 @@ Hashes and MACs are over the bytes that travel. Every check raises.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final, Generic
+from typing import Final, Generic, NamedTuple
 
 from cryptography.exceptions import InvalidTag
 
 from ca.encoding import Value, encode
 from ca.errors import HintedError
-from rossec.channel.credentials import FindChain, OwnCredential, PeerT, Verify, x5chain
+from rossec.channel.credentials import (
+    FindChain,
+    OwnCredential,
+    PeerT,
+    Verify,
+    encode_id_cred,
+    x5chain,
+)
 from rossec.channel.keyschedule import (
     Exporter,
     Label,
@@ -62,8 +69,7 @@ class Party(Generic[PeerT]):
     c_r: bytes = C_R
 
 
-@dataclass(frozen=True)
-class _Statement:
+class _Statement(NamedTuple):
     """What one side claims in message_2 or message_3, in the form that is MACed and signed."""
 
     label: Label
@@ -118,10 +124,11 @@ class Side(Generic[PeerT]):
         own = self._party.credential
         prefix = b"" if c_r is None else encode_identifier(c_r)
         cred, ead = bstr(own.certificate), self._party.ead
-        id_cred = reference(own.certificate) if self.brief else own.id_cred
-        statement = _Statement(label, prefix, encode(id_cred), self._th, cred, ead)
+        named = reference(own.certificate) if self.brief else own.id_cred
+        id_cred = encode_id_cred(named)
+        statement = _Statement(label, prefix, id_cred, self._th, cred, ead)
         signature = own.sign(statement.to_be_signed(self._prk))
-        plaintext = Plaintext(c_r, id_cred, signature, ead).encode()
+        plaintext = Plaintext(c_r, named, signature, ead).encode()
         self._th = transcript_next(self._th, plaintext, cred)
         return plaintext
 
@@ -130,7 +137,7 @@ class Side(Generic[PeerT]):
         parsed = decode_plaintext(plaintext, with_c_r=label is Label.MAC_2)
         certificate, peer = self._identify(parsed.id_cred, now)
         prefix = b"" if parsed.c_r is None else encode_identifier(parsed.c_r)
-        id_cred, cred = encode(parsed.id_cred), bstr(certificate)
+        id_cred, cred = encode_id_cred(parsed.id_cred), bstr(certificate)
         statement = _Statement(label, prefix, id_cred, self._th, cred, parsed.ead)
         message = statement.to_be_signed(self._prk)
         self._suite.verify(peer.public_key, parsed.signature, message)
