@@ -113,8 +113,7 @@ async def _introduce(
 
 async def _reach(host: str, port: int, timeout: float) -> socket.socket:  # noqa: ASYNC109 - passed on by `connect`
     try:
-        async with asyncio.timeout(timeout):
-            return await dial(host, port)
+        return await dial(host, port, timeout)
     except (OSError, TimeoutError, ValueError, IndexError, OverflowError) as error:
         # A host or port that cannot be one: UnicodeError, IndexError and so on, by Python version.
         reason = "it does not answer" if isinstance(error, TimeoutError) else str(error)

@@ -16,7 +16,7 @@ def dialled(monkeypatch: pytest.MonkeyPatch) -> socket.socket:
     """What `connect` gets from the dial: a socket whose peer is gone already."""
     sock = socket.socket()
 
-    async def dial(host: str, port: int) -> socket.socket:
+    async def dial(host: str, port: int, within: float) -> socket.socket:
         return sock
 
     monkeypatch.setattr(module, "dial", dial)

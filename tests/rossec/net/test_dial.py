@@ -41,11 +41,11 @@ def closed_port() -> int:
 
 async def test_an_address_needs_no_resolver(port: int, monkeypatch: pytest.MonkeyPatch) -> None:
     resolve(monkeypatch)
-    with await dial("127.0.0.1", port) as sock:
+    with await dial("127.0.0.1", port, 5) as sock:
         assert sock.getpeername() == ("127.0.0.1", port)
         assert not sock.getblocking()
     with pytest.raises(OSError, match="no address"):
-        await dial("somewhere", port)
+        await dial("somewhere", port, 5)
 
 
 async def test_a_failure_goes_on_to_the_next(port: int, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -54,14 +54,14 @@ async def test_a_failure_goes_on_to_the_next(port: int, monkeypatch: pytest.Monk
         (socket.AF_INET, "127.0.0.1", closed_port()),
         (socket.AF_INET, "127.0.0.1", port),
     )
-    with await dial("host", port) as sock:
+    with await dial("host", port, 5) as sock:
         assert sock.getpeername() == ("127.0.0.1", port)
 
 
 async def test_all_fail(monkeypatch: pytest.MonkeyPatch) -> None:
     resolve(monkeypatch, *[(socket.AF_INET, "127.0.0.1", closed_port())] * 2)
     with pytest.raises(ConnectionRefusedError):
-        await dial("host", 1)
+        await dial("host", 1, 5)
 
 
 async def test_a_silent_address_does_not_hold_up_the_next(
@@ -85,7 +85,7 @@ async def test_a_silent_address_does_not_hold_up_the_next(
         return await real(family, ("127.0.0.1", port))
 
     monkeypatch.setattr(module, "_attempt", attempt)
-    with await dial("host", port) as sock:
+    with await dial("host", port, 5) as sock:
         assert sock.getpeername() == ("127.0.0.1", port)
     await the_others()
     assert ended == [1]
@@ -108,7 +108,7 @@ async def test_the_winner_does_not_wait_for_a_loser_that_will_not_go(
         return sock
 
     monkeypatch.setattr(module, "_attempt", attempt)
-    with await dial("host", port) as sock:
+    with await dial("host", port, 5) as sock:
         assert sock.getpeername() == ("127.0.0.1", port)
     stubborn.set()
     await the_others()
