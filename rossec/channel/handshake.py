@@ -10,6 +10,7 @@ from typing import Final
 
 from rossec.channel.credentials import PeerT
 from rossec.channel.keyschedule import (
+    GONE,
     Label,
     bstr,
     keystream_2,
@@ -116,7 +117,7 @@ class Initiator(Side[PeerT]):
             HandshakeFailed: it does not.
         """
         decode_plaintext_4(self._open(Label.K_4, Label.IV_4, decode_bytes(data)))
-        self._prk = b""
+        self._prk = GONE
         if self._party.known is not None:
             self._party.known.introduce(self._chain[0])
 
@@ -170,7 +171,7 @@ class Responder(Side[PeerT]):
         peer = self._check(Label.MAC_3, plaintext, now)
         self._finish()
         message_4 = self._seal(Label.K_4, Label.IV_4, b"")
-        self._prk = b""
+        self._prk = GONE
         return message_4, peer
 
 

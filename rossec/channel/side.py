@@ -21,8 +21,10 @@ from rossec.channel.credentials import (
     x5chain,
 )
 from rossec.channel.keyschedule import (
+    GONE,
     Exporter,
     Label,
+    Secret,
     bstr,
     extract,
     kdf,
@@ -79,7 +81,7 @@ class _Statement(NamedTuple):
     cred: bytes
     ead: bytes
 
-    def to_be_signed(self, prk: bytes) -> bytes:
+    def to_be_signed(self, prk: Secret) -> bytes:
         external = bstr(self.th) + self.cred + self.ead
         mac = kdf(prk, self.label, self.prefix + self.id_cred + external, HASH_LENGTH)
         return _SIGNATURE1 + bstr(self.id_cred) + bstr(external) + bstr(mac)
@@ -91,7 +93,7 @@ class Side(Generic[PeerT]):
     def __init__(self, party: Party[PeerT]) -> None:
         self._party = party
         self._suite = SUITES[party.suites[0]]
-        self._prk = b""
+        self._prk = GONE
         self._th = b""
         self._exporter: Exporter | None = None
         self._chain: tuple[bytes, ...] = ()
@@ -112,7 +114,7 @@ class Side(Generic[PeerT]):
 
     def forget(self) -> None:
         """Drop the secrets; Python cannot wipe them."""
-        self._prk = b""
+        self._prk = GONE
         self._exporter = None
 
     def _agree(self, shared: bytes, g_y: bytes, message_1: bytes) -> None:
