@@ -160,13 +160,22 @@ class Epochs:
     _INITIATOR_SENDS: Final = 32768  # exporter labels for private use, key and IV each
     _RESPONDER_SENDS: Final = 32770
 
+    sender: Direction
+    receiver: Direction
+
     def __init__(self, suite: Suite, exporter: Exporter, *, initiator: bool) -> None:
         labels = (self._INITIATOR_SENDS, self._RESPONDER_SENDS)
         self._labels = labels if initiator else labels[::-1]
         self._suite = suite
         self._exporter = exporter
-        self.sender, self.receiver = self._derive(0)
         self._waiting: Direction | None = None
+
+    def __getattr__(self, name: str) -> Direction:
+        """Derive the first keys when they are asked for: the peer has its message meanwhile."""
+        if name not in {"sender", "receiver"}:
+            raise AttributeError(name)
+        self.sender, self.receiver = self._derive(0)
+        return self.sender if name == "sender" else self.receiver
 
     def _derive(self, epoch: int) -> tuple[Direction, Direction]:
         own, peer = self._labels
