@@ -18,7 +18,8 @@ from multiprocessing.queues import Queue
 from pathlib import Path
 from statistics import median
 
-from bench.channel import Peer, Site, credentials, verifier
+from bench import _site
+from ca.certificates import Identity
 from rossec.errors import ChannelError
 from rossec.net.stream import SecureStream, connect, serve
 
@@ -30,14 +31,14 @@ _PAGE = os.sysconf("SC_PAGE_SIZE")
 def _server(folder: Path, ports: "Queue[int]") -> None:
     _lift_descriptors()
 
-    async def echo(stream: SecureStream[Peer]) -> None:
+    async def echo(stream: SecureStream[Identity]) -> None:
         with suppress(ChannelError):
             while True:
                 await stream.send(await stream.receive())
 
     async def main() -> None:
-        own = credentials(folder, "server")
-        async with await serve(echo, "127.0.0.1", 0, own, verifier(folder)) as server:
+        own = _site.credentials(folder, "server")
+        async with await serve(echo, "127.0.0.1", 0, own, _site.anchor(folder).verify) as server:
             ports.put(server.port)
             await asyncio.Event().wait()
 
@@ -48,8 +49,8 @@ def _client(folder: Path, port: int, seconds: float, rates: "Queue[list[float]]"
     """Count round trips in slices of a tenth of a second."""
 
     async def main() -> list[float]:
-        own = credentials(folder, "client")
-        stream = await connect("127.0.0.1", port, own, verifier(folder))
+        own = _site.credentials(folder, "client")
+        stream = await connect("127.0.0.1", port, own, _site.anchor(folder).verify)
         slices, end = [], time.monotonic() + seconds
         while time.monotonic() < end:
             count, begin = 0, time.monotonic()
@@ -92,10 +93,10 @@ def _flood(port: int, seconds: float) -> list[socket.socket]:
 
 async def _newcomer(folder: Path, port: int) -> float:
     """Seconds until somebody new is served."""
-    own, begin = credentials(folder, "client"), time.monotonic()
+    own, begin = _site.credentials(folder, "client"), time.monotonic()
     while True:
         try:
-            async with await connect("127.0.0.1", port, own, verifier(folder)) as stream:
+            async with await connect("127.0.0.1", port, own, _site.anchor(folder).verify) as stream:
                 await stream.send(b"x")
                 await stream.receive()
                 return time.monotonic() - begin
@@ -109,7 +110,7 @@ def measure(seconds: float) -> dict[str, object]:
     context = multiprocessing.get_context("spawn")
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        Site(folder)
+        _site.build(folder)
         ports: Queue[int] = context.Queue()
         rates: Queue[list[float]] = context.Queue()
         server = context.Process(target=_server, args=(folder, ports), daemon=True)
