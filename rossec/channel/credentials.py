@@ -99,11 +99,8 @@ class Credentials:
 
 def encode_id_cred(id_cred: Value) -> bytes:
     """What `encode` gives, at a third of the price for a chain of one."""
-    if isinstance(id_cred, dict) and len(id_cred) == 1:
-        certificate = id_cred.get(X5CHAIN)
-        if isinstance(certificate, bytes):
-            return X5CHAIN_HEAD + bstr(certificate)
-    return encode(id_cred)
+    certificate = id_cred.get(X5CHAIN) if isinstance(id_cred, dict) and len(id_cred) == 1 else None
+    return X5CHAIN_HEAD + bstr(certificate) if isinstance(certificate, bytes) else encode(id_cred)
 
 
 def x5chain(id_cred: Value) -> tuple[bytes, ...]:

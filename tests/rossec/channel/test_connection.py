@@ -547,3 +547,15 @@ def test_who_requires_the_hybrid_suite_talks_to_nobody_else() -> None:
     assert names(w.right) == []
     assert names(wire(alice(suites=(-24, 6)), bob(suites=(6,))).pump().right) == ["/alice"]
     assert names(wire(alice(suites=(6,)), bob(suites=(-24, 6))).pump().right) == ["/alice"]
+
+
+def test_the_socket_writes_into_the_buffer_of_the_connection() -> None:
+    left, right = alice(), bob()
+    queued = [left.has_data_to_send]
+    flight = left.data_to_send()
+    queued.append(left.has_data_to_send)
+    assert queued == [True, False]
+    right.get_buffer()[: len(flight)] = flight
+    assert right.buffer_updated(len(flight), NOW) == []
+    assert right.has_data_to_send
+    assert left.unit_limit == Limits().unit

@@ -26,6 +26,40 @@ def resolve(monkeypatch: pytest.MonkeyPatch, *addresses: tuple[int, str, int]) -
     monkeypatch.setattr(asyncio.get_running_loop(), "getaddrinfo", getaddrinfo)
 
 
+async def test_a_numeric_address_that_does_not_answer_at_once(
+    port: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "_connected", lambda _: False)
+    with await dial("127.0.0.1", port, 5) as sock:
+        assert sock.getpeername() == ("127.0.0.1", port)
+
+
+async def test_a_numeric_address_where_nobody_is() -> None:
+    with pytest.raises(ConnectionRefusedError):
+        await dial("127.0.0.1", closed_port(), 5)
+    with pytest.raises(OverflowError):
+        await dial("127.0.0.1", 1 << 20, 5)
+
+
+async def test_a_failure_while_another_is_under_way(
+    port: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "_STAGGER", 0.01)
+    resolve(monkeypatch, *[(socket.AF_INET, "127.0.0.1", n) for n in (1, 2)])
+    real, failed = module._attempt, asyncio.Event()
+
+    async def attempt(family: int, where: tuple[str, int]) -> socket.socket:
+        if where[1] == 2:
+            failed.set()
+            raise OSError("no")
+        await failed.wait()
+        return await real(family, ("127.0.0.1", port))
+
+    monkeypatch.setattr(module, "_attempt", attempt)
+    with await dial("host", 1, 5) as sock:
+        assert sock.getpeername() == ("127.0.0.1", port)
+
+
 async def the_others() -> None:
     """Wait for every task but this one."""
     me = asyncio.current_task()
