@@ -13,6 +13,7 @@ import sys
 from typing import Any
 
 from ca.errors import HintedError
+from rossec.channel.policy import post_quantum
 from rossec.home import rossec_home
 from rossec.ros import settings
 from rossec.ros.text import printable
@@ -50,6 +51,7 @@ async def _run(options: dict[str, Any]) -> int:
         identity=options["identity"],
         each=options["each"],
         port=options["port"],
+        suites=post_quantum(before),
     )
     sidecar.start()
     try:

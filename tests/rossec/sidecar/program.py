@@ -52,7 +52,7 @@ class Program:
 
     async def ask(self, uri: str, method: str, *params: object) -> object:
         """Call a master or a slave API; the raw answer."""
-        client = RpcClient(PlainStream(await dial(*parse_uri(uri))), host="x")
+        client = RpcClient(PlainStream(await dial(*parse_uri(uri), 10)), host="x")
         try:
             return await client.call(method, self.name, *params)
         finally:
@@ -67,7 +67,7 @@ class Program:
 
     async def meet(self, place: Endpoint, fields: Fields) -> tuple[PlainStream, Fields]:
         """Connect for TCPROS; the stream and the header answered with."""
-        stream = PlainStream(await dial(place.host, place.port))
+        stream = PlainStream(await dial(place.host, place.port, 10))
         await stream.send(header.encode(fields | {"callerid": self.name.encode()}))
         answer, _ = await split_header(stream)
         return stream, answer

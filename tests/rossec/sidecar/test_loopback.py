@@ -20,7 +20,7 @@ async def echo(stream: PlainStream) -> None:
 
 
 async def greeted(port: int) -> bytes:
-    stream = PlainStream(await dial("127.0.0.1", port))
+    stream = PlainStream(await dial("127.0.0.1", port, 10))
     await stream.send(b"hello")
     try:
         return await stream.receive()
@@ -34,13 +34,13 @@ async def test_a_port_at_rest_refuses_and_keeps_its_number() -> None:
     try:
         for _ in range(2):
             with pytest.raises(ConnectionRefusedError):
-                await dial("127.0.0.1", door.port)
+                await dial("127.0.0.1", door.port, 10)
             with pytest.raises(OSError, match="in use"):
                 reserve(door.port)
             door.open()
             door.open()
             assert await greeted(door.port) == b"hello"
-            kept.append(PlainStream(await dial("127.0.0.1", door.port)))
+            kept.append(PlainStream(await dial("127.0.0.1", door.port, 10)))
             await kept[-1].send(b"x")
             assert await kept[-1].receive() == b"x"
             door.rest()
@@ -69,7 +69,7 @@ async def test_the_connections_of_a_port_are_bounded(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(loopback, "_CONNECTIONS", 1)
     door = LoopbackPort(ANYBODY, echo)
     door.open()
-    first = PlainStream(await dial("127.0.0.1", door.port))
+    first = PlainStream(await dial("127.0.0.1", door.port, 10))
     await first.send(b"x")
     assert await first.receive() == b"x"
     assert door.connections == 1
@@ -92,7 +92,7 @@ async def test_a_slow_program_slows_the_sender() -> None:
 
     door = LoopbackPort(ANYBODY, lazy)
     door.open()
-    stream = PlainStream(await dial("127.0.0.1", door.port))
+    stream = PlainStream(await dial("127.0.0.1", door.port, 10))
     sending = asyncio.ensure_future(stream.send(b"x" * 32_000_000))
     done, _ = await asyncio.wait({sending}, timeout=0.3)
     assert not done

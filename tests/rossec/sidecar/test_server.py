@@ -166,7 +166,7 @@ async def test_a_program_that_died_is_refused_as_a_dead_node_is(pair: Pair) -> N
     assert isinstance(again, list)
     assert again[2] == answer[2], "the number must not change"
     with pytest.raises(ConnectionRefusedError):
-        await dial(*parse_uri(again[2]))
+        await dial(*parse_uri(again[2]), 10)
 
 
 async def test_a_restarted_master_hears_of_the_programs_again(pair: Pair) -> None:
