@@ -68,14 +68,19 @@ def check_request(csr: bytes, domain: str) -> Request:
         request = x509.load_der_x509_csr(csr)
         if not ends_with_whole_octets(csr, request.signature):
             raise RequestRefused("the request's signature is not in whole octets", _HINT)
-        key = _check_key(request)
-        name = _check_name(_only_uri(request), domain)
+        key = proven_key(request)
+        name = _check_name(only_request_uri(request), domain)
     except PARSE_ERRORS as error:
         raise RequestRefused("this is not a certificate request", _HINT) from error
     return Request(domain, name, key, thumbprint(key), hashlib.sha256(csr).digest())
 
 
-def _check_key(request: x509.CertificateSigningRequest) -> ec.EllipticCurvePublicKey:
+def proven_key(request: x509.CertificateSigningRequest) -> ec.EllipticCurvePublicKey:
+    """The P-256 key of a request that proves to have it.
+
+    Raises:
+        RequestRefused: another kind of key or signature, or no proof.
+    """
     try:
         key = require_p256(request.public_key())
     except KeyRefused as error:
@@ -89,8 +94,12 @@ def _check_key(request: x509.CertificateSigningRequest) -> ec.EllipticCurvePubli
     return key
 
 
-def _only_uri(request: x509.CertificateSigningRequest) -> str:
-    """The one thing a request may contain besides its key."""
+def only_request_uri(request: x509.CertificateSigningRequest) -> str:
+    """The one thing a request may contain besides its key.
+
+    Raises:
+        RequestRefused: it contains anything else.
+    """
     if len(request.subject.rdns) > 0:
         raise RequestRefused("the request asks for a subject", _HINT)
     if [attribute.oid for attribute in request.attributes] != [_EXTENSION_REQUEST]:
