@@ -1,8 +1,9 @@
 """The authority: makes a trust domain's root, and certificates for the nodes in it.
 
-It issues exactly what a request shows (name and key) and nothing the approver did not see. Clock
-and dice come from outside: `now`, and serials of 128 random bits. What is issued, to whom and
-whether it may be, is the store's and the operator's business.
+It issues exactly what a request shows (name and key) and nothing the approver did not see; a
+wildcard tail only on the approver's own word. Clock and dice come from outside: `now`, and serials
+of 128 random bits. What is issued, to whom and whether it may be, is the store's and the operator's
+business.
 """
 
 from datetime import UTC, datetime
@@ -17,12 +18,12 @@ from cryptography.x509.oid import NameOID
 from ca.certificates import TrustAnchor
 from ca.errors import IssueRefused
 from ca.intermediates import Intermediate, check_intermediate_request, policy
-from ca.names import check_domain, spiffe_id
+from ca.names import check_domain, check_wildcard, spiffe_id
 from ca.publickey import require_p256, thumbprint
 from ca.renewal import Renewal
 from ca.requests import Request, check_request
 from ca.signer import Signer
-from ca.svid import SCHEME
+from ca.svid import SCHEME, WILDCARD, WILDCARD_VALUE
 from ca.x509signer import X509Signer
 
 DAY: Final = 86_400
@@ -72,14 +73,24 @@ class Authority:
         """Whether this is the trust domain's root, which alone can revoke."""
         return self.issuer is self.anchor
 
-    def issue(self, csr: bytes, *, now: int, serial: int, lifetime: int = LIFETIME) -> bytes:
+    def issue(
+        self,
+        csr: bytes,
+        *,
+        now: int,
+        serial: int,
+        lifetime: int = LIFETIME,
+        wildcard: bool = False,
+    ) -> bytes:
         """Return the certificate (DER) for what `csr` asks for, valid for `lifetime` seconds.
 
         It begins an hour early and ends with the authority's own certificate at the latest.
-        `serial` is 128 random bits.
+        `serial` is 128 random bits. With `wildcard` the identity also stands for the names of
+        anonymous nodes (`ca.names.covers`), whether the request asks for that or not.
 
         Raises:
             RequestRefused: the request is not in order.
+            NameRefused: this name cannot have a wildcard tail.
             IssueRefused: serial or lifetime out of range, or the authority's own time is over.
         """
         if not self.may_enroll:
@@ -87,8 +98,8 @@ class Authority:
                 "this intermediate may renew identities, not enroll nodes",
                 "enroll at the root, or have the root make an intermediate that may",
             )
-        request = check_request(csr, self.anchor.domain)
-        return self._issue(request, now, serial, lifetime)
+        request = check_request(csr, self.anchor.domain, wildcard=wildcard)
+        return self._issue(request, now, serial, lifetime, wildcard=wildcard)
 
     def renew(self, renewal: Renewal, *, now: int, serial: int, lifetime: int = LIFETIME) -> bytes:
         """Return the successor (DER) of an identity, never living longer than that one did.
@@ -96,7 +107,9 @@ class Authority:
         Raises:
             IssueRefused: as `issue`, but an intermediate needs no leave to enroll.
         """
-        return self._issue(renewal.request, now, serial, min(lifetime, renewal.longest))
+        longest = min(lifetime, renewal.longest)
+        wildcard = renewal.identity.wildcard
+        return self._issue(renewal.request, now, serial, longest, wildcard=wildcard)
 
     def issue_intermediate(
         self, csr: bytes, *, now: int, serial: int, may_enroll: bool, lifetime: int
@@ -123,7 +136,9 @@ class Authority:
             self.signer,
         )
 
-    def _issue(self, request: Request, now: int, serial: int, lifetime: int) -> bytes:
+    def _issue(
+        self, request: Request, now: int, serial: int, lifetime: int, *, wildcard: bool
+    ) -> bytes:
         _check_serial(serial)
         start, end = self._period(now, lifetime)
         uri = spiffe_id(self.anchor.domain, request.name)
@@ -137,6 +152,10 @@ class Authority:
             .add_extension(_name(uri), critical=True)
             .add_extension(_issuer_key(self.issuer.public_key), critical=False)
         )
+        if wildcard:
+            check_wildcard(request.name)
+            tail = x509.UnrecognizedExtension(WILDCARD, WILDCARD_VALUE)
+            builder = builder.add_extension(tail, critical=False)
         return _sign(builder, self.signer)
 
     def _period(self, now: int, lifetime: int) -> tuple[int, int]:

@@ -20,7 +20,7 @@ from ca import svid
 from ca.errors import CertificateRefused, RequestRefused
 from ca.names import check_domain
 from ca.publickey import thumbprint
-from ca.requests import MAX_REQUEST, only_request_uri, proven_key
+from ca.requests import MAX_REQUEST, asked_for, proven_key
 from ca.signer import Signer
 from ca.svid import PARSE_ERRORS, SCHEME, ends_with_whole_octets
 from ca.x509signer import X509Signer
@@ -103,9 +103,9 @@ def check_intermediate_request(csr: bytes, domain: str) -> ec.EllipticCurvePubli
         request = x509.load_der_x509_csr(csr)
         if not ends_with_whole_octets(csr, request.signature):
             raise RequestRefused("the request's signature is not in whole octets", _HINT)
-        key, uri = proven_key(request), only_request_uri(request)
+        key, asked = proven_key(request), asked_for(request)
     except PARSE_ERRORS as error:
         raise RequestRefused("this is not a certificate request", _HINT) from error
-    if uri != f"{SCHEME}{domain}":
+    if asked != (f"{SCHEME}{domain}", False):
         raise RequestRefused(f"this is no request for an intermediate of {domain!r}", _HINT)
     return key

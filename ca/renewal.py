@@ -75,7 +75,7 @@ def open_renewal(
         check(key, now)
     if not now - MAX_AGE <= issued <= now + MAX_AGE:
         raise RenewalRefused("the renewal is too old, or from the future", "check both clocks")
-    request = check_request(csr, anchor.domain)
+    request = check_request(csr, anchor.domain, wildcard=identity.wildcard)
     if request.name != identity.name:
         raise RenewalRefused(
             f"{identity.name} asks for the identity of {request.name}",
