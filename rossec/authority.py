@@ -11,13 +11,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Self
 
+from cryptography.hazmat.primitives.asymmetric import ec
+
 from ca import keys
 from ca.authority import LIFETIME, Authority, create_root
 from ca.certificates import Identity, TrustAnchor, check_request, from_pem, to_pem
 from ca.errors import ForeignCertificate, RequestClosed
+from ca.hsm import KeyUri, TokenSigner
 from ca.lifecycle import RequestRow, State
 from ca.log import sign_head
-from ca.names import check_name
+from ca.names import check_domain, check_name
 from ca.revocation import RevocationList, open_list, sign_list
 from ca.signer import KeySigner, Signer
 from ca.store import CertificateRow, GrantRow, Store
@@ -29,6 +32,8 @@ from rossec.home import NodeHome
 
 OWN_NODE: Final = "/ca"  # as which the authority's tools speak to the master
 INTERMEDIATE: Final = "intermediate/"  # before the key: no node's name begins like this
+KEY_URI: Final = "ca.uri"  # names the key of an authority that has it in a token
+_MAX_URI: Final = 4096
 _SIZE_LIMIT: Final = 256 * 1024
 _LIST_LIFETIME: Final = 90 * 86400
 _LIST_REFRESH: Final = 7 * 86400
@@ -183,14 +188,18 @@ class OpenAuthority:
         if now - issued > _LIST_REFRESH:
             self.sign_list(now)
 
-    def sign_list(self, now: int) -> RevocationList:
+    def sign_list(self, now: int, *, new_epoch: bool = False) -> RevocationList:
         """Sign the list of everything revoked, with the next number.
+
+        With `new_epoch` it beats every list of before, also those this record does not know.
 
         Raises:
             ConfigurationError: this is an intermediate.
         """
         self._check_root()
         epoch, seq = self.store.next_number()
+        if new_epoch:
+            epoch, seq = epoch + 1, 1
         listed = RevocationList(epoch, seq, now, now + _LIST_LIFETIME, self.store.revoked_entries())
         self.store.save_list(listed.number, sign_list(self.signer, listed), now)
         self.sign_head(now)
@@ -230,10 +239,16 @@ class AuthorityHome:
         return cls(path)
 
     @classmethod
-    def create(cls, home: Path, domain: str, passphrase: str, now: int) -> Self:
+    def create(
+        cls, home: Path, domain: str, passphrase: str, now: int, uri: KeyUri | None = None
+    ) -> Self:
         """Make a new authority with its own node `/ca` and an empty revocation list.
 
+        Its key is in a file encrypted under `passphrase`; with `uri` it is made in that token, and
+        `passphrase` is the PIN.
+
         Raises:
+            TokenRefused: the token does not make the key.
             ConfigurationError: there is one already; it is not touched.
         """
         path = home / "ca"
@@ -241,13 +256,18 @@ class AuthorityHome:
             raise ConfigurationError(
                 f"there is an authority in {path}", "give another ROSSEC_HOME for a second one"
             )
+        check_domain(domain)
         key = keys.generate()
-        root = create_root(KeySigner(key), domain, now=now, serial=secrets.randbits(127) + 1)
+        signer = KeySigner(key) if uri is None else TokenSigner.create(uri, passphrase)
+        root = create_root(signer, domain, now=now, serial=secrets.randbits(127) + 1)
         # Beside its place: an interrupted beginning is no authority, and is not in the way of one.
         begun = path.with_name(f".{path.name}.{secrets.token_hex(8)}")
         try:
-            _build(begun, KeySigner(key), root, now)
-            keys.write_private(begun / "ca.key", key, passphrase)
+            _build(begun, signer, root, now)
+            if uri is None:
+                keys.write_private(begun / "ca.key", key, passphrase)
+            else:
+                files.create(begun / KEY_URI, f"{uri}\n".encode())
             files.settle(begun, path)
         except BaseException:
             shutil.rmtree(begun, ignore_errors=True)
@@ -279,9 +299,28 @@ class AuthorityHome:
         Raises:
             PassphraseRefused: the passphrase is wrong.
         """
-        signer = KeySigner(keys.load_private(self.path / "ca.key", passphrase))
-        authority = Authority(signer, self.anchor().certificate, self.intermediate())
+        authority = Authority(
+            self._signer(passphrase), self.anchor().certificate, self.intermediate()
+        )
         return OpenAuthority(authority, self.store(), self.path)
+
+    def _signer(self, secret: str) -> Signer:
+        """The key: in a file that `secret` decrypts, or in the token for which it is the PIN."""
+        path = self.path / KEY_URI
+        if not path.exists():
+            return KeySigner(keys.load_private(self.path / "ca.key", secret))
+        uri = files.read(path, _MAX_URI, ConfigurationError(f"no {KEY_URI}")).decode().strip()
+        return TokenSigner.open(KeyUri.parse(uri), secret)
+
+    @property
+    def is_intermediate(self) -> bool:
+        """Whether it signs below a root that is elsewhere."""
+        return self.intermediate() is not None
+
+    def own_key(self) -> ec.EllipticCurvePublicKey:
+        """The key it signs with itself: the root's, or its own as an intermediate."""
+        anchor, der = self.anchor(), self.intermediate()
+        return anchor.public_key if der is None else anchor.read_intermediate(der).public_key
 
     def intermediate(self) -> bytes | None:
         """Its own certificate, if it is an intermediate below the root in ca.pem."""
@@ -311,7 +350,7 @@ def certificate_row(identity: Identity) -> CertificateRow:
     )  # fmt: skip
 
 
-def _build(path: Path, signer: KeySigner, root: bytes, now: int) -> None:
+def _build(path: Path, signer: Signer, root: bytes, now: int) -> None:
     """Everything of a new authority but its key."""
     files.make_private_directory(path)
     with contextlib.closing(Store.create(path / "ca.db")) as store:
