@@ -86,6 +86,28 @@ class NodeHome:
         files.replace(self.request_path, request, 0o644)
         return check_request(request, domain)
 
+    def enrollment_request(self, domain: str) -> bytes:
+        """The request (DER) for `domain`: the one there is, so that a printed label stays true.
+
+        Raises:
+            RequestRefused: it is for another domain, or not in order.
+            ConfigurationError: it is for another key than the one here.
+        """
+        if not (self.path / "node.key").exists():
+            self.create_request(domain)
+        request = self.request()
+        own = keys.thumbprint(self.signer().public_key)
+        if check_request(request, domain).thumbprint != own:
+            raise ConfigurationError(
+                f"{self.request_path} is for another key than {self.name} has here",
+                f"move {self.path} away and begin anew",
+            )
+        return request
+
+    def signer(self) -> KeySigner:
+        """This node's key."""
+        return KeySigner(keys.load_private(self.path / "node.key"))
+
     def request(self) -> bytes:
         """The request (DER)."""
         return self._read("node.csr", f"rossec node request {self.name}")
@@ -131,7 +153,7 @@ class NodeHome:
     def credentials(self) -> Credentials:
         """This node's key and certificate."""
         leaf, _ = _split(self._read("node.pem", self._enroll))
-        return Credentials(KeySigner(keys.load_private(self.path / "node.key")), (leaf,))
+        return Credentials(self.signer(), (leaf,))
 
     def grants(self) -> list[bytes]:
         """The grants this node holds, as signed; unverified."""
@@ -188,7 +210,7 @@ class NodeHome:
         return ConfigurationError(f"{self.name} has no {path.name} in {path.parent}", hint)
 
     def _check_is_ours(self, identity: Identity) -> None:
-        own = keys.thumbprint(keys.load_private(self.path / "node.key").public_key())
+        own = keys.thumbprint(self.signer().public_key)
         if identity.name != self.name or identity.thumbprint != own:
             raise ConfigurationError(
                 f"this identity is for {identity.name} with another key than {self.name} has here",
