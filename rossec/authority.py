@@ -13,7 +13,10 @@ from typing import Final, Self
 
 from ca import keys
 from ca.authority import LIFETIME, Authority, create_root
-from ca.certificates import TrustAnchor, from_pem, to_pem
+from ca.certificates import Identity, TrustAnchor, check_request, from_pem, to_pem
+from ca.errors import RequestClosed
+from ca.lifecycle import RequestRow, State
+from ca.log import sign_head
 from ca.names import check_name
 from ca.revocation import RevocationList, open_list, sign_list
 from ca.signer import KeySigner, Signer
@@ -50,26 +53,61 @@ class OpenAuthority:
         return self.authority.signer
 
     def issue(
-        self, request: bytes, now: int, lifetime: int = LIFETIME, *, allow_new_key: bool = False
+        self,
+        request: bytes,
+        now: int,
+        lifetime: int = LIFETIME,
+        *,
+        replace_key: str | None = None,
+        source: str = "file",
     ) -> bytes:
-        """Sign and record an identity; returns the node's bundle (PEM, leaf and authority).
+        """Approve a request, sign and record its identity; returns the node's bundle (PEM).
 
-        A new key that takes a name over revokes the key it replaces: the list is to be delivered.
+        One request has one answer: asked again, it gets the same. `replace_key` is the request's
+        name once more, if it may take over from another key; that one is revoked, and the list is
+        to be delivered.
+
+        Raises:
+            KeyChanged, NameContested: the name has another key, or somebody else asks for it.
+            RequestClosed: it was denied, or its identity is not valid any more.
         """
-        der = self.authority.issue(
-            request, now=now, serial=secrets.randbits(127) + 1, lifetime=lifetime
-        )
-        identity = self.authority.anchor.verify([der], now)
+        asked = check_request(request, self.domain)
         self._refresh_list(now)
-        row = CertificateRow(
-            identity.serial, identity.name, identity.thumbprint, der,
-            identity.not_before, identity.not_after,
-        )  # fmt: skip
-        self.store.add_certificate(row, now, allow_new_key=allow_new_key)
+        answered = self.store.identities.answer(asked.digest)
+        if answered is not None:
+            self.store.identities.check_not_revoked(asked.name, asked.thumbprint)
+            return self._again(answered, now)
+        row = self.store.requests.add(asked, request, source, now)
+        if row.state is State.PENDING:
+            row = self.store.requests.approve(row.digest, now, replace_key=replace_key)
+        return self.answer(row, now, lifetime)
+
+    def answer(self, row: RequestRow, now: int, lifetime: int = LIFETIME) -> bytes:
+        """Sign and record the identity an approved request asks for; returns the node's bundle.
+
+        Raises:
+            RequestClosed: it is not approved.
+        """
+        serial = secrets.randbits(127) + 1
+        der = self.authority.issue(row.der, now=now, serial=serial, lifetime=lifetime)
+        identity = self.authority.anchor.verify([der], now)
+        replace_key = row.name if row.replaces else None
+        self.store.add_certificate(
+            _certificate_row(identity), now, request=row.digest, replace_key=replace_key
+        )
         replaced = self.store.live_keys(identity.name, now) - {identity.thumbprint}
         if replaced:
             self._revoke(replaced, f"{identity.name} has a new key", now)
         return to_pem(der, self.authority.anchor.certificate)
+
+    def _again(self, row: CertificateRow, now: int) -> bytes:
+        """Hand out once more what was issued for a request: the first answer may be lost."""
+        if row not in self.store.identities.alive(row.name, now):
+            raise RequestClosed(
+                f"the identity of {row.name} for this request is not valid any more",
+                "have the node make a new request",
+            )
+        return to_pem(row.der, self.authority.anchor.certificate)
 
     def grant(self, draft: Draft, now: int) -> bytes:
         """Sign and record a grant."""
@@ -121,7 +159,14 @@ class OpenAuthority:
         epoch, seq = self.store.next_number()
         listed = RevocationList(epoch, seq, now, now + _LIST_LIFETIME, self.store.revoked_entries())
         self.store.save_list(listed.number, sign_list(self.signer, listed), now)
+        self.sign_head(now)
         return listed
+
+    def sign_head(self, now: int) -> bytes:
+        """Sign the state of the log: whoever keeps it can tell whether the past was rewritten."""
+        head = sign_head(self.signer, self.store.journal.head(now))
+        self.store.journal.add_head(head, now)
+        return head
 
 
 class AuthorityHome:
@@ -208,6 +253,13 @@ class AuthorityHome:
         if data is None:
             raise ConfigurationError("no revocation list was signed yet", "next: rossec ca refresh")
         return data
+
+
+def _certificate_row(identity: Identity) -> CertificateRow:
+    return CertificateRow(
+        identity.serial, identity.name, identity.thumbprint, identity.certificate,
+        identity.not_before, identity.not_after,
+    )  # fmt: skip
 
 
 def _build(path: Path, signer: KeySigner, root: bytes, now: int) -> None:

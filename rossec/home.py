@@ -86,8 +86,18 @@ class NodeHome:
         files.replace(self.request_path, request, 0o644)
         return check_request(request, domain)
 
-    def enrollment_request(self, domain: str) -> bytes:
-        """The request (DER) for `domain`: the one there is, so that a printed label stays true.
+    def screen_request(self, domain: str) -> bytes:
+        """A new request (DER) with this node's key, made if there is none; it is not written.
+
+        One request gets one answer, so every code on a screen has its own. The request on disk, and
+        a label that was printed of it, stay as they are.
+        """
+        if not (self.path / "node.key").exists():
+            self.create_request(domain)
+        return build_request(self.signer(), domain, self.name)
+
+    def label_request(self, domain: str) -> bytes:
+        """The request (DER) on disk, made if there is none: what a printed label vouches for.
 
         Raises:
             RequestRefused: it is for another domain, or not in order.

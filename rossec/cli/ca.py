@@ -55,7 +55,11 @@ def init(environment: Environment, domain: str, passphrase_file: Path | None) ->
     help="how long the identity lasts",
 )
 @click.option(
-    "--new-key", is_flag=True, help="let a known name come with another key; revokes the old one"
+    "--replace-key",
+    "replaced",
+    multiple=True,
+    metavar="NAME",
+    help="let the known name NAME come with another key; revokes the old one",
 )
 @click.option("--master", "master_uri", help="master to tell, instead of ROS_MASTER_URI")
 @click.option("--yes", is_flag=True, help="do not ask")
@@ -66,7 +70,7 @@ def sign(
     requests: tuple[Path, ...],
     codes: tuple[str, ...],
     lifetime: int,
-    new_key: bool,
+    replaced: tuple[str, ...],
     master_uri: str | None,
     yes: bool,
     passphrase_file: Path | None,
@@ -87,7 +91,8 @@ def sign(
     authority = home.unlock(passphrase.read(passphrase_file, environment.variables))
     revoked, number = authority.store.revoked_entries(), authority.store.next_number()
     for path, data, request in checked:
-        bundle = authority.issue(data, now(), lifetime, allow_new_key=new_key)
+        replace_key = request.name if request.name in replaced else None
+        bundle = authority.issue(data, now(), lifetime, replace_key=replace_key)
         target = path.with_name("node.pem" if path.name == "node.csr" else f"{path.stem}.pem")
         target.write_bytes(bundle)
         say(f"signed {request.name}: {target}")

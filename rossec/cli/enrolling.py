@@ -31,7 +31,13 @@ class Session:
     """One run of `rossec node enroll`: the waiting node, its screen and its person."""
 
     def __init__(
-        self, home: NodeHome, core: NodeEnrollment, *, label: bool, png: Path | None, svg: Path | None
+        self,
+        home: NodeHome,
+        core: NodeEnrollment,
+        *,
+        label: bool,
+        png: Path | None,
+        svg: Path | None,
     ) -> None:
         self._home = home
         self._core = core

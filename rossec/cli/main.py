@@ -10,7 +10,9 @@ from typing import Any, NoReturn
 import click
 
 from ca.errors import HintedError
+from rossec.cli import ca_requests, node_enroll
 from rossec.cli.ca import ca
+from rossec.cli.ca_enroll import enroll
 from rossec.cli.context import Environment
 from rossec.cli.demo import demo
 from rossec.cli.explain import explain
@@ -40,6 +42,10 @@ for command in (ca, node, grant, policy, explain, simulate, privacy, master, top
     rossec.add_command(command)
 for command in COMMANDS:
     grant.add_command(command)
+for command in (enroll, *ca_requests.COMMANDS):
+    ca.add_command(command)
+for command in node_enroll.COMMANDS:
+    node.add_command(command)
 
 
 class OneLine(logging.Formatter):

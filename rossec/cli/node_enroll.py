@@ -58,7 +58,7 @@ def enroll(
     if window is not None and not label:
         raise click.UsageError("a code on a screen holds for five minutes: --for needs --label")
     home = NodeHome.of(environment.home, name)
-    csr = home.enrollment_request(domain)
+    csr = home.label_request(domain) if label else home.screen_request(domain)
     core = NodeEnrollment(
         home.signer(),
         csr,
@@ -75,7 +75,9 @@ def enroll(
 @click.command()
 @click.argument("name")
 @click.argument("digits", nargs=-1)
-@click.option("--yes", is_flag=True, help="without DIGITS: do not ask, as a button that was pressed")
+@click.option(
+    "--yes", is_flag=True, help="without DIGITS: do not ask, as a button that was pressed"
+)
 @pass_environment
 def confirm(environment: Environment, name: str, digits: tuple[str, ...], yes: bool) -> None:
     """Confirm that the authority shows DIGITS for NAME, whose enrollment waits in another process.
@@ -110,7 +112,7 @@ def labels(environment: Environment, names: tuple[str, ...], domain: str, out: P
     """
     made = []
     for name in names:
-        csr = NodeHome.of(environment.home, name).enrollment_request(domain)
+        csr = NodeHome.of(environment.home, name).label_request(domain)
         key = check_request(csr, domain).thumbprint
         made.append(Label(name, grouped(key), qr.label_code(csr)))
     files.replace(out, sheet(made).encode(), 0o644)
