@@ -92,7 +92,7 @@ def enroll(
     found = _code(code, image, csr_file)
     where = _where(found, told, csr_file)
     core = AuthorityEnrollment(found, home.domain)
-    _compare(core, found, csr_file, where)
+    _compare(core, csr_file, where)
     row = _recorded(home, core, _source(found, csr_file, where))
     introduce(environment, row, home)
     if later:
@@ -100,9 +100,7 @@ def enroll(
         return
     if row.state is State.PENDING and not agrees("give this name to this key?", yes=yes):
         home.store().requests.deny(row.digest, now(), _DENIED)
-        raise ConfigurationError(
-            "denied, and recorded so", "the node needs a new request to return"
-        )
+        raise ConfigurationError("denied", "to ask again the node needs a new request")
     core.approve(now())
     authority = home.unlock(passphrase.read(passphrase_file, environment.variables))
     revoked, number = authority.store.revoked_entries(), authority.store.next_number()
@@ -141,9 +139,7 @@ def _where(code: qr.Code, told: str | None, csr_file: Path | None) -> Where | No
     )
 
 
-def _compare(
-    core: AuthorityEnrollment, code: qr.Code, csr_file: Path | None, where: Where | None
-) -> None:
+def _compare(core: AuthorityEnrollment, csr_file: Path | None, where: Where | None) -> None:
     if csr_file is not None:
         core.receive(write(Delivery(_read(csr_file))), now())
     elif where is not None:

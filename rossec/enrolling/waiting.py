@@ -112,9 +112,10 @@ class WaitingNode:
         """Stop to listen; who was answered hears the end."""
         for server in self._servers:
             server.close()
-        for writer in self._answered:
+        leaving = [*self._answered]
+        for writer in leaving:
             writer.close()
-        for writer in self._answered:
+        for writer in leaving:
             with suppress(OSError, TimeoutError):
                 async with asyncio.timeout(_FAREWELL):
                     await writer.wait_closed()
