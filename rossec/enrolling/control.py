@@ -11,7 +11,7 @@ import os
 import socket
 import struct
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Final, TypeAlias
 
@@ -44,7 +44,9 @@ async def serve(directory: Path, answer: Callable[[Answer], Answer]) -> asyncio.
         finally:
             writer.close()
 
-    if _connect(directory) is not None:
+    other = _connect(directory)
+    if other is not None:
+        other.close()
         raise ConfigurationError(
             "an enrollment of this node is waiting already", "finish or stop that one first"
         )
@@ -69,16 +71,22 @@ def ask(directory: Path, request: Answer) -> Answer:
             "no enrollment of this node is waiting", "first: rossec node enroll NAME"
         )
     with sock:
-        sock.settimeout(_PATIENCE)
-        sock.sendall(json.dumps(request).encode() + b"\n")
-        with sock.makefile("rb") as stream:
-            line = stream.readline(_LIMIT)
+        line = _exchange(sock, json.dumps(request).encode() + b"\n")
     if not line:
         raise ConfigurationError("the waiting enrollment has just ended", "see its last words")
     answer: Answer = json.loads(line)
     if "error" in answer:
         raise ConfigurationError(answer["error"], answer.get("hint", ""))
     return answer
+
+
+def _exchange(sock: socket.socket, question: bytes) -> bytes:
+    """The line that answers; none when the other side has hung up."""
+    sock.settimeout(_PATIENCE)
+    with suppress(OSError), sock.makefile("rb") as stream:
+        sock.sendall(question)
+        return stream.readline(_LIMIT)
+    return b""
 
 
 def _request(line: bytes) -> Answer:

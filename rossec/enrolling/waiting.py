@@ -97,7 +97,7 @@ class WaitingNode:
             activate(pending)
         except BaseException as error:
             if self.core.state is State.CONFIRMED:
-                self.stop(EnrollmentOver(f"the identity could not be written: {error}"))
+                self.core.stop(EnrollmentOver(f"the identity could not be written: {error}"))
             self._settle()
             raise
         self._tell(self.core.activated())
