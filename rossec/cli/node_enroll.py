@@ -85,7 +85,7 @@ def confirm(environment: Environment, name: str, digits: tuple[str, ...], yes: b
     Without DIGITS they are shown here and you are asked.
     """
     home = NodeHome.of(environment.home, name)
-    given = "".join(digits).replace("-", "")
+    given = re.sub("[ -]", "", "".join(digits))
     if not given:
         waiting = control.ask(home.path, {"do": "show"})
         given = waiting["digits"]

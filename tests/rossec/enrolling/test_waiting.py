@@ -205,8 +205,15 @@ async def test_a_silent_caller_is_not_waited_for() -> None:
     async with waiting(patience=0.05) as stage:
         silent = await stage.caller()
         assert await silent.is_left()
-        _, _, answered = await stage.offered()
-        await answered.hears()
+
+
+async def test_who_was_answered_is_waited_for() -> None:
+    async with waiting() as stage:
+        _, offer, answered = await stage.offered()
+        first = await answered.hears()
+        stage.node._patience = 0.05
+        answered.says(offer)
+        assert await answered.hears() == first
         await asyncio.sleep(0.2)  # longer than the patience with strangers
         stage.node.stop(EnrollmentOver("enough"))
         assert await answered.hears() == Abort(Reason.OVER)
