@@ -7,9 +7,10 @@ is refused.
 """
 
 import sqlite3
+from collections.abc import Callable
 
 from ca.database import Database
-from ca.errors import KeyChanged, RenewalRefused, StoreError
+from ca.errors import KeyChanged, NameCovered, RenewalRefused, StoreError
 from ca.journal import record
 from ca.log import digest_of
 from ca.rows import CertificateRow
@@ -38,6 +39,32 @@ class IdentityBook:
             " AND thumbprint NOT IN (SELECT entry FROM revocation) ORDER BY rowid",
             name, now,
         )  # fmt: skip
+
+    def certified(self, name: str, now: int) -> str:
+        """The name under which grants, rules and revocations are for the node called `name`.
+
+        Its own, unless it is an anonymous one: then that of the living identity that covers it.
+        """
+        covering = (row.name for row in self._related(name, now) if row.covers(name))
+        return max(covering, key=len, default=name)
+
+    def check_names(
+        self, name: str, thumbprint: bytes, now: int, covers: Callable[[str], bool]
+    ) -> None:
+        """Return if no two keys would go by one name, also not through a wildcard tail.
+
+        `covers(other)`: whether the identity to be would stand for `other`.
+
+        Raises:
+            NameCovered: they would.
+        """
+        for known in self._related(name, now):
+            one = known.covers(name) or covers(known.name)
+            if known.thumbprint != thumbprint and known.name != name and one:
+                raise NameCovered(
+                    f"{name} and {known.name}: one is for anonymous nodes and covers the other",
+                    f"choose another name, or revoke {known.name} first",
+                )
 
     def answer(self, request: bytes) -> CertificateRow | None:
         """The certificate that was issued for the request with this digest."""
@@ -95,6 +122,14 @@ class IdentityBook:
             raise StoreError(
                 f"the key of {name} is revoked", "have the node make a new key and request"
             )
+
+    def _related(self, name: str, now: int) -> list[CertificateRow]:
+        """Living identities whose name begins with `name`, or the other way round."""
+        return self._find(
+            "WHERE (substr(?, 1, length(name)) = name OR substr(name, 1, length(?)) = ?)"
+            " AND not_after >= ? AND thumbprint NOT IN (SELECT entry FROM revocation)",
+            name, name, name, now,
+        )  # fmt: skip
 
     def _find(self, clause: str, *values: object) -> list[CertificateRow]:
         rows = self._database.rows(f"SELECT {_COLUMNS} FROM certificate {clause}", *values)  # noqa: S608  (constants)

@@ -53,7 +53,7 @@ class RequestRow(NamedTuple):
     """One request, as recorded; `digest` is the SHA-256 of `der`, `source` is where it came from.
 
     `changed` is when it came into its `state`, `reason` what was said then; `replaces`: approved in
-    words although the name lives with another key.
+    words although the name lives with another key; `wildcard`: for anonymous nodes too.
     """
 
     digest: bytes
@@ -66,6 +66,7 @@ class RequestRow(NamedTuple):
     reason: str
     changed: int
     replaces: bool = False
+    wildcard: bool = False
 
     @property
     def until(self) -> int:

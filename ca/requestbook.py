@@ -12,9 +12,12 @@ from ca.errors import NameContested, RequestClosed, StoreError
 from ca.identitybook import IdentityBook
 from ca.journal import COLLECTED, record
 from ca.lifecycle import MAX_OPEN, OPEN, RequestRow, State, advance
+from ca.names import covers
 from ca.requests import Request
 
-_COLUMNS = "digest, name, thumbprint, der, source, arrived, state, reason, changed, replaces"
+_COLUMNS = (
+    "digest, name, thumbprint, der, source, arrived, state, reason, changed, replaces, wildcard"
+)
 
 
 class RequestBook:
@@ -43,7 +46,7 @@ class RequestBook:
                 request.digest, request.name, request.thumbprint, der, source, now,
                 State.PENDING, "", now,
             )  # fmt: skip
-            db.execute("INSERT INTO request VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)", row)
+            db.execute("INSERT INTO request VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)", row)
             record(db, now, State.PENDING, row.name, source, row.digest)
         return row
 
@@ -65,12 +68,21 @@ class RequestBook:
         return found[0]
 
     def approve(
-        self, digest: bytes, now: int, reason: str = "", *, replace_key: str | None = None
+        self,
+        digest: bytes,
+        now: int,
+        reason: str = "",
+        *,
+        replace_key: str | None = None,
+        wildcard: bool = False,
     ) -> RequestRow:
         """Say yes. `replace_key` is the name again, when it lives with another key.
 
+        `wildcard`: the identity is to stand for anonymous nodes too, whatever the request asks.
+
         Raises:
             RequestClosed: it is not pending, or its time is over.
+            NameCovered: no two keys may go by one name.
             KeyChanged, NameContested: the name has another key, or somebody else asks for it.
         """
         row = self.get(digest)
@@ -80,9 +92,12 @@ class RequestBook:
                     f"two different keys ask for the name {row.name}",
                     f"compare fingerprints, then deny the other: rossec ca deny {_short(other)}",
                 )
+        self._identities.check_names(
+            row.name, row.thumbprint, now, lambda other: covers(row.name, other, wildcard=wildcard)
+        )
         self._identities.check_key(row.name, row.thumbprint, now, replace_key=replace_key)
-        replaces = replace_key is not None
-        return self._advance(row._replace(replaces=replaces), State.APPROVED, now, reason)
+        said = row._replace(replaces=replace_key is not None, wildcard=wildcard)
+        return self._advance(said, State.APPROVED, now, reason)
 
     def deny(self, digest: bytes, now: int, reason: str = "") -> RequestRow:
         """Say no, also to what was approved and not yet issued.
@@ -140,18 +155,22 @@ class RequestBook:
     def _rows(self, clause: str, *values: object) -> list[RequestRow]:
         rows = self._database.rows(f"SELECT {_COLUMNS} FROM request {clause}", *values)  # noqa: S608  (constants)
         return [
-            RequestRow(*row)._replace(state=State(row[6]), replaces=row[9] != 0) for row in rows
+            RequestRow(*row)._replace(
+                state=State(row[6]), replaces=row[9] != 0, wildcard=row[10] != 0
+            )
+            for row in rows
         ]
 
 
 def _move(db: sqlite3.Connection, row: RequestRow) -> None:
     """The triggers of the record refuse a way that is not in the table, whoever was faster."""
     db.execute(
-        "UPDATE request SET state = ?, reason = ?, changed = ?, replaces = ? WHERE digest = ?",
-        (row.state, row.reason, row.changed, row.replaces, row.digest),
+        "UPDATE request SET state = ?, reason = ?, changed = ?, replaces = ?, wildcard = ?"
+        " WHERE digest = ?",
+        (row.state, row.reason, row.changed, row.replaces, row.wildcard, row.digest),
     )
-    said = f"replaces the key: {row.reason}" if row.replaces else row.reason
-    record(db, row.changed, row.state, row.name, said, row.digest)
+    said = [row.reason, *["replaces the key"] * row.replaces, *["anonymous nodes"] * row.wildcard]
+    record(db, row.changed, row.state, row.name, "; ".join(filter(None, said)), row.digest)
 
 
 def _short(row: RequestRow) -> str:

@@ -2,6 +2,8 @@
 
 from typing import NamedTuple
 
+from ca import names, svid
+
 
 class CertificateRow(NamedTuple):
     """One identity that was signed; times in seconds, inclusive."""
@@ -12,6 +14,16 @@ class CertificateRow(NamedTuple):
     der: bytes
     not_before: int
     not_after: int
+
+    @property
+    def wildcard(self) -> bool:
+        """Whether it also stands for anonymous nodes."""
+        return svid.is_wildcard(self.der)
+
+    def covers(self, name: str) -> bool:
+        """Whether its holder may go by `name`."""
+        related = names.covers(self.name, name, wildcard=True)
+        return related and (self.name == name or self.wildcard)
 
 
 class GrantRow(NamedTuple):

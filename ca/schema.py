@@ -50,7 +50,7 @@ _SINCE_2: Final = (
         digest BLOB PRIMARY KEY, name TEXT NOT NULL, thumbprint BLOB NOT NULL, der BLOB NOT NULL,
         source TEXT NOT NULL, arrived INTEGER NOT NULL,
         state TEXT NOT NULL, reason TEXT NOT NULL, changed INTEGER NOT NULL,
-        replaces INTEGER NOT NULL
+        replaces INTEGER NOT NULL, wildcard INTEGER NOT NULL
     ) STRICT""",
     # One request, one certificate: also when two commands run at once, or one was killed.
     """CREATE TABLE answer (
@@ -71,7 +71,7 @@ BEFORE UPDATE OF digest, name, thumbprint, der, source, arrived ON request
 BEGIN SELECT RAISE(ABORT, 'a request does not change'); END;
 """
 _REQUEST_MOVES: Final = """
-CREATE TRIGGER request_moves BEFORE UPDATE OF state, reason, changed, replaces ON request
+CREATE TRIGGER request_moves BEFORE UPDATE OF state, reason, changed, replaces, wildcard ON request
 WHEN (OLD.state || '>' || NEW.state) NOT IN ({allowed})
 BEGIN SELECT RAISE(ABORT, 'a request does not go this way'); END;
 """

@@ -73,10 +73,13 @@ class Store:
 
         Raises:
             KeyChanged, RenewalRefused: the name lives with another key.
+            NameCovered: another living identity has a wildcard tail that covers the name, or the
+                other way round.
             RequestClosed: the request is not approved, or has its certificate already.
             StoreError: the key is revoked, or the serial is taken.
         """
         with self._database.changing() as db:
+            self.identities.check_names(row.name, row.thumbprint, now, row.covers)
             self.identities.check_key(
                 row.name, row.thumbprint, now, replace_key=replace_key, renews=renews
             )
@@ -97,6 +100,13 @@ class Store:
         """Thumbprints of the keys with which `name` can still prove itself."""
         return frozenset(row.thumbprint for row in self.identities.alive(name, now))
 
+    def certified(self, name: str, now: int) -> str:
+        """The name under which grants, rules and revocations are for the node called `name`.
+
+        Its own, unless it is an anonymous one: then that of the living identity that covers it.
+        """
+        return self.identities.certified(name, now)
+
     def live_certificate(self, name: str, now: int) -> CertificateRow:
         """The newest identity of `name` that is still valid and not revoked.
 
@@ -105,9 +115,12 @@ class Store:
         """
         alive = self.identities.alive(name, now)
         if not alive:
+            certified = self.certified(name, now)
             raise StoreError(
                 f"{name} has no valid identity here",
-                f"first enroll it: rossec node request {name}, then rossec ca sign",
+                f"first enroll it: rossec node request {name}, then rossec ca sign"
+                if certified == name
+                else f"it is one of the anonymous nodes of {certified}: name that",
             )
         return alive[-1]
 

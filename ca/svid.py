@@ -14,9 +14,11 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.utils import CryptographyDeprecationWarning
 from cryptography.x509.oid import ExtensionOID, SignatureAlgorithmOID
 
-from ca.errors import CertificateRefused, KeyRefused
+from ca.errors import CertificateRefused, KeyRefused, NameRefused
+from ca.names import check_domain
 from ca.publickey import require_p256
 
+SCHEME: Final = "spiffe://"
 MAX_CERTIFICATE: Final = 2048  # a leaf with the longest name has about 900 bytes
 # All that `cryptography` raises for hostile DER; some of these are no ValueError.
 PARSE_ERRORS: Final = (
@@ -24,6 +26,10 @@ PARSE_ERRORS: Final = (
     x509.InvalidVersion, x509.DuplicateExtension, x509.UnsupportedGeneralNameType,
     CryptographyDeprecationWarning,  # an error where warnings are errors
 )  # fmt: skip
+# Private, from a UUID (ITU-T X.667); the value is NULL. Never critical: whoever does not know it
+# sees an identity for one name, which is less, so ignoring it is safe (RFC 5280 section 4.2).
+WILDCARD: Final = x509.ObjectIdentifier("2.25.176961642418767879325470120852094281072")
+WILDCARD_VALUE: Final = b"\x05\x00"
 _ECDSA: Final = ec.ECDSA(hashes.SHA256())
 _USAGES: Final = (
     "digital_signature", "content_commitment", "key_encipherment", "data_encipherment",
@@ -148,6 +154,42 @@ def check_authority(extensions: x509.Extensions) -> None:
         raise CertificateRefused("the authority's certificate may not sign certificates")
 
 
+def check_intermediate(extensions: x509.Extensions) -> None:
+    """An authority below the root: as `check_authority`, and with no other authority below it."""
+    check_authority(extensions)
+    if path_length(extensions) != 0:
+        raise CertificateRefused("the intermediate may have other authorities below it")
+    if _usages(extensions) != {"key_cert_sign", "crl_sign"}:
+        raise CertificateRefused("the intermediate's key usage is not signing alone")
+
+
+def path_length(extensions: x509.Extensions) -> int | None:
+    """How many authorities may stand below this one; None: any number."""
+    constraints = _critical(extensions, x509.BasicConstraints)
+    return constraints.path_length if isinstance(constraints, x509.BasicConstraints) else 0
+
+
+def policies(extensions: x509.Extensions) -> frozenset[x509.ObjectIdentifier]:
+    """The policies the certificate names."""
+    return frozenset(
+        information.policy_identifier
+        for extension in extensions
+        if isinstance(extension.value, x509.CertificatePolicies)
+        for information in extension.value
+    )
+
+
+def trust_domain(extensions: x509.Extensions) -> str:
+    """The domain of an authority: its one name, a SPIFFE ID without a path."""
+    uri = only_uri(extensions)
+    try:
+        if uri.startswith(SCHEME):
+            return check_domain(uri.removeprefix(SCHEME))
+    except NameRefused as error:
+        raise CertificateRefused(f"the authority's name is none: {error}") from error
+    raise CertificateRefused("the authority's name is not a SPIFFE trust domain")
+
+
 def _usages(extensions: x509.Extensions) -> set[str]:
     usage = _critical(extensions, x509.KeyUsage)
     return {name for name in _USAGES if getattr(usage, name, False)}
@@ -177,6 +219,21 @@ def only_uri(extensions: x509.Extensions) -> str:
             raise CertificateRefused(
                 f"the certificate has {len(names)} names where exactly one URI is allowed"
             )
+
+
+def has_wildcard(extensions: x509.Extensions) -> bool:
+    """Whether the identity also stands for its name with any tail (`ca.names.covers`)."""
+    for extension in extensions:
+        if extension.oid == WILDCARD:
+            if extension.value.public_bytes() != WILDCARD_VALUE:
+                raise CertificateRefused("the certificate's wildcard is malformed")
+            return True
+    return False
+
+
+def is_wildcard(der: bytes) -> bool:
+    """`has_wildcard` of a certificate in DER, which is not verified here."""
+    return has_wildcard(extensions(parse(der)))
 
 
 def _malformed(error: Exception) -> NoReturn:

@@ -59,27 +59,30 @@ class OpenAuthority:
         lifetime: int = LIFETIME,
         *,
         replace_key: str | None = None,
+        wildcard: bool = False,
         source: str = "file",
     ) -> bytes:
         """Approve a request, sign and record its identity; returns the node's bundle (PEM).
 
-        One request has one answer: asked again, it gets the same. `replace_key` is the request's
-        name once more, if it may take over from another key; that one is revoked, and the list is
-        to be delivered.
+        One request has one answer: asked again, it gets the same. With `wildcard` the identity is
+        for anonymous nodes as well. `replace_key` is the request's name once more, if it may take
+        over from another key; that one is revoked, and the list is to be delivered.
 
         Raises:
-            KeyChanged, NameContested: the name has another key, or somebody else asks for it.
+            KeyChanged, NameContested, NameCovered: the name is somebody else's.
             RequestClosed: it was denied, or its identity is not valid any more.
         """
-        asked = check_request(request, self.domain)
+        asked = check_request(request, self.domain, wildcard=wildcard)
         self._refresh_list(now)
         answered = self.store.identities.answer(asked.digest)
         if answered is not None:
             self.store.identities.check_not_revoked(asked.name, asked.thumbprint)
-            return self._again(answered, now)
+            return self._again(answered, now, wildcard=wildcard)
         row = self.store.requests.add(asked, request, source, now)
         if row.state is State.PENDING:
-            row = self.store.requests.approve(row.digest, now, replace_key=replace_key)
+            row = self.store.requests.approve(
+                row.digest, now, replace_key=replace_key, wildcard=wildcard
+            )
         return self.answer(row, now, lifetime)
 
     def answer(self, row: RequestRow, now: int, lifetime: int = LIFETIME) -> bytes:
@@ -89,7 +92,9 @@ class OpenAuthority:
             RequestClosed: it is not approved.
         """
         serial = secrets.randbits(127) + 1
-        der = self.authority.issue(row.der, now=now, serial=serial, lifetime=lifetime)
+        der = self.authority.issue(
+            row.der, now=now, serial=serial, lifetime=lifetime, wildcard=row.wildcard
+        )
         identity = self.authority.anchor.verify([der], now)
         replace_key = row.name if row.replaces else None
         self.store.add_certificate(
@@ -100,11 +105,11 @@ class OpenAuthority:
             self._revoke(replaced, f"{identity.name} has a new key", now)
         return to_pem(der, self.authority.anchor.certificate)
 
-    def _again(self, row: CertificateRow, now: int) -> bytes:
+    def _again(self, row: CertificateRow, now: int, *, wildcard: bool) -> bytes:
         """Hand out once more what was issued for a request: the first answer may be lost."""
-        if row not in self.store.identities.alive(row.name, now):
+        if row not in self.store.identities.alive(row.name, now) or row.wildcard is not wildcard:
             raise RequestClosed(
-                f"the identity of {row.name} for this request is not valid any more",
+                f"this request of {row.name} was answered, and that is not valid or meant any more",
                 "have the node make a new request",
             )
         return to_pem(row.der, self.authority.anchor.certificate)
@@ -137,8 +142,12 @@ class OpenAuthority:
             )
         found = self.store.live_keys(check_name(name), now)
         if not found:
+            certified = self.store.certified(name, now)
             raise ConfigurationError(
-                f"{name} has no living identity to revoke", "see: rossec ca show"
+                f"{name} has no living identity to revoke",
+                "see: rossec ca show"
+                if certified == name
+                else f"it is one of the anonymous nodes of {certified}: revoking that ends all",
             )
         return self._revoke(found, reason, now), len(found)
 

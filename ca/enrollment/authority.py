@@ -88,11 +88,13 @@ WITHOUT_MESSAGE: Final = (
 class AuthorityEnrollment:
     """One enrollment of the node whose code was read; never used twice."""
 
-    def __init__(self, code: Code, domain: str) -> None:
+    def __init__(self, code: Code, domain: str, *, wildcard: bool = False) -> None:
+        """Enroll the node with this `code`; `wildcard`: it may ask for a wildcard tail."""
         self.state = State.FETCHING
         self.digits = ""
         self._code = code
         self._domain = domain
+        self._wildcard = wildcard
         self._request: Request | None = None
         self._csr = b""
         self._agreed = b""
@@ -159,8 +161,9 @@ class AuthorityEnrollment:
         self.tick(now)
         identity = TrustAnchor.load(root).verify(chain, now)
         request = self.request
-        ours = (request.domain, request.name, request.thumbprint)
-        if (identity.domain, identity.name, identity.thumbprint) != ours:
+        ours = (request.domain, request.name, request.wildcard, request.thumbprint)
+        offered = (identity.domain, identity.name, identity.wildcard, identity.thumbprint)
+        if offered != ours:
             raise EnrollmentRefused("the certificate is not the one that was asked for")
         if len(nonce) != NONCE_SIZE:
             raise EnrollmentRefused(f"a nonce has {NONCE_SIZE} octets")
@@ -203,7 +206,7 @@ class AuthorityEnrollment:
                 "the request is not the one the code was made for",
                 "it was swapped on its way, or this is another node: scan the code again",
             )
-        self._request = check_request(message.csr, self._domain)
+        self._request = check_request(message.csr, self._domain, wildcard=self._wildcard)
         self._csr = message.csr
         self.state = State.COMPARED
 

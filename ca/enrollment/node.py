@@ -100,12 +100,13 @@ class NodeEnrollment:
         secret: bytes,
         contribution: bytes,
         expires: int,
+        wildcard: bool = False,
     ) -> None:
         """Offer `csr`, this node's own request.
 
         `secret` is that of the screen code, 16 fresh random octets, or empty for a label;
         `contribution` are 16 fresh random octets, kept to itself until there is an offer; `expires`
-        is the last second for an offer.
+        is the last second for an offer; `wildcard`: the request is for anonymous nodes too.
 
         Raises:
             RequestRefused: `csr` is not in order.
@@ -113,7 +114,7 @@ class NodeEnrollment:
         """
         if len(secret) not in {0, qr.SECRET_SIZE} or len(contribution) != NONCE_SIZE:
             raise EnrollmentRefused("an enrollment needs 16 octets of each random value")
-        self.request = check_request(csr, domain)
+        self.request = check_request(csr, domain, wildcard=wildcard)
         self.state = State.SHOWING
         self.why_over: EnrollmentRefused | None = None
         self.expires = expires
@@ -285,6 +286,7 @@ class NodeEnrollment:
         own = self.request
         if identity.thumbprint != own.thumbprint:
             raise OfferRefused("an identity for another key")
-        if (identity.domain, identity.name) != (own.domain, own.name):
+        offered = (identity.domain, identity.name, identity.wildcard)
+        if offered != (own.domain, own.name, own.wildcard):
             raise OfferRefused("an identity for another name than the one asked for")
         return anchor

@@ -61,6 +61,7 @@ _DENIED: Final = "no, at the authority"
     metavar="NAME",
     help="let the known name NAME come with another key; revokes the old one",
 )
+@click.option("--anonymous", is_flag=True, help="for anonymous nodes too: NAME and NAME_*")
 @click.option("--later", is_flag=True, help="only record who asks; decide with: rossec ca approve")
 @click.option("--master", "master_uri", help="master to tell, instead of ROS_MASTER_URI")
 @click.option("--yes", is_flag=True, help="do not ask")
@@ -74,6 +75,7 @@ def enroll(
     told: str | None,
     lifetime: int,
     replaced: str | None,
+    anonymous: bool,
     later: bool,
     master_uri: str | None,
     yes: bool,
@@ -91,10 +93,10 @@ def enroll(
     home = AuthorityHome.at(environment.home)
     found = _code(code, image, csr_file)
     where = _where(found, told, csr_file)
-    core = AuthorityEnrollment(found, home.domain)
+    core = AuthorityEnrollment(found, home.domain, wildcard=anonymous)
     _compare(core, csr_file, where)
     row = _recorded(home, core, _source(found, csr_file, where))
-    introduce(environment, row, home)
+    introduce(environment, row, home, wildcard=core.request.wildcard)
     if later:
         say(f"recorded; decide with: rossec ca approve {row.digest.hex()[:8]}, or deny")
         return
@@ -104,7 +106,10 @@ def enroll(
     core.approve(now())
     authority = home.unlock(passphrase.read(passphrase_file, environment.variables))
     revoked, number = authority.store.revoked_entries(), authority.store.next_number()
-    bundle = authority.issue(row.der, now(), lifetime, replace_key=replaced, source=row.source)
+    bundle = authority.issue(
+        row.der, now(), lifetime,
+        replace_key=replaced, wildcard=core.request.wildcard, source=row.source,
+    )  # fmt: skip
     if where is None:
         _write(csr_file, bundle)
     else:

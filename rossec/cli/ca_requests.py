@@ -15,6 +15,7 @@ from grants.policy.prospects import prospects
 from rossec import files
 from rossec.authority import AuthorityHome, OpenAuthority, grouped
 from rossec.cli import passphrase
+from rossec.cli.ca import warn_of_tail
 from rossec.cli.context import Duration, Environment, moment, now, pass_environment
 from rossec.cli.publish import deliver, remind
 from rossec.cli.voice import printable, say, say_json
@@ -60,6 +61,7 @@ def requests(environment: Environment, everything: bool, as_json: bool) -> None:
     metavar="NAME",
     help="let the known name NAME come with another key; revokes the old one",
 )
+@click.option("--anonymous", is_flag=True, help="for anonymous nodes too: NAME and NAME_*")
 @click.option("--out", type=click.Path(path_type=Path), help="write the identity to this new file")
 @click.option("--master", "master_uri", help="master to tell, instead of ROS_MASTER_URI")
 @passphrase.option
@@ -69,6 +71,7 @@ def approve(
     request_id: str,
     lifetime: int,
     replaced: str | None,
+    anonymous: bool,
     out: Path | None,
     master_uri: str | None,
     passphrase_file: Path | None,
@@ -79,10 +82,12 @@ def approve(
     """
     home = AuthorityHome.at(environment.home)
     row = home.store().requests.get(_digest(request_id))
-    introduce(environment, row, home)
+    introduce(environment, row, home, wildcard=anonymous)
     authority = home.unlock(passphrase.read(passphrase_file, environment.variables))
     revoked, number = authority.store.revoked_entries(), authority.store.next_number()
-    bundle = authority.issue(row.der, now(), lifetime, replace_key=replaced, source=row.source)
+    bundle = authority.issue(
+        row.der, now(), lifetime, replace_key=replaced, wildcard=anonymous, source=row.source
+    )
     say(f"approved {row.name}")
     if out is not None:
         files.create(out, bundle, 0o644)
@@ -101,11 +106,15 @@ def deny(environment: Environment, request_id: str, reason: str) -> None:
     say(f"denied {row.name}")
 
 
-def introduce(environment: Environment, row: RequestRow, home: AuthorityHome) -> None:
+def introduce(
+    environment: Environment, row: RequestRow, home: AuthorityHome, *, wildcard: bool
+) -> None:
     """Everything a person should know before giving a name to a key."""
     say(f"{spiffe_id(home.domain, row.name)} asks for an identity")
     say(f"  fingerprint {grouped(row.thumbprint)}")
     say(f"  from {printable(row.source)}")
+    if wildcard:
+        warn_of_tail(row.name)
     say(f"  {_standing(home.store(), row)}")
     for line in _prospects(environment, row):
         say(f"  {line}")

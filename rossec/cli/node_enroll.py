@@ -29,6 +29,7 @@ _DIGITS = re.compile(r"[0-9]{6}", re.ASCII)
 @click.command()
 @click.argument("name")
 @click.option("--domain", default="home", show_default=True, help="trust domain of the authority")
+@click.option("--anonymous", is_flag=True, help="for anonymous nodes too: NAME and NAME_*")
 @click.option("--label", is_flag=True, help="wait for an authority that read the printed label")
 @click.option("--address", "host", help="the address in the code, instead of the one found")
 @click.option("--port", type=click.IntRange(0, 65535), help="listen here [any; a label's is 11317]")
@@ -40,6 +41,7 @@ def enroll(
     environment: Environment,
     name: str,
     domain: str,
+    anonymous: bool,
     label: bool,
     host: str | None,
     port: int | None,
@@ -58,7 +60,8 @@ def enroll(
     if window is not None and not label:
         raise click.UsageError("a code on a screen holds for five minutes: --for needs --label")
     home = NodeHome.of(environment.home, name)
-    csr = home.label_request(domain) if label else home.screen_request(domain)
+    made = home.label_request if label else home.screen_request
+    csr = made(domain, wildcard=anonymous)
     core = NodeEnrollment(
         home.signer(),
         csr,
@@ -66,6 +69,7 @@ def enroll(
         secret=b"" if label else secrets.token_bytes(qr.SECRET_SIZE),
         contribution=secrets.token_bytes(NONCE_SIZE),
         expires=now() + (window or (3 * WINDOW if label else WINDOW)),
+        wildcard=anonymous,
     )
     where = host or _own_address(environment)
     listen = port if port is not None else address.DEFAULT_PORT * label

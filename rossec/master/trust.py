@@ -20,7 +20,7 @@ from grants.document import open_grant
 from grants.errors import GrantError, GrantNotHeld
 from grants.model import Grant, Right
 from rossec.master.api import Presented
-from rossec.master.gatekeeper import Caller, Peer
+from rossec.master.gatekeeper import Caller, Certified, Peer
 
 MAX_HELD: Final = 64
 MAX_HELD_BYTES: Final = 256 * 1024
@@ -94,7 +94,7 @@ class Trust:
         self._stamp: tuple[int, bytes] = (-1, b"")
         self._confirmed_at = -1
 
-    def caller(self, peer: Peer, now: int) -> Caller:
+    def caller(self, peer: Certified, now: int) -> Caller:
         """Who calls and what it may do now.
 
         Raises:
@@ -102,13 +102,13 @@ class Trust:
         """
         if peer.thumbprint in self._revocations.entries:
             raise Revoked(f"the key of {peer.name} is revoked", "enroll the node with a new key")
-        return self._caller(peer.name, peer.thumbprint, now)
+        return self._caller(peer, now, wildcard=peer.wildcard)
 
     def caller_of(self, peer: Peer, now: int) -> Caller | None:
         """What a name and key seen before may do now; None: the key is revoked."""
         if peer.thumbprint in self._revocations.entries:
             return None
-        return self._caller(peer.name, peer.thumbprint, now)
+        return self._caller(peer, now)
 
     def present(self, caller: Caller, tokens: Sequence[bytes], now: int) -> Presented:
         """Verify and keep grants; one that is refused does not spoil the others.
@@ -152,13 +152,12 @@ class Trust:
         for held in self._held.values():
             held.drop_expired(now)
 
-    def _caller(self, name: str, thumbprint: bytes, now: int) -> Caller:
+    def _caller(self, peer: Peer, now: int, *, wildcard: bool = False) -> Caller:
         self._confirm(now)
-        held = self._held.get(thumbprint)
+        held = self._held.get(peer.thumbprint)
         grants = () if held is None else tuple(held.grants.values())
-        return Caller(
-            name, thumbprint, GrantAccess(grants, thumbprint, now, self._revocations.check)
-        )
+        access = GrantAccess(grants, peer.thumbprint, now, self._revocations.check)
+        return Caller(peer.name, peer.thumbprint, access, wildcard)
 
     def _keep(self, held: _Held, caller: Caller, token: bytes, now: int) -> None:
         key = hashlib.sha256(token).digest()

@@ -14,6 +14,7 @@ from ca.errors import (
     ForeignCertificate,
 )
 from ca.publickey import thumbprint
+from ca.svid import WILDCARD, WILDCARD_VALUE
 from tests.support.pki import (
     DAY,
     NOW,
@@ -52,9 +53,9 @@ def test_an_anchor_in_full() -> None:
     assert (anchor.not_before, anchor.not_after) == (NOW - 3600, NOW + 3650 * DAY)
 
 
-@pytest.mark.parametrize("count", [0, 2, 3])
-def test_a_chain_is_one_certificate(count: int) -> None:
-    message = f"a chain of {count} certificates where exactly one is expected"
+@pytest.mark.parametrize("count", [0, 3])
+def test_a_chain_is_one_certificate_or_two(count: int) -> None:
+    message = f"a chain of {count} certificates where one or two are expected"
     with pytest.raises(CertificateRefused, match=message):
         SITE.anchor.verify([LEAF] * count, NOW)
 
@@ -206,3 +207,31 @@ def test_too_much_pem() -> None:
 def test_no_pem_of_garbage() -> None:
     with pytest.raises(CertificateRefused, match="not a well-formed certificate"):
         to_pem(b"garbage")
+
+
+TAIL = (x509.UnrecognizedExtension(WILDCARD, WILDCARD_VALUE), False)
+
+
+def with_tail(uri: str) -> bytes:
+    return draft_leaf(SITE, [*leaf_extensions(uri), TAIL]).build()
+
+
+def test_an_identity_with_a_wildcard_tail() -> None:
+    identity = SITE.anchor.verify([with_tail("spiffe://home/robot1/rviz")], NOW)
+    assert (identity.name, identity.wildcard) == ("/robot1/rviz", True)
+    assert identity.covers("/robot1/rviz")
+    assert identity.covers("/robot1/rviz_17")
+    assert not identity.covers("/robot1/rviz_a/b")
+
+
+def test_an_identity_without_one_covers_its_name() -> None:
+    identity = SITE.anchor.verify([LEAF], NOW)
+    assert not identity.wildcard
+    assert identity.covers("/robot1/camera")
+    assert not identity.covers("/robot1/camera_17")
+
+
+@pytest.mark.parametrize("name", ["/master", "/ca"])
+def test_no_tail_for_the_master_and_the_authority(name: str) -> None:
+    with pytest.raises(CertificateRefused, match=f"{name} is one node"):
+        SITE.anchor.verify([with_tail(f"spiffe://home{name}")], NOW)
