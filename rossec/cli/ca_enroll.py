@@ -147,8 +147,9 @@ def _where(code: qr.Code, told: str | None, csr_file: Path | None) -> Where | No
 def _compare(core: AuthorityEnrollment, csr_file: Path | None, where: Where | None) -> None:
     if csr_file is not None:
         core.receive(write(Delivery(_read(csr_file))), now())
-    elif where is not None:
-        asyncio.run(fetch(core, *where, now))
+        return
+    assert where is not None  # noqa: S101 - a code without an address was refused
+    asyncio.run(fetch(core, *where, now))
 
 
 def _recorded(home: AuthorityHome, core: AuthorityEnrollment, source: str) -> RequestRow:

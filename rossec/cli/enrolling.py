@@ -87,13 +87,13 @@ class Session:
         say(f"{self._home.name} waits at {where}; at the authority: {command}")
 
     def _countdown(self, left: int) -> None:
-        if sys.stderr.isatty():
+        if is_live():
             minutes, seconds = divmod(max(0, left), 60)
             sys.stderr.write(f"{_CLEAR}{minutes}:{seconds:02} left ")
             sys.stderr.flush()
 
     def _line(self) -> None:
-        if sys.stderr.isatty():
+        if is_live():
             sys.stderr.write(_CLEAR)
 
     def _complain(self, what: str) -> None:
@@ -103,9 +103,8 @@ class Session:
     @contextmanager
     def _person(self) -> Iterator[None]:
         """An offer waits: say whose, and hear the answer, if there is somebody at this terminal."""
-        if self._core.state is State.PENDING:
-            for line in authority_lines(self._pending()):
-                say(line)
+        for line in authority_lines(self._pending()):
+            say(line)
         if not sys.stdin.isatty():
             say(f"the same at the authority? then: rossec node confirm {self._home.name} DIGITS")
             yield
@@ -146,6 +145,11 @@ class Session:
     def _activate(self, pending: Pending) -> None:
         """From here on the node trusts the authority."""
         self._home.install(to_pem(*pending.chain, pending.root), now())
+
+
+def is_live() -> bool:
+    """Whether somebody sees a line that changes."""
+    return sys.stderr.isatty()
 
 
 def authority_lines(pending: control.Answer) -> list[str]:

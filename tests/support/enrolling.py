@@ -36,9 +36,10 @@ class Robot:
 
     name: str = NAME
     signer: KeySigner = field(default_factory=new_signer)
+    wildcard: bool = False
 
     def __post_init__(self) -> None:
-        self.csr = build_request(self.signer, "home", self.name)
+        self.csr = build_request(self.signer, "home", self.name, wildcard=self.wildcard)
 
     def enrollment(
         self, *, label: bool = False, now: int = NOW, contribution: bytes | None = None
@@ -48,6 +49,7 @@ class Robot:
             secret=b"" if label else fresh(),
             contribution=contribution or fresh(),
             expires=now + WINDOW,
+            wildcard=self.wildcard,
         )  # fmt: skip
 
 

@@ -85,6 +85,22 @@ def test_a_code_for_what_is_no_request() -> None:
     assert enrollment.state is State.OVER
 
 
+def test_a_wildcard_tail_is_meant_on_both_sides() -> None:
+    robot = Robot("/rviz", wildcard=True)
+    code = qr.parse(robot.enrollment().code("x"))
+    with pytest.raises(RequestRefused, match="all names that begin with /rviz_"):
+        AuthorityEnrollment(code, "home").receive(write(Delivery(robot.csr)), NOW)
+    enrollment = AuthorityEnrollment(code, "home", wildcard=True)
+    enrollment.receive(write(Delivery(robot.csr)), NOW)
+    enrollment.approve(NOW)
+    namesake = Robot("/rviz", robot.signer)
+    plain = SITE.authority.issue(namesake.csr, now=NOW, serial=1)
+    with pytest.raises(EnrollmentRefused, match="not the one that was asked for"):
+        enrollment.offer([plain], SITE.root, fresh(), NOW)
+    tail = SITE.authority.issue(robot.csr, now=NOW, serial=1, wildcard=True)
+    assert enrollment.offer([tail], SITE.root, fresh(), NOW)
+
+
 def test_nothing_is_offered_without_a_yes() -> None:
     robot = Robot()
     enrollment = compared(robot.enrollment())

@@ -191,6 +191,20 @@ def test_an_identity_for_somebody_else() -> None:
     assert node.state is State.SHOWING
 
 
+def test_a_wildcard_tail_is_given_to_who_asked_for_it() -> None:
+    for asked in (False, True):
+        robot = Robot("/rviz", wildcard=asked)
+        node = robot.enrollment(label=True)
+        namesake = Robot("/rviz", robot.signer, wildcard=not asked)
+        given, other = (
+            SITE.authority.issue(each.csr, now=NOW, serial=3, wildcard=each.wildcard)
+            for each in (robot, namesake)
+        )
+        with pytest.raises(OfferRefused, match="for another name"):
+            node.receive(crafted(robot, (other,), SITE.root), NOW)
+        assert node.receive(crafted(robot, (given,), SITE.root), NOW)
+
+
 def test_certificates_that_do_not_hold() -> None:
     robot = Robot()
     node = robot.enrollment(label=True)
