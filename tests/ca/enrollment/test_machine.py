@@ -6,7 +6,9 @@ only the authority whose digits a person read, and when both sides say "enrolled
 transcript.
 """
 
+import re
 from contextlib import suppress
+from pathlib import Path
 
 from hypothesis import settings
 from hypothesis import strategies as st
@@ -27,6 +29,16 @@ ROBOT = Robot()
 LEAF = HOME.authority.issue(ROBOT.csr, now=NOW, serial=1, lifetime=86400)
 FORGED = MALLORY.authority.issue(ROBOT.csr, now=NOW, serial=1, lifetime=86400)
 PICK = st.integers(0, 1 << 16)
+
+
+def test_the_states_are_those_of_the_specification() -> None:
+    text = (Path(__file__).parents[3] / "docs" / "spec" / "enrollment.md").read_text()
+    node = text.partition("## 4.")[2].partition("## 5.")[0]
+    authority = text.partition("## 5.")[2].partition("## 6.")[0]
+    for states, section in ((State, node), (Ours, authority)):
+        assert {state.name for state in states} == set(re.findall(r"\b[A-Z]{4,}\b", section)) - {
+            "MUST", "SHOULD", "FALSE",
+        }  # fmt: skip
 
 
 class Enrollments(RuleBasedStateMachine):
