@@ -15,13 +15,13 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.serialization import Encoding
 from cryptography.x509.oid import NameOID
 
-from ca.certificates import TrustAnchor
+from ca.certificates import Identity, TrustAnchor
 from ca.errors import IssueRefused
 from ca.intermediates import Intermediate, check_intermediate_request, policy
 from ca.names import check_domain, check_wildcard, spiffe_id
 from ca.publickey import require_p256, thumbprint
 from ca.renewal import Renewal
-from ca.requests import Request, check_request
+from ca.requests import check_request
 from ca.signer import Signer
 from ca.svid import SCHEME, WILDCARD, WILDCARD_VALUE
 from ca.x509signer import X509Signer
@@ -99,7 +99,9 @@ class Authority:
                 "enroll at the root, or have the root make an intermediate that may",
             )
         request = check_request(csr, self.anchor.domain, wildcard=wildcard)
-        return self._issue(request, now, serial, lifetime, wildcard=wildcard)
+        return self._issue(
+            request.name, request.public_key, now, serial, lifetime, wildcard=wildcard
+        )
 
     def renew(self, renewal: Renewal, *, now: int, serial: int, lifetime: int = LIFETIME) -> bytes:
         """Return the successor (DER) of an identity, never living longer than that one did.
@@ -107,9 +109,24 @@ class Authority:
         Raises:
             IssueRefused: as `issue`, but an intermediate needs no leave to enroll.
         """
-        longest = min(lifetime, renewal.longest)
-        wildcard = renewal.identity.wildcard
-        return self._issue(renewal.request, now, serial, longest, wildcard=wildcard)
+        key, longest = renewal.request.public_key, min(lifetime, renewal.longest)
+        return self.certify_again(renewal.identity, key, now=now, serial=serial, lifetime=longest)
+
+    def certify_again(
+        self,
+        identity: Identity,
+        key: ec.EllipticCurvePublicKey,
+        *,
+        now: int,
+        serial: int,
+        lifetime: int = LIFETIME,
+    ) -> bytes:
+        """Return a successor (DER) of `identity` for `key`; whether it may be, the caller knows.
+
+        Raises:
+            IssueRefused: as `issue`, but an intermediate needs no leave to enroll.
+        """
+        return self._issue(identity.name, key, now, serial, lifetime, wildcard=identity.wildcard)
 
     def issue_intermediate(
         self, csr: bytes, *, now: int, serial: int, may_enroll: bool, lifetime: int
@@ -137,13 +154,20 @@ class Authority:
         )
 
     def _issue(
-        self, request: Request, now: int, serial: int, lifetime: int, *, wildcard: bool
+        self,
+        name: str,
+        key: ec.EllipticCurvePublicKey,
+        now: int,
+        serial: int,
+        lifetime: int,
+        *,
+        wildcard: bool,
     ) -> bytes:
         _check_serial(serial)
         start, end = self._period(now, lifetime)
-        uri = spiffe_id(self.anchor.domain, request.name)
+        uri = spiffe_id(self.anchor.domain, name)
         builder = (
-            _builder(request.public_key, serial, start, end)
+            _builder(key, serial, start, end)
             .subject_name(x509.Name([]))
             .issuer_name(self.issuer.subject)
             .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
@@ -153,7 +177,7 @@ class Authority:
             .add_extension(_issuer_key(self.issuer.public_key), critical=False)
         )
         if wildcard:
-            check_wildcard(request.name)
+            check_wildcard(name)
             tail = x509.UnrecognizedExtension(WILDCARD, WILDCARD_VALUE)
             builder = builder.add_extension(tail, critical=False)
         return _sign(builder, self.signer)

@@ -113,8 +113,7 @@ class TrustAnchor:
             case [leaf]:
                 issuer: TrustAnchor | Intermediate = self
             case [leaf, second]:
-                issuer = self.read_intermediate(second)
-                _check_time("intermediate's certificate", issuer.not_before, issuer.not_after, now)
+                issuer = self.check_intermediate(second, now)
             case _:
                 raise CertificateRefused(
                     f"a chain of {len(chain)} certificates where one or two are expected",
@@ -145,6 +144,17 @@ class TrustAnchor:
         if not svid.is_signed_by(certificate, self.subject, self.public_key):
             raise self._foreign("intermediate")
         return read_intermediate(certificate, der, self.domain)
+
+    def check_intermediate(self, der: bytes, now: int) -> Intermediate:
+        """Return the intermediate in `der`, if it is valid at `now`.
+
+        Raises:
+            CertificateExpired, CertificateNotYetValid: it is not.
+            CertificateRefused: as `read_intermediate`.
+        """
+        found = self.read_intermediate(der)
+        _check_time("intermediate's certificate", found.not_before, found.not_after, now)
+        return found
 
     def _foreign(self, what: str) -> ForeignCertificate:
         return ForeignCertificate(

@@ -41,6 +41,7 @@ class Intermediate:
     not_after: int
     certificate: bytes
     subject: x509.Name
+    serial: int
     may_enroll: bool
 
 
@@ -59,7 +60,9 @@ def read_intermediate(certificate: x509.Certificate, der: bytes, domain: str) ->
     start, end = svid.validity(certificate)
     may_enroll = _power(svid.policies(extensions))
     subject = svid.subject(certificate)
-    return Intermediate(key, thumbprint(key), start, end, der, subject, may_enroll)
+    return Intermediate(
+        key, thumbprint(key), start, end, der, subject, certificate.serial_number, may_enroll
+    )
 
 
 def policy(*, may_enroll: bool) -> x509.CertificatePolicies:

@@ -11,13 +11,16 @@ from ca.database import Database
 from ca.errors import NameContested, RequestClosed, StoreError
 from ca.identitybook import IdentityBook
 from ca.journal import COLLECTED, record
-from ca.lifecycle import MAX_OPEN, OPEN, RequestRow, State, advance
+from ca.lifecycle import KEEP, MAX_OPEN, OPEN, RequestRow, State, advance
 from ca.names import covers
 from ca.requests import Request
 
 _COLUMNS = (
     "digest, name, thumbprint, der, source, arrived, state, reason, changed, replaces, wildcard"
 )
+
+_OPEN = ", ".join(f"'{state}'" for state in sorted(OPEN))
+_KEPT = " ".join(f"WHEN '{state}' THEN {kept}" for state, kept in KEEP.items())
 
 
 class RequestBook:
@@ -60,7 +63,7 @@ class RequestBook:
         Raises:
             StoreError: there is none, or more than one.
         """
-        found = [row for row in self.all() if row.digest.startswith(digest)]
+        found = self._rows("WHERE substr(digest, 1, ?) = ?", len(digest), digest)
         if len(found) != 1 or not digest:
             raise StoreError(
                 f"{len(found)} requests begin with {digest.hex()}", "see: rossec ca requests"
@@ -109,7 +112,7 @@ class RequestBook:
 
     def collect(self, now: int) -> list[RequestRow]:
         """Forget every request whose time is over; returns what was forgotten."""
-        over = [row for row in self.all() if now > row.until]
+        over = self._rows(f"WHERE changed + CASE state {_KEPT} END < ?", now)
         if over:
             with self._database.changing() as db:
                 for row in over:
@@ -150,7 +153,7 @@ class RequestBook:
         return next(iter(self._rows("WHERE digest = ?", digest)), None)
 
     def _open(self) -> list[RequestRow]:
-        return [row for row in self.all() if row.state in OPEN]
+        return self._rows(f"WHERE state IN ({_OPEN})")
 
     def _rows(self, clause: str, *values: object) -> list[RequestRow]:
         rows = self._database.rows(f"SELECT {_COLUMNS} FROM request {clause}", *values)  # noqa: S608  (constants)

@@ -188,7 +188,7 @@ class Node:
         self.revocations.update(revocations, now, self.home.save_revocations)
         try:
             self.revocations.confirm(open_timestamp(timestamp, master.public_key), now)
-            self.revocations.check(master.thumbprint, now)
+            self.access.check_peer(master, now)
         finally:  # what the list revokes ends, whatever is wrong with the timestamp
             self._watch.cut(now)
 

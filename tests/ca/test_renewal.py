@@ -87,7 +87,9 @@ def test_an_intermediate_that_may_only_renew() -> None:
 
 def test_two_thirds() -> None:
     identity = SITE.anchor.verify([LEAF], NOW)
-    assert renew_at(identity) == NOW - 3600 + (30 * DAY + 3600) * 2 // 3
+    assert (
+        renew_at(identity.not_before, identity.not_after) == NOW - 3600 + (30 * DAY + 3600) * 2 // 3
+    )
 
 
 def test_not_before_half_its_life() -> None:
