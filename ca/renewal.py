@@ -114,9 +114,11 @@ def _open(data: bytes, identity: Identity) -> Value:
 def _read(value: Value) -> tuple[int, bytes, tuple[bytes, ...]]:
     match value:
         case {6: int() as issued, -70021: bytes() as csr, -70022: list() as items, **rest} if (
-            not rest and not isinstance(issued, bool)
+            not rest and not isinstance(issued, bool) and 1 <= len(items) <= MAX_CHAIN
         ):
             chain = tuple(item for item in items if isinstance(item, bytes))
-            if len(chain) == len(items) and 1 <= len(chain) <= MAX_CHAIN:
-                return issued, csr, chain
-    raise RenewalRefused("the renewal has missing or unknown fields")
+        case _:
+            raise RenewalRefused("the renewal has missing or unknown fields")
+    if len(chain) != len(items):
+        raise RenewalRefused("the renewal's chain is not of certificates")
+    return issued, csr, chain

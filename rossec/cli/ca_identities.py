@@ -48,8 +48,9 @@ def as_json(row: CertificateRow, state: str) -> dict[str, Any]:
 
 def line(row: CertificateRow, state: str) -> str:
     """One identity for people."""
-    until = f"until {moment(row.not_after)}"
-    return f"{row.name}  {state}  {until}  fingerprint {grouped(row.thumbprint)}"
+    name = f"{row.name} and {row.name}_*" if row.wildcard else row.name
+    until, key = f"until {moment(row.not_after)}", f"fingerprint {grouped(row.thumbprint)}"
+    return "  ".join([name, until, key, *[state] * (state != "valid")])
 
 
 @click.command("list")
