@@ -1,4 +1,4 @@
-"""A stolen leaf after its intermediate was revoked: refused, and cut where it is (go-spiffe#383)."""
+"""A stolen leaf after its intermediate is revoked: refused, and cut where it is (go-spiffe#383)."""
 
 import secrets
 from typing import Final
