@@ -10,7 +10,10 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final, TypeAlias
 
+from ca import qr
 from ca.encoding import decode, encode
+from ca.enrollment.authority import AuthorityEnrollment
+from ca.enrollment.messages import Delivery, write
 from ca.errors import HintedError
 from rossec.channel.known import KnownCertificates, reference
 from rossec.channel.messages import (
@@ -28,6 +31,9 @@ from rossec.channel.opening import (
     judge_caller,
     refusal,
 )
+from tests.support.enrolling import ADDRESS, Robot, offered
+from tests.support.pki import NOW as SOME_TIME
+from tests.support.pki import Site
 from tests.support.wire import ALICE, NOW, joined, wire
 
 Target: TypeAlias = Callable[[bytes], object]
@@ -96,6 +102,37 @@ def _credentials() -> list[bytes]:
     return [encode(ALICE.id_cred), encode(reference(certificate)), encode({33: [b"a", b"b"]})]
 
 
+ROBOT: Final = Robot()
+HOME: Final = Site.create()
+LEAF: Final = HOME.authority.issue(ROBOT.csr, now=SOME_TIME, serial=1)
+
+
+def enrollments() -> list[bytes]:
+    """Every message of an enrollment, and the text of a code."""
+    node = ROBOT.enrollment()
+    authority, offer = offered(node, HOME)
+    answers = node.receive(offer, SOME_TIME)
+    node.confirm(node.pending.digits, SOME_TIME)
+    delivery = ROBOT.enrollment().receive(authority.fetch(), SOME_TIME)
+    return [authority.fetch(), *delivery, offer, *answers, *node.activated()]
+
+
+def _enrolling_node(data: bytes) -> None:
+    ROBOT.enrollment(label=True).receive(data, SOME_TIME)
+
+
+def _enrolling_authority(data: bytes) -> None:
+    for begun in (b"", write(Delivery(ROBOT.csr))):
+        authority = AuthorityEnrollment(qr.parse(qr.label_code(ROBOT.csr)), "home")
+        if begun:
+            authority.receive(begun, SOME_TIME)
+            authority.approve(SOME_TIME)
+            authority.offer([LEAF], HOME.root, bytes(16), SOME_TIME)
+        with suppress(HintedError):
+            authority.receive(data, SOME_TIME)
+        assert authority.digits == ""
+
+
 DECODERS: Final[dict[str, tuple[Target, Callable[[], list[bytes]]]]] = {
     "message_1": (decode_message_1, rfc9529),
     "message_2_3_4": (decode_bytes, rfc9529),
@@ -110,6 +147,12 @@ DECODERS: Final[dict[str, tuple[Target, Callable[[], list[bytes]]]]] = {
     "responder": (_responder, flights),
     "initiator": (_initiator, flights),
     "records": (_records, flights),
+    "code": (
+        lambda data: qr.parse(data.decode("latin-1")),
+        lambda: [ROBOT.enrollment(label=label).code(ADDRESS).encode() for label in (True, False)],
+    ),
+    "enrolling_node": (_enrolling_node, enrollments),
+    "enrolling_authority": (_enrolling_authority, enrollments),
 }
 
 
