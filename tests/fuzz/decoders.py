@@ -12,7 +12,7 @@ from typing import Final, TypeAlias
 
 from ca import qr
 from ca.encoding import decode, encode
-from ca.enrollment.authority import AuthorityEnrollment
+from ca.enrollment.authority import AuthorityEnrollment, State
 from ca.enrollment.messages import Delivery, write
 from ca.errors import HintedError
 from rossec.channel.known import KnownCertificates, reference
@@ -104,6 +104,7 @@ def _credentials() -> list[bytes]:
 
 ROBOT: Final = Robot()
 HOME: Final = Site.create()
+LABEL: Final = qr.parse(qr.label_code(ROBOT.csr))
 LEAF: Final = HOME.authority.issue(ROBOT.csr, now=SOME_TIME, serial=1)
 
 
@@ -117,17 +118,26 @@ def enrollments() -> list[bytes]:
     return [authority.fetch(), *delivery, offer, *answers, *node.activated()]
 
 
+def _waiting_authority() -> AuthorityEnrollment:
+    authority = AuthorityEnrollment(LABEL, "home")
+    authority.receive(write(Delivery(ROBOT.csr)), SOME_TIME)
+    authority.approve(SOME_TIME)
+    authority.offer([LEAF], HOME.root, bytes(16), SOME_TIME)
+    return authority
+
+
+WAITING: Final = [_waiting_authority()]  # made anew only when it gave up: that takes a while
+
+
 def _enrolling_node(data: bytes) -> None:
     ROBOT.enrollment(label=True).receive(data, SOME_TIME)
 
 
 def _enrolling_authority(data: bytes) -> None:
-    for begun in (b"", write(Delivery(ROBOT.csr))):
-        authority = AuthorityEnrollment(qr.parse(qr.label_code(ROBOT.csr)), "home")
-        if begun:
-            authority.receive(begun, SOME_TIME)
-            authority.approve(SOME_TIME)
-            authority.offer([LEAF], HOME.root, bytes(16), SOME_TIME)
+    fetching = AuthorityEnrollment(LABEL, "home")
+    if WAITING[-1].state is not State.OFFERED:
+        WAITING.append(_waiting_authority())
+    for authority in (fetching, WAITING[-1]):
         with suppress(HintedError):
             authority.receive(data, SOME_TIME)
         assert authority.digits == ""
