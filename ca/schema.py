@@ -98,6 +98,9 @@ def migrate(db: sqlite3.Connection) -> None:
         return
     old = db.execute("SELECT at, what, subject, detail FROM log ORDER BY number").fetchall()
     db.execute("DROP TABLE log")  # and its triggers with it
+    if db.execute("SELECT 1 FROM sqlite_master WHERE name = 'request'").fetchone():
+        # What the inbox for grants called its table in version 1; see rossec.inbox.
+        db.execute("ALTER TABLE request RENAME TO grant_request")
     for statement in (*_SINCE_2, *_triggers(("log", "head", "answer"))):
         db.execute(statement)
     rows = {what: _rows_of(db, what) for what in RECORDED}

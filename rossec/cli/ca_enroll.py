@@ -22,7 +22,14 @@ from rossec import files
 from rossec.authority import AuthorityHome
 from rossec.cli import passphrase
 from rossec.cli.ca_requests import introduce, tell_of_replaced
-from rossec.cli.context import Duration, Environment, agrees, now, pass_environment
+from rossec.cli.context import (
+    Duration,
+    Environment,
+    agrees,
+    now,
+    pass_environment,
+    reraise_interrupt,
+)
 from rossec.cli.voice import say
 from rossec.enrolling import address
 from rossec.enrolling.calling import deliver, fetch
@@ -81,7 +88,9 @@ def enroll(
     yes: bool,
     passphrase_file: Path | None,
 ) -> None:
-    """Enroll the node that shows CODE: scanned from a picture, or pasted.
+    """Enroll the node that shows CODE: scanned from a picture, or pasted (in single quotes).
+
+    Without any of them you are asked for the text.
 
     Shows who asks and what the policy holds ready for that name, asks you, signs, and hands over
     the identity. Then both sides show six digits: go to the node and confirm there if they are the
@@ -119,7 +128,9 @@ def enroll(
 
 
 def _code(code: str | None, image: Path | None, csr_file: Path | None) -> qr.Code:
-    """Exactly one source."""
+    """Exactly one source; with none, a person at a terminal is asked."""
+    if sys.stdin.isatty() and (code, image, csr_file) == (None, None, None):
+        code = _ask()
     match (code, image, csr_file):
         case (str(), None, None):
             found = qr.parse(code)
@@ -131,6 +142,16 @@ def _code(code: str | None, image: Path | None, csr_file: Path | None) -> qr.Cod
             raise click.UsageError("give a code, or --image, or --csr: one of them")
     found.check_time(now())
     return found
+
+
+def _ask() -> str:
+    """Pasted here, the text needs no quotes; a shell would take its blanks and dollars apart."""
+    try:
+        typed: str = click.prompt("the text below the code", err=True)
+    except click.Abort as abort:
+        reraise_interrupt(abort)
+        raise ConfigurationError("no code was given", "paste the line with ROSSEC:") from None
+    return typed
 
 
 def _where(code: qr.Code, told: str | None, csr_file: Path | None) -> Where | None:

@@ -83,7 +83,7 @@ class Session:
         if not self._label:
             say(qr.terminal(text))
         say(text)
-        command = "rossec ca enroll CODE" + f" --address {where}" * self._label
+        command = "rossec ca enroll 'CODE'" + f" --address {where}" * self._label
         say(f"{self._home.name} waits at {where}; at the authority: {command}")
 
     def _countdown(self, left: int) -> None:

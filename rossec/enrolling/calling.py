@@ -90,8 +90,7 @@ async def _listen(
 async def _connection(
     host: str, port: int
 ) -> AsyncIterator[tuple[asyncio.StreamReader, asyncio.StreamWriter]]:
-    async with asyncio.timeout(_PATIENCE):
-        sock = await dial(host, port)
+    sock = await dial(host, port, _PATIENCE)
     try:
         reader, writer = await asyncio.open_connection(sock=sock, limit=MAX_MESSAGE)
     except BaseException:

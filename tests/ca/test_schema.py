@@ -70,6 +70,17 @@ def test_once_is_enough(old: Path) -> None:
     Store.open(old).close()
 
 
+def test_requests_for_grants_keep_their_rows(old: Path) -> None:
+    """In version 1 the inbox had a table with the name that requests for identities have now."""
+    with closing(sqlite3.connect(old)) as db, db:
+        db.execute("CREATE TABLE request (id BLOB PRIMARY KEY, data BLOB NOT NULL) STRICT")
+        db.execute("INSERT INTO request VALUES (x'01', x'02')")
+    with closing(Store.open(old)) as store:
+        assert store.requests.all() == []
+    with closing(sqlite3.connect(old)) as db:
+        assert db.execute("SELECT * FROM grant_request").fetchall() == [(b"\x01", b"\x02")]
+
+
 def test_an_empty_old_record(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(oldstore, "KEYS", [])
     oldstore.write_version_1(tmp_path / "old.db")

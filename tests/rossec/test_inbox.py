@@ -54,7 +54,7 @@ def test_once(path: Path) -> None:
         box.add(ASKED, DATA, NOW)
 
 
-@pytest.mark.parametrize("table", ["request", "decision"])
+@pytest.mark.parametrize("table", ["grant_request", "decision"])
 @pytest.mark.parametrize("change", ["DELETE FROM {}", "UPDATE {} SET at = 0"])
 def test_nothing_is_changed_or_deleted(path: Path, table: str, change: str) -> None:
     box = Inbox.of(path)

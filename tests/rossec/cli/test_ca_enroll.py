@@ -162,6 +162,21 @@ def test_exactly_one_source(shell: Shell, tmp_path: Path) -> None:
     refused(shell("ca", "enroll", "https://example.com"), "not the text of a rossec code")
 
 
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+def test_a_person_is_asked_for_the_code(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
+    with WaitingRobot(Robot()) as robot:
+        monkeypatch.setattr("sys.stdin", Terminal(f"{robot.code}\n"))
+        assert shell.unlocked("ca", "enroll", "--yes").code == 0
+    monkeypatch.setattr("sys.stdin", Terminal(""))
+    said = shell.unlocked("ca", "enroll", "--yes")
+    assert said.code == 1
+    assert "rossec: error: no code was given\nrossec: hint: paste the line" in said.err
+
+
 def test_a_code_that_has_ended(shell: Shell) -> None:
     text = qr.screen_code(Robot().csr, bytes(16), 1000, "127.0.0.1:9")
     refused(shell("ca", "enroll", text), "the code ended", "show a new one")

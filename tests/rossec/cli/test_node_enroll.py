@@ -217,7 +217,7 @@ def test_a_label(empty: Shell) -> None:
     operator.join()
     assert said.code == 0, said.err
     assert said.out.startswith(f"{label}\n/robot waits at 127.0.0.1:{operator.port}; ")
-    assert f"rossec ca enroll CODE --address 127.0.0.1:{operator.port}\n" in said.out
+    assert f"rossec ca enroll 'CODE' --address 127.0.0.1:{operator.port}\n" in said.out
 
 
 def free_port() -> int:
