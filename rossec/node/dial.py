@@ -48,6 +48,13 @@ class Dialer:
         self._judge(stream)
         return stream
 
+    async def service(self, uri: str) -> SecureStream[Identity]:
+        """Connect to the provider of a service, at its rosrpc URI; raises as `topic`."""
+        host, port = settings.parse_uri(uri, "a service's URI", scheme="rosrpc")
+        stream = await connect(host, port, self._credentials, self._anchor.verify)
+        self._judge(stream)
+        return stream
+
     async def _request_topic(self, stream: SecureStream[Identity], topic: str) -> tuple[str, int]:
         self._judge(stream)
         try:

@@ -1,0 +1,31 @@
+"""What the parts of one node share: who it is, what it may do, and how it reaches others."""
+
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass
+
+from ca.revocation import Revocations
+from rossec.node.access import Access
+from rossec.node.dial import Dialer
+
+Call = Callable[..., Awaitable[object]]
+
+
+@dataclass(frozen=True)
+class Standing:
+    """One running node.
+
+    Attributes:
+        call: calls the master.
+        filter_key: finds a key for pseudonyms by its name.
+        uri: its API URI, as registered.
+        rosrpc: the URI of its services, as registered.
+    """
+
+    name: str
+    access: Access
+    revocations: Revocations
+    call: Call
+    dialer: Dialer
+    filter_key: Callable[[str], bytes]
+    uri: Callable[[], str]
+    rosrpc: Callable[[], str]
