@@ -17,6 +17,7 @@ from rossec.node.standing import Standing
 from rossec.ros.names import SEPARATOR
 
 _REQUIRED: Final = object()
+_NOT_FOUND: Final = "Cannot find parameter"  # what the master says to a search, as stock
 _REFUSAL: Final = "rossec: "  # begins every refusal of the master; what else has code -1 is absent
 
 Value = Any  # what XML-RPC carries
@@ -79,12 +80,12 @@ class Parameters:
         """The nearest `name` in this node's namespace and those above; None when there is none.
 
         Raises:
-            RossecError: the master is out of reach.
+            RossecError: no name to search for, or the master is out of reach.
         """
         try:
             return str(await self._standing.call("searchParam", name))
         except AnswerRefused as error:
-            if str(error).startswith(_REFUSAL):
+            if not str(error).startswith(_NOT_FOUND):
                 raise
             return None
 
