@@ -91,7 +91,7 @@ class Node:
             rosrpc=lambda: _uri("rosrpc", *self.topic_endpoint()),
         )
         self._topics = Topics(standing)
-        self._services = Services(standing)
+        self.services = Services(standing)
         self.params = Parameters(standing, self.settings.resolve)
         self._listener = Listener(
             self.name,
@@ -99,7 +99,7 @@ class Node:
             self.anchor,
             self.access,
             self._topics.publishers,
-            self._services,
+            self.services,
             SlaveApi(self),
         )
         self._watch = Watch(self.revocations, self._links, self._listener)
@@ -158,7 +158,7 @@ class Node:
             MessageError, RossecError: unknown type, a second provider of the service, or the
                 master refuses.
         """
-        return await self._services.provide(
+        return await self.services.provide(
             self.settings.resolve(name),
             service_type(type_name),
             handler,
@@ -179,7 +179,7 @@ class Node:
         Raises:
             MessageError: unknown type.
         """
-        return self._services.client(
+        return self.services.client(
             self.settings.resolve(name),
             service_type(type_name),
             persistent=persistent,
@@ -200,7 +200,7 @@ class Node:
         resolved = self.settings.resolve(name)
         try:
             async with asyncio.timeout(timeout):
-                await self._services.wait_for(resolved)
+                await self.services.wait_for(resolved)
         except TimeoutError:
             raise ServiceUnavailable(
                 f"no node provided {resolved} within {timeout:g} s", "is its provider running?"
@@ -220,7 +220,7 @@ class Node:
             publisher.close()
         await self._listener.close()
         await self._topics.close_subscribers()
-        await self._services.close()
+        await self.services.close()
         self.params.close()
         await self._topics.unregister()
         await self._tasks.close()
@@ -301,14 +301,14 @@ class Node:
         current = self.access.current(int(time.time()))
         await session.call("rossec.presentGrants", current[:_PRESENTED])
         await self._topics.restore()
-        await self._services.restore()
+        await self.services.restore()
         await self.params.restore()
 
     # --- what must end ---
 
     def _links(self) -> Iterator[Link]:
         yield from self._topics.links()
-        yield from self._services.links()
+        yield from self.services.links()
 
     async def _collect_grants(self) -> None:
         """A grant that arrives in the node's directory counts without a restart."""

@@ -14,6 +14,7 @@ from typing import Final
 from ca.certificates import Identity
 from ca.errors import HintedError
 from rossec.errors import (
+    AnswerMalformed,
     AnswerRefused,
     ChannelError,
     ConfigurationError,
@@ -108,6 +109,18 @@ class Services:
         """The header of the provider of `name`, and who it is; raises as `client.probe`."""
         return await probe(self.dial, self._standing.name, name, self._standing.access)
 
+    async def known(self) -> dict[str, list[str]]:
+        """Services this node may see, and who provides each.
+
+        Raises:
+            RossecError: the master is out of reach, or answers nonsense.
+        """
+        match await self._standing.call("getSystemState"):
+            case [_, _, [*services]]:
+                return dict(_provided(item) for item in services)
+            case _:
+                raise AnswerMalformed("a system state that is none")
+
     async def lookup(self, name: str) -> str:
         """The rosrpc URI of the provider of `name`.
 
@@ -181,3 +194,11 @@ class Services:
                 await self._standing.call(
                     "unregisterService", service.name, self._standing.rosrpc()
                 )
+
+
+def _provided(item: object) -> tuple[str, list[str]]:
+    match item:
+        case [str() as name, [*nodes]]:
+            return name, [node for node in nodes if isinstance(node, str)]
+        case _:
+            raise AnswerMalformed("a system state that is none")

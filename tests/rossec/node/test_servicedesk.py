@@ -176,7 +176,7 @@ async def test_mistakes_of_the_program(lamp: Node, hall: Node) -> None:
         await lamp.service(LAMP, BOOL, switch)
     for wrong in ({"concurrency": 0}, {"deadline": 0}):
         with pytest.raises(ConfigurationError, match="concurrency"):
-            await lamp.service("/lamp/off", BOOL, switch, **wrong)  # type: ignore[arg-type]
+            await lamp.service("/lamp/off", BOOL, switch, **wrong)
     with pytest.raises(ConfigurationError, match="deadline of 0 s"):
         hall.client(LAMP, BOOL, deadline=0)
 
@@ -327,7 +327,7 @@ async def test_restrictions_of_the_provider_are_the_caller_s_to_apply(
 
 async def test_a_probe_asks_for_the_header_alone(lamp: Node, hall: Node) -> None:
     await lamp.service(LAMP, BOOL, switch)
-    fields, provider = await hall._services.probe(LAMP)
+    fields, provider = await hall.services.probe(LAMP)
     assert provider.name == "/lamp"
     assert fields["type"] == b"std_srvs/SetBool"
     assert (fields["request_type"], fields["response_type"]) == (
