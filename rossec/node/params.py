@@ -15,6 +15,7 @@ from ca.errors import HintedError
 from rossec.errors import AnswerMalformed, AnswerRefused, ParameterUnset
 from rossec.node.standing import Standing
 from rossec.ros.names import SEPARATOR
+from rossec.ros.xmlrpc import Fault
 
 _REQUIRED: Final = object()
 _NOT_FOUND: Final = "Cannot find parameter"  # what the master says to a search, as stock
@@ -44,7 +45,7 @@ class Parameters:
         """
         key = self._key(name)
         try:
-            return await self._standing.call("getParam", key)
+            return await self._ask("getParam", key)
         except AnswerRefused as error:
             if str(error).startswith(_REFUSAL):
                 raise
@@ -59,18 +60,18 @@ class Parameters:
             RossecError: XML-RPC cannot carry the value, or the master refuses.
         """
         key = self._key(name)
-        await self._standing.call("setParam", key, value)
+        await self._ask("setParam", key, value)
         self.changed(key, value)  # the master does not tell the one who set it
 
     async def has(self, name: str) -> bool:
         """Whether `name` has a value; raises as `get`."""
-        return bool(await self._standing.call("hasParam", self._key(name)))
+        return bool(await self._ask("hasParam", self._key(name)))
 
     async def delete(self, name: str) -> None:
         """Unset `name` and everything below it; raises as `get`."""
         key = self._key(name)
         try:
-            await self._standing.call("deleteParam", key)
+            await self._ask("deleteParam", key)
         except AnswerRefused as error:
             if str(error).startswith(_REFUSAL):
                 raise
@@ -83,7 +84,7 @@ class Parameters:
             RossecError: no name to search for, or the master is out of reach.
         """
         try:
-            return str(await self._standing.call("searchParam", name))
+            return str(await self._ask("searchParam", name))
         except AnswerRefused as error:
             if not str(error).startswith(_NOT_FOUND):
                 raise
@@ -91,7 +92,7 @@ class Parameters:
 
     async def names(self) -> list[str]:
         """Every parameter this node may read."""
-        found = await self._standing.call("getParamNames")
+        found = await self._ask("getParamNames")
         if not isinstance(found, list) or not all(isinstance(name, str) for name in found):
             raise AnswerMalformed("names of parameters that are no list of text")
         return found
@@ -134,7 +135,7 @@ class Parameters:
 
     async def _register(self, key: str) -> None:
         before = [item.updates for item in self._subscriptions[key]]
-        value = await self._standing.call("subscribeParam", self._standing.uri(), key)
+        value = await self._ask("subscribeParam", self._standing.uri(), key)
         for subscription, updates in zip(self._subscriptions.get(key, []), before, strict=False):
             if subscription.updates == updates:  # a push may have been faster
                 subscription.take(value)
@@ -143,9 +144,7 @@ class Parameters:
         self._drop(subscription)
         if subscription.name not in self._subscriptions:
             with contextlib.suppress(HintedError, OSError, TimeoutError):
-                await self._standing.call(
-                    "unsubscribeParam", self._standing.uri(), subscription.name
-                )
+                await self._ask("unsubscribeParam", self._standing.uri(), subscription.name)
 
     def _drop(self, subscription: "ParameterSubscription") -> None:
         others = self._subscriptions.get(subscription.name, [])
@@ -153,6 +152,17 @@ class Parameters:
             others.remove(subscription)
         if not others:
             self._subscriptions.pop(subscription.name, None)
+
+    async def _ask(self, method: str, *params: object) -> object:
+        """Call the master; that it cannot even read the call is an ordinary refusal here."""
+        try:
+            return await self._standing.call(method, *params)
+        except Fault as fault:
+            raise AnswerRefused(
+                f"the master cannot read this {method}: {fault.faultString}",
+                "XML carries no control characters; send such text as bytes",
+                code=fault.faultCode,
+            ) from fault
 
     def _key(self, name: str) -> str:
         return name if name == SEPARATOR else self._resolve(name)

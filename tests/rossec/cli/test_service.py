@@ -5,10 +5,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from grants.model import Right
-from rossec.node import Node, register_service_type
+from rossec.node import Node, message_type, register_service_type
 from tests.support.background import command, serving
 from tests.support.site import Site
 
@@ -22,9 +23,8 @@ async def provide(node: Node) -> None:
         return {"success": request.data, "message": "a\x1b[2J\nb"}
 
     def dim(request: Any) -> Any:
-        response = dimmer.create(levels=[request.level / 2])
-        response.names = [response.names, response.names][:0]
-        return response
+        name = message_type("std_msgs/String").create(data="bulb")
+        return dimmer.create(levels=np.array([request.level / 2], np.float32), names=[name])
 
     await node.service("/lamp/on", "std_srvs/SetBool", switch)
     await node.service("/lamp/off", "std_srvs/Empty", lambda _: None)
@@ -80,7 +80,7 @@ def test_a_type_of_ones_own(site: Site, capsys: pytest.CaptureFixture[str], tmp_
     file.write_text(DIM)
     call = ("call", "/lamp/dim", "{level: 3}", "--as", "/hall", "--definition", str(file))
     out = said(site, capsys, *call, "--type", "house_srvs/Dim", "--json")
-    assert json.loads(out) == {"levels": [1.5], "names": [], "pair": [0, 0]}
+    assert json.loads(out) == {"levels": [1.5], "names": [{"data": "bulb"}], "pair": [0, 0]}
     assert "hint: give --type" in said(site, capsys, *call, code=1)
     file.write_bytes(b"\xff")
     assert "is no text" in said(site, capsys, *call, "--type", "house_srvs/Dim", code=1)
