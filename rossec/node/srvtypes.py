@@ -91,6 +91,18 @@ def service_type(name: str) -> ServiceType:
         ) from None
 
 
+def part_type(name: str) -> MessageType:
+    """A message type, or one part of a service type (`std_srvs/SetBoolRequest`).
+
+    Raises:
+        MessageError: an unknown type.
+    """
+    whole = name.removesuffix("Request").removesuffix("Response")
+    if whole in _STANDARD:
+        service_type(whole)
+    return message_type(name)
+
+
 def register_service_type(name: str, definition: str) -> ServiceType:
     """Add the type `name` from the text of its `.srv` file; nested types must be known already.
 

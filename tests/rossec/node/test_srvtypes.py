@@ -3,7 +3,7 @@ import pytest
 from rossec.errors import MessageError
 from rossec.node import register_service_type, service_type
 from rossec.node.messages import field_names
-from rossec.node.srvtypes import _STANDARD
+from rossec.node.srvtypes import _STANDARD, part_type
 
 
 def test_a_standard_type() -> None:
@@ -68,6 +68,14 @@ def test_all_of_a_definition_or_nothing() -> None:
     with pytest.raises(MessageError):
         register_service_type("house_srvs/Half", "uint8 a\n---\nNobody b")
     assert register_service_type("house_srvs/Half", "uint16 a\n---\n").name == "house_srvs/Half"
+
+
+def test_a_part_of_a_service_is_a_message_type() -> None:
+    assert part_type("nav_msgs/GetPlanRequest").name == "nav_msgs/GetPlanRequest"
+    assert part_type("tf2_msgs/FrameGraphResponse").name == "tf2_msgs/FrameGraphResponse"
+    assert part_type("std_msgs/String").name == "std_msgs/String"
+    with pytest.raises(MessageError, match="unknown message type"):
+        part_type("std_srvs/NopeRequest")
 
 
 def test_an_unknown_type() -> None:
