@@ -11,6 +11,7 @@ import logging
 import time
 from collections.abc import Awaitable, Callable, Mapping
 from typing import Any, Final
+from weakref import WeakValueDictionary
 
 from ca.certificates import Identity
 from grants.decision import Decision
@@ -45,9 +46,14 @@ class CallerLink:
     """One admitted caller."""
 
     def __init__(
-        self, stream: SecureStream[Identity], decision: Decision, guard: ServiceGuard
+        self,
+        stream: SecureStream[Identity],
+        decision: Decision,
+        guard: ServiceGuard,
+        share: asyncio.Semaphore,
     ) -> None:
         self.stream = stream
+        self.share = share
         self.decision = decision
         self.guard = guard
         self.ends = min(decision.expires, stream.peer.not_after)
@@ -77,7 +83,7 @@ class Service:
         handler: takes a request, returns the response: a message, a mapping of its fields, or
             None if it has none; it may be a coroutine function. A plain function holds up the
             whole node while it runs.
-        concurrency: how many calls are handled at a time; more wait.
+        concurrency: how many calls are handled at a time, half of them of one caller; more wait.
         deadline: seconds a call may take, waiting included.
     """
 
@@ -104,6 +110,8 @@ class Service:
         self._standing = standing
         self._on_close = on_close
         self._turns = asyncio.Semaphore(concurrency)
+        self._share = max(1, concurrency // 2)
+        self._shares: WeakValueDictionary[bytes, asyncio.Semaphore] = WeakValueDictionary()
         self._deadline = deadline
 
     @property
@@ -138,7 +146,7 @@ class Service:
 
         The link is known before the answer is sent: a revocation that arrives meanwhile finds it.
         """
-        link = CallerLink(stream, decision, guard)
+        link = CallerLink(stream, decision, guard, self._share_of(stream.peer))
         self.links.add(link)
         try:
             await stream.send(answer)
@@ -150,6 +158,13 @@ class Service:
         finally:
             self.links.discard(link)
 
+    def _share_of(self, caller: Identity) -> asyncio.Semaphore:
+        """Of all turns one caller takes half at most, over however many connections."""
+        share = self._shares.get(caller.thumbprint)
+        if share is None:
+            share = self._shares[caller.thumbprint] = asyncio.Semaphore(self._share)
+        return share
+
     async def _answer(self, link: CallerLink, request: bytes) -> None:
         reason = why_cut(link, self._standing.revocations, int(time.time()))
         if reason is not None:
@@ -160,7 +175,7 @@ class Service:
     async def _respond(self, link: CallerLink, request: bytes) -> Pieces:
         """The response, or why there is none, as bytes."""
         try:
-            async with asyncio.timeout(self._deadline), self._turns:
+            async with asyncio.timeout(self._deadline), link.share, self._turns:
                 allowed = b"".join(link.guard.request(request, int(time.time())))
                 data = await self._handle(self._opened(allowed))
                 return wire.success(link.guard.response(data, int(time.time())))

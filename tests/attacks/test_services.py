@@ -210,6 +210,28 @@ async def test_a_call_under_way_ends_with_its_grant(site: Site, lamp: Node) -> N
     await until(lambda: not service.links)
 
 
+async def test_one_caller_cannot_take_all_turns(site: Site, lamp: Node) -> None:
+    held = asyncio.Semaphore(0)
+
+    async def wait(request: Any) -> dict[str, object]:
+        if request.data:
+            await held.acquire()
+        return {"success": True}
+
+    service = await lamp.service("/lamp/slow", BOOL, wait, concurrency=4)
+    grant = may_call(site, "/lamp/slow")
+    site.grant("/hall", Right.CALL, "/lamp/slow")
+    async with contextlib.AsyncExitStack() as stack:
+        for _ in range(6):
+            stream = await stack.enter_async_context(
+                open_call(site, lamp, grant, service="/lamp/slow", persistent="1")
+            )
+            await stream.send(REQUEST)
+        await until(lambda: len(service.links) == 6)
+        async with site.node("/hall") as hall, asyncio.timeout(20):
+            assert (await hall.client("/lamp/slow", BOOL)(data=False)).success
+
+
 async def test_a_revoked_key_cannot_call(site: Site, lamp: Node) -> None:
     async with open_call(site, lamp, persistent="1") as stream:
         revoked = site.revoke(site.identity(EVE).thumbprint)

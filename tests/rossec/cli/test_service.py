@@ -17,7 +17,7 @@ DIM = "uint8 level\n---\nfloat32[] levels\nstd_msgs/String[] names\nuint8[2] pai
 
 
 async def provide(node: Node) -> None:
-    register_service_type("house_srvs/Dim", DIM)
+    register_service_type("hall_srvs/Dim", DIM)
 
     def switch(request: Any) -> dict[str, object]:
         return {"success": request.data, "message": "a\x1b[2J\nb"}
@@ -28,7 +28,7 @@ async def provide(node: Node) -> None:
 
     await node.service("/lamp/on", "std_srvs/SetBool", switch)
     await node.service("/lamp/off", "std_srvs/Empty", lambda _: None)
-    dimmer = await node.service("/lamp/dim", "house_srvs/Dim", dim)
+    dimmer = await node.service("/lamp/dim", "hall_srvs/Dim", dim)
 
 
 def prepare(site: Site) -> None:
@@ -79,11 +79,11 @@ def test_a_type_of_ones_own(site: Site, capsys: pytest.CaptureFixture[str], tmp_
     file = tmp_path / "Dim.srv"
     file.write_text(DIM)
     call = ("call", "/lamp/dim", "{level: 3}", "--as", "/hall", "--definition", str(file))
-    out = said(site, capsys, *call, "--type", "house_srvs/Dim", "--json")
+    out = said(site, capsys, *call, "--type", "hall_srvs/Dim", "--json")
     assert json.loads(out) == {"levels": [1.5], "names": [{"data": "bulb"}], "pair": [0, 0]}
     assert "hint: give --type" in said(site, capsys, *call, code=1)
     file.write_bytes(b"\xff")
-    assert "is no text" in said(site, capsys, *call, "--type", "house_srvs/Dim", code=1)
+    assert "is no text" in said(site, capsys, *call, "--type", "hall_srvs/Dim", code=1)
 
 
 @pytest.mark.parametrize(

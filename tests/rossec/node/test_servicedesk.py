@@ -10,6 +10,7 @@ import pytest
 from grants.errors import GrantError
 from grants.model import Restriction, Right, filter_rules
 from rossec.errors import (
+    AnswerMalformed,
     AnswerRefused,
     ChannelError,
     ConfigurationError,
@@ -20,7 +21,8 @@ from rossec.errors import (
     ServiceUnavailable,
     TopicRefused,
 )
-from rossec.node import Node, ServiceClient
+from rossec.net.stream import SecureStream
+from rossec.node import Node, ServiceClient, provider
 from tests.support.site import Site
 from tests.support.witness import until
 
@@ -81,7 +83,7 @@ async def test_many_calls_at_once(lamp: Node, hall: Node) -> None:
         running.pop()
         return switch(request)
 
-    await lamp.service(LAMP, BOOL, slow, concurrency=2)
+    await lamp.service(LAMP, BOOL, slow, concurrency=4)
     client = hall.client(LAMP, BOOL)
     async with asyncio.TaskGroup() as group:
         calls = [group.create_task(called(client, data=index % 2 == 0)) for index in range(8)]
@@ -334,6 +336,50 @@ async def test_a_probe_asks_for_the_header_alone(lamp: Node, hall: Node) -> None
         b"std_srvs/SetBoolRequest",
         b"std_srvs/SetBoolResponse",
     )
+
+
+async def test_what_is_known(lamp: Node, hall: Node, monkeypatch: pytest.MonkeyPatch) -> None:
+    await lamp.service(LAMP, BOOL, switch)
+    assert await hall.services.known() == {LAMP: ["/lamp"]}
+    for nonsense in (7, [[], []], [[], [], 7], [[], [], [7]], [[], [], [[LAMP, "x"]]]):
+
+        async def answer(*_: object, value: object = nonsense) -> object:
+            return value
+
+        monkeypatch.setattr(hall._session._client, "ask", answer)
+        with pytest.raises(AnswerMalformed, match="a system state that is none"):
+            await hall.services.known()
+
+
+async def test_messages_that_arrive_in_parts(
+    site: Site, lamp: Node, hall: Node, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Units are what somebody sent at once: a frame may need several of them."""
+    service = await lamp.service(LAMP, BOOL, switch)
+    client = hall.client(LAMP, BOOL, persistent=True)
+    send = SecureStream.send
+
+    async def crumble(stream: SecureStream[Any], *pieces: bytes) -> None:
+        data = b"".join(pieces)
+        for at in range(0, len(data), 3):
+            await send(stream, data[at : at + 3])
+            await asyncio.sleep(0)
+
+    monkeypatch.setattr(SecureStream, "send", crumble)
+    assert await called(client, data=True) == "on is True"
+    await service.close()
+
+
+async def test_a_request_that_does_not_end(
+    lamp: Node, hall: Node, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(provider, "REQUEST_DEADLINE", 0.05)
+    service = await lamp.service(LAMP, BOOL, switch)
+    client = hall.client(LAMP, BOOL, persistent=True)
+    await called(client, data=True)
+    (link,) = client.links
+    await link.stream.send(b"\1\0")
+    await until(lambda: not service.links and not client.links)
 
 
 async def test_a_restarted_master_knows_the_service_again(
