@@ -341,7 +341,8 @@ async def test_a_probe_asks_for_the_header_alone(lamp: Node, hall: Node) -> None
 async def test_what_is_known(lamp: Node, hall: Node, monkeypatch: pytest.MonkeyPatch) -> None:
     await lamp.service(LAMP, BOOL, switch)
     assert await hall.services.known() == {LAMP: ["/lamp"]}
-    for nonsense in (7, [[], []], [[], [], 7], [[], [], [7]], [[], [], [[LAMP, "x"]]]):
+    nonsenses: list[object] = [7, [[], []], [[], [], 7], [[], [], [7]], [[], [], [[LAMP, "x"]]]]
+    for nonsense in nonsenses:
 
         async def answer(*_: object, value: object = nonsense) -> object:
             return value
