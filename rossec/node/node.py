@@ -300,6 +300,9 @@ class Node:
     async def _restore(self, session: MasterSession) -> None:
         current = self.access.current(int(time.time()))
         await session.call("rossec.presentGrants", current[:_PRESENTED])
+        await self._register()
+
+    async def _register(self) -> None:
         await self._topics.restore()
         await self.services.restore()
         await self.params.restore()
@@ -319,6 +322,7 @@ class Node:
                 _log.info("%s: %d new grants", self.name, len(new))
                 with contextlib.suppress(HintedError, OSError):  # else with the next connection
                     await self._session.call("rossec.presentGrants", new)
+                    await self._register()  # what was refused for want of it
 
     def _crashed(self, error: BaseException) -> None:
         """A node whose watch has died must not go on: it would no longer cut anything."""

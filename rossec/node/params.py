@@ -123,9 +123,10 @@ class Parameters:
                     subscription.take(_found(value, _path(name, key)))
 
     async def restore(self) -> None:
-        """Subscribe to everything again: the master was restarted."""
+        """Subscribe to everything again: the master was restarted, or a grant is new."""
         for name in tuple(self._subscriptions):
-            await self._register(name)
+            with self._standing.restoring(name):
+                await self._register(name)
 
     def close(self) -> None:
         """End every iteration over a subscription."""

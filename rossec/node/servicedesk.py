@@ -172,9 +172,10 @@ class Services:
             yield from client.links
 
     async def restore(self) -> None:
-        """Register everything again: the master was restarted."""
+        """Register everything again: the master was restarted, or a grant is new."""
         for service in tuple(self._provided.values()):
-            await self._register(service)
+            with self._standing.restoring(service.name):
+                await self._register(service)
 
     async def close(self) -> None:
         """Drop every client and every caller; unregister."""

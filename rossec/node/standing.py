@@ -1,13 +1,17 @@
 """What the parts of one node share: who it is, what it may do, and how it reaches others."""
 
-from collections.abc import Awaitable, Callable
+import contextlib
+import logging
+from collections.abc import Awaitable, Callable, Iterator
 from dataclasses import dataclass
 
 from ca.revocation import Revocations
+from rossec.errors import AnswerRefused
 from rossec.node.access import Access
 from rossec.node.dial import Dialer
 
 Call = Callable[..., Awaitable[object]]
+_log = logging.getLogger("rossec.node")
 
 
 @dataclass(frozen=True)
@@ -29,3 +33,11 @@ class Standing:
     filter_key: Callable[[str], bytes]
     uri: Callable[[], str]
     rosrpc: Callable[[], str]
+
+    @contextlib.contextmanager
+    def restoring(self, what: str) -> Iterator[None]:
+        """Register `what` again; one right that is gone must not cost the node all the others."""
+        try:
+            yield
+        except AnswerRefused as error:
+            _log.warning("%s: %s is not registered again: %s", self.name, what, error)

@@ -93,11 +93,13 @@ class Topics:
             yield from subscriber.links
 
     async def restore(self) -> None:
-        """Register everything again: the master was restarted."""
+        """Register everything again: the master was restarted, or a grant is new."""
         for publisher in tuple(self._publishers.values()):
-            await self._register_publisher(publisher)
+            with self._standing.restoring(publisher.topic):
+                await self._register_publisher(publisher)
         for subscriber in self.subscribers:
-            await self._register_subscriber(subscriber)
+            with self._standing.restoring(subscriber.topic):
+                await self._register_subscriber(subscriber)
 
     async def close_subscribers(self) -> None:
         """Drop every connection to a publisher."""

@@ -338,6 +338,25 @@ async def test_a_probe_asks_for_the_header_alone(lamp: Node, hall: Node) -> None
     )
 
 
+async def test_a_right_that_is_gone_does_not_cost_the_others(
+    site: Site, hall: Node, caplog: pytest.LogCaptureFixture
+) -> None:
+    gone = site.grant("/lamp", Right.PROVIDE, "/lamp/off")
+    site.grant("/lamp", Right.PROVIDE, LAMP)
+    async with site.node("/lamp") as lamp:
+        await lamp.service("/lamp/off", BOOL, switch)
+        await lamp.service(LAMP, BOOL, switch)
+        newest = site.revoke(gone)
+        await site.restart_master()
+        await until(lambda: "/lamp/off is not registered again" in caplog.text)
+        await until(lambda: hall.revocations.data == newest)  # it has met the new master
+        await hall.wait_for_service(LAMP, timeout=20)
+        with pytest.raises(ServiceUnavailable):
+            await hall.client("/lamp/off", BOOL)(data=True)
+        site.grant("/lamp", Right.PROVIDE, "/lamp/off")  # while it runs
+        await hall.wait_for_service("/lamp/off", timeout=20)
+
+
 async def test_what_is_known(lamp: Node, hall: Node, monkeypatch: pytest.MonkeyPatch) -> None:
     await lamp.service(LAMP, BOOL, switch)
     assert await hall.services.known() == {LAMP: ["/lamp"]}
