@@ -15,6 +15,8 @@ from typing import Final
 from ca.certificates import Identity, TrustAnchor
 from ca.errors import HintedError, RevocationsStale
 from rossec.channel.credentials import Credentials
+from rossec.channel.known import KnownCertificates
+from rossec.channel.suites import PRODUCTION
 from rossec.errors import TopicRefused
 from rossec.net.rpc import serve_calls
 from rossec.net.server import Handler
@@ -46,6 +48,9 @@ class Listener:
         publishers: Mapping[str, Publisher],
         services: Services,
         slave: SlaveApi,
+        *,
+        suites: tuple[int, ...] = PRODUCTION,
+        known: KnownCertificates | None = None,
     ) -> None:
         self._name = name
         self._credentials = credentials
@@ -54,6 +59,8 @@ class Listener:
         self._publishers = publishers
         self._services = services
         self._slave = slave
+        self._suites = suites
+        self._known = known
         self._servers: list[SecureServer[Identity]] = []
         self._streams: set[SecureStream[Identity]] = set()
 
@@ -81,6 +88,8 @@ class Listener:
                 self._credentials,
                 self._anchor.verify,
                 accept={flavour},
+                suites=self._suites,
+                known=self._known,
             )
             self._servers.append(server)
 
