@@ -50,7 +50,7 @@ def works(names: list[str], count: int) -> dict[str, Work]:
         "lookupService": lambda k, i: request("lookupService", names[k], f"{other(k, i)}/reset"),
         "setParam": lambda k, i: request("setParam", names[k], f"{names[k]}/p{i % 20}", i),
         "getParam": lambda k, i: request("getParam", names[k], f"{other(k, i)}/rate"),
-        "getSystemState": lambda k, i: request("getSystemState", names[k]),
+        "getSystemState": lambda k, _: request("getSystemState", names[k]),
     }
 
 
