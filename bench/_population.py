@@ -16,7 +16,7 @@ from rossec.net.stream import Flavour, SecureStream, connect, serve
 TYPE = "std_msgs/String"
 
 
-async def _answer(*_: object) -> object:
+async def _answer(method: str, params: tuple[object, ...], peer: Identity) -> object:  # noqa: ARG001
     return [1, "", 0]
 
 
@@ -34,7 +34,7 @@ async def join(member: Member, port: int, anchor: TrustAnchor) -> RpcClient:
     client = RpcClient(stream, deadline=60)
     await client.ask("rossec.presentGrants", member.name, [member.grant])
     for method, *params in registrations(member.name, uri):
-        await client.ask(method, member.name, *params)
+        await client.ask(str(method), member.name, *params)
     return client
 
 
