@@ -23,12 +23,15 @@ from rossec.master.calls import (
     GrantsPresented,
     MasterEvent,
     ParameterChanged,
+    ParameterKept,
     RevocationsChanged,
     StopMaster,
 )
 from rossec.master.complaints import Complain, unheard
 from rossec.master.enforce import enforce, steps
 from rossec.master.gatekeeper import Caller, Peer
+from rossec.master.memory import ParameterFile
+from rossec.master.params import Parameters
 from rossec.master.registry import NodeRef, PublishersChanged, Registry, ShutdownNode
 from rossec.master.updates import Updates
 from rossec.net.rpc import RpcClient, serve_calls
@@ -70,6 +73,7 @@ class MasterServer:
         host: address to listen on (None: all). port: 0 for any free one.
         advertise: host name in `uri`; what nodes are told.
         clock: seconds since the epoch.
+        memory: where parameters survive a restart.
     """
 
     def __init__(
@@ -85,6 +89,7 @@ class MasterServer:
         clock: Callable[[], float] = time.time,
         timestamp_every: float = TIMESTAMP_EVERY,
         complain: Complain = unheard,
+        memory: ParameterFile | None = None,
     ) -> None:
         self._credentials = credentials
         self._verify = verify
@@ -95,6 +100,7 @@ class MasterServer:
         self._clock = clock
         self._timestamp_every = timestamp_every
         self._complain = complain
+        self._memory = memory
         self._registry = Registry()
         self._api: MasterApi | None = None
         self._server: SecureServer[ChannelPeer] | None = None
@@ -126,9 +132,20 @@ class MasterServer:
             self._handle, host, port, self._credentials, self._verify, accept={Flavour.HTTP}
         )
         self._api = MasterApi(
-            self._registry, self._standing, name=self._name, uri=self.uri, pid=os.getpid()
+            self._registry,
+            self._standing,
+            name=self._name,
+            uri=self.uri,
+            pid=os.getpid(),
+            parameters=self._remember(),
         )
         self._tasks.spawn(self._beat(), name="rossec master timestamps")
+
+    def _remember(self) -> Parameters | None:
+        if self._memory is None:
+            return None
+        self._memory.open()
+        return self._memory.parameters
 
     async def stopped(self) -> None:
         """Wait until an administrator asks the master to end."""
@@ -140,6 +157,8 @@ class MasterServer:
         await self._updates.close()
         if self._server is not None:
             await self._server.close()
+        if self._memory is not None:
+            self._memory.close()
 
     async def _handle(self, stream: SecureStream[ChannelPeer]) -> None:
         held = Counter(other.peer.thumbprint for other in self._streams)
@@ -188,15 +207,23 @@ class MasterServer:
                 self._cut_revoked()
                 self._push_revocations()
                 self._changed.set()
-            case Denied(node_name, right, name):
-                self._complain(self._now(), node_name, right, name)
+            case ParameterKept() | Denied() | GrantsPresented():
+                self._record(event)
+            case StopMaster(reason):
+                _audit.warning("stopping: %s", printable(reason))
+                self._stopping.set()
+
+    def _record(self, event: ParameterKept | Denied | GrantsPresented) -> None:
+        match event:
+            case ParameterKept(change):
+                if self._memory is not None:
+                    self._memory.write(change)
+            case Denied(node, right, name):
+                self._complain(self._now(), node, right, name)
             case GrantsPresented(name, refused):
                 if refused:
                     text = printable("; ".join(refused))
                     _audit.warning("%s presents grants that are refused: %s", name, text)
-            case StopMaster(reason):
-                _audit.warning("stopping: %s", printable(reason))
-                self._stopping.set()
 
     def _tell(self, node: NodeRef, method: str, subject: object, *rest: object) -> None:
         about = subject if isinstance(subject, str) and rest else ""
@@ -209,6 +236,8 @@ class MasterServer:
             await self._enforce()
             self._push_revocations()
             self._forget_the_gone()
+            if self._memory is not None:
+                self._memory.sync()
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(self._timestamp_every):
                     await self._changed.wait()

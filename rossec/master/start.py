@@ -5,6 +5,7 @@ import socket
 from ca.revocation import Revocations
 from rossec.home import NodeHome
 from rossec.master.complaints import Complain, unheard
+from rossec.master.memory import ParameterFile
 from rossec.master.server import MasterServer
 from rossec.master.trust import Trust
 from rossec.ros.settings import is_loopback
@@ -49,4 +50,5 @@ def master_of(
         port=port,
         advertise=host or socket.gethostname(),
         complain=complain,
+        memory=ParameterFile(home.path / "parameters.journal"),
     )
