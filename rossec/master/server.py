@@ -16,6 +16,7 @@ from typing import Final, Protocol
 
 from ca.errors import HintedError
 from rossec.channel.credentials import OwnCredential, PeerIdentity, Verify
+from rossec.channel.records import Limits as ChannelLimits
 from rossec.errors import CallerMismatch
 from rossec.master.api import MasterApi, Statements
 from rossec.master.calls import (
@@ -30,20 +31,24 @@ from rossec.master.calls import (
 from rossec.master.complaints import Complain, unheard
 from rossec.master.enforce import enforce, steps
 from rossec.master.gatekeeper import Caller, Peer
+from rossec.master.limits import Limits
 from rossec.master.memory import ParameterFile
 from rossec.master.params import Parameters
 from rossec.master.registry import NodeRef, PublishersChanged, Registry, ShutdownNode
 from rossec.master.updates import Updates
+from rossec.net.halfopen import HalfOpen
 from rossec.net.rpc import RpcClient, serve_calls
 from rossec.net.stream import Flavour, SecureServer, SecureStream, connect, serve
 from rossec.net.tasks import TaskSet
+from rossec.ros.http import HEADERS_LIMIT
 from rossec.ros.settings import parse_uri
 from rossec.ros.text import printable
 from rossec.ros.xmlrpc import Fault
 
 DEFAULT_NAME: Final = "/master"
 TIMESTAMP_EVERY: Final = 10.0  # seconds; a timestamp holds for 30
-PEER_CONNECTIONS: Final = 16  # open connections of one identity
+_LIMITS: Final = Limits()
+PEER_CONNECTIONS: Final = _LIMITS.connections_per_identity
 
 _log = logging.getLogger(__name__)
 _audit = logging.getLogger("rossec.audit")
@@ -74,6 +79,7 @@ class MasterServer:
         advertise: host name in `uri`; what nodes are told.
         clock: seconds since the epoch.
         memory: where parameters survive a restart.
+        limits: what one peer may cost.
     """
 
     def __init__(
@@ -90,6 +96,7 @@ class MasterServer:
         timestamp_every: float = TIMESTAMP_EVERY,
         complain: Complain = unheard,
         memory: ParameterFile | None = None,
+        limits: Limits = _LIMITS,
     ) -> None:
         self._credentials = credentials
         self._verify = verify
@@ -101,6 +108,7 @@ class MasterServer:
         self._timestamp_every = timestamp_every
         self._complain = complain
         self._memory = memory
+        self._limits = limits
         self._registry = Registry()
         self._api: MasterApi | None = None
         self._server: SecureServer[ChannelPeer] | None = None
@@ -127,9 +135,18 @@ class MasterServer:
         Raises:
             OSError: the address is not ours or the port is taken.
         """
-        host, port = self._listen
+        (host, port), limits = self._listen, self._limits
         self._server = await serve(
-            self._handle, host, port, self._credentials, self._verify, accept={Flavour.HTTP}
+            self._handle,
+            host,
+            port,
+            self._credentials,
+            self._verify,
+            accept={Flavour.HTTP},
+            limits=ChannelLimits(
+                unit=limits.body + HEADERS_LIMIT, handshake_seconds=limits.handshake_seconds
+            ),
+            half_open=HalfOpen(limits.unfinished_per_address, limits.unfinished),
         )
         self._api = MasterApi(
             self._registry,
@@ -162,14 +179,20 @@ class MasterServer:
 
     async def _handle(self, stream: SecureStream[ChannelPeer]) -> None:
         held = Counter(other.peer.thumbprint for other in self._streams)
-        if held[stream.peer.thumbprint] >= PEER_CONNECTIONS:
+        if held[stream.peer.thumbprint] >= self._limits.connections_per_identity:
             _audit.warning("%s has too many connections", stream.peer.name)
             stream.abort("too many connections of one identity")
             return
         self._streams.add(stream)
         try:
             self._standing.caller(stream.peer, self._now())
-            await serve_calls(stream, self._dispatch)
+            await serve_calls(
+                stream,
+                self._dispatch,
+                limit=self._limits.body,
+                request_deadline=self._limits.request_seconds,
+                idle_deadline=self._limits.idle_seconds,
+            )
         except HintedError as error:
             _audit.warning("%s is cut off: %s", stream.peer.name, printable(error))
             stream.abort(str(error))

@@ -1,14 +1,18 @@
 """Making a master from the directory of its node."""
 
 import socket
+from typing import Final
 
 from ca.revocation import Revocations
 from rossec.home import NodeHome
 from rossec.master.complaints import Complain, unheard
+from rossec.master.limits import Limits
 from rossec.master.memory import ParameterFile
 from rossec.master.server import MasterServer
 from rossec.master.trust import Trust
 from rossec.ros.settings import is_loopback
+
+_LIMITS: Final = Limits()
 
 
 def master_of(
@@ -19,6 +23,7 @@ def master_of(
     newest: bytes | None,
     now: int,
     complain: Complain = unheard,
+    limits: Limits = _LIMITS,
 ) -> MasterServer:
     """The master whose identity is in `home`, not yet started.
 
@@ -28,6 +33,7 @@ def master_of(
         newest: a revocation list that may be newer than the one saved, when the authority lives on
             this host; otherwise the master waits until one is published.
         complain: hears of every right that somebody lacks.
+        limits: what one peer may cost.
 
     Raises:
         ConfigurationError: the node is not enrolled.
@@ -51,4 +57,5 @@ def master_of(
         advertise=host or socket.gethostname(),
         complain=complain,
         memory=ParameterFile(home.path / "parameters.journal"),
+        limits=limits,
     )

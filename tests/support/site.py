@@ -16,6 +16,7 @@ from grants.model import Draft, Permission, Restriction, Right, filter_rules
 from rossec.authority import OpenAuthority
 from rossec.home import NodeHome
 from rossec.master.complaints import Complain, unheard
+from rossec.master.limits import Limits
 from rossec.master.server import MasterServer
 from rossec.master.start import master_of
 from rossec.node import Node
@@ -43,6 +44,7 @@ class Site:
         self.authority.sign_list(now)
         self.master: MasterServer | None = None
         self.complain: Complain = unheard
+        self.limits = Limits()
 
     def now(self) -> int:
         """Seconds since the epoch, by this site's clock."""
@@ -142,6 +144,7 @@ class Site:
         self.master = master_of(
             self.enroll(MASTER), host="127.0.0.1", port=port,
             newest=self.authority.store.newest_list(), now=self.now(), complain=self.complain,
+            limits=self.limits,
         )  # fmt: skip
         await self.master.start()
 
