@@ -22,7 +22,7 @@ from grants.model import Grant, Right
 from grants.reach import Reach
 from grants.validity import check_time
 from rossec.master.api import Presented
-from rossec.master.gatekeeper import Caller, Peer
+from rossec.master.gatekeeper import Caller, Certified, Peer
 
 MAX_HELD: Final = 64
 MAX_HELD_BYTES: Final = 256 * 1024
@@ -133,7 +133,7 @@ class Trust:
         self._stamp: tuple[int, bytes] = (-1, b"")
         self._confirmed_at = -1
 
-    def caller(self, peer: Peer, now: int) -> Caller:
+    def caller(self, peer: Certified, now: int) -> Caller:
         """Who calls and what it may do now.
 
         Raises:
@@ -141,13 +141,13 @@ class Trust:
         """
         if peer.thumbprint in self._revocations.entries:
             raise Revoked(f"the key of {peer.name} is revoked", "enroll the node with a new key")
-        return self._caller(peer.name, peer.thumbprint, now)
+        return self._caller(peer, now, wildcard=peer.wildcard)
 
     def caller_of(self, peer: Peer, now: int) -> Caller | None:
         """What a name and key seen before may do now; None: the key is revoked."""
         if peer.thumbprint in self._revocations.entries:
             return None
-        return self._caller(peer.name, peer.thumbprint, now)
+        return self._caller(peer, now)
 
     def present(self, caller: Caller, tokens: Sequence[bytes], now: int) -> Presented:
         """Verify and keep grants; one that is refused does not spoil the others.
@@ -191,13 +191,13 @@ class Trust:
         for held in self._held.values():
             held.drop_expired(now)
 
-    def _caller(self, name: str, thumbprint: bytes, now: int) -> Caller:
+    def _caller(self, peer: Peer, now: int, *, wildcard: bool = False) -> Caller:
         self._confirm(now)
-        held = self._held.get(thumbprint)
+        held = self._held.get(peer.thumbprint)
         grants = () if held is None else held.grants.values()
         reach = _NOTHING if held is None else held.reach(now, self._revocations)
-        access = GrantAccess(grants, reach, thumbprint, now, self._revocations.check)
-        return Caller(name, thumbprint, access)
+        access = GrantAccess(grants, reach, peer.thumbprint, now, self._revocations.check)
+        return Caller(peer.name, peer.thumbprint, access, wildcard)
 
     def _keep(self, held: _Held, caller: Caller, token: bytes, now: int) -> None:
         key = hashlib.sha256(token).digest()

@@ -174,3 +174,12 @@ def test_forgetting(world: World) -> None:
     assert world.may(Right.PUBLISH, "/t")
     world.trust.keep_only(frozenset(), world.now)
     assert not world.may(Right.PUBLISH, "/t")
+
+
+def test_a_caller_is_what_its_certificate_says(world: World) -> None:
+    assert not world.trust.caller(world.node, world.now).wildcard
+    rviz = world.site.enroll("/rviz", wildcard=True)
+    assert world.trust.caller(rviz, world.now).acting_as("/rviz_1").thumbprint == rviz.thumbprint
+    registered = world.trust.caller_of(rviz, world.now)
+    assert registered is not None
+    assert not registered.wildcard  # a name in the registry is that name alone
