@@ -10,6 +10,7 @@ from typing import Any, NoReturn
 import click
 
 from ca.errors import HintedError
+from rossec.cli.audit import audit
 from rossec.cli.ca import ca
 from rossec.cli.context import Environment
 from rossec.cli.demo import demo
@@ -36,7 +37,7 @@ def rossec(verbose: bool) -> None:
     logging.basicConfig(level=logging.INFO if verbose else logging.WARNING, handlers=[handler])
 
 
-for command in (ca, node, grant, policy, explain, simulate, privacy, master, topic, demo):
+for command in (ca, node, grant, policy, explain, simulate, privacy, master, audit, topic, demo):
     rossec.add_command(command)
 for command in COMMANDS:
     grant.add_command(command)

@@ -34,7 +34,7 @@ from rossec.master.gatekeeper import Caller, Certified, Peer
 from rossec.master.limits import Limits
 from rossec.master.memory import ParameterFile
 from rossec.master.params import Parameters
-from rossec.master.registry import NodeRef, PublishersChanged, Registry, ShutdownNode
+from rossec.master.registry import Kind, NodeRef, PublishersChanged, Registry, ShutdownNode
 from rossec.master.updates import Updates
 from rossec.net.halfopen import HalfOpen
 from rossec.net.rpc import RpcClient, serve_calls
@@ -63,6 +63,10 @@ class Standing(Statements, Protocol):
 
     def caller(self, peer: Certified, now: int) -> Caller:
         """Who calls and what it may do now; remembers the peer. Raises `HintedError`: revoked."""
+
+    @property
+    def number(self) -> int:
+        """Sequence number of the revocation list in force; 0: none."""
 
     def keep_only(self, thumbprints: frozenset[bytes], now: int) -> None:
         """Forget what identities presented that are neither connected nor registered."""
@@ -116,6 +120,7 @@ class MasterServer:
         self._updates = Updates(self._dial)
         self._tasks = TaskSet()
         self._stopping = asyncio.Event()
+        self._calls = self._denials = 0
         self._changed = asyncio.Event()  # revocations: what follows must not wait for the beat
 
     @property
@@ -164,6 +169,26 @@ class MasterServer:
         self._memory.open()
         return self._memory.parameters
 
+    def status(self) -> dict[str, str | int]:
+        """What an administrator may ask at any time: figures only."""
+        kinds = {
+            kind: sum(len(names) for _, names in self._registry.entries(kind)) for kind in Kind
+        }
+        return {
+            "uri": self.uri,
+            "pid": os.getpid(),
+            "calls": self._calls,
+            "denials": self._denials,
+            "nodes": len(tuple(self._registry.nodes())),
+            "registrations": sum(kinds.values()),
+            "connections": 0 if self._server is None else self._server.connections,
+            "revocation_number": self._standing.number,
+        }
+
+    def stop(self, reason: str) -> None:
+        """End, as an administrator asked."""
+        self._deliver(StopMaster(reason))
+
     async def stopped(self) -> None:
         """Wait until an administrator asks the master to end."""
         await self._stopping.wait()
@@ -208,8 +233,10 @@ class MasterServer:
         except HintedError as error:  # revoked a moment ago: the connection is being cut
             raise Fault(1, f"rossec: {error}") from error
         outcome = self._api.call(method, params, caller, now)
+        self._calls += 1
         match outcome.answer:
             case [-1, str(status), _] if status.startswith("rossec: "):
+                self._denials += 1
                 _audit.warning("%s may not %s: %s", peer.name, method, printable(status))
             case _:
                 pass

@@ -174,6 +174,11 @@ class Trust:
             self._stamp = now, sign_timestamp(self._signer, self._timestamp(now))
         return self._revocations.data, self._stamp[1]
 
+    @property
+    def number(self) -> int:
+        """Sequence number of the list in force; 0: none."""
+        return 0 if self._revocations.held is None else self._revocations.held.seq
+
     def update(self, data: bytes, now: int) -> bool:
         """Take a list signed by the authority; returns whether it differs from the one held.
 
@@ -221,6 +226,4 @@ class Trust:
             self._confirmed_at = now
 
     def _timestamp(self, now: int) -> Timestamp:
-        revocations = self._revocations.held
-        seq = 0 if revocations is None else revocations.seq
-        return Timestamp(seq, digest(self._revocations.data), now, MAX_AGE)
+        return Timestamp(self.number, digest(self._revocations.data), now, MAX_AGE)
