@@ -7,7 +7,7 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -52,8 +52,12 @@ class Member(NamedTuple):
     grant: bytes
 
 
-def enroll(site: Site, name: str) -> Member:
-    """A node that owns its namespace, and may look at everything; nothing is written."""
+def enroll(site: Site, name: str, rights: Mapping[str, Right] | None = None) -> Member:
+    """A node that owns its namespace and may look at everything, unless `rights` say otherwise.
+
+    Nothing is written.
+    """
+    held = rights or {f"{name}/**": OWN, "/rosout": OWN, "/**": SHARED}
     authority: Authority = site.authority.authority
     signer, now = KeySigner(generate()), site.now()
     request = build_request(signer, site.anchor.domain, name)
@@ -62,9 +66,7 @@ def enroll(site: Site, name: str) -> Member:
     draft = Draft(
         domain=site.anchor.domain, subject=name, holder=identity.thumbprint,
         not_before=now - 60, expires=now + DAY, cap=now + DAY, serial=secrets.token_bytes(16),
-        permissions=(
-            Permission(f"{name}/**", OWN), Permission("/rosout", OWN), Permission("/**", SHARED),
-        ),
+        permissions=tuple(Permission(pattern, right) for pattern, right in held.items()),
     )  # fmt: skip
     grant = document.sign(site.authority.signer, draft)
     return Member(name, Credentials(signer, (certificate,)), identity, grant)

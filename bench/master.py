@@ -7,6 +7,8 @@ Wanted: at least 2 times stock; memory at most 1.3 times stock's plus 10 kB a no
 50 ms with 50 dead nodes; 99 of 100 of 100 connections cut within 250 ms of a revocation.
 """
 
+import asyncio
+import resource
 import tempfile
 import time
 from collections import defaultdict
@@ -17,12 +19,20 @@ from statistics import median
 from typing import Any
 
 from bench import _population
+from bench._latency import (
+    node_environ,
+    percentile,
+    plain_updates,
+    revocation,
+    secure_updates,
+)
 from bench._lines import Line, SecureLine, drive, request
 from bench._masters import Master, Member, enroll, ours, stock
 from rossec.ros import xmlrpc
 from tests.support.site import Site
 
 COUNTS = (1, 100, 1000)
+CONNECTIONS = (1, 10, 100, 1000)
 LINES = 8
 EACH = 60  # requests of one line in one block
 TYPE = "std_msgs/String"
@@ -129,9 +139,40 @@ def _secure_line(port: int, site: Site, member: Member) -> SecureLine:
     return line
 
 
+def updates(site: Site, folder: Path) -> dict[str, Any]:
+    """Milliseconds to a live subscriber beside dead ones; what stock never delivers is a bound."""
+    found: dict[str, Any] = {}
+    for dead in (0, 50):
+        with ours(site) as secured, stock(folder) as plain:
+            found[f"update_ms_{dead}_dead"] = asyncio.run(secure_updates(site, secured, dead))
+            found[f"update_ms_{dead}_dead_rosmaster"] = plain_updates(plain, dead)
+    return found
+
+
+def revocations(site: Site) -> dict[str, Any]:
+    """Milliseconds from a revocation to the last message, by number of connections."""
+    found = {}
+    for count in CONNECTIONS:
+        with ours(site) as master:
+            taken = asyncio.run(revocation(site, node_environ(site, master), count))
+        figures = {"p50": 0.5, "p90": 0.9, "p99": 0.99, "max": 1.0}
+        found[count] = {name: percentile(taken, share) for name, share in figures.items()}
+    return {
+        "revoke_ms": found, "revoke_ms_p50": found[100]["p50"], "revoke_ms_p99": found[100]["p99"],
+    }  # fmt: skip
+
+
 def measure(seconds: float) -> dict[str, Any]:
-    """All of it."""
+    """All of it; the keys without a number of nodes are those of 100 nodes or connections."""
+    resource.setrlimit(resource.RLIMIT_NOFILE, (resource.getrlimit(resource.RLIMIT_NOFILE)[1],) * 2)
     with tempfile.TemporaryDirectory() as folder:
         site = Site(Path(folder) / "site")
+        latency = updates(site, Path(folder)) | revocations(site)
         found = {count: operations(site, Path(folder), count, seconds / 4) for count in COUNTS}
-    return {"by_nodes": found}
+    usual = found[100]
+    return {
+        "ops_vs_rosmaster": usual["ops_vs_rosmaster"],
+        "rss_vs_rosmaster": usual["rss_vs_rosmaster"],
+        **latency,
+        "by_nodes": found,
+    }
