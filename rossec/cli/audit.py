@@ -9,7 +9,7 @@ from rossec.cli.voice import note, printable, say
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
 from rossec.master import audit as audits
-from rossec.node.slave import MASTER
+from rossec.ros.names import MASTER
 
 AUDIT = "audit.log"
 

@@ -13,7 +13,6 @@ from typing import Any
 
 import click
 
-from rossec.authority import AuthorityHome
 from rossec.cli.audit import AUDIT
 from rossec.cli.context import Environment, now, pass_environment
 from rossec.cli.voice import printable, say, say_json
@@ -27,8 +26,8 @@ from rossec.master.metrics import Exporter
 from rossec.master.notify import READY, STOPPING, notify
 from rossec.master.server import MasterServer
 from rossec.master.start import master_of
-from rossec.node.slave import MASTER
 from rossec.ros import settings
+from rossec.ros.names import MASTER
 
 _ADMIN = "admin.sock"
 
@@ -209,4 +208,7 @@ def _newest_list(environment: Environment) -> bytes | None:
     """The authority's own record, when it lives on this host."""
     if not (environment.home / "ca" / "ca.pem").exists():
         return None
+    # Not carried by a master elsewhere: a database, and the policy's reader.
+    from rossec.authority import AuthorityHome  # noqa: PLC0415
+
     return AuthorityHome.at(environment.home).revocation_list()

@@ -20,7 +20,7 @@ from rossec import files, inbox
 from rossec.authority import AuthorityHome, OpenAuthority
 from rossec.cli import options, passphrase
 from rossec.cli.context import Environment, moment, now, pass_environment
-from rossec.cli.grant import hand_over
+from rossec.cli.grant import grant, hand_over
 from rossec.cli.voice import note, printable, say, say_json
 from rossec.desk import Change, Desk, Question, today
 from rossec.errors import ConfigurationError
@@ -278,4 +278,5 @@ def _summary(item: Question) -> dict[str, object]:
     }
 
 
-COMMANDS = (request, decide, pending, approve, deny)
+for command in (request, decide, pending, approve, deny):
+    grant.add_command(command)

@@ -13,6 +13,9 @@ ROOT = Path(__file__).parents[3]
 
 
 def commands() -> set[str]:
+    context = click.Context(rossec)
+    for noun in rossec.list_commands(context):
+        assert rossec.get_command(context, noun) is not None
     found = set(rossec.commands)
     for noun, command in rossec.commands.items():
         if isinstance(command, click.Group):
