@@ -135,8 +135,10 @@ def _log_as(form: str) -> None:
 
 def _keep_audit(path: Path, stack: ExitStack) -> None:
     handler, log = AuditFile(path), logging.getLogger("rossec.audit")
-    before = log.level
+    before, root = log.level, logging.getLogger()
     log.setLevel(logging.INFO)
+    for other in root.handlers:  # who reads along need not hear more than without an audit
+        other.setLevel(max(other.level, root.level))
     log.addHandler(handler)
     stack.callback(handler.close)
     stack.callback(log.removeHandler, handler)

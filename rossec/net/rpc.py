@@ -95,12 +95,13 @@ class _ServerLoop(Generic[PeerT]):
         self._idle = idle
 
     async def run(self) -> None:
-        now = asyncio.get_running_loop().time
+        now, set_at = asyncio.get_running_loop().time, 0.0
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(self._idle) as idle:
                 while not self._http.closing and await self._serve_one():
-                    if self._idle is not None:
-                        idle.reschedule(now() + self._idle)
+                    if self._idle is not None and now() > set_at + self._idle / 64:
+                        set_at = now()  # not for each call: a timer costs more than many a call
+                        idle.reschedule(set_at + self._idle)
 
     async def _serve_one(self) -> bool:
         """Answer one call; whether there may be another one."""
