@@ -13,6 +13,7 @@ from typing import Any
 
 import click
 
+from rossec.channel import policy
 from rossec.cli.audit import AUDIT
 from rossec.cli.context import Environment, now, pass_environment
 from rossec.cli.voice import printable, say, say_json
@@ -56,6 +57,11 @@ _ADMIN = "admin.sock"
 @click.option(
     "--metrics", type=click.IntRange(0, 65535), help="serve Prometheus on this port of loopback"
 )
+@click.option(
+    "--post-quantum",
+    metavar="POLICY",
+    help="off, prefer or require; instead of ROSSEC_POST_QUANTUM",
+)
 @pass_environment
 @click.pass_context
 def master(
@@ -68,10 +74,12 @@ def master(
     log: str | None,
     admin: bool,
     metrics: int | None,
+    post_quantum: str | None,
 ) -> None:
     """Run the master, as the node /master. Ends with Ctrl-C."""
     if context.invoked_subcommand is not None:
         return
+    suites = policy.post_quantum(environment.variables, post_quantum)
     config = Config() if config_file is None else configs.load(config_file)
     given: dict[str, Any] = {"port": port, "log": log, "complaints": complaints, "metrics": metrics}
     config = replace(config, **{key: value for key, value in given.items() if value is not None})
@@ -82,7 +90,7 @@ def master(
         home.anchor()  # before anything is written there
         if config.audit:
             _keep_audit(home.path / AUDIT, stack)
-        asyncio.run(_serve(environment, home, config, as_json))
+        asyncio.run(_serve(environment, home, config, suites, as_json=as_json))
 
 
 @master.command()
@@ -145,7 +153,14 @@ def _keep_audit(path: Path, stack: ExitStack) -> None:
     stack.callback(log.setLevel, before)
 
 
-async def _serve(environment: Environment, home: NodeHome, config: Config, as_json: bool) -> None:
+async def _serve(
+    environment: Environment,
+    home: NodeHome,
+    config: Config,
+    suites: tuple[int, ...],
+    *,
+    as_json: bool,
+) -> None:
     own = settings.read((), environment.variables, default_name=MASTER)
     stop = asyncio.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -158,6 +173,7 @@ async def _serve(environment: Environment, home: NodeHome, config: Config, as_js
         now=now(),
         complain=ComplainLog(config.complaints) if config.complaints is not None else unheard,
         limits=config.limits,
+        suites=suites,
     )
     await server.start()
     admin = AdminPort(home.path / _ADMIN, _commands(server))

@@ -16,7 +16,9 @@ from typing import Final, Protocol
 
 from ca.errors import HintedError
 from rossec.channel.credentials import OwnCredential, PeerIdentity, Verify
+from rossec.channel.known import KnownCertificates
 from rossec.channel.records import Limits as ChannelLimits
+from rossec.channel.suites import PRODUCTION
 from rossec.errors import CallerMismatch
 from rossec.master.api import MasterApi, Statements
 from rossec.master.calls import (
@@ -84,6 +86,7 @@ class MasterServer:
         clock: seconds since the epoch.
         memory: where parameters survive a restart.
         limits: what one peer may cost.
+        suites: the post-quantum policy (`rossec.channel.policy`).
     """
 
     def __init__(
@@ -101,6 +104,7 @@ class MasterServer:
         complain: Complain = unheard,
         memory: ParameterFile | None = None,
         limits: Limits = _LIMITS,
+        suites: tuple[int, ...] = PRODUCTION,
     ) -> None:
         self._credentials = credentials
         self._verify = verify
@@ -113,6 +117,8 @@ class MasterServer:
         self._complain = complain
         self._memory = memory
         self._limits = limits
+        self._suites = suites
+        self._known = KnownCertificates()
         self._registry = Registry()
         self._api: MasterApi | None = None
         self._server: SecureServer[ChannelPeer] | None = None
@@ -152,6 +158,8 @@ class MasterServer:
                 unit=limits.body + HEADERS_LIMIT, handshake_seconds=limits.handshake_seconds
             ),
             half_open=HalfOpen(limits.unfinished_per_address, limits.unfinished),
+            suites=self._suites,
+            known=self._known,
         )
         self._api = MasterApi(
             self._registry,
@@ -331,7 +339,15 @@ class MasterServer:
     async def _dial(self, node: NodeRef) -> RpcClient:
         """Connect to a slave API; whoever answers must be the node that registered."""
         host, port = parse_uri(node.uri, "the slave API")
-        stream = await connect(host, port, self._credentials, self._verify, opening=Flavour.HTTP)
+        stream = await connect(
+            host,
+            port,
+            self._credentials,
+            self._verify,
+            opening=Flavour.HTTP,
+            suites=self._suites,
+            known=self._known,
+        )
         if not stream.peer.covers(node.name) or stream.peer.thumbprint != node.thumbprint:
             stream.abort("not the node that was registered")
             self._evict(node, stream.peer)

@@ -4,6 +4,7 @@ import socket
 from typing import Final
 
 from ca.revocation import Revocations
+from rossec.channel.suites import PRODUCTION
 from rossec.home import NodeHome
 from rossec.master.complaints import Complain, unheard
 from rossec.master.limits import Limits
@@ -24,6 +25,7 @@ def master_of(
     now: int,
     complain: Complain = unheard,
     limits: Limits = _LIMITS,
+    suites: tuple[int, ...] = PRODUCTION,
 ) -> MasterServer:
     """The master whose identity is in `home`, not yet started.
 
@@ -34,6 +36,7 @@ def master_of(
             this host; otherwise the master waits until one is published.
         complain: hears of every right that somebody lacks.
         limits: what one peer may cost.
+        suites: the post-quantum policy (`rossec.channel.policy`).
 
     Raises:
         ConfigurationError: the node is not enrolled.
@@ -58,4 +61,5 @@ def master_of(
         complain=complain,
         memory=ParameterFile(home.path / "parameters.journal"),
         limits=limits,
+        suites=suites,
     )
