@@ -17,8 +17,8 @@ from rossec.errors import NotDelivered
 
 _NOUNS: Final = {  # where the command of each noun is complete
     "audit": "audit", "ca": "ca", "demo": "demo", "explain": "explain", "grant": "request",
-    "master": "master", "node": "node", "policy": "policy", "privacy": "privacy",
-    "simulate": "simulate", "topic": "topic",
+    "master": "master", "node": "node", "param": "param", "policy": "policy",
+    "privacy": "privacy", "service": "service", "simulate": "simulate", "topic": "topic",
 }  # fmt: skip
 
 
