@@ -17,6 +17,7 @@ from rossec.authority import OpenAuthority
 from rossec.channel.policy import post_quantum
 from rossec.home import NodeHome
 from rossec.master.complaints import Complain, unheard
+from rossec.master.limits import Limits
 from rossec.master.server import MasterServer
 from rossec.master.start import master_of
 from rossec.node import Node
@@ -44,6 +45,7 @@ class Site:
         self.authority.sign_list(now)
         self.master: MasterServer | None = None
         self.complain: Complain = unheard
+        self.limits = Limits()
         self.variables: dict[str, str] = {}  # more of the environment
 
     def now(self) -> int:
@@ -145,6 +147,7 @@ class Site:
         self.master = master_of(
             self.enroll(MASTER), host="127.0.0.1", port=port,
             newest=self.authority.store.newest_list(), now=self.now(), complain=self.complain,
+            limits=self.limits,
             suites=post_quantum(self.environ),
         )  # fmt: skip
         await self.master.start()
