@@ -2,8 +2,10 @@
 
 import asyncio
 import secrets
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Final
+from types import MappingProxyType
+from typing import Any, Final
 
 import click
 
@@ -32,6 +34,24 @@ _EXAMPLES: Final = (
 )
 
 
+_UNRESTRICTED: Final = {
+    Right.CALL: "call these services",
+    Right.PROVIDE: "provide these services",
+    Right.PARAM_GET: "read these parameters",
+    Right.PARAM_SET: "set these parameters",
+}
+
+
+def _unrestricted(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Options of the rights that know no filters."""
+    for right, what in reversed(_UNRESTRICTED.items()):
+        option = click.option(
+            f"--{right.label}", multiple=True, metavar="PATTERN", help=f"may {what}"
+        )
+        command = option(command)
+    return command
+
+
 @click.group()
 def grant() -> None:
     """Sign, show and revoke grants."""
@@ -41,6 +61,7 @@ def grant() -> None:
 @click.argument("node")
 @click.option("--publish", multiple=True, metavar="PATTERN", help="may publish these topics")
 @click.option("--subscribe", multiple=True, metavar="PATTERN", help="may subscribe to these topics")
+@_unrestricted
 @click.option("--graph", is_flag=True, help="may see the whole ROS graph")
 @click.option("--type", "type_name", metavar="PKG/TYPE", help="message type of the restrictions")
 @click.option("--clear", multiple=True, metavar="FIELD", help="clear this field")
@@ -76,6 +97,7 @@ def grant() -> None:
 @pass_environment
 def sign(
     environment: Environment,
+    /,
     node: str,
     publish: tuple[str, ...],
     subscribe: tuple[str, ...],
@@ -90,16 +112,19 @@ def sign(
     lifetime: int,
     out: Path | None,
     passphrase_file: Path | None,
+    **unrestricted: tuple[str, ...],
 ) -> None:
-    """Let NODE publish or subscribe, under conditions and through filters.
+    """Let NODE publish or subscribe, under conditions and through filters, call, provide, or
+    use parameters.
 
-    PATTERN is a topic name; * stands for one segment, ** for any depth.
+    PATTERN is a name; * stands for one segment, ** for any depth.
     """
     check_name(node)
     if out is not None:
         _check_new(out)
     restrictions = _restrictions(type_name, _rules(clear, rounds, clamps), when, rate, preset_name)
-    permissions = _permissions(publish, subscribe, graph, restrictions)
+    others = {right: unrestricted[right.label.replace("-", "_")] for right in _UNRESTRICTED}
+    permissions = _permissions(publish, subscribe, graph, restrictions, others)
     home = AuthorityHome.at(environment.home)
     holder = home.store().live_certificate(node, now()).thumbprint
     authority = home.unlock(passphrase.read(passphrase_file, environment.variables))
@@ -236,8 +261,10 @@ def _permissions(
     subscribe: tuple[str, ...],
     graph: bool,
     restrictions: list[Restriction],
+    others: Mapping[Right, tuple[str, ...]] = MappingProxyType({}),
 ) -> tuple[Permission, ...]:
     made = [Permission(pattern, Right.PUBLISH) for pattern in publish]
+    made += [Permission(name, right) for right, names in others.items() for name in names]
     for pattern in subscribe:  # all restrictions that cover a topic hold together
         made += [Permission(pattern, Right.SUBSCRIBE, item) for item in restrictions]
         if not restrictions:

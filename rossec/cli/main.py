@@ -13,6 +13,7 @@ from ca.errors import HintedError
 from rossec.cli.ca import ca
 from rossec.cli.context import Environment
 from rossec.cli.demo import demo
+from rossec.cli.doctor import doctor
 from rossec.cli.explain import explain
 from rossec.cli.grant import grant
 from rossec.cli.master import master
@@ -36,7 +37,7 @@ def rossec(verbose: bool) -> None:
     logging.basicConfig(level=logging.INFO if verbose else logging.WARNING, handlers=[handler])
 
 
-for command in (ca, node, grant, policy, explain, simulate, privacy, master, topic, demo):
+for command in (ca, node, grant, policy, explain, simulate, privacy, master, topic, demo, doctor):
     rossec.add_command(command)
 for command in COMMANDS:
     grant.add_command(command)
