@@ -319,6 +319,12 @@ class SecureSocket(SocketOptions, Generic[PeerT]):
 
     # -- ends
 
+    def detach(self) -> socket.socket:
+        """Give the TCP socket back, before anything was read from it."""
+        self._closed = True
+        self._fail(ChannelClosed("the connection was given back"))
+        return self._socket
+
     def shutdown(self, how: int = socket.SHUT_RDWR) -> None:
         """Close in order (`SHUT_RD` alone does nothing: the peer cannot be told)."""
         if how == socket.SHUT_RD:
