@@ -18,7 +18,7 @@ from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any, Final
 
-from bench.channel import Site as Certificates
+from bench._site import build as certificates
 from grants.model import Restriction, Right, filter_rules
 from tests.support import stock
 from tests.support.fleet import Program, entitle, environment
@@ -176,7 +176,7 @@ def _service(accept: int, connect: int) -> str:
 def tunnel(folder: Path, inner: int, outer: int) -> Any:
     """stunnel on both sides, as one would put it between two hosts: TLS 1.3, both authenticated."""
     folder.mkdir()
-    Certificates(folder)
+    certificates(folder)
     middle = _free_port()
     common = _COMMON
     verify = f"CAfile = {folder}/root.pem\nverifyChain = yes\n"

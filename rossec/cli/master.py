@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from rossec.authority import AuthorityHome
+from rossec.channel import policy
 from rossec.cli.context import Environment, now, pass_environment
 from rossec.cli.voice import say, say_json
 from rossec.home import NodeHome
@@ -29,17 +30,31 @@ from rossec.ros import settings
     type=click.Path(path_type=Path, dir_okay=False),
     help="append what nodes lack the right to, for: rossec policy learn --from-log",
 )
+@click.option(
+    "--post-quantum",
+    metavar="POLICY",
+    help="off, prefer or require; instead of ROSSEC_POST_QUANTUM",
+)
 @pass_environment
 def master(
-    environment: Environment, port: int | None, as_json: bool, complaints: Path | None
+    environment: Environment,
+    port: int | None,
+    as_json: bool,
+    complaints: Path | None,
+    post_quantum: str | None,
 ) -> None:
     """Run the master, as the node /master. Ends with Ctrl-C."""
     log = ComplainLog(complaints) if complaints is not None else unheard
-    asyncio.run(_serve(environment, port, as_json, log))
+    suites = policy.post_quantum(environment.variables, post_quantum)
+    asyncio.run(_serve(environment, port, as_json, log, suites))
 
 
 async def _serve(
-    environment: Environment, port: int | None, as_json: bool, complain: Complain
+    environment: Environment,
+    port: int | None,
+    as_json: bool,
+    complain: Complain,
+    suites: tuple[int, ...],
 ) -> None:
     own = settings.read((), environment.variables, default_name=MASTER)
     stop = asyncio.Event()
@@ -53,6 +68,7 @@ async def _serve(
         newest=_newest_list(environment),
         now=now(),
         complain=complain,
+        suites=suites,
     )
     await server.start()
     try:

@@ -6,6 +6,7 @@ from ca.errors import HintedError
 from ca.revocation import open_list
 from ca.store import Store
 from rossec.authority import AuthorityHome
+from rossec.channel.policy import post_quantum
 from rossec.cli.context import Environment, moment, now
 from rossec.cli.voice import note
 from rossec.errors import ConfigurationError, NotDelivered
@@ -35,9 +36,15 @@ async def deliver(environment: Environment, master_uri: str | None) -> None:
     host, port = settings.parse_uri(uri, "the master's URI")
     home = AuthorityHome.at(environment.home)
     node, data = home.node(), _young_list(home)
+    suites = post_quantum(environment.variables)
     try:
         stream = await connect(
-            host, port, node.credentials(), node.anchor().verify, opening=Flavour.HTTP
+            host,
+            port,
+            node.credentials(),
+            node.anchor().verify,
+            opening=Flavour.HTTP,
+            suites=suites,
         )
         try:
             if stream.peer.name != MASTER:

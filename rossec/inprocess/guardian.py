@@ -74,7 +74,10 @@ class Guardian:
 
     def _new_dialer(self) -> Dialer:
         member = self._member
-        return Dialer(member.name, member.credentials, member.anchor, member.access.check_peer)
+        return Dialer(
+            member.name, member.credentials, member.anchor, member.access.check_peer,
+            suites=member.suites,
+        )  # fmt: skip
 
     # -- from other threads
 

@@ -14,6 +14,7 @@ from typing import Any, NoReturn
 
 from ca.errors import HintedError
 from rossec import files
+from rossec.channel.policy import post_quantum
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
 from rossec.inprocess.member import Member
@@ -82,7 +83,8 @@ class _Secured:
         return self._stock_start(environ, resolved_name, master_uri, port, tcpros_port)
 
     def _member(self, name: str) -> Member:
-        return Member(NodeHome.find(self.options.home, name), name)
+        home = NodeHome.find(self.options.home, name)
+        return Member(home, name, post_quantum(os.environ))
 
     def _begin(self, member: Member) -> None:
         uri = importlib.import_module("rosgraph").get_master_uri()

@@ -52,6 +52,7 @@ class Doors:
         core = Connection[Identity].initiator(
             self._member.credentials, self._member.anchor.verify,
             random=secrets.token_bytes, now=now(), opening=opening, limits=LIMITS,
+            suites=self._member.suites,
         )  # fmt: skip
         stream = SecureSocket(sock, core)
         try:
@@ -76,6 +77,7 @@ class Doors:
         core = Connection[Identity].responder(
             self._member.credentials, self._member.anchor.verify,
             random=secrets.token_bytes, now=now(), accept={flavour}, limits=LIMITS,
+            suites=self._member.suites,
         )  # fmt: skip
         sock.settimeout(None)  # rospy sets a default for all sockets of the process
         return SecureSocket(sock, core, lambda: self._count.settle(address))

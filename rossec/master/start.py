@@ -3,6 +3,7 @@
 import socket
 
 from ca.revocation import Revocations
+from rossec.channel.suites import PRODUCTION
 from rossec.home import NodeHome
 from rossec.master.complaints import Complain, unheard
 from rossec.master.server import MasterServer
@@ -18,6 +19,7 @@ def master_of(
     newest: bytes | None,
     now: int,
     complain: Complain = unheard,
+    suites: tuple[int, ...] = PRODUCTION,
 ) -> MasterServer:
     """The master whose identity is in `home`, not yet started.
 
@@ -27,6 +29,7 @@ def master_of(
         newest: a revocation list that may be newer than the one saved, when the authority lives on
             this host; otherwise the master waits until one is published.
         complain: hears of every right that somebody lacks.
+        suites: the post-quantum policy (`rossec.channel.policy`).
 
     Raises:
         ConfigurationError: the node is not enrolled.
@@ -49,4 +52,5 @@ def master_of(
         port=port,
         advertise=host or socket.gethostname(),
         complain=complain,
+        suites=suites,
     )
