@@ -46,3 +46,13 @@ def test_warnings_of_our_loggers_are_said_too() -> None:
     log.info("not said")
     reporter.close()
     assert said == ["rossec: /master is out of reach"]
+
+
+def test_strangers_cannot_flood_the_log() -> None:
+    said: list[str] = []
+    reporter = Reporter(said.append)
+    for number in range(100):
+        reporter.warn(f"refused {number}")
+    reporter.close()
+    assert len(said) == 30
+    assert said[-1] == "rossec: more than 30 different warnings; some are left out"
