@@ -10,7 +10,11 @@ from typing import Any, NoReturn
 import click
 
 from ca.errors import HintedError
+from rossec.cli import ca_backup, ca_identities, ca_requests, node_enroll
 from rossec.cli.ca import ca
+from rossec.cli.ca_enroll import enroll
+from rossec.cli.ca_intermediate import intermediate
+from rossec.cli.ca_log import log
 from rossec.cli.context import Environment
 from rossec.cli.demo import demo
 from rossec.cli.doctor import doctor
@@ -18,9 +22,11 @@ from rossec.cli.explain import explain
 from rossec.cli.grant import grant
 from rossec.cli.master import master
 from rossec.cli.node import node
+from rossec.cli.param import param
 from rossec.cli.policy import policy
 from rossec.cli.privacy import privacy
 from rossec.cli.request import COMMANDS
+from rossec.cli.service import service
 from rossec.cli.simulate import simulate
 from rossec.cli.topic import topic
 from rossec.cli.voice import INTERRUPTED, REFUSED, UNDELIVERED, USAGE, fail, printable
@@ -37,10 +43,30 @@ def rossec(verbose: bool) -> None:
     logging.basicConfig(level=logging.INFO if verbose else logging.WARNING, handlers=[handler])
 
 
-for command in (ca, node, grant, policy, explain, simulate, privacy, master, topic, demo, doctor):
+for command in (
+    ca,
+    node,
+    grant,
+    policy,
+    explain,
+    simulate,
+    privacy,
+    master,
+    topic,
+    service,
+    param,
+    demo,
+    doctor,
+):
     rossec.add_command(command)
+for command in (*ca_identities.COMMANDS, *ca_backup.COMMANDS, intermediate, log):
+    ca.add_command(command)
 for command in COMMANDS:
     grant.add_command(command)
+for command in (enroll, *ca_requests.COMMANDS):
+    ca.add_command(command)
+for command in node_enroll.COMMANDS:
+    node.add_command(command)
 
 
 class OneLine(logging.Formatter):

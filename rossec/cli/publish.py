@@ -2,7 +2,7 @@
 
 from typing import Final
 
-from ca.errors import HintedError
+from ca.errors import CertificateExpired, HintedError
 from ca.revocation import open_list
 from ca.store import Store
 from rossec.authority import AuthorityHome
@@ -37,6 +37,13 @@ async def deliver(environment: Environment, master_uri: str | None) -> None:
     home = AuthorityHome.at(environment.home)
     node, data = home.node(), _young_list(home)
     suites = post_quantum(environment.variables)
+    try:
+        node.identity(now())
+    except CertificateExpired as error:
+        raise ConfigurationError(
+            f"the identity of {node.name} has expired, no master listens to it",
+            f"renew it: rossec ca renew {node.name}",
+        ) from error
     try:
         stream = await connect(
             host,

@@ -170,3 +170,13 @@ def test_a_length_beyond_the_limit_is_refused_in_place_too(data: bytes) -> None:
     with pytest.raises(FrameRefused):
         reader.feed(b"more")
     assert reader.pending == 0
+
+
+def test_one_frame_at_a_time() -> None:
+    reader = header.FrameReader()
+    arrived = [reader.feed_one(bytes([byte])) for byte in header.frame(b"abc")]
+    assert arrived == [None] * 6 + [b"abc"]
+    assert reader.feed_one(header.frame(b"")) == b""
+    for _ in range(2):  # and what was refused once stays refused
+        with pytest.raises(FrameRefused, match="bytes after a frame, before its answer"):
+            reader.feed_one(header.frame(b"abc") + b"x")
