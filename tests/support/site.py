@@ -8,7 +8,7 @@ from pathlib import Path
 
 from ca import keys
 from ca.authority import Authority, create_root
-from ca.certificates import Identity, TrustAnchor
+from ca.certificates import Identity, TrustAnchor, to_pem
 from ca.signer import KeySigner
 from ca.store import Store
 from grants import document
@@ -71,6 +71,14 @@ class Site:
             bundle = self.authority.issue(home.request(), now, lifetime, wildcard=wildcard)
             home.install(bundle, now)
         return home
+
+    def renew(self, name: str, lifetime: int = DAY) -> None:
+        """Give the node `name` another certificate for the same key."""
+        home = self.enroll(name)
+        leaf = self.authority.authority.issue(
+            home.request(), now=self.now(), serial=secrets.randbits(127) + 1, lifetime=lifetime
+        )
+        home.install(to_pem(leaf) + (home.path / "ca.pem").read_bytes(), self.now())
 
     def identity(self, name: str) -> Identity:
         """The verified identity of an enrolled node."""

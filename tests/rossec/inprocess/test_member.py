@@ -58,7 +58,7 @@ def test_a_renewed_identity_is_taken_over(site: Site) -> None:
     home = site.enroll("/robot")
     member = Member(home, "/robot")
     assert not member.refresh_identity()
-    home.install(site.authority.issue(home.request(), site.now(), 3600), site.now())
+    site.renew("/robot", 3600)
     before = member.credentials
     assert member.refresh_identity()
     assert member.credentials.chain != before.chain
