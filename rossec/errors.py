@@ -90,6 +90,10 @@ class AnswerRefused(RossecError):
         self.code = code
 
 
+class PeerUserRefused(RossecError):
+    """A program of another user of this host, or of nobody who can be named."""
+
+
 class SettingsRefused(RossecError):
     """The command line or the environment of this program says something that cannot be meant."""
 

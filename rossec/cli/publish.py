@@ -12,8 +12,8 @@ from rossec.cli.voice import note
 from rossec.errors import ConfigurationError, NotDelivered
 from rossec.net.rpc import RpcClient
 from rossec.net.stream import Flavour, connect
-from rossec.node.slave import MASTER
 from rossec.ros import settings
+from rossec.ros.names import MASTER
 
 _HINT = "the list is signed and kept; deliver it with: rossec ca publish"
 _SOON: Final = 7 * 86400

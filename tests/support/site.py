@@ -17,6 +17,7 @@ from rossec.authority import OpenAuthority
 from rossec.channel.policy import post_quantum
 from rossec.home import NodeHome
 from rossec.master.complaints import Complain, unheard
+from rossec.master.limits import Limits
 from rossec.master.server import MasterServer
 from rossec.master.start import master_of
 from rossec.node import Node
@@ -45,6 +46,7 @@ class Site:
         self.master: MasterServer | None = None
         self.complain: Complain = unheard
         self.host = "127.0.0.1"
+        self.limits = Limits()
         self.variables: dict[str, str] = {}  # more of the environment
 
     def now(self) -> int:
@@ -154,6 +156,7 @@ class Site:
         self.master = master_of(
             self.enroll(MASTER), host=self.host, port=port,
             newest=self.authority.store.newest_list(), now=self.now(), complain=self.complain,
+            limits=self.limits,
             suites=post_quantum(self.environ),
         )  # fmt: skip
         await self.master.start()
