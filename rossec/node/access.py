@@ -51,6 +51,10 @@ class Access:
         covering = [data for grant, data in self._current(now) if _concerns(grant, right, name)]
         return encode(list[Value](covering[:MAX_GRANTS]))
 
+    def holds(self, right: Right, name: str, now: int) -> bool:
+        """Whether a grant this node holds covers `right` on `name` now."""
+        return any(_concerns(grant, right, name) for grant, _ in self._current(now))
+
     def _current(self, now: int) -> list[tuple[Grant, bytes]]:
         revoked = self._revocations.entries
         usable = [

@@ -58,12 +58,11 @@ class MasterSession:
         """
         return await self._connected().ask(method, self._name, *params)
 
-    async def relay(self, method: str, *params: object) -> object:
-        """What the master answers, whatever it is; `params` begin with the caller_id.
+    async def answer(self, method: str, *params: object) -> object:
+        """Whole answer to a call whose parameters are complete.
 
         Raises:
-            Fault: as answered.
-            RossecError: the master answers nonsense, or is out of reach.
+            Fault, RossecError: as of `RpcClient.call`; the master is out of reach.
         """
         return await self._connected().call(method, *params)
 

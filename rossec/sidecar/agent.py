@@ -179,7 +179,7 @@ class Agent:
 
     async def ask_master(self, method: str, params: tuple[object, ...]) -> object:
         """The master's answer."""
-        return await self._session.relay(method, *params)
+        return await self._session.answer(method, *params)
 
     def proof(self, right: Right, name: str) -> bytes:
         """Grants that prove `right` on `name`."""
