@@ -69,7 +69,7 @@ class Ways:
             command, env=self._env(uri), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
         )
         self._stack.callback(process.wait)
-        self._stack.callback(process.kill)
+        self._stack.callback(process.terminate)
         return process
 
     def _master(self, kind: str) -> str:

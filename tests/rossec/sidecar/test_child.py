@@ -1,6 +1,8 @@
 import json
 import os
+import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -53,3 +55,17 @@ async def test_signals_are_passed_on() -> None:
     script = "import os, signal, sys; signal.signal(signal.SIGUSR1, lambda *_: sys.exit(5))\n"
     script += "os.kill(os.getppid(), signal.SIGUSR1)\nsignal.pause()"
     assert await child.run([sys.executable, "-c", script], os.environ) == 5
+
+
+def test_a_program_ends_with_its_sidecar(tmp_path: Path) -> None:
+    code = "import asyncio, os; from rossec.sidecar import child; asyncio.run(child.run("
+    code += "['sh', '-c', 'echo $$; exec sleep 100'], os.environ))"
+    with subprocess.Popen(
+        [sys.executable, "-c", code], stdout=subprocess.PIPE, text=True
+    ) as sidecar:
+        assert sidecar.stdout is not None
+        program = int(sidecar.stdout.readline())
+        sidecar.kill()
+        sidecar.wait()
+        assert sidecar.stdout.read() == "", "its output ends when the program does"
+    assert not Path(f"/proc/{program}/exe").exists()
