@@ -18,16 +18,16 @@ from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any, Final
 
-from bench.channel import Site as Certificates
+from bench._site import build as certificates
 from grants.model import Restriction, Right, filter_rules
 from tests.support import stock
 from tests.support.fleet import Program, entitle, environment
 from tests.support.site import Site
 
-SIZES: Final = {"100": 20_000, "10000": 8_000, "1000000": 100, "image": 16}
+SIZES: Final = {"100": 8_000, "10000": 3_000, "1000000": 60, "image": 12}
 IMAGE: Final = 6 * 1024 * 1024
-LATENCY: Final = 200  # messages of a sample
-FANOUT: Final = 1_000
+LATENCY: Final = 100  # messages of a sample
+FANOUT: Final = 300
 MODES: Final = ("stock", "rossec", "stunnel")
 _PLANS: Final = (None, 2.0, 0.5)
 
@@ -153,9 +153,7 @@ async def talking(env: dict[str, str], source: str, *arguments: str) -> AsyncIte
         stdout=asyncio.subprocess.PIPE, limit=1 << 20,
     )  # fmt: skip
     try:
-        running = Program(process)
-        await running.hears("READY")
-        yield running
+        yield Program(process)
     finally:
         if process.returncode is None:
             process.kill()
@@ -168,21 +166,21 @@ def _free_port() -> int:
     return port
 
 
-def _service(accept: int, connect: int, host: str = "127.0.0.1") -> str:
-    return f"[topics]\naccept = {host}:{accept}\nconnect = 127.0.0.1:{connect}\n"
+def _service(accept: int, connect: int) -> str:
+    return f"[topics]\naccept = 127.0.0.1:{accept}\nconnect = 127.0.0.1:{connect}\n"
 
 
 @contextlib.contextmanager
-def tunnel(folder: Path, inner: int, outer: int, outer_host: str = "127.0.0.1") -> Any:
+def tunnel(folder: Path, inner: int, outer: int) -> Any:
     """stunnel on both sides, as one would put it between two hosts: TLS 1.3, both authenticated."""
     folder.mkdir()
-    Certificates(folder)
+    certificates(folder)
     middle = _free_port()
     common = _COMMON
     verify = f"CAfile = {folder}/root.pem\nverifyChain = yes\n"
     sides = {
         "server": _service(middle, inner),
-        "client": _service(outer, middle, outer_host) + "client = yes\n",
+        "client": _service(outer, middle) + "client = yes\n",
     }
     running = []
     try:
@@ -246,6 +244,10 @@ async def pairs(folder: Path) -> AsyncIterator[tuple[dict[str, Pair], dict[str, 
                     for number in range(10)
                 ]
                 fans[mode] = Pair(publisher, fan)
+        for pair in (*made.values(), *fans.values()):  # they all start at the same time
+            for running in (pair.publisher, *pair.subscribers):
+                if "READY" not in running.said:
+                    await running.hears("READY", within=120)
         yield made, fans
 
 

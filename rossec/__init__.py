@@ -4,8 +4,8 @@
 site-packages: a stranger's `ca` would be our trust root. So the siblings must lie beside this
 package, and that is checked before either is imported (docs/decisions/0002).
 
-`rossec.secure()` secures a rospy program, `rossec.ask()` requests a right for it; importing `rossec`
-itself imports nothing else.
+`rossec.secure()` secures a rospy program, `rossec.ask()` requests a right for it; until one of them
+is used, nothing else is imported.
 """
 
 import sys as _sys

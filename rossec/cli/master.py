@@ -1,23 +1,39 @@
-"""`rossec master`: run the ROS master of a trust domain."""
+"""`rossec master`: run the ROS master of a trust domain, and ask how it is."""
 
 import asyncio
+import json
+import logging
 import signal
+import sys
+from collections.abc import Coroutine, Mapping
+from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import click
 
-from rossec.authority import AuthorityHome
+from rossec.channel import policy
+from rossec.cli.audit import AUDIT
 from rossec.cli.context import Environment, now, pass_environment
-from rossec.cli.voice import say, say_json
-from rossec.discovery.announcer import announce as announcing
+from rossec.cli.voice import printable, say, say_json
 from rossec.home import NodeHome
-from rossec.master.complaints import Complain, ComplainLog, unheard
+from rossec.master import config as configs
+from rossec.master.admin import AdminPort, ask
+from rossec.master.audit import AuditFile
+from rossec.master.complaints import ComplainLog, unheard
+from rossec.master.config import Config
+from rossec.master.metrics import Exporter
+from rossec.master.notify import READY, STOPPING, notify
+from rossec.master.server import MasterServer
 from rossec.master.start import master_of
-from rossec.node.slave import MASTER
 from rossec.ros import settings
+from rossec.ros.names import MASTER
+
+_ADMIN = "admin.sock"
 
 
-@click.command()
+@click.group(invoke_without_command=True)
 @click.option(
     "--port",
     "-p",
@@ -30,63 +46,200 @@ from rossec.ros import settings
     type=click.Path(path_type=Path, dir_okay=False),
     help="append what nodes lack the right to, for: rossec policy learn --from-log",
 )
+@click.option(
+    "--config",
+    "config_file",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="a configuration file; the other options prevail over it",
+)
+@click.option("--log", type=click.Choice(["text", "json"]), help="form of the log on stderr")
+@click.option("--admin", is_flag=True, help="open the local port of an administrator")
 @click.option("--announce", is_flag=True, help="say on the local links where the master is")
+@click.option(
+    "--metrics", type=click.IntRange(0, 65535), help="serve Prometheus on this port of loopback"
+)
+@click.option(
+    "--post-quantum",
+    metavar="POLICY",
+    help="off, prefer or require; instead of ROSSEC_POST_QUANTUM",
+)
 @pass_environment
+@click.pass_context
 def master(
+    context: click.Context,
     environment: Environment,
     port: int | None,
     as_json: bool,
     complaints: Path | None,
+    config_file: Path | None,
+    log: str | None,
+    admin: bool,
     announce: bool,
+    metrics: int | None,
+    post_quantum: str | None,
 ) -> None:
     """Run the master, as the node /master. Ends with Ctrl-C."""
-    log = ComplainLog(complaints) if complaints is not None else unheard
-    asyncio.run(_serve(environment, port, as_json, log, announce=announce))
+    if context.invoked_subcommand is not None:
+        return
+    suites = policy.post_quantum(environment.variables, post_quantum)
+    config = Config() if config_file is None else configs.load(config_file)
+    given: dict[str, Any] = {"port": port, "log": log, "complaints": complaints, "metrics": metrics}
+    config = replace(config, **{key: value for key, value in given.items() if value is not None})
+    config = replace(config, admin=config.admin or admin, announce=config.announce or announce)
+    with ExitStack() as stack:
+        _log_as(config.log)
+        home = NodeHome.of(environment.home, MASTER)
+        home.anchor()  # before anything is written there
+        if config.audit:
+            _keep_audit(home.path / AUDIT, stack)
+        asyncio.run(_serve(environment, home, config, suites, as_json=as_json))
+
+
+@master.command()
+@click.option("--json", "as_json", is_flag=True, help="a line of JSON")
+@pass_environment
+def status(environment: Environment, as_json: bool) -> None:
+    """Say how the running master is; it must have been started with --admin."""
+    answer = ask(_home(environment).path / _ADMIN, "status")
+    if as_json:
+        say_json(answer)
+        return
+    for key, value in answer.items():
+        say(f"{key.replace('_', ' '):<20} {printable(str(value))}")
+
+
+@master.command()
+@pass_environment
+def stop(environment: Environment) -> None:
+    """End the running master in order; it must have been started with --admin."""
+    ask(_home(environment).path / _ADMIN, "stop")
+    say("the master ends")
+
+
+def _home(environment: Environment) -> NodeHome:
+    return NodeHome.of(environment.home, MASTER)
+
+
+class JsonLines(logging.Formatter):
+    """One JSON object a line, for machines that read logs."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        """Time, level, logger and text; a traceback, if there is one."""
+        entry: dict[str, Any] = {
+            "at": round(record.created, 3),
+            "level": record.levelname.lower(),
+            "logger": record.name,
+            "text": printable(record.getMessage()),
+        }
+        if record.exc_info:
+            entry["traceback"] = self.formatException(record.exc_info)
+        return json.dumps(entry, sort_keys=True)
+
+
+def _log_as(form: str) -> None:
+    if form == "json":
+        handler = logging.StreamHandler(sys.stderr)
+        handler.setFormatter(JsonLines())
+        logging.basicConfig(level=logging.INFO, handlers=[handler], force=True)
+
+
+def _keep_audit(path: Path, stack: ExitStack) -> None:
+    handler, log = AuditFile(path), logging.getLogger("rossec.audit")
+    before, root = log.level, logging.getLogger()
+    log.setLevel(logging.INFO)
+    for other in root.handlers:  # who reads along need not hear more than without an audit
+        other.setLevel(max(other.level, root.level))
+    log.addHandler(handler)
+    stack.callback(handler.close)
+    stack.callback(log.removeHandler, handler)
+    stack.callback(log.setLevel, before)
 
 
 async def _serve(
     environment: Environment,
-    port: int | None,
-    as_json: bool,
-    complain: Complain,
+    home: NodeHome,
+    config: Config,
+    suites: tuple[int, ...],
     *,
-    announce: bool,
+    as_json: bool,
 ) -> None:
     own = settings.read((), environment.variables, default_name=MASTER)
     stop = asyncio.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         asyncio.get_running_loop().add_signal_handler(number, stop.set)
-    home = NodeHome.of(environment.home, MASTER)
     server = master_of(
         home,
         host=own.address,
-        port=own.master_port if port is None else port,
+        port=own.master_port if config.port is None else config.port,
         newest=_newest_list(environment),
         now=now(),
-        complain=complain,
+        complain=ComplainLog(config.complaints) if config.complaints is not None else unheard,
+        limits=config.limits,
+        suites=suites,
     )
     await server.start()
+    admin = AdminPort(home.path / _ADMIN, _commands(server))
+    exporter = None if config.metrics is None else Exporter(server.status, config.metrics)
     try:
-        if as_json:
-            say_json({"ready": server.uri})
-        else:
-            say(f"master of {home.anchor().domain} at {server.uri}")
-        asked = asyncio.ensure_future(server.stopped())
-        signalled = asyncio.ensure_future(stop.wait())
-        ends = {asked, signalled}
-        if announce:
-            ends.add(asyncio.ensure_future(announcing(home.credentials(), server.uri)))
-        done, running = await asyncio.wait(ends, return_when=asyncio.FIRST_COMPLETED)
-        for task in running:
-            task.cancel()
-        for task in done:
-            task.result()
+        if config.admin:
+            await admin.start()
+        _greet(server, home, exporter, as_json=as_json)
+        logging.getLogger("rossec.audit").info("the master began at %s", server.uri)
+        notify(READY, environment.variables)
+        await _until_stopped(server, stop, _announcing(server, home) if config.announce else None)
+        notify(STOPPING, environment.variables)
     finally:
+        await admin.close()
+        if exporter is not None:
+            await asyncio.to_thread(exporter.close)
         await server.close()
+        logging.getLogger("rossec.audit").info("the master ended")
+
+
+def _greet(
+    server: MasterServer, home: NodeHome, exporter: Exporter | None, *, as_json: bool
+) -> None:
+    metrics = {} if exporter is None else {"metrics": f"http://127.0.0.1:{exporter.port}/metrics"}
+    if as_json:
+        say_json({"ready": server.uri, **metrics})
+        return
+    say(f"master of {home.anchor().domain} at {server.uri}")
+    for uri in metrics.values():
+        say(f"metrics at {uri}")
+
+
+async def _until_stopped(
+    server: MasterServer, stop: asyncio.Event, announcing: Coroutine[Any, Any, None] | None
+) -> None:
+    ends = {asyncio.ensure_future(server.stopped()), asyncio.ensure_future(stop.wait())}
+    if announcing is not None:
+        ends.add(asyncio.ensure_future(announcing))
+    done, running = await asyncio.wait(ends, return_when=asyncio.FIRST_COMPLETED)
+    for task in running:
+        task.cancel()
+    for task in done:
+        await task
+
+
+async def _announcing(server: MasterServer, home: NodeHome) -> None:
+    from rossec.discovery.announcer import announce  # noqa: PLC0415 - carried when it is used
+
+    await announce(home.credentials(), server.uri)
+
+
+def _commands(server: MasterServer) -> Mapping[str, Any]:
+    def stop() -> Mapping[str, Any]:
+        server.stop("the administrator of this host")
+        return {"stopping": True}
+
+    return {"status": server.status, "stop": stop}
 
 
 def _newest_list(environment: Environment) -> bytes | None:
     """The authority's own record, when it lives on this host."""
     if not (environment.home / "ca" / "ca.pem").exists():
         return None
+    # Not carried by a master elsewhere: a database, and the policy's reader.
+    from rossec.authority import AuthorityHome  # noqa: PLC0415
+
     return AuthorityHome.at(environment.home).revocation_list()

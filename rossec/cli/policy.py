@@ -19,6 +19,7 @@ from grants.policy.read import mistakes_in
 from grants.policy.sros2 import MAX_SIZE, import_sros2
 from rossec import files
 from rossec.authority import AuthorityHome
+from rossec.channel.policy import post_quantum
 from rossec.cli import options
 from rossec.cli.context import Environment, now, pass_environment
 from rossec.cli.voice import fail, note, say, say_json
@@ -167,7 +168,12 @@ async def _look(environment: Environment, node: str) -> list[Seen]:
     uri = environment.variables.get("ROS_MASTER_URI", settings.DEFAULT_MASTER_URI)
     host, port = settings.parse_uri(uri, "the master's URI")
     stream = await connect(
-        host, port, home.credentials(), home.anchor().verify, opening=Flavour.HTTP
+        host,
+        port,
+        home.credentials(),
+        home.anchor().verify,
+        opening=Flavour.HTTP,
+        suites=post_quantum(environment.variables),
     )
     try:
         client = RpcClient(stream)

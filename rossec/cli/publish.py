@@ -2,17 +2,18 @@
 
 from typing import Final
 
-from ca.errors import HintedError
+from ca.errors import CertificateExpired, HintedError
 from ca.revocation import open_list
 from ca.store import Store
 from rossec.authority import AuthorityHome
+from rossec.channel.policy import post_quantum
 from rossec.cli.context import Environment, moment, now
 from rossec.cli.voice import note
 from rossec.errors import ConfigurationError, NotDelivered
 from rossec.net.rpc import RpcClient
 from rossec.net.stream import Flavour, connect
-from rossec.node.slave import MASTER
 from rossec.ros import settings
+from rossec.ros.names import MASTER
 
 _HINT = "the list is signed and kept; deliver it with: rossec ca publish"
 _SOON: Final = 7 * 86400
@@ -35,9 +36,22 @@ async def deliver(environment: Environment, master_uri: str | None) -> None:
     host, port = settings.parse_uri(uri, "the master's URI")
     home = AuthorityHome.at(environment.home)
     node, data = home.node(), _young_list(home)
+    suites = post_quantum(environment.variables)
+    try:
+        node.identity(now())
+    except CertificateExpired as error:
+        raise ConfigurationError(
+            f"the identity of {node.name} has expired, no master listens to it",
+            f"renew it: rossec ca renew {node.name}",
+        ) from error
     try:
         stream = await connect(
-            host, port, node.credentials(), node.anchor().verify, opening=Flavour.HTTP
+            host,
+            port,
+            node.credentials(),
+            node.anchor().verify,
+            opening=Flavour.HTTP,
+            suites=suites,
         )
         try:
             if stream.peer.name != MASTER:

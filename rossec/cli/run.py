@@ -1,8 +1,7 @@
-"""`rossec run` and `rossec sidecar`: secure programs that know nothing of rossec."""
+"""`rossec run`: secure a program that knows nothing of rossec."""
 
 import json
 import os
-import pwd
 import sys
 
 import click
@@ -28,30 +27,10 @@ def run(
 
     Without --as each node uses the identity that is enrolled for its name. Ends as COMMAND does.
     """
-    _become(environment, context, identity=identity, each=each or identity is None, command=command)
+    become(environment, context, identity=identity, each=each or identity is None, command=command)
 
 
-@click.command()
-@click.option("--as", "identity", metavar="NAME", help="for nodes that are not enrolled themselves")
-@click.option("--port", "-p", type=click.IntRange(0, 65535), default=11311, show_default=True)
-@click.option("--user", "users", multiple=True, help="whose programs may use it, by default yours")
-@click.pass_context
-@pass_environment
-def sidecar(
-    environment: Environment,
-    context: click.Context,
-    identity: str | None,
-    port: int,
-    users: tuple[str, ...],
-) -> None:
-    """Serve the ROS programs of this host: each node with the identity enrolled for its name."""
-    _become(
-        environment, context, identity=identity, each=True, port=port,
-        users=[_user_id(name) for name in users],
-    )  # fmt: skip
-
-
-def _become(
+def become(
     environment: Environment,
     context: click.Context,
     *,
@@ -72,10 +51,3 @@ def _become(
     }
     arguments = [sys.executable, "-I", "-m", "rossec.sidecar", json.dumps(options)]
     os.execve(sys.executable, arguments, dict(environment.variables))  # noqa: S606 - no shell
-
-
-def _user_id(name: str) -> int:
-    try:
-        return int(name) if name.isdecimal() else pwd.getpwnam(name).pw_uid
-    except KeyError:
-        raise click.BadParameter(f"no user {name!r} on this host") from None

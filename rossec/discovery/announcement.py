@@ -100,7 +100,7 @@ def open_announcement(
         identity = anchor.verify(chain, now)
         if identity.name != MASTER:
             raise AnnouncementRefused(f"{identity.name} announces itself as a master")
-        if identity.thumbprint in revoked:
+        if not revoked.isdisjoint(identity.keys):
             raise AnnouncementRefused("the master that announces itself is revoked")
         PROFILE.open_body(data, identity.public_key, limit=MAX_SIZE)
     except CAError as error:

@@ -74,7 +74,10 @@ class Guardian:
 
     def _new_dialer(self) -> Dialer:
         member = self._member
-        return Dialer(member.name, member.credentials, member.anchor, member.access.check_peer)
+        return Dialer(
+            member.name, member.credentials, member.anchor, member.access.check_peer,
+            suites=member.suites,
+        )  # fmt: skip
 
     # -- from other threads
 
@@ -150,7 +153,7 @@ class Guardian:
         if not self._ready.is_set():
             async with asyncio.timeout(_READY_WITHIN):
                 await self._ready.wait()
-        return await self._session.relay(method, *params)
+        return await self._session.answer(method, *params)
 
     async def _restore(self, session: MasterSession) -> None:
         """Everything again, for a master that may have been restarted."""
@@ -163,7 +166,7 @@ class Guardian:
     async def _register(
         self, session: MasterSession, method: str, params: tuple[object, ...]
     ) -> None:
-        answer = await session.relay(method, *params)
+        answer = await session.answer(method, *params)
         self._registrations.note(method, params, answer)
         match answer:
             case [1, _, list() as uris] if method == "registerSubscriber":

@@ -112,7 +112,10 @@ def hooks(process: Process, start_node: StartNode) -> list[Hook]:
 
     def accepted(tcpros: Any, sock: RosSocket, where: Any) -> None:
         arguments = (tcpros, sock, where)
-        threading.Thread(target=connections.serve, args=arguments, daemon=True).start()
+        try:
+            threading.Thread(target=connections.serve, args=arguments, daemon=True).start()
+        except RuntimeError:  # out of threads: this caller is dropped, the next may be served
+            sock.close()
 
     return [
         Hook(base, "socket", Stand(socket, socket=make)),

@@ -24,6 +24,13 @@ class Link:
         self.ends = min(decision.expires, stream.peer.not_after)
 
 
+class PlainLink:
+    """A connection that `allow_plain` names: nothing of it is judged, and it does not end."""
+
+    guard = None
+    ends = float("inf")
+
+
 class Links:
     """All links, and how many connections each peer holds; threads share it."""
 

@@ -11,6 +11,7 @@ from ca.certificates import Identity, TrustAnchor
 from ca.revocation import Revocations, open_timestamp
 from grants.decision import Decision
 from grants.model import Right
+from rossec.channel.suites import PRODUCTION
 from rossec.home import NodeHome
 from rossec.node.access import Access
 from rossec.node.links import Judged, why_cut
@@ -52,14 +53,16 @@ class Member:
     Args:
         home: its directory.
         name: the name it runs under, which its identity covers.
+        suites: of its channels, by the post-quantum policy.
 
     Raises:
         ConfigurationError: no identity, or another node's.
         CertificateRefused, KeyRefused: an identity or a key that does not hold.
     """
 
-    def __init__(self, home: NodeHome, name: str) -> None:
+    def __init__(self, home: NodeHome, name: str, suites: tuple[int, ...] = PRODUCTION) -> None:
         self.name = name
+        self.suites = suites
         self.home = home
         self.anchor = home.anchor()
         self.credentials = home.credentials()

@@ -11,6 +11,7 @@ from rossec.errors import ChannelError, ConfigurationError
 from rossec.inprocess.guardian import Guardian
 from rossec.inprocess.links import Link, Links
 from rossec.inprocess.member import Member
+from rossec.inprocess.plain import Plain
 from rossec.inprocess.registrations import Registrations
 from rossec.inprocess.report import Reporter
 from rossec.inprocess.sockets import Doors, RosSocket
@@ -21,8 +22,9 @@ _NAMELESS: Final = "call rospy.init_node first, or name the node: rossec.secure(
 class Process:
     """One secured process."""
 
-    def __init__(self, reporter: Reporter) -> None:
+    def __init__(self, reporter: Reporter, plain: Plain = Plain()) -> None:  # noqa: B008 - constant
         self.reporter = reporter
+        self.plain = plain
         self.links = Links()
         self.rights = 0
         """Grows whenever there is a new grant or list: what was refused may be tried again."""
@@ -75,8 +77,15 @@ class Process:
     def gone(self, sock: RosSocket) -> None:
         """A connection is over."""
         self.links.forget(sock)
-        if sock.link is not None:
+        if isinstance(sock.link, Link):
             self.links.discard(sock.link)
+
+    def may_be_plain(self, name: str, address: str) -> bool:
+        """Whether `allow_plain` names this; if so it is said, loudly."""
+        allowed = self.plain.allows(name, address)
+        if allowed:
+            self.reporter.warn(f"PLAIN: {name} with {address}, neither encrypted nor checked")
+        return allowed
 
     def failed(self, address: tuple[str, int], error: ChannelError) -> Exception:
         """Tell the developer; what rospy is to be told."""

@@ -21,7 +21,7 @@ from rospy.msg import serialize_message
 from ca.errors import HintedError
 from grants.errors import GrantError
 from rossec.channel.records import Bytes
-from rossec.inprocess.links import Link
+from rossec.inprocess.links import Link, PlainLink
 from rossec.inprocess.member import now
 from rossec.inprocess.sockets import RosSocket
 
@@ -93,10 +93,10 @@ def _for(
     name: str, data: bytes, connection: Any, moment: int, treated: dict[Hashable, Pieces | None]
 ) -> Pieces | None:
     sock = connection.socket
-    link: Link | None = sock.link
+    link: Link | PlainLink | None = sock.link
     if link is None or moment >= link.ends:
         return None
-    if link.guard is None:
+    if isinstance(link, PlainLink) or link.guard is None:
         return data
     key = link.guard.key
     if key not in treated:

@@ -6,6 +6,7 @@ parameter, so it must never be called by the thread that speaks to the master, n
 
 import logging
 import queue
+import time
 from collections import OrderedDict
 from collections.abc import Callable
 from threading import Thread
@@ -15,6 +16,8 @@ from ca.errors import HintedError
 from rossec.ros.text import printable
 
 _REMEMBERED: Final = 512
+_BURST: Final = 30  # lines within PERIOD; strangers must not be able to fill a disk
+_PERIOD: Final = 10.0
 
 
 class Reporter:
@@ -23,6 +26,7 @@ class Reporter:
     def __init__(self, write: Callable[[str], None]) -> None:
         self._write = write
         self._said: OrderedDict[str, None] = OrderedDict()
+        self._since, self._lines = 0.0, 0
         self._queue: queue.SimpleQueue[str | None] = queue.SimpleQueue()
         self._thread = Thread(target=self._run, name="rossec report", daemon=True)
         self._thread.start()
@@ -37,7 +41,18 @@ class Reporter:
         self._said[line] = None
         if len(self._said) > _REMEMBERED:
             self._said.popitem(last=False)
-        self._queue.put(line)
+        if self._has_room():
+            self._queue.put(line)
+
+    def _has_room(self) -> bool:
+        """Whether one more line is no flood; the first that is too many says so."""
+        moment = time.monotonic()
+        if moment - self._since > _PERIOD:
+            self._since, self._lines = moment, 0
+        self._lines += 1
+        if self._lines == _BURST:
+            self._queue.put(f"rossec: more than {_BURST} different warnings; some are left out")
+        return self._lines < _BURST
 
     def forget(self, what: str) -> None:
         """`what` has gone well since: if it fails again, that is news."""

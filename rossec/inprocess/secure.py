@@ -14,10 +14,12 @@ from typing import Any, NoReturn
 
 from ca.errors import HintedError
 from rossec import files
+from rossec.channel.policy import post_quantum
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
 from rossec.inprocess.member import Member
 from rossec.inprocess.options import Options, file_of, read
+from rossec.inprocess.plain import Plain
 from rossec.inprocess.process import Process
 from rossec.inprocess.report import LogBridge, Reporter
 from rossec.ros.settings import parse_uri
@@ -36,7 +38,7 @@ class _Secured:
         self.hooks.check_in_time()
         self._rospy = importlib.import_module("rospy")
         self.reporter = Reporter(lambda line: self._rospy.logwarn("%s", line))
-        self.process = Process(self.reporter)
+        self.process = Process(self.reporter, Plain(options.allow_plain))
         self._stock_start: Callable[..., Any] = self._rospy.impl.init.start_node
         self.table = self.hooks.hooks(self.process, self.start_node)
 
@@ -50,6 +52,8 @@ class _Secured:
             _require_some_identity(self.options)
             self.hooks.install(self.table)
         logging.getLogger("rossec").addHandler(LogBridge(self.reporter))
+        for entry in self.options.allow_plain:
+            self.reporter.warn(f"PLAIN: allow_plain leaves {entry} open to anybody")
 
     def start_node(
         self,
@@ -79,7 +83,8 @@ class _Secured:
         return self._stock_start(environ, resolved_name, master_uri, port, tcpros_port)
 
     def _member(self, name: str) -> Member:
-        return Member(NodeHome.find(self.options.home, name), name)
+        home = NodeHome.find(self.options.home, name)
+        return Member(home, name, post_quantum(os.environ))
 
     def _begin(self, member: Member) -> None:
         uri = importlib.import_module("rosgraph").get_master_uri()

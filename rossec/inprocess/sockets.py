@@ -18,9 +18,11 @@ from ca.certificates import Identity
 from rossec.channel.connection import Connection
 from rossec.channel.opening import Flavour
 from rossec.channel.records import Bytes, Limits
-from rossec.errors import ChannelClosed, ChannelError
-from rossec.inprocess.links import Link
+from rossec.errors import ChannelClosed, ChannelError, PlainPeer
+from rossec.inprocess.links import Link, PlainLink
 from rossec.inprocess.member import Member, now
+from rossec.inprocess.plain import Plain
+from rossec.inprocess.plainsocket import PlainStream, peek
 from rossec.net.blocking import SecureSocket
 from rossec.net.halfopen import HalfOpen, HalfOpenCount
 
@@ -50,6 +52,7 @@ class Doors:
         core = Connection[Identity].initiator(
             self._member.credentials, self._member.anchor.verify,
             random=secrets.token_bytes, now=now(), opening=opening, limits=LIMITS,
+            suites=self._member.suites,
         )  # fmt: skip
         stream = SecureSocket(sock, core)
         try:
@@ -65,11 +68,16 @@ class Doors:
         """Whether one more unfinished handshake from there is bearable; `answer` must follow."""
         return self._count.admit(address)
 
+    def settle(self, address: str) -> None:
+        """A caller that was admitted needs no handshake."""
+        self._count.settle(address)
+
     def answer(self, sock: socket.socket, address: str, flavour: Flavour) -> Stream:
         """Answer a caller that was admitted; its handshake is still to come."""
         core = Connection[Identity].responder(
             self._member.credentials, self._member.anchor.verify,
             random=secrets.token_bytes, now=now(), accept={flavour}, limits=LIMITS,
+            suites=self._member.suites,
         )  # fmt: skip
         sock.settimeout(None)  # rospy sets a default for all sockets of the process
         return SecureSocket(sock, core, lambda: self._count.settle(address))
@@ -85,6 +93,10 @@ class Owner(Protocol):
     def gone(self, sock: "RosSocket") -> None:
         """A connection is over."""
 
+    @property
+    def plain(self) -> Plain:
+        """What may stay plain."""
+
     def failed(self, address: tuple[str, int], error: ChannelError) -> Exception:
         """What to raise where a connection cannot be secured."""
 
@@ -99,14 +111,13 @@ class RosSocket:
     def __init__(self, owner: Owner, sock: socket.socket, stream: Stream | None = None) -> None:
         self._owner = owner
         self._socket = sock
-        self._stream = stream
-        self._fd = sock.fileno()
-        self.link: Link | None = None
+        self._stream: Stream | PlainStream | None = stream
+        self.link: Link | PlainLink | None = None
         self._pump_at = 0.0
 
     @property
-    def stream(self) -> Stream:
-        """The secure connection.
+    def stream(self) -> Stream | PlainStream:
+        """The connection: secure, but where `allow_plain` names it.
 
         Raises:
             ChannelClosed: there is none.
@@ -126,6 +137,31 @@ class RosSocket:
             raise ChannelClosed("the peer is not authenticated")
         return self.stream.peer
 
+    def handshake(self) -> Identity:
+        """Who is at the other end, once that is proved.
+
+        Raises:
+            ChannelError: it is not.
+        """
+        stream = self.stream
+        if isinstance(stream, PlainStream):
+            raise ChannelClosed("a plain connection proves nothing")
+        return stream.do_handshake()
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether nobody vouches for this connection."""
+        return isinstance(self._stream, PlainStream)
+
+    def peek(self) -> bytes:
+        """What a plain caller sends first (`plainsocket.peek`)."""
+        return peek(self._socket)
+
+    def go_plain(self) -> None:
+        """Go on without the channel: `allow_plain` names what the caller wants."""
+        if isinstance(self._stream, SecureSocket):
+            self._stream = PlainStream(self._stream.detach())
+
     # -- becoming a connection
 
     def connect(self, address: tuple[str, int]) -> None:
@@ -138,6 +174,12 @@ class RosSocket:
         self._socket.connect(address)
         try:
             self._stream = self._owner.doors.call(self._socket, Flavour.TCPROS)
+        except PlainPeer as error:
+            if not self._owner.plain:
+                raise self._owner.failed(address, error) from error
+            # Nothing is said yet: which topic or service this is for is known with the header.
+            self._socket = socket.create_connection(address, CONNECT_TIMEOUT)
+            self._stream = PlainStream(self._socket)
         except ChannelError as error:
             raise self._owner.failed(address, error) from error
 

@@ -22,10 +22,11 @@ from grants.errors import DefinitionRefused
 from grants.guard import Guard, needed_keys
 from grants.model import Right
 from rossec.channel.records import Limits
-from rossec.errors import TopicRefused
+from rossec.errors import PlainPeer, TopicRefused
 from rossec.inprocess import headers
-from rossec.inprocess.links import Link
+from rossec.inprocess.links import Link, PlainLink
 from rossec.inprocess.member import Member, now
+from rossec.inprocess.plainsocket import plain_fields
 from rossec.inprocess.process import Process
 from rossec.inprocess.sockets import RosSocket
 from rossec.node.access import FIELD
@@ -41,6 +42,7 @@ _PROVES: Final[dict[type, Right]] = {
     TCPROSServiceClient: Right.CALL,
     TCPService: Right.PROVIDE,
 }
+_HINT_PLAIN: Final = "secure it, or name what it offers in allow_plain while you migrate"
 _FIRST_PAUSE: Final = 0.5
 _LONGEST_PAUSE: Final = 30.0
 _SLICE: Final = 0.5  # seconds after which a waiting subscriber looks whether it is still wanted
@@ -64,17 +66,25 @@ class Connections:
         if sock is None or protocol is None:
             return
         try:
-            self._member.access.check_peer(sock.peer, now())
-            data = header.encode(self._fields(protocol))
+            data = header.encode(self._fields(protocol, sock))
             sock.send_unit(data)
         except HintedError as error:
             raise self._refused(protocol, error) from error
         transport.stat_bytes += len(data)
 
-    def _fields(self, protocol: Any) -> dict[str, str | bytes]:
+    def _fields(self, protocol: Any, sock: RosSocket) -> dict[str, str | bytes]:
+        if sock.is_plain:
+            self._check_plain(protocol.resolved_name, sock)
+            return dict(protocol.get_header_fields())
+        self._member.access.check_peer(sock.peer, now())
         right = _PROVES[type(protocol)]
         proof = self._member.access.present(right, protocol.resolved_name, now())
         return {**protocol.get_header_fields(), "callerid": self._member.name, FIELD: proof}
+
+    def _check_plain(self, name: str, sock: RosSocket) -> None:
+        """Before a byte is said in clear."""
+        if not self._process.may_be_plain(name, sock.getpeername()[0]):
+            raise PlainPeer("the peer is a plain ROS node", _HINT_PLAIN)
 
     def read_header(self, transport: Any) -> None:
         """`TCPROSTransport.read_header`: the answer of a publisher or a service."""
@@ -83,11 +93,12 @@ class Connections:
             return
         try:
             fields = headers.receive(sock)
-            decision = self._admit_server(protocol, fields, sock)
+            link = None if sock.is_plain else Link(sock, self._admit_server(protocol, fields, sock))
         except HintedError as error:
             raise self._refused(protocol, error) from error
         transport._validate_header(headers.for_rospy(fields))  # noqa: SLF001 - rospy's own
-        self._process.watch(sock, Link(sock, decision))
+        if link is not None:
+            self._process.watch(sock, link)
         self._process.reporter.forget(_what(protocol))
 
     def _admit_server(self, protocol: Any, fields: dict[str, bytes], sock: RosSocket) -> Decision:
@@ -110,7 +121,9 @@ class Connections:
         """`TCPROSServer._tcp_server_callback`, in a thread of its own: one caller."""
         caller = f"the caller from {where[0]}"
         try:
-            peer = sock.stream.do_handshake()
+            if self._process.plain and self._serve_plain(server, sock, where):
+                return
+            peer = sock.handshake()
             caller = peer.name
             self._process.links.admit(sock, peer, sock.abort)
             self._member.access.check_peer(peer, now())
@@ -118,7 +131,7 @@ class Connections:
             self._introduce(server, sock, where, fields)
         except HintedError as error:
             self._process.reporter.warn(f"refused {caller}", error)
-            if sock.stream.peer is not None:
+            if sock.is_plain or sock.stream.peer is not None:
                 headers.refuse(sock, error)
             sock.close()
         except (OSError, TransportInitError) as error:
@@ -127,6 +140,22 @@ class Connections:
         except BaseException:
             sock.close()  # a guard that crashes lets nobody through
             raise
+
+    def _serve_plain(self, server: Any, sock: RosSocket, where: Any) -> bool:
+        """Serve a plain caller of what `allow_plain` names; others go on into the channel."""
+        fields = plain_fields(sock.peek())
+        kind = "service" if "service" in fields else "topic"
+        name = fields.get(kind, b"").decode(errors="replace")
+        if not name or not self._process.may_be_plain(name, where[0]):
+            return False
+        sock.go_plain()
+        headers.receive(sock)
+        sock.link = PlainLink()
+        handler = getattr(server, f"{kind}_connection_handler")
+        refusal = handler(sock, where, headers.for_rospy(fields))
+        if refusal:
+            raise TopicRefused(f"no such {kind}, or of another type")
+        return True
 
     def _introduce(
         self, server: Any, sock: RosSocket, where: Any, fields: dict[str, bytes]

@@ -16,10 +16,11 @@ from rospy.impl.tcpros_base import get_tcpros_server_address, start_tcpros_serve
 
 from ca.certificates import Identity
 from ca.errors import HintedError, RevocationsStale
-from rossec.channel.opening import Flavour
+from rossec.channel.opening import REFUSAL, Flavour
 from rossec.errors import ChannelClosed, ChannelError, HttpRefused, PlainPeer, XmlRpcRefused
 from rossec.inprocess.addresses import bracketed
 from rossec.inprocess.member import now
+from rossec.inprocess.plainsocket import PlainStream, peek
 from rossec.inprocess.process import Process
 from rossec.inprocess.registrations import REFUSED
 from rossec.inprocess.sockets import CONNECT_TIMEOUT, Stream
@@ -122,7 +123,12 @@ class Client:
     def _call_node(self, address: tuple[str, int], method: str, params: Params) -> object:
         request = dump_call(method, params)
         sock = socket.create_connection(address, CONNECT_TIMEOUT)
-        stream = self._process.doors.call(sock, Flavour.HTTP)
+        try:
+            stream = self._process.doors.call(sock, Flavour.HTTP)
+        except PlainPeer:
+            if not self._process.plain or method != "requestTopic":
+                raise
+            return self._call_plain(address, params, request)
         try:
             if stream.peer is not None:
                 self._process.member.access.check_peer(stream.peer, now())
@@ -130,8 +136,15 @@ class Client:
         finally:
             stream.close()
 
+    def _call_plain(self, address: tuple[str, int], params: Params, request: bytes) -> object:
+        sock = socket.create_connection(address, CONNECT_TIMEOUT)
+        with sock:
+            if not self._process.may_be_plain(str(params[1]), sock.getpeername()[0]):
+                raise PlainPeer("the peer is a plain ROS node", "secure it, or see allow_plain")
+            return load_response(_exchange(PlainStream(sock), address[0], request))
 
-def _exchange(stream: Stream, host: str, request: bytes) -> bytes:
+
+def _exchange(stream: Stream | PlainStream, host: str, request: bytes) -> bytes:
     http = HttpClient(f"[{host}]" if ":" in host else host)
     end = time.monotonic() + CALL_DEADLINE
     stream.settimeout(CALL_DEADLINE)
@@ -141,7 +154,7 @@ def _exchange(stream: Stream, host: str, request: bytes) -> bytes:
     return body
 
 
-def _some(stream: Stream, end: float | None) -> bytes:
+def _some(stream: Stream | PlainStream, end: float | None) -> bytes:
     stream.settimeout(None if end is None else max(0.001, end - time.monotonic()))
     data = stream.recv(_READ)
     if not data:
@@ -172,6 +185,9 @@ class Server:
 
     def finish_request(self, server: Any, request: socket.socket, where: Any) -> None:
         """`ThreadingXMLRPCServer.finish_request`, in a thread of its own: one caller."""
+        if self._process.plain and peek(request) == b"POST":
+            self._answer_plain(request, where[0])
+            return
         stream = self._process.doors.answer(request, where[0], Flavour.HTTP)
         caller = f"the caller from {where[0]}"
         try:
@@ -199,6 +215,22 @@ class Server:
         except HttpRefused as error:
             with suppress(ChannelError, OSError):
                 stream.sendall(http.refuse(error.status))
+
+    def _answer_plain(self, request: socket.socket, address: str) -> None:
+        """A plain caller may ask where a topic is that `allow_plain` names, and nothing else."""
+        self._process.doors.settle(address)
+        stream, http = PlainStream(request), HttpServer()
+        with suppress(HintedError, OSError):
+            call = load_call(_next_request(http, stream, time.monotonic() + REQUEST_DEADLINE))
+            match call.method, call.params:
+                case "requestTopic", (_, str() as topic, list() as protocols) if (
+                    self._process.may_be_plain(topic, address)
+                ):
+                    start_tcpros_server()
+                    answer = topic_offer(protocols, *get_tcpros_server_address())
+                case _:
+                    answer = [-1, REFUSAL, 0]
+            stream.sendall(http.respond(dump_response(answer)))
 
     def _answer(self, server: Any, body: bytes, peer: Identity) -> bytes:
         try:
@@ -242,7 +274,7 @@ class Server:
         return list(server._dispatch(method, params))  # noqa: SLF001 - stock's own handler
 
 
-def _next_request(http: HttpServer, stream: Stream, end: float | None) -> bytes:
+def _next_request(http: HttpServer, stream: Stream | PlainStream, end: float | None) -> bytes:
     while (body := http.next_request()) is None:
         waiting = end
         if http.pending:

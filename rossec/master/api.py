@@ -75,19 +75,27 @@ class MasterApi:
     Args:
         name: the master's own certified name.
         uri, pid: what `getUri` and `getPid` answer.
+        parameters: what is set already.
     """
 
     def __init__(
-        self, registry: Registry, statements: Statements, *, name: str, uri: str, pid: int
+        self,
+        registry: Registry,
+        statements: Statements,
+        *,
+        name: str,
+        uri: str,
+        pid: int,
+        parameters: Parameters | None = None,
     ) -> None:
         self._statements = statements
         self._uri = uri
         self._pid = pid
         self._gatekeeper = Gatekeeper(registry, name)
-        parameters = ParameterCalls(Parameters(), registry, statements.caller_of)
+        tree = Parameters() if parameters is None else parameters
         self.methods: Methods = {
             **GraphCalls(registry, self._gatekeeper).methods(),
-            **parameters.methods(),
+            **ParameterCalls(tree, registry, statements.caller_of).methods(),
             **self._own_methods(),
         }
 

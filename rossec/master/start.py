@@ -1,13 +1,19 @@
 """Making a master from the directory of its node."""
 
 import socket
+from typing import Final
 
 from ca.revocation import Revocations
+from rossec.channel.suites import PRODUCTION
 from rossec.home import NodeHome
 from rossec.master.complaints import Complain, unheard
+from rossec.master.limits import Limits
+from rossec.master.memory import ParameterFile
 from rossec.master.server import MasterServer
 from rossec.master.trust import Trust
 from rossec.ros.settings import is_loopback
+
+_LIMITS: Final = Limits()
 
 
 def master_of(
@@ -18,6 +24,8 @@ def master_of(
     newest: bytes | None,
     now: int,
     complain: Complain = unheard,
+    limits: Limits = _LIMITS,
+    suites: tuple[int, ...] = PRODUCTION,
 ) -> MasterServer:
     """The master whose identity is in `home`, not yet started.
 
@@ -27,6 +35,8 @@ def master_of(
         newest: a revocation list that may be newer than the one saved, when the authority lives on
             this host; otherwise the master waits until one is published.
         complain: hears of every right that somebody lacks.
+        limits: what one peer may cost.
+        suites: the post-quantum policy (`rossec.channel.policy`).
 
     Raises:
         ConfigurationError: the node is not enrolled.
@@ -49,4 +59,7 @@ def master_of(
         port=port,
         advertise=host or socket.gethostname(),
         complain=complain,
+        memory=ParameterFile(home.path / "parameters.journal"),
+        limits=limits,
+        suites=suites,
     )

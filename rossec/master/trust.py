@@ -7,7 +7,7 @@ holds. Grants are kept per key, verified once, bounded in number and size.
 """
 
 import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -19,6 +19,8 @@ from grants.decision import Check, authorize
 from grants.document import open_grant
 from grants.errors import GrantError, GrantNotHeld
 from grants.model import Grant, Right
+from grants.reach import Reach
+from grants.validity import check_time
 from rossec.master.api import Presented
 from rossec.master.gatekeeper import Caller, Certified, Peer
 
@@ -28,21 +30,30 @@ MAX_FAILURES: Final = 256  # refused grants of one key in FAILURES_WITHIN; each 
 FAILURES_WITHIN: Final = 60  # seconds
 
 
+_NOTHING: Final = Reach(())
+
+
 @dataclass(frozen=True)
 class GrantAccess:
-    """What one key may do at one moment."""
+    """What one key may do at one moment: `reach` is of those `grants` that hold at `now`."""
 
-    grants: tuple[Grant, ...]
+    grants: Collection[Grant]
+    reach: Reach
     holder: bytes
     now: int
     check: Check
 
+    def covers(self, right: Right, name: str) -> bool:
+        """Whether a grant that holds covers `right` on `name`."""
+        return self.reach.covers(right, name)
+
     def require(self, right: Right, name: str) -> None:
         """Raise the `GrantError` that says what is missing."""
-        authorize(self.grants, right, name, holder=self.holder, now=self.now, check=self.check)
+        if not self.reach.covers(right, name):
+            authorize(self.grants, right, name, holder=self.holder, now=self.now, check=self.check)
 
 
-@dataclass
+@dataclass(slots=True)
 class _Held:
     """Verified grants of one key by the digest of their bytes, and their size."""
 
@@ -50,10 +61,28 @@ class _Held:
     sizes: dict[bytes, int] = field(default_factory=dict)
     failures: int = 0
     failing_since: int = 0
+    version: int = 0
+    _reach: Reach = _NOTHING
+    _reach_at: tuple[object, ...] = ()
+    _holding: tuple[bytes, ...] = ()
+
+    def reach(self, now: int, revocations: Revocations) -> Reach:
+        """What the grants that hold now reach; worked out anew when the answer may differ."""
+        at = now, revocations.data, revocations.fresh_until, self.version
+        if self._reach_at != at:
+            held = [grant for grant in self.grants.values() if _holds(grant, now, revocations)]
+            holding = tuple(grant.id for grant in held)
+            if holding != self._holding:
+                self._reach = Reach(
+                    permission for grant in held for permission in grant.permissions
+                )
+            self._reach_at, self._holding = at, holding
+        return self._reach
 
     def drop_expired(self, now: int) -> None:
         for key in [key for key, grant in self.grants.items() if grant.expires <= now]:
             del self.grants[key], self.sizes[key]
+            self.version += 1
 
     def count_failure(self, now: int) -> None:
         self.failures += 1
@@ -67,6 +96,16 @@ class _Held:
 
     def is_full_for(self, size: int) -> bool:
         return len(self.grants) >= MAX_HELD or sum(self.sizes.values()) + size > MAX_HELD_BYTES
+
+
+def _holds(grant: Grant, now: int, revocations: Revocations) -> bool:
+    """Whether `grants.decision` would take the grant now; it is bound to its holder already."""
+    try:
+        check_time(grant, now)
+        revocations.check(grant.id, now)
+    except HintedError:
+        return False
+    return True
 
 
 class Trust:
@@ -91,6 +130,7 @@ class Trust:
         self._revocations = revocations
         self._persist = persist
         self._held: dict[bytes, _Held] = {}
+        self._chains: dict[bytes, tuple[bytes, ...]] = {}  # by the first key: all of an identity
         self._stamp: tuple[int, bytes] = (-1, b"")
         self._confirmed_at = -1
 
@@ -98,15 +138,16 @@ class Trust:
         """Who calls and what it may do now.
 
         Raises:
-            Revoked: the key is revoked.
+            Revoked: the key is revoked, or that of the intermediate it hangs on.
         """
-        if peer.thumbprint in self._revocations.entries:
+        self._chains[peer.thumbprint] = peer.keys
+        if self._is_revoked(peer.keys):
             raise Revoked(f"the key of {peer.name} is revoked", "enroll the node with a new key")
         return self._caller(peer, now, wildcard=peer.wildcard)
 
     def caller_of(self, peer: Peer, now: int) -> Caller | None:
         """What a name and key seen before may do now; None: the key is revoked."""
-        if peer.thumbprint in self._revocations.entries:
+        if self._is_revoked(self._chains.get(peer.thumbprint, (peer.thumbprint,))):
             return None
         return self._caller(peer, now)
 
@@ -135,6 +176,11 @@ class Trust:
             self._stamp = now, sign_timestamp(self._signer, self._timestamp(now))
         return self._revocations.data, self._stamp[1]
 
+    @property
+    def number(self) -> int:
+        """Sequence number of the list in force; 0: none."""
+        return 0 if self._revocations.held is None else self._revocations.held.seq
+
     def update(self, data: bytes, now: int) -> bool:
         """Take a list signed by the authority; returns whether it differs from the one held.
 
@@ -149,14 +195,19 @@ class Trust:
     def keep_only(self, thumbprints: frozenset[bytes], now: int) -> None:
         """Forget the grants of all other keys, and what has expired of these."""
         self._held = {key: held for key, held in self._held.items() if key in thumbprints}
+        self._chains = {key: keys for key, keys in self._chains.items() if key in thumbprints}
         for held in self._held.values():
             held.drop_expired(now)
+
+    def _is_revoked(self, keys: tuple[bytes, ...]) -> bool:
+        return not self._revocations.entries.isdisjoint(keys)
 
     def _caller(self, peer: Peer, now: int, *, wildcard: bool = False) -> Caller:
         self._confirm(now)
         held = self._held.get(peer.thumbprint)
-        grants = () if held is None else tuple(held.grants.values())
-        access = GrantAccess(grants, peer.thumbprint, now, self._revocations.check)
+        grants = () if held is None else held.grants.values()
+        reach = _NOTHING if held is None else held.reach(now, self._revocations)
+        access = GrantAccess(grants, reach, peer.thumbprint, now, self._revocations.check)
         return Caller(peer.name, peer.thumbprint, access, wildcard)
 
     def _keep(self, held: _Held, caller: Caller, token: bytes, now: int) -> None:
@@ -173,6 +224,7 @@ class Trust:
         if grant.holder != caller.thumbprint:
             raise GrantNotHeld("a grant bound to another key", f"it was given to {grant.subject}")
         held.grants[key], held.sizes[key] = grant, len(token)
+        held.version += 1
 
     def _confirm(self, now: int) -> None:
         if self._revocations.held is not None and self._confirmed_at != now:
@@ -180,6 +232,4 @@ class Trust:
             self._confirmed_at = now
 
     def _timestamp(self, now: int) -> Timestamp:
-        revocations = self._revocations.held
-        seq = 0 if revocations is None else revocations.seq
-        return Timestamp(seq, digest(self._revocations.data), now, MAX_AGE)
+        return Timestamp(self.number, digest(self._revocations.data), now, MAX_AGE)

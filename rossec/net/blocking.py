@@ -182,15 +182,29 @@ class SecureSocket(SocketOptions, Generic[PeerT]):
         self._tick()
         with self._writing:
             self._raise_if_over()
-            with self._core_lock:
-                records = self._core.seal_unit(*pieces, reuse=True)
-            while True:
-                with self._core_lock:
-                    record = self._guarded(lambda: next(records, None))
-                if record is None:
-                    break
-                self._push(record, end)
+            if not self._push_small(pieces, end):
+                self._push_unit(pieces, end)
         self._flush(end)
+
+    def _push_small(self, pieces: tuple[Bytes, ...], end: float | None) -> bool:
+        """The short way of a small unit: one record, where nothing else has to be done."""
+        if len(pieces) != 1 or not isinstance(pieces[0], bytes):
+            return False
+        with self._core_lock:
+            record = self._core.seal_small(pieces[0])
+        if record is not None:
+            self._push(record, end)
+        return record is not None
+
+    def _push_unit(self, pieces: tuple[Bytes, ...], end: float | None) -> None:
+        with self._core_lock:
+            records = self._core.seal_unit(*pieces, reuse=True)
+        while True:
+            with self._core_lock:
+                record = self._guarded(lambda: next(records, None))
+            if record is None:
+                return
+            self._push(record, end)
 
     # -- the core and the socket
 
@@ -318,6 +332,12 @@ class SecureSocket(SocketOptions, Generic[PeerT]):
                 os.eventfd_read(self._event)
 
     # -- ends
+
+    def detach(self) -> socket.socket:
+        """Give the TCP socket back, before anything was read from it."""
+        self._closed = True
+        self._fail(ChannelClosed("the connection was given back"))
+        return self._socket
 
     def shutdown(self, how: int = socket.SHUT_RDWR) -> None:
         """Close in order (`SHUT_RD` alone does nothing: the peer cannot be told)."""

@@ -149,6 +149,7 @@ class SecureServer(Generic[PeerT]):
         self._resting = True
         for listener in self._listeners:
             self._loop.remove_reader(listener.fileno())
+            listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 0)  # stays ours
             with suppress(OSError):  # it rests already
                 listener.shutdown(socket.SHUT_RDWR)
 
@@ -158,6 +159,7 @@ class SecureServer(Generic[PeerT]):
             return
         self._resting = False
         for listener in self._listeners:
+            listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             listener.listen(_BACKLOG)
             self._watch(listener)
 

@@ -8,19 +8,36 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
+    from rossec.node.client import ServiceClient
     from rossec.node.messages import message_type, register_type
     from rossec.node.node import Node
+    from rossec.node.provider import Service
     from rossec.node.publisher import Publisher
+    from rossec.node.srvtypes import register_service_type, service_type
     from rossec.node.subscriber import Subscriber
 
-__all__ = ["Node", "Publisher", "Subscriber", "message_type", "register_type"]
+__all__ = [
+    "Node",
+    "Publisher",
+    "Service",
+    "ServiceClient",
+    "Subscriber",
+    "message_type",
+    "register_service_type",
+    "register_type",
+    "service_type",
+]
 
 _PLACES: Final = {
     "Node": "node",
     "Publisher": "publisher",
+    "Service": "provider",
+    "ServiceClient": "client",
     "Subscriber": "subscriber",
     "message_type": "messages",
+    "register_service_type": "srvtypes",
     "register_type": "messages",
+    "service_type": "srvtypes",
 }
 
 

@@ -66,7 +66,8 @@ class Access:
 
     def check_peer(self, peer: Identity, now: int) -> None:
         """Raise a `CAError` when the identity of `peer` is revoked, or that is not known."""
-        self._revocations.check(peer.thumbprint, now)
+        for key in peer.keys:
+            self._revocations.check(key, now)
 
     def authorize(
         self, peer: Identity, presented: bytes | None, right: Right, name: str, now: int

@@ -10,7 +10,7 @@ from ca.certificates import Identity
 from rossec.net.server import Handler
 from rossec.net.stream import SecureStream
 
-PEER_CONNECTIONS: Final = 64  # of one identity: one for each topic it subscribes to here
+PEER_CONNECTIONS: Final = 64  # of one identity: one for each topic or service it uses here
 
 _log = logging.getLogger("rossec.node")
 
@@ -40,5 +40,5 @@ class Guests:
     def cut(self, revoked: frozenset[bytes]) -> None:
         """Cut every connection of a revoked key, whatever it is used for."""
         for stream in tuple(self._streams):
-            if stream.peer.thumbprint in revoked:
+            if not revoked.isdisjoint(stream.peer.keys):
                 stream.abort("the peer's identity is revoked")

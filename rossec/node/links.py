@@ -47,7 +47,7 @@ def why_cut(link: Judged, revocations: Revocations, now: int) -> str | None:
     if now >= link.ends:
         return "its grant or its certificate has expired"
     try:
-        for entry in (link.stream.peer.thumbprint, *link.decision.grant_ids):
+        for entry in (*link.stream.peer.keys, *link.decision.grant_ids):
             revocations.check(entry, now)
     except Revoked as error:
         return str(error)

@@ -18,7 +18,6 @@ from rossec.errors import ConfigurationError, RossecError
 from rossec.net.rpc import RpcClient
 from rossec.net.stream import SecureStream
 from rossec.node.slave import MASTER
-from rossec.ros.xmlrpc import value_of
 
 HEARTBEAT: Final = 10.0
 _FIRST_PAUSE: Final = 0.25
@@ -57,18 +56,20 @@ class MasterSession:
         Raises:
             RossecError: the master refuses, answers nonsense, or is out of reach.
         """
-        return value_of(await self.relay(method, self._name, *params))
+        return await self._connected().ask(method, self._name, *params)
 
-    async def relay(self, method: str, *params: object) -> object:
-        """What the master answers, whatever it is; `params` begin with the caller_id.
+    async def answer(self, method: str, *params: object) -> object:
+        """Whole answer to a call whose parameters are complete.
 
         Raises:
-            Fault: as answered.
-            RossecError: the master answers nonsense, or is out of reach.
+            Fault, RossecError: as of `RpcClient.call`; the master is out of reach.
         """
+        return await self._connected().call(method, *params)
+
+    def _connected(self) -> RpcClient:
         if self._client is None or self._client.closed:
             raise RossecError("the master is out of reach", "is `rossec master` running there?")
-        return await self._client.call(method, *params)
+        return self._client
 
     async def open(self) -> SecureStream[Identity]:
         """Connect and restore everything; returns the new control connection.

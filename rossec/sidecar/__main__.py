@@ -13,6 +13,7 @@ import sys
 from typing import Any
 
 from ca.errors import HintedError
+from rossec.channel.policy import post_quantum
 from rossec.discovery.choose import settle_master
 from rossec.home import rossec_home
 from rossec.ros import settings
@@ -51,6 +52,7 @@ async def _run(options: dict[str, Any]) -> int:
         identity=options["identity"],
         each=options["each"],
         port=options["port"],
+        suites=post_quantum(before),
     )
     sidecar.start()
     try:

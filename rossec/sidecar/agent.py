@@ -16,7 +16,9 @@ from ca.certificates import Identity
 from ca.errors import HintedError, RevocationsStale
 from ca.revocation import Revocations, open_timestamp
 from grants.model import Right
+from rossec.channel.known import KnownCertificates
 from rossec.channel.opening import Flavour
+from rossec.channel.suites import PRODUCTION
 from rossec.errors import CallRefused, HangUp, RossecError
 from rossec.home import NodeHome
 from rossec.net.rpc import serve_calls
@@ -59,14 +61,21 @@ class Agent:
         outside: where the master is and how peers reach this host.
         callers: which programs may use it.
         master_uri: the loopback master, as its programs know it.
+        suites: offered and accepted, in order of preference.
     """
 
     def __init__(
-        self, home: NodeHome, outside: Settings, callers: Callers, master_uri: str
+        self,
+        home: NodeHome,
+        outside: Settings,
+        callers: Callers,
+        master_uri: str,
+        suites: tuple[int, ...] = PRODUCTION,
     ) -> None:
         self.home = home
         self.callers = callers
         self._outside = outside
+        self._suites, self._known = suites, KnownCertificates()
         self._anchor = home.anchor()
         self._credentials = home.credentials()
         self._revocations = Revocations(self._anchor.public_key)
@@ -165,12 +174,12 @@ class Agent:
     async def _connect(self, remote: Endpoint) -> SecureStream[Identity]:
         return await connect(
             remote.host, remote.port, self._credentials, self._anchor.verify,
-            opening=remote.flavour,
+            opening=remote.flavour, suites=self._suites, known=self._known,
         )  # fmt: skip
 
     async def ask_master(self, method: str, params: tuple[object, ...]) -> object:
         """The master's answer."""
-        return await self._session.relay(method, *params)
+        return await self._session.answer(method, *params)
 
     def proof(self, right: Right, name: str) -> bytes:
         """Grants that prove `right` on `name`."""
@@ -192,7 +201,8 @@ class Agent:
             try:
                 return serve_now(
                     self._guests.bounded(handler), bind, free_port(), self._credentials,
-                    self._anchor.verify, accept={local.flavour},
+                    self._anchor.verify, accept={local.flavour}, suites=self._suites,
+                    known=self._known,
                 )  # fmt: skip
             except OSError:
                 if attempt == _ATTEMPTS - 1:

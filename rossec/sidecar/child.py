@@ -31,6 +31,8 @@ _PASSED_ON: Final = (
 _FROM_TERMINAL: Final = frozenset({signal.SIGINT, signal.SIGQUIT})
 _NOT_FOUND, _NOT_EXECUTABLE, _SIGNALLED = 127, 126, 128
 _SUBREAPER: Final = 36  # PR_SET_CHILD_SUBREAPER
+_DEATH_SIGNAL: Final = 1  # PR_SET_PDEATHSIG
+_LIBC: Final = ctypes.CDLL(None, use_errno=True)
 
 
 def outside(environ: Mapping[str, str]) -> dict[str, str]:
@@ -43,7 +45,7 @@ def outside(environ: Mapping[str, str]) -> dict[str, str]:
     if saved is None:
         return dict(environ)
     try:
-        values = json.loads(saved)
+        values = dict(json.loads(saved))
         before = {key: str(values[key]) for key in _REPLACED if key in values}
     except (ValueError, TypeError) as error:
         raise ConfigurationError(f"{OUTSIDE} is damaged", f"unset {OUTSIDE}") from error
@@ -63,14 +65,21 @@ def adopt_orphans() -> None:
     Raises:
         OSError: the kernel does not let us.
     """
-    if ctypes.CDLL(None, use_errno=True).prctl(_SUBREAPER, 1, 0, 0, 0) != 0:
+    if _LIBC.prctl(_SUBREAPER, 1, 0, 0, 0) != 0:
         raise OSError(ctypes.get_errno(), "prctl PR_SET_CHILD_SUBREAPER")
+
+
+def _end_with_parent() -> None:
+    """In the child: a program whose sidecar was killed reaches nobody, and must not linger."""
+    _LIBC.prctl(_DEATH_SIGNAL, signal.SIGTERM, 0, 0, 0)
 
 
 async def run(command: Sequence[str], environ: Mapping[str, str]) -> int:
     """Run the program to its end; its exit code, 128 and the signal's number if one ended it."""
     try:
-        program = await asyncio.create_subprocess_exec(*command, env=dict(environ))
+        program = await asyncio.create_subprocess_exec(
+            *command, env=dict(environ), preexec_fn=_end_with_parent
+        )
     except FileNotFoundError:
         raise NoSuchProgram(f"{command[0]}: there is no such program", _NOT_FOUND) from None
     except PermissionError:

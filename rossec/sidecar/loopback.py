@@ -8,7 +8,6 @@ import asyncio
 import contextlib
 import logging
 import socket
-import struct
 from collections.abc import Awaitable, Callable
 from typing import Final
 
@@ -21,7 +20,6 @@ from rossec.sidecar.plain import PlainStream
 _BACKLOG: Final = 64
 _ATTEMPTS: Final = 16
 _CONNECTIONS: Final = 256  # at a time and port; a program has one or two
-_RESET: Final = struct.pack("ii", 1, 0)
 
 _log = logging.getLogger("rossec.sidecar")
 Handler = Callable[[PlainStream], Awaitable[None]]
@@ -48,6 +46,8 @@ class LoopbackPort:
         """Listen."""
         if not self._is_open:
             self._is_open = True
+            # Connections from before may still use the number; at rest nobody else may bind it.
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             self._socket.listen(_BACKLOG)
             self._loop.add_reader(self._socket.fileno(), self._accept)
 
@@ -56,6 +56,7 @@ class LoopbackPort:
         if self._is_open:
             self._is_open = False
             self._loop.remove_reader(self._socket.fileno())
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 0)
             with contextlib.suppress(OSError):
                 self._socket.shutdown(socket.SHUT_RDWR)
 
@@ -103,10 +104,12 @@ def reserve(port: int = 0) -> socket.socket:
     """
     for attempt in range(_ATTEMPTS):
         sock = socket.socket()
-        sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        # A service's own port may be in TIME_WAIT from before; it never rests.
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, int(port != 0))
         sock.setblocking(False)
         try:
             sock.bind((LOOPBACK, port or free_port()))
+            sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 0)
         except OSError:
             sock.close()
             if port or attempt == _ATTEMPTS - 1:
@@ -122,8 +125,3 @@ def free_port() -> int:
         sock.bind((LOOPBACK, 0))
         found: int = sock.getsockname()[1]
         return found
-
-
-def reset_on_close(sock: socket.socket) -> None:
-    """Let the other end see a reset instead of an orderly end."""
-    sock.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _RESET)

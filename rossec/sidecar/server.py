@@ -13,6 +13,7 @@ from typing import Final
 from ca.errors import HintedError
 from ca.names import check_name
 from rossec.channel.opening import Flavour
+from rossec.channel.suites import PRODUCTION
 from rossec.errors import ConfigurationError, HangUp
 from rossec.home import NodeHome
 from rossec.net.rpc import serve_calls
@@ -38,6 +39,7 @@ class Sidecar:
         identity: the name whose identity every program uses, if any.
         each: programs with an identity of their own use that instead.
         port: of the loopback master; 0 for any.
+        suites: of the channel, offered and accepted.
     """
 
     def __init__(
@@ -49,11 +51,13 @@ class Sidecar:
         identity: str | None = None,
         each: bool = False,
         port: int = 0,
+        suites: tuple[int, ...] = PRODUCTION,
     ) -> None:
         self._home = home
         self._outside = outside
         self._callers = callers
         self._each = each
+        self._suites = suites
         self._agents: dict[str, Agent] = {}
         self._master = LoopbackPort(callers, self._serve, port)
         self._default = None if identity is None else self._agent(NodeHome.of(home, identity))
@@ -107,7 +111,9 @@ class Sidecar:
 
     def _agent(self, home: NodeHome) -> Agent:
         if home.name not in self._agents:
-            self._agents[home.name] = Agent(home, self._outside, self._callers, self.uri)
+            self._agents[home.name] = Agent(
+                home, self._outside, self._callers, self.uri, self._suites
+            )
         return self._agents[home.name]
 
 

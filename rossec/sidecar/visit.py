@@ -198,7 +198,7 @@ class Visit:
 
     async def _connect(self, local: Endpoint) -> PlainStream:
         await asyncio.to_thread(self._house.callers.check_listener, local.port)
-        return PlainStream(await dial(LOOPBACK, local.port))
+        return PlainStream(await dial(LOOPBACK, local.port, DEADLINE))
 
     async def _bring(self, remote: Endpoint) -> int:
         """A door that opens only if the peer answers; its connection is kept for who comes next."""

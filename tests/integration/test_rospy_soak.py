@@ -14,7 +14,6 @@ from typing import Final
 
 import pytest
 
-from rossec.home import NodeHome
 from tests.support.attacker import call, credentials
 from tests.support.fleet import SECURE, Program, environment, program
 from tests.support.site import Site
@@ -94,11 +93,6 @@ async def change_the_list(site: Site) -> None:
     await call(site.master.uri, carrier, "rossec.updateRevocations", "/carrier", data)
 
 
-def renew(site: Site, home: NodeHome) -> None:
-    """A new certificate for the same key, as renewal brings it."""
-    home.install(site.authority.issue(home.request(), site.now(), 86400), site.now())
-
-
 async def test_a_day_passes_and_nothing_is_lost_but_where_it_is_said(tmp_path: Path) -> None:
     async with Site(tmp_path / "site").running() as site:
         site.publish("/talker", TOPIC)
@@ -121,8 +115,8 @@ async def test_a_day_passes_and_nothing_is_lost_but_where_it_is_said(tmp_path: P
                     site.subscribe("/listener", TOPIC, lifetime=LIFETIME)
                     renewals += 1
                 if step == 5:
-                    renew(site, site.enroll("/talker"))
-                    renew(site, site.enroll("/listener"))
+                    site.renew("/talker")
+                    site.renew("/listener")
                 if step == 12:
                     await site.restart_master()
                 if step == 14:

@@ -127,10 +127,12 @@ def test_a_bag_is_recorded_and_played(world: World, talker: Running, probe: str)
     bag = world.directory / "chatter.bag"
     world.tool("rosbag", "record", "-l", "8", "-O", str(bag), "/chatter")
     near, far = world.hosts.near, world.hosts.far
-    with world.secured(near, probe, "listener", "/replayed", "3", "__name:=hearer") as hearer:
-        with world.secured(far, "rosbag", "play", "-l", str(bag), "/chatter:=/replayed"):
-            hearer.wait_for("HEARD")
-            assert hearer.process.wait(20) == 0
+    with (
+        world.secured(near, probe, "listener", "/replayed", "3", "__name:=hearer") as hearer,
+        world.secured(far, "rosbag", "play", "-l", str(bag), "/chatter:=/replayed"),
+    ):
+        hearer.wait_for("HEARD")
+        assert hearer.process.wait(20) == 0
 
 
 def test_relay_rostopic_pub_and_hz(world: World, talker: Running) -> None:
@@ -168,7 +170,9 @@ def test_rosout_and_roslaunch_with_four_nodes(world: World, probe: str) -> None:
     launch = world.directory / "four.launch"
     command = f'launch-prefix="{ROSSEC} run --as /three --"'
     launch.write_text(f"""<launch>
-  <node pkg="probe" type="probe" name="one" args="talker /a"><param name="word" value="launched"/></node>
+  <node pkg="probe" type="probe" name="one" args="talker /a">
+    <param name="word" value="launched"/>
+  </node>
   <node pkg="probe" type="probe" name="two" args="talker /b"/>
   <node pkg="probe" type="probe" name="three" args="listener /a" output="screen" {command}/>
   <node pkg="probe" type="probe" name="four" args="both /d 2"/>

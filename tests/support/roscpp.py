@@ -1,4 +1,4 @@
-"""Compiles a program, by default `probe.cpp`, against Debian's roscpp, once for all runs."""
+"""Compiles `probe.cpp` against Debian's roscpp, once for all runs."""
 
 import hashlib
 import shlex
@@ -9,9 +9,9 @@ from typing import Final
 _SOURCE: Final = Path(__file__).with_name("probe.cpp")
 
 
-def compiled(directory: Path, source: Path = _SOURCE) -> Path:
+def compiled(directory: Path) -> Path:
     """The program; `directory` keeps it until its source changes."""
-    program = directory / f"{source.stem}-{hashlib.sha256(source.read_bytes()).hexdigest()[:16]}"
+    program = directory / f"probe-{hashlib.sha256(_SOURCE.read_bytes()).hexdigest()[:16]}"
     if not program.exists():
         flags = subprocess.run(
             ["pkg-config", "--cflags", "--libs", "roscpp", "std_msgs"],
@@ -19,7 +19,7 @@ def compiled(directory: Path, source: Path = _SOURCE) -> Path:
         )  # fmt: skip
         unfinished = program.with_suffix(".new")
         subprocess.run(
-            ["g++", "-O1", str(source), "-o", str(unfinished), *shlex.split(flags.stdout)],
+            ["g++", "-O1", str(_SOURCE), "-o", str(unfinished), *shlex.split(flags.stdout)],
             check=True, capture_output=True,
         )  # fmt: skip
         unfinished.rename(program)

@@ -8,14 +8,16 @@ from pathlib import Path
 
 from ca import keys
 from ca.authority import Authority, create_root
-from ca.certificates import Identity, TrustAnchor
+from ca.certificates import Identity, TrustAnchor, to_pem
 from ca.signer import KeySigner
 from ca.store import Store
 from grants import document
 from grants.model import Draft, Permission, Restriction, Right, filter_rules
 from rossec.authority import OpenAuthority
+from rossec.channel.policy import post_quantum
 from rossec.home import NodeHome
 from rossec.master.complaints import Complain, unheard
+from rossec.master.limits import Limits
 from rossec.master.server import MasterServer
 from rossec.master.start import master_of
 from rossec.node import Node
@@ -44,6 +46,8 @@ class Site:
         self.master: MasterServer | None = None
         self.complain: Complain = unheard
         self.host = "127.0.0.1"
+        self.limits = Limits()
+        self.variables: dict[str, str] = {}  # more of the environment
 
     def now(self) -> int:
         """Seconds since the epoch, by this site's clock."""
@@ -58,7 +62,7 @@ class Site:
     def environ(self) -> Mapping[str, str]:
         """The environment a node of this site runs in."""
         uri = {"ROS_MASTER_URI": self.master.uri} if self.master is not None else {}
-        return {"ROSSEC_HOME": str(self.root), "ROS_IP": "127.0.0.1", **uri}
+        return {"ROSSEC_HOME": str(self.root), "ROS_IP": "127.0.0.1", **uri, **self.variables}
 
     def enroll(self, name: str, lifetime: int = DAY, *, wildcard: bool = False) -> NodeHome:
         """Give the node `name` a key and an identity; with `wildcard`, for anonymous nodes too."""
@@ -69,6 +73,14 @@ class Site:
             bundle = self.authority.issue(home.request(), now, lifetime, wildcard=wildcard)
             home.install(bundle, now)
         return home
+
+    def renew(self, name: str, lifetime: int = DAY) -> None:
+        """Give the node `name` another certificate for the same key."""
+        home = self.enroll(name)
+        leaf = self.authority.authority.issue(
+            home.request(), now=self.now(), serial=secrets.randbits(127) + 1, lifetime=lifetime
+        )
+        home.install(to_pem(leaf) + (home.path / "ca.pem").read_bytes(), self.now())
 
     def identity(self, name: str) -> Identity:
         """The verified identity of an enrolled node."""
@@ -144,6 +156,8 @@ class Site:
         self.master = master_of(
             self.enroll(MASTER), host=self.host, port=port,
             newest=self.authority.store.newest_list(), now=self.now(), complain=self.complain,
+            limits=self.limits,
+            suites=post_quantum(self.environ),
         )  # fmt: skip
         await self.master.start()
 

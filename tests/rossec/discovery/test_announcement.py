@@ -49,10 +49,10 @@ def test_a_revoked_master_is_not_heard(make: Make, site: Site) -> None:
         open_announcement(make(), site.anchor, revoked, NOW)
 
 
-@pytest.mark.parametrize("now", [NOW - 6, NOW + 16])
-def test_announcements_of_another_time(make: Make, site: Site, now: int) -> None:
+@pytest.mark.parametrize("later", [-6, 16])
+def test_announcements_of_another_time(make: Make, site: Site, later: int) -> None:
     with pytest.raises(AnnouncementRefused, match="another time"):
-        open_announcement(make(), site.anchor, NOBODY, now)
+        open_announcement(make(), site.anchor, NOBODY, NOW + later)
 
 
 @pytest.mark.parametrize(
