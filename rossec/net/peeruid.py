@@ -1,6 +1,7 @@
 """Which user is at the other end of a connection within this host.
 
-For a unix socket the kernel says so (SO_PEERCRED); for TCP over loopback its socket table does.
+For a unix socket the kernel says so (SO_PEERCRED); for TCP over loopback its socket table does,
+asked for the one connection (`sockdiag`), or read as a whole where the kernel cannot be asked.
 A TCP row counts only while it is ESTABLISHED and has an inode: the kernel shows user 0 for sockets
 that nobody holds any more (TIME_WAIT, closed, not yet accepted), which must not pass for root's.
 Users of another user namespace all show as the overflow id, which is nobody in particular: refused.
@@ -17,6 +18,7 @@ from pathlib import Path
 from typing import Final, NamedTuple, TypeAlias
 
 from rossec.errors import PeerUserRefused
+from rossec.net import sockdiag
 
 Endpoint: TypeAlias = tuple[str, int]
 """An IP address and a port."""
@@ -98,11 +100,35 @@ def holder_of(sock: socket.socket) -> Holder:
         PeerUserRefused, OSError: as `user_of`.
     """
     near, far = sock.getpeername()[:2], sock.getsockname()[:2]
-    for _ in range(_TRIES):
-        holder = holder_in(tables(), near, far)
-        if holder is not None:
-            return holder
+    holder = _holder(near, far)
+    if holder is not None:
+        return holder
     raise PeerUserRefused("the other end of the connection belongs to no program here", _HINT)
+
+
+def _holder(near: Endpoint, far: Endpoint) -> Holder | None:
+    try:
+        entry = sockdiag.find(near, far)
+    except OSError:
+        for _ in range(_TRIES):
+            holder = holder_in(tables(), near, far)
+            if holder is not None:
+                return holder
+        return None
+    return None if entry is None or entry.inode == 0 else Holder(entry.user, entry.inode)
+
+
+def listeners(port: int) -> list[Holder]:
+    """Who listens at `port`, on whichever address of this host.
+
+    Raises:
+        OSError: the kernel's tables cannot be read.
+    """
+    try:
+        found = sockdiag.listeners(port)
+    except OSError:
+        return listeners_in(tables(), port)
+    return [Holder(entry.user, entry.inode) for entry in found if entry.inode != 0]
 
 
 def require_user(sock: socket.socket, users: Collection[int]) -> int:

@@ -6,6 +6,7 @@ user is refused. What this cannot keep out: root, and a program of the same user
 one of these (ptrace) or reads the identity's files.
 """
 
+import asyncio
 import os
 import socket
 from collections.abc import Collection, Iterable
@@ -17,6 +18,7 @@ from rossec.net import peeruid
 from rossec.net.peeruid import Holder
 
 _PROC: Final = Path("/proc")
+_RECENT: Final = 8  # processes that called before, looked at first
 _HINT: Final = "start it with `rossec run`"
 
 
@@ -31,35 +33,63 @@ class Callers:
     def __init__(self, users: Collection[int], ancestor: int | None = None) -> None:
         self._users = frozenset(users)
         self._ancestor = ancestor
+        self._recent: list[int] = []
 
-    def check(self, sock: socket.socket) -> None:
+    async def check(self, sock: socket.socket) -> None:
         """Return if a program that may is at the other end.
 
         Raises:
             PeerUserRefused: it may not, or nobody knows who it is.
         """
-        self._check(peeruid.holder_of(sock))
+        await self._check(peeruid.holder_of(sock))
 
-    def check_listener(self, port: int) -> None:
+    async def check_listener(self, port: int) -> None:
         """Return if whoever listens at the loopback port `port` may be reached.
 
         Raises:
             PeerUserRefused: one of those who listen there may not.
             ConnectionRefusedError: nobody does.
         """
-        holders = peeruid.listeners_in(peeruid.tables(), port)
+        holders = peeruid.listeners(port)
         if not holders:
             raise ConnectionRefusedError(f"nobody listens at port {port}")
         for holder in holders:
-            self._check(holder)
+            await self._check(holder)
 
-    def _check(self, holder: Holder) -> None:
+    async def _check(self, holder: Holder) -> None:
         if holder.user not in self._users:
             raise PeerUserRefused(f"user {holder.user} may not use this sidecar", _HINT)
-        if self._ancestor is not None and not held_by(
-            holder.inode, descendants(parents(), self._ancestor)
-        ):
+        ancestor = self._ancestor
+        if ancestor is None or self._is_recent(holder.inode, ancestor):
+            return
+        # Every process of the host is looked at: not in the loop.
+        process = await asyncio.to_thread(_searched, holder.inode, ancestor)
+        if process is None:
             raise PeerUserRefused("this sidecar belongs to another program", _HINT)
+        self._recent = [process, *(each for each in self._recent if each != process)][:_RECENT]
+
+    def _is_recent(self, inode: int, ancestor: int) -> bool:
+        """Whether a program that called before holds the socket, and still descends from ours."""
+        return any(
+            descends(process, ancestor) and held_by(inode, (process,)) for process in self._recent
+        )
+
+
+def _searched(inode: int, ancestor: int) -> int | None:
+    for process in descendants(parents(), ancestor):
+        if held_by(inode, (process,)):
+            return process
+    return None
+
+
+def descends(process: int, ancestor: int) -> bool:
+    """Whether `process` is alive and below `ancestor`."""
+    while process > 1:
+        found = _parent(process)
+        if found is None or found == ancestor:
+            return found is not None
+        process = found
+    return False
 
 
 def descendants(parents: Iterable[tuple[int, int]], ancestor: int) -> list[int]:
@@ -80,12 +110,18 @@ def parents() -> Iterable[tuple[int, int]]:
     """Each process of this host with its parent."""
     for entry in os.listdir(_PROC):  # noqa: PTH208 - names alone, and there are many
         if entry.isdecimal():
-            try:
-                stat = (_PROC / entry / "stat").read_bytes()
-            except OSError:  # gone meanwhile
-                continue
-            # The program's name, in parentheses, may hold anything; after the last one it is plain.
-            yield int(entry), int(stat.rpartition(b")")[2].split()[1])
+            parent = _parent(int(entry))
+            if parent is not None:
+                yield int(entry), parent
+
+
+def _parent(process: int) -> int | None:
+    try:
+        stat = (_PROC / str(process) / "stat").read_bytes()
+    except OSError:  # gone meanwhile
+        return None
+    # The program's name, in parentheses, may hold anything; after the last one it is plain.
+    return int(stat.rpartition(b")")[2].split()[1])
 
 
 def held_by(inode: int, processes: Iterable[int]) -> bool:

@@ -79,7 +79,7 @@ class LoopbackPort:
 
     async def _serve(self, sock: socket.socket) -> None:
         try:
-            await asyncio.to_thread(self._callers.check, sock)
+            await self._callers.check(sock)
         except (PeerUserRefused, OSError) as error:
             _log.warning("refused a program at port %d: %s", self.port, error)
             sock.close()

@@ -197,7 +197,7 @@ class Visit:
         return self._client
 
     async def _connect(self, local: Endpoint) -> PlainStream:
-        await asyncio.to_thread(self._house.callers.check_listener, local.port)
+        await self._house.callers.check_listener(local.port)
         return PlainStream(await dial(LOOPBACK, local.port, DEADLINE))
 
     async def _bring(self, remote: Endpoint) -> int:

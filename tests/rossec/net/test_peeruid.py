@@ -12,7 +12,7 @@ from typing import Final
 import pytest
 
 from rossec.errors import PeerUserRefused
-from rossec.net import peeruid
+from rossec.net import peeruid, sockdiag
 from rossec.net.peeruid import owner_in, require_user, user_of
 
 HEAD: Final = "  sl  local_address rem_address   st ..."
@@ -131,3 +131,21 @@ def test_another_user_is_told_apart() -> None:
                     require_user(near, {0})
         finally:
             child.wait(10)
+
+
+def test_a_kernel_that_cannot_be_asked_still_has_its_tables(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def unavailable(*_: object) -> None:
+        raise OSError("no such protocol")
+
+    monkeypatch.setattr(sockdiag, "find", unavailable)
+    monkeypatch.setattr(sockdiag, "listeners", unavailable)
+    with pair(socket.AF_INET, "127.0.0.1") as (near, far):
+        inode = os.fstat(far.fileno()).st_ino
+        assert peeruid.holder_of(near) == (os.getuid(), inode)
+        (holder,) = peeruid.listeners(near.getsockname()[1])
+        assert holder.user == os.getuid()
+        far.close()
+        with pytest.raises(PeerUserRefused):
+            peeruid.holder_of(near)

@@ -1,0 +1,148 @@
+"""The kernel's answer to "who holds this TCP socket?" for one socket: NETLINK_SOCK_DIAG.
+
+The same facts as in /proc/net/tcp, whose text grows with every connection that waits for its end;
+here the kernel looks one connection up in its own table. The format is that of sock_diag(7). An
+IPv4 connection is found whichever family its sockets have. Not every kernel has it (gVisor, old
+containers): whoever asks must have the tables to fall back to.
+"""
+
+import errno
+import ipaddress
+import os
+import socket
+import struct
+from collections.abc import Iterator
+from typing import Final, NamedTuple
+
+ESTABLISHED: Final = 1
+LISTEN: Final = 10
+_SOCK_DIAG: Final = 4  # NETLINK_SOCK_DIAG, and SOCK_DIAG_BY_FAMILY below
+_BY_FAMILY: Final = 20
+_ERROR, _DONE = 2, 3
+_ASK, _DUMP = 0x1, 0x301  # NLM_F_REQUEST, with NLM_F_ROOT | NLM_F_MATCH
+_ROOM: Final = 64 * 1024
+_HEAD: Final = struct.Struct("=IHHII")  # nlmsghdr
+_WHAT: Final = struct.Struct("=BBBBI")  # family, protocol, extensions, padding, states
+_PORTS: Final = struct.Struct("!HH")
+_ANY_COOKIE: Final = struct.pack("=III", 0, 0xFFFFFFFF, 0xFFFFFFFF)  # and no interface
+_FOUND: Final = struct.Struct("=BB2x4s16s16s12x12xII")  # inet_diag_msg
+
+
+class Entry(NamedTuple):
+    """One socket: its state, the user who made it, its number (0: nobody holds it any more)."""
+
+    state: int
+    near: tuple[bytes, int]
+    far: tuple[bytes, int]
+    user: int
+    inode: int
+
+
+def find(near: tuple[str, int], far: tuple[str, int]) -> Entry | None:
+    """The socket that is bound to `near` and connected to `far`; None: there is none.
+
+    Raises:
+        OSError: the kernel cannot tell.
+    """
+    ends = _packed(near), _packed(far)
+    family = socket.AF_INET if len(ends[0][0]) == 4 else socket.AF_INET6
+    try:
+        for entry in _ask(_request(family, _ASK, 0, *ends)):
+            # A listener is what the kernel falls back to.
+            if entry.state == ESTABLISHED and (_plain(entry.near), _plain(entry.far)) == ends:
+                return entry
+    except FileNotFoundError:
+        pass
+    return None
+
+
+def listeners(port: int) -> list[Entry]:
+    """Who listens at `port`, on whichever address.
+
+    Raises:
+        OSError: the kernel cannot tell.
+    """
+    nobody = b"", port
+    return [
+        entry
+        for family in (socket.AF_INET, socket.AF_INET6)
+        for entry in _ask(_request(family, _DUMP, LISTEN, nobody, nobody))
+        if entry.state == LISTEN and entry.near[1] == port
+    ]
+
+
+def _request(
+    family: int, flags: int, state: int, near: tuple[bytes, int], far: tuple[bytes, int]
+) -> bytes:
+    body = (
+        _WHAT.pack(family, socket.IPPROTO_TCP, 0, 0, 1 << (state or ESTABLISHED))
+        + _PORTS.pack(near[1], far[1] if state == 0 else 0)
+        + near[0].ljust(16, b"\0")
+        + far[0].ljust(16, b"\0")
+        + _ANY_COOKIE
+    )
+    return _HEAD.pack(_HEAD.size + len(body), _BY_FAMILY, flags, 1, 0) + body
+
+
+def _ask(request: bytes) -> list[Entry]:
+    """Every answer to one request."""
+    found: list[Entry] = []
+    dump = _HEAD.unpack_from(request)[2] == _DUMP
+    with socket.socket(socket.AF_NETLINK, socket.SOCK_RAW, _SOCK_DIAG) as kernel:
+        kernel.send(request)
+        while True:
+            data, (sender, *_) = kernel.recvfrom(_ROOM)
+            if sender != 0:  # another process, which would need to be privileged: not the kernel
+                raise OSError(errno.EPROTO, "an answer from somebody else")
+            entries, done = parse(data)
+            found += entries
+            if done or not dump:
+                return found
+
+
+def parse(data: bytes) -> tuple[list[Entry], bool]:
+    """The sockets in one answer, and whether it is the last. Pure.
+
+    Raises:
+        OSError: what the kernel refuses with, or an answer that is none.
+    """
+    found: list[Entry] = []
+    for kind, body in _messages(data):
+        if kind == _DONE:
+            return found, True
+        if kind == _ERROR and len(body) >= 4:
+            number = -struct.unpack_from("=i", body)[0]
+            raise OSError(number, os.strerror(number))
+        if kind != _BY_FAMILY or len(body) < _FOUND.size:
+            raise OSError(errno.EPROTO, "an answer of another kind")
+        found.append(_entry(body))
+    return found, False
+
+
+def _messages(data: bytes) -> Iterator[tuple[int, bytes]]:
+    while data:
+        if len(data) < _HEAD.size:
+            raise OSError(errno.EPROTO, "an answer cut short")
+        length, kind, *_ = _HEAD.unpack_from(data)
+        if not _HEAD.size <= length <= len(data):
+            raise OSError(errno.EPROTO, "an answer cut short")
+        yield kind, data[_HEAD.size : length]
+        data = data[(length + 3) & ~3 :]
+
+
+def _entry(body: bytes) -> Entry:
+    family, state, ports, near, far, user, inode = _FOUND.unpack_from(body)
+    size = 4 if family == socket.AF_INET else 16
+    near_port, far_port = _PORTS.unpack(ports)
+    return Entry(state, (near[:size], near_port), (far[:size], far_port), user, inode)
+
+
+def _packed(end: tuple[str, int]) -> tuple[bytes, int]:
+    return _plain((ipaddress.ip_address(end[0].partition("%")[0]).packed, end[1]))
+
+
+def _plain(end: tuple[bytes, int]) -> tuple[bytes, int]:
+    """A mapped IPv4 address as IPv4."""
+    address, port = end
+    mapped = len(address) == 16 and address.startswith(bytes(10) + b"\xff\xff")
+    return (address[12:] if mapped else address), port

@@ -1,0 +1,66 @@
+"""The kernel is asked for one socket; its answers are read strictly."""
+
+import os
+import socket
+import struct
+
+import pytest
+
+from rossec.net import sockdiag
+
+
+def message(kind: int, body: bytes) -> bytes:
+    return struct.pack("=IHHII", 16 + len(body), kind, 0, 1, 0) + body
+
+
+@pytest.mark.parametrize("client", ["127.0.0.1", "::ffff:127.0.0.1", "::1"])
+def test_one_connection(client: str) -> None:
+    host = "::1" if client == "::1" else "127.0.0.1"
+    family = socket.AF_INET6 if ":" in client else socket.AF_INET
+    server_family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    with (
+        socket.create_server((host, 0), family=server_family) as server,
+        socket.socket(family) as far,
+    ):
+        far.connect((client, server.getsockname()[1]))
+        near, _ = server.accept()
+        with near:
+            ends = near.getpeername()[:2], near.getsockname()[:2]
+            found = sockdiag.find(*ends)
+            assert found is not None
+            assert (found.user, found.inode) == (os.getuid(), os.fstat(far.fileno()).st_ino)
+            assert sockdiag.find((ends[0][0], 1), ends[1]) is None
+            assert sockdiag.find(ends[1], (ends[0][0], 1)) is None  # not the listener
+        far.close()
+        found = sockdiag.find(*ends)
+        assert found is None or found.inode == 0
+
+
+def test_listeners() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = server.getsockname()[1]
+        (found,) = sockdiag.listeners(port)
+        assert (found.user, found.inode) == (os.getuid(), os.fstat(server.fileno()).st_ino)
+    assert sockdiag.listeners(port) == []
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"short",
+        struct.pack("=IHHII", 4000, 20, 0, 1, 0),
+        struct.pack("=IHHII", 3, 20, 0, 1, 0),
+        message(20, b"too short"),
+        message(99, bytes(72)),
+        message(2, b""),
+        message(2, struct.pack("=i", -95)),
+    ],
+)
+def test_what_is_no_answer_is_refused(data: bytes) -> None:
+    with pytest.raises(OSError, match=r"answer|not supported"):
+        sockdiag.parse(data)
+
+
+def test_a_list_ends_with_its_end() -> None:
+    assert sockdiag.parse(message(3, bytes(4)) + b"whatever") == ([], True)
+    assert sockdiag.parse(b"") == ([], False)
