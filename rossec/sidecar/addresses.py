@@ -72,6 +72,15 @@ class Doors:
         self._imported[port] = remote
         return inside(remote.flavour, port)
 
+    def closed_outside(self, local: Endpoint, port: int) -> None:
+        """The door to the network at `port` for `local` is gone."""
+        self._exported.pop(Endpoint(local.flavour, self.host, port), None)
+        self._spelt.pop(local, None)
+
+    def closed_inside(self, port: int) -> None:
+        """The loopback door at `port` is gone; the number may become a program's."""
+        self._imported.pop(port, None)
+
     def spell(self, local: Endpoint, uri: str) -> None:
         """Remember how a program writes its own URI."""
         self._spelt[local] = uri

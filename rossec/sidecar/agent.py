@@ -36,6 +36,7 @@ from rossec.ros.settings import Settings, is_loopback
 from rossec.sidecar import headers, mastercalls, pump, slavecalls
 from rossec.sidecar.addresses import Doors, Endpoint
 from rossec.sidecar.callers import Callers
+from rossec.sidecar.doorways import Doorways
 from rossec.sidecar.headers import Joined
 from rossec.sidecar.layers import Tenant
 from rossec.sidecar.loopback import LoopbackPort, free_port
@@ -94,8 +95,8 @@ class Agent:
         self._links: set[Link] = set()
         self._watch = Watch(self._revocations, lambda: tuple(self._links), self._guests)
         self._tasks = TaskSet()
-        self._exports: dict[Endpoint, SecureServer[Identity]] = {}
-        self._imports: dict[Endpoint, LoopbackPort] = {}
+        self._exports = Doorways(self._close_outside)
+        self._imports = Doorways(self._close_inside)
         self._kept: dict[Endpoint, Correspondent] = {}
         self._opening = asyncio.Lock()
         self._started = False
@@ -116,9 +117,9 @@ class Agent:
 
     async def close(self) -> None:
         """Close every door, end every connection."""
-        for server in self._exports.values():
+        for server in self._exports:
             await server.close()
-        for door in self._imports.values():
+        for door in self._imports:
             await door.close()
         await self._tasks.close()
         await self._session.close()
@@ -127,9 +128,7 @@ class Agent:
 
     def export(self, local: Endpoint) -> int:
         """The port outside for `local`."""
-        server = self._exports.get(local)
-        if server is None:
-            server = self._exports[local] = self._open_outside(local)
+        server = self._exports.ask(local, lambda: self._open_outside(local))
         server.wake()
         return server.port
 
@@ -208,6 +207,11 @@ class Agent:
                 if attempt == _ATTEMPTS - 1:
                     raise
         raise AssertionError
+
+    def _close_outside(self, local: Endpoint, server: SecureServer[Identity]) -> None:
+        self.tenant.doors.closed_outside(local, server.port)
+        self.tenant.forget(local)
+        self._tasks.spawn(server.close(), f"the door for {local.uri}")
 
     async def _answer(self, local: Endpoint, stream: SecureStream[Identity]) -> None:
         """A peer's calls to a program's slave API."""
@@ -291,17 +295,17 @@ class Agent:
     # --- doors on loopback
 
     def _door(self, remote: Endpoint) -> LoopbackPort:
-        door = self._imports.get(remote)
-        if door is None:
+        async def handler(program: PlainStream) -> None:
+            if remote.flavour is Flavour.TCPROS:
+                await self._reach(remote, program)
+            else:
+                await self._inquire(remote, program)
 
-            async def handler(program: PlainStream) -> None:
-                if remote.flavour is Flavour.TCPROS:
-                    await self._reach(remote, program)
-                else:
-                    await self._inquire(remote, program)
+        return self._imports.ask(remote, lambda: LoopbackPort(self.callers, handler))
 
-            door = self._imports[remote] = LoopbackPort(self.callers, handler)
-        return door
+    def _close_inside(self, _: Endpoint, door: LoopbackPort) -> None:
+        self.tenant.doors.closed_inside(door.port)
+        self._tasks.spawn(door.close(), f"loopback port {door.port}")
 
     async def _inquire(self, remote: Endpoint, program: PlainStream) -> None:
         """A program's calls to a peer's slave API."""

@@ -39,6 +39,10 @@ def test_doors_lead_both_ways() -> None:
     assert doors.peer_behind(door) == PEER
     assert doors.peer_behind(inside(Flavour.HTTP, 8000)) is None
     assert doors.peer_behind(SLAVE) is None
+    doors.closed_outside(SLAVE, 7000)
+    doors.closed_inside(8000)
+    assert doors.program_behind(outside) is None
+    assert doors.peer_behind(door) is None
 
 
 def test_a_program_gets_its_uri_back_as_it_wrote_it() -> None:
