@@ -8,8 +8,8 @@ import asyncio
 import socket
 import time
 from collections import deque
-from collections.abc import Callable
-from typing import Final, Generic
+from collections.abc import Awaitable, Callable
+from typing import Final, Generic, NoReturn
 
 from rossec.channel.connection import Connection
 from rossec.channel.credentials import PeerT
@@ -54,6 +54,8 @@ class Driver(Generic[PeerT]):
         self._cut_at = 0.0
         self._units: deque[bytes] = deque()
         self._unread = 0
+        self._push: Callable[[bytes], bool] | None = None
+        self._push_failed: BaseException | None = None
         self._waiting: list[asyncio.Future[None]] = []
         self._when_writable: list[Callable[[], None]] = []
         self._lost = asyncio.Event()
@@ -79,8 +81,7 @@ class Driver(Generic[PeerT]):
         self.flush()
         for event in events:
             if isinstance(event, UnitReceived):
-                self._units.append(event.data)
-                self._unread += len(event.data)
+                self._deliver(event.data)
             elif isinstance(event, Authenticated):
                 self.authenticated = True
                 self._on_authenticated(self, event.identity)
@@ -92,6 +93,22 @@ class Driver(Generic[PeerT]):
             self._wake()
             if self._unread > _PAUSE_ABOVE and self.error is None:
                 self.transport.pause_reading()
+
+    def _deliver(self, unit: bytes) -> None:
+        """Pass the unit on at once if somebody pours; keep it otherwise."""
+        push = self._push
+        if push is None:
+            self._units.append(unit)
+            self._unread += len(unit)
+            return
+        try:
+            lags = not push(unit)
+        except BaseException as error:  # noqa: BLE001 - raised where it belongs, in `pour`
+            self._push_failed, lags = error, True
+        if lags:
+            self._push = None
+            self.transport.pause_reading()
+            self._wake()
 
     def eof(self) -> None:
         """The peer ended the stream; without its close that is a truncation."""
@@ -178,6 +195,36 @@ class Driver(Generic[PeerT]):
         if self._unread <= _PAUSE_ABOVE // 2 and self.error is None:
             self.transport.resume_reading()
         return unit
+
+    async def pour(
+        self, push: Callable[[bytes], bool], drain: Callable[[], Awaitable[None]]
+    ) -> NoReturn:
+        """Pass each unit to `push` as it arrives, without a turn of the loop for it.
+
+        When `push` says no, nothing more is read until `drain` returns.
+
+        Raises:
+            ChannelError: there will be no more units; or whatever `push` or `drain` raise.
+        """
+        try:
+            while True:
+                while self._units:
+                    push(await self.receive())
+                    await drain()
+                if self.error is not None:
+                    raise self.error
+                self.transport.resume_reading()
+                self._push = push
+                while self._is_pouring():
+                    await self._wait()
+                if self._push_failed is not None:
+                    raise self._push_failed
+                await drain()
+        finally:
+            self._push = None
+
+    def _is_pouring(self) -> bool:
+        return self._push is not None and self.error is None
 
     async def _wait(self) -> None:
         """Wait for anything to happen; the caller looks whether it was for it."""

@@ -6,10 +6,10 @@ as a stream of bytes that never breaks inside what was sent together.
 """
 
 import asyncio
-from collections.abc import Coroutine, Iterator, Sequence
+from collections.abc import Awaitable, Callable, Coroutine, Iterator, Sequence
 from contextlib import suppress
 from types import TracebackType
-from typing import Any, Final, Generic, Self
+from typing import Any, Final, Generic, NoReturn, Self
 
 from rossec.channel.credentials import PeerT
 from rossec.channel.opening import Flavour
@@ -164,6 +164,42 @@ class SecureStream(Generic[PeerT]):
         except ChannelError as error:
             driver.fail(error)
             raise
+
+    def push(self, data: Bytes) -> bool:
+        """Send `data` now, as one unit, whether the peer lags or not; false: it does, `drain`.
+
+        For one who is the only sender and holds back when told so: what the socket does not take is
+        kept, and there is no other limit.
+
+        Raises:
+            ChannelError: the connection is at its end.
+            LimitExceeded: the unit is too long; the connection is untouched.
+        """
+        driver = self._driver
+        if driver.error is not None:
+            raise driver.error
+        self._flush_queue()
+        for record in driver.connection.seal_unit(data, reuse=True):
+            driver.write(record)
+        return driver.writable
+
+    async def drain(self) -> None:
+        """Wait until the peer caught up.
+
+        Raises:
+            ChannelError: the connection ended meanwhile.
+        """
+        await self._driver.drain()
+
+    def pour(
+        self, push: Callable[[bytes], bool], drain: Callable[[], Awaitable[None]]
+    ) -> Coroutine[Any, Any, NoReturn]:
+        """Pass each unit to `push` as it arrives; when that says no, wait for `drain`.
+
+        Raises:
+            ChannelError: as `receive`; and whatever `push` and `drain` raise.
+        """
+        return self._driver.pour(push, drain)
 
     def receive(self) -> Coroutine[Any, Any, bytes]:
         """Return the next unit.

@@ -6,7 +6,8 @@ Its buffer is small until a program fills it: fifty quiet nodes must not cost fi
 
 import asyncio
 import socket
-from typing import Final
+from collections.abc import Awaitable, Callable
+from typing import Final, NoReturn
 
 from rossec.channel.records import Bytes
 from rossec.errors import ChannelClosed
@@ -26,6 +27,8 @@ class PlainStream:
         self._buffer = memoryview(bytearray(_SMALL))
         self._end = 0
         self._ended = False
+        self._push: Callable[[memoryview], bool] | None = None
+        self._push_failed: BaseException | None = None
         self._waiting: asyncio.Future[None] | None = None
         self._drained = asyncio.Event()
         self._lost = asyncio.Event()
@@ -39,11 +42,28 @@ class PlainStream:
         return self._buffer[self._end :]
 
     def received(self, count: int) -> None:
-        """Keep the bytes until they are taken; stop reading when there is no room."""
+        """Pass the bytes on, or keep them until they are taken; without room stop reading."""
         self._end += count
+        if self._push is not None:
+            self._pass_on(self._push)
+            return
         if self._end == len(self._buffer):
             self._transport.pause_reading()
         self._wake()
+
+    def _pass_on(self, push: Callable[[memoryview], bool]) -> None:
+        view = self._buffer[: self._end]
+        self._end = 0
+        try:
+            lags = not push(view)
+        except BaseException as error:  # noqa: BLE001 - raised where it belongs, in `pour`
+            self._push_failed, lags = error, True
+        if len(view) == len(self._buffer) < _LARGE:
+            self._buffer = memoryview(bytearray(_LARGE))
+        if lags:
+            self._push = None
+            self._transport.pause_reading()
+            self._wake()
 
     def eof(self) -> None:
         """The program sends nothing more."""
@@ -90,6 +110,38 @@ class PlainStream:
         if full and not self._ended:
             self._transport.resume_reading()
 
+    async def pour(
+        self, push: Callable[[memoryview], bool], drain: Callable[[], Awaitable[None]]
+    ) -> NoReturn:
+        """Pass what arrives to `push` at once, without a turn of the loop for it.
+
+        When `push` says no, nothing more is read until `drain` returns.
+
+        Raises:
+            ChannelClosed: the program sends nothing more; or whatever `push` or `drain` raise.
+        """
+        try:
+            while True:
+                await drain()
+                if self._end > 0 or self._ended:  # what came before, or meanwhile
+                    view = await self.take()
+                    push(view)
+                    self.taken(view)
+                    continue
+                self._push = push
+                self._transport.resume_reading()
+                await self._stalled()
+                if self._push_failed is not None:
+                    raise self._push_failed
+        finally:
+            self._push = None
+
+    async def _stalled(self) -> None:
+        """Wait until the receiver lags, or the program ends."""
+        while self._push is not None and not self._ended:
+            self._waiting = asyncio.get_running_loop().create_future()
+            await self._waiting
+
     async def receive(self) -> bytes:
         """The next bytes, copied.
 
@@ -101,6 +153,17 @@ class PlainStream:
         self.taken(view)
         return data
 
+    def push(self, data: Bytes) -> bool:
+        """Send `data` now, whether the program lags or not; false: it does, wait for `drain`.
+
+        Raises:
+            ChannelClosed: the connection is closed.
+        """
+        if self._transport.closed:
+            raise ChannelClosed("the program closed the connection")
+        self._transport.write(data)
+        return self._transport.writable
+
     async def send(self, *pieces: Bytes) -> None:
         """Send the pieces; waits while the program lags.
 
@@ -108,9 +171,11 @@ class PlainStream:
             ChannelClosed: the connection is closed.
         """
         for piece in pieces:
-            if self._transport.closed:
-                raise ChannelClosed("the program closed the connection")
-            self._transport.write(piece)
+            self.push(piece)
+        await self.drain()
+
+    async def drain(self) -> None:
+        """Wait until the program caught up."""
         while not self._transport.writable:
             self._drained.clear()
             await self._drained.wait()

@@ -81,18 +81,14 @@ async def to_peer(program: PlainStream, peer: SecureStream[Identity], first: byt
     """Everything the program sends, until it ends."""
     if first:
         await peer.send(first)
-    while True:
-        view = await program.take()
-        await peer.send(view)
-        program.taken(view)
+    await program.pour(peer.push, peer.drain)
 
 
 async def to_program(peer: SecureStream[Identity], program: PlainStream, first: bytes) -> None:
     """Everything the peer sends, until it ends."""
     if first:
         await program.send(first)
-    while True:
-        await program.send(await peer.receive())
+    await peer.pour(program.push, program.drain)
 
 
 def outgoing(
