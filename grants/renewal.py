@@ -221,7 +221,7 @@ def renew(
             check(entry, now)
         except HintedError as error:
             raise GrantRevoked(f"{what} {entry.hex()[:8]}: {error}", error.hint) from error
-    return replace(grant, expires=opened.expires)
+    return replace(grant, expires=opened.expires, via=delegation.id)
 
 
 def _check_width(grant: Grant, ticket: Ticket, delegation: Delegation) -> None:

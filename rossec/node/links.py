@@ -24,14 +24,30 @@ class Link(Protocol):
 
 
 def why_cut(link: Link, revocations: Revocations, now: int) -> str | None:
-    """Why `link` must be cut now, or None while it may live."""
+    """Why `link` must be cut now, or None while it may live.
+
+    Missing news of revocations cuts after a while, unless every permission of the link says
+    `on_stale: keep`: an emergency stop must not depend on them. A revocation always cuts.
+    """
     if now >= link.ends:
         return "its grant or its certificate has expired"
+    reasons = [_trouble(entry, revocations, now) for entry in _entries(link)]
+    for reason in reasons:  # before staleness, which the first entry meets as well as the last
+        if isinstance(reason, Revoked):
+            return str(reason)
+    stale = next((reason for reason in reasons if reason is not None), None)
+    if stale is None or link.decision.keep_when_stale:
+        return None
+    return str(stale) if now >= revocations.fresh_until + STALE_GRACE else None
+
+
+def _entries(link: Link) -> tuple[bytes, ...]:
+    return (link.stream.peer.thumbprint, *link.decision.grant_ids)
+
+
+def _trouble(entry: bytes, revocations: Revocations, now: int) -> Revoked | RevocationsStale | None:
     try:
-        for entry in (link.stream.peer.thumbprint, *link.decision.grant_ids):
-            revocations.check(entry, now)
-    except Revoked as error:
-        return str(error)
-    except RevocationsStale as error:
-        return str(error) if now >= revocations.fresh_until + STALE_GRACE else None
+        revocations.check(entry, now)
+    except (Revoked, RevocationsStale) as error:
+        return error
     return None
