@@ -53,8 +53,8 @@ class Decision:
 
     @property
     def grant_ids(self) -> tuple[bytes, ...]:
-        """The ids to watch, of grants and of delegations: when one is revoked, ask again."""
-        renewed = (grant.via for grant in self.grants if grant.via is not None)
+        """What to watch: of grants, delegations and delegates. If one is revoked, ask again."""
+        renewed = (entry for grant in self.grants for entry in grant.via)
         return (*(grant.id for grant in self.grants), *dict.fromkeys(renewed))
 
     def require_unrestricted(self) -> None:
@@ -179,8 +179,7 @@ def _check(grant: Grant, holder: bytes, now: int, check: Check) -> None:
         )
     check_time(grant, now)
     try:
-        check(grant.id, now)
-        if grant.via is not None:
-            check(grant.via, now)
+        for entry in (grant.id, *grant.via):
+            check(entry, now)
     except HintedError as error:
         raise GrantRevoked(f"grant {grant.short_id}: {error}", error.hint) from error

@@ -228,12 +228,12 @@ class Draft:
 class Grant(Draft):
     """A grant as signed: `id` names it for revocation, `issuer` is the authority's thumbprint.
 
-    `via` is the id of the delegation by which it was renewed, which may be revoked too.
+    `via` is by what it was renewed: a delegation's id and its holder's key. Both may be revoked.
     """
 
     id: bytes
     issuer: bytes
-    via: bytes | None = None
+    via: tuple[bytes, ...] = ()
 
     @classmethod
     def of(cls, draft: Draft, *, id: bytes, issuer: bytes) -> Self:  # noqa: A002

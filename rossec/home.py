@@ -152,6 +152,15 @@ class NodeHome:
         """Keep a revocation list; durable on return."""
         files.replace(self.path / "revocations.cose", data)
 
+    def load_delegation(self) -> bytes | None:
+        """The authority's leave to renew grants, in the master's home, if there is one."""
+        path = self.path / "delegation.cose"
+        return files.read(path, _SIZE_LIMIT, self._missing(path, "")) if path.exists() else None
+
+    def save_delegation(self, data: bytes) -> None:
+        """Keep a delegation; durable on return."""
+        files.replace(self.path / "delegation.cose", data)
+
     def filter_key(self, name: str) -> bytes:
         """The key `name` for pseudonyms, 32 random bytes; made when it is first asked for.
 

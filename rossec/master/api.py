@@ -34,15 +34,26 @@ MULTICALL: Final = "system.multicall"
 MULTICALL_LIMIT: Final = 4096  # roslaunch sets every parameter of a launch file in one
 MULTICALL_QUERIES: Final = 16  # answers over the whole graph; more in one call only amplifies
 MULTICALL_ONCE: Final = frozenset(  # each of these costs signatures or carries a whole list
-    {"rossec.presentGrants", "rossec.revocations", "rossec.updateRevocations"}
-)
+    {
+        "rossec.presentGrants", "rossec.renewGrants", "rossec.updateDelegation",
+        "rossec.revocations", "rossec.updateRevocations",
+    }
+)  # fmt: skip
 PRESENT_LIMIT: Final = 64
+RENEW_LIMIT: Final = 16
 
 
 class Presented(NamedTuple):
     """How many grants of the caller are held now, and why others are not."""
 
     held: int
+    refused: tuple[str, ...]
+
+
+class Renewed(NamedTuple):
+    """Tokens that hold longer, empty where a grant is not renewed, and why those are not."""
+
+    tokens: tuple[bytes, ...]
     refused: tuple[str, ...]
 
 
@@ -54,6 +65,12 @@ class Statements(Protocol):
 
     def present(self, caller: Caller, tokens: Sequence[bytes], now: int) -> Presented:
         """Keep a caller's grants."""
+
+    def renew(self, caller: Caller, tokens: Sequence[bytes], now: int) -> Renewed:
+        """Renew a caller's grants."""
+
+    def delegated(self, data: bytes) -> bool:
+        """Take leave to renew grants; returns whether it is newer. Raises `HintedError`."""
 
     def current(self, now: int) -> tuple[bytes, bytes]:
         """The revocation list and a timestamp of it; empty while there is none."""
@@ -162,11 +179,14 @@ class MasterApi:
 
     def _own_methods(self) -> Methods:
         grants = arg.binaries("grants", PRESENT_LIMIT)
+        renewed = arg.binaries("grants", RENEW_LIMIT)
         return {
             "getUri": Method((), "", lambda _: Reply(self._uri)),
             "getPid": Method((), -1, lambda _: Reply(self._pid)),
             "shutdown": Method((arg.anything,), 0, self._shutdown),
             "rossec.presentGrants": Method((grants,), 0, self._present),
+            "rossec.renewGrants": Method((renewed,), [], self._renew),
+            "rossec.updateDelegation": Method((arg.binary("delegation"),), 0, self._delegated),
             "rossec.revocations": Method((), [], self._revocations),
             "rossec.updateRevocations": Method((arg.binary("list"),), 0, self._update),
         }
@@ -185,13 +205,27 @@ class MasterApi:
         event = GrantsPresented(request.caller.name, presented.refused)
         return Reply(presented.held, status, events=(event,))
 
+    def _renew(self, request: Request) -> Reply:
+        tokens = [token for token in _items(request.arguments[1]) if isinstance(token, bytes)]
+        renewed = self._statements.renew(request.caller, tokens, request.now)
+        refused = "; ".join(renewed.refused)
+        status = f"grants renewed, but refused: {refused}" if refused else "grants renewed"
+        event = GrantsPresented(request.caller.name, renewed.refused)
+        return Reply(list(renewed.tokens), status, events=(event,))
+
+    def _delegated(self, request: Request) -> Reply:
+        try:
+            newer = self._statements.delegated(request.binary(1))
+        except HintedError as error:
+            raise Refused(_one_line(error)) from error
+        return Reply(int(newer), "delegated" if newer else "not newer than the delegation held")
+
     def _revocations(self, request: Request) -> Reply:
         return Reply(list(self._statements.current(request.now)), "revocations")
 
     def _update(self, request: Request) -> Reply:
-        data = request.arguments[1]
         try:
-            newer = isinstance(data, bytes) and self._statements.update(data, request.now)
+            newer = self._statements.update(request.binary(1), request.now)
         except HintedError as error:
             raise Refused(_one_line(error)) from error
         if not newer:

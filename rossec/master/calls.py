@@ -75,6 +75,13 @@ class Request:
             raise TypeError(f"argument {index} is not text")
         return value
 
+    def binary(self, index: int) -> bytes:
+        """An argument whose check returned bytes."""
+        value = self.arguments[index]
+        if not isinstance(value, bytes):
+            raise TypeError(f"argument {index} is not bytes")
+        return value
+
     def node(self, index: int) -> NodeRef:
         """The caller with the slave API URI that is this argument."""
         return NodeRef(self.caller.name, self.text(index), self.caller.thumbprint)

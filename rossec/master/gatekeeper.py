@@ -122,6 +122,8 @@ RULES: Final[Mapping[str, Rule]] = {
     "setParam": Rule(Scope.TREE, Right.PARAM_SET),
     "deleteParam": Rule(Scope.TREE, Right.PARAM_SET),
     "rossec.presentGrants": Rule(Scope.OPEN),
+    "rossec.renewGrants": Rule(Scope.OPEN),  # what is renewed is the caller's own, or refused
+    "rossec.updateDelegation": Rule(Scope.OPEN),  # as a list, it carries the authority's signature
     "rossec.revocations": Rule(Scope.OPEN),
     "rossec.updateRevocations": Rule(Scope.OPEN),  # the list carries the authority's signature
 }

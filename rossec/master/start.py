@@ -1,13 +1,18 @@
 """Making a master from the directory of its node."""
 
+import logging
 import socket
 
+from ca.errors import HintedError
 from ca.revocation import Revocations
 from rossec.home import NodeHome
 from rossec.master.complaints import Complain, unheard
+from rossec.master.renewal import Delegate
 from rossec.master.server import MasterServer
 from rossec.master.trust import Trust
 from rossec.ros.settings import is_loopback
+
+_log = logging.getLogger(__name__)
 
 
 def master_of(
@@ -39,7 +44,11 @@ def master_of(
         revocations.update(saved, now)
     if newest is not None:
         revocations.update(newest, now, home.save_revocations)
-    trust = Trust(anchor, credentials.signer, revocations, home.save_revocations)
+    delegate = Delegate(anchor, credentials.signer, home.save_delegation)
+    delegation = home.load_delegation()
+    if delegation is not None:
+        _take(delegate, delegation)
+    trust = Trust(anchor, credentials.signer, revocations, home.save_revocations, delegate)
     return MasterServer(
         credentials,
         anchor.verify,
@@ -50,3 +59,11 @@ def master_of(
         advertise=host or socket.gethostname(),
         complain=complain,
     )
+
+
+def _take(delegate: Delegate, data: bytes) -> None:
+    """A master with a new key starts all the same; it just cannot renew until told so anew."""
+    try:
+        delegate.take(data)
+    except HintedError as error:
+        _log.warning("grants are not renewed: %s", error)

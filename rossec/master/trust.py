@@ -16,11 +16,12 @@ from ca.errors import HintedError, Revoked
 from ca.revocation import MAX_AGE, Revocations, Timestamp, digest, sign_timestamp
 from ca.signer import Signer
 from grants.decision import Check, authorize
-from grants.document import open_grant
 from grants.errors import GrantError, GrantNotHeld
 from grants.model import Grant, Right
-from rossec.master.api import Presented
+from grants.token import Verifier
+from rossec.master.api import Presented, Renewed
 from rossec.master.gatekeeper import Caller, Peer
+from rossec.master.renewal import Delegate
 
 MAX_HELD: Final = 64
 MAX_HELD_BYTES: Final = 256 * 1024
@@ -65,6 +66,15 @@ class _Held:
             self.failures = 0
         return self.failures >= MAX_FAILURES
 
+    def put(self, token: bytes, grant: Grant) -> None:
+        """Keep a grant, in place of what was known of it: it may have been renewed."""
+        for key in [key for key, other in self.grants.items() if other.id == grant.id]:
+            if self.grants[key].expires > grant.expires:
+                return
+            del self.grants[key], self.sizes[key]
+        key = hashlib.sha256(token).digest()
+        self.grants[key], self.sizes[key] = grant, len(token)
+
     def is_full_for(self, size: int) -> bool:
         return len(self.grants) >= MAX_HELD or sum(self.sizes.values()) + size > MAX_HELD_BYTES
 
@@ -77,6 +87,7 @@ class Trust:
         signer: the master's own identity key; signs timestamps.
         revocations: loaded with what was persisted, if anything.
         persist: makes a list durable; called before the list takes effect.
+        delegate: renews grants; by default the authority has not delegated that.
     """
 
     def __init__(
@@ -85,11 +96,13 @@ class Trust:
         signer: Signer,
         revocations: Revocations,
         persist: Callable[[bytes], None],
+        delegate: Delegate | None = None,
     ) -> None:
         self._anchor = anchor
         self._signer = signer
         self._revocations = revocations
         self._persist = persist
+        self._delegate = Delegate(anchor, signer) if delegate is None else delegate
         self._held: dict[bytes, _Held] = {}
         self._stamp: tuple[int, bytes] = (-1, b"")
         self._confirmed_at = -1
@@ -115,6 +128,7 @@ class Trust:
 
         Nothing is kept for a key that the tokens are not bound to.
         """
+        self._confirm(now)
         held = self._held.setdefault(caller.thumbprint, _Held())
         held.drop_expired(now)
         refused: list[str] = []
@@ -125,6 +139,30 @@ class Trust:
                 held.count_failure(now)
                 refused.append(str(error))
         return Presented(len(held.grants), tuple(refused))
+
+    def renew(self, caller: Caller, tokens: Sequence[bytes], now: int) -> Renewed:
+        """Tokens that hold longer, in the same order, empty where one is not renewed."""
+        self._confirm(now)
+        held = self._held.setdefault(caller.thumbprint, _Held())
+        held.drop_expired(now)
+        renewed: list[bytes] = []
+        refused: list[str] = []
+        for token in tokens:
+            try:
+                renewed.append(self._renew(held, caller, token, now))
+            except HintedError as error:
+                held.count_failure(now)
+                refused.append(str(error))
+                renewed.append(b"")
+        return Renewed(tuple(renewed), tuple(refused))
+
+    def delegated(self, data: bytes) -> bool:
+        """Take leave of the authority to renew grants; returns whether it is newer.
+
+        Raises:
+            GrantError: not the authority's, or not for this master.
+        """
+        return self._delegate.take(data)
 
     def current(self, now: int) -> tuple[bytes, bytes]:
         """The list and a timestamp of this second; empty while there is no list."""
@@ -164,16 +202,42 @@ class Trust:
         key = hashlib.sha256(token).digest()
         if key in held.grants:
             return
+        self._check_failures(held, now)
+        if held.is_full_for(len(token)):
+            raise GrantError(f"the master holds at most {MAX_HELD} grants of one node")
+        grant = self._verifier().open(token, now)
+        if grant.holder != caller.thumbprint:
+            raise GrantNotHeld("a grant bound to another key", f"it was given to {grant.subject}")
+        held.put(token, grant)
+
+    def _renew(self, held: _Held, caller: Caller, token: bytes, now: int) -> bytes:
+        self._check_failures(held, now)
+        check = self._revocations.check
+        grant, renewed = self._delegate.renew(
+            token, caller.thumbprint, now, seq=self._seq, check=check
+        )
+        if not held.is_full_for(len(renewed)):  # else its holder presents it when it has room
+            held.put(renewed, grant)
+        return renewed
+
+    @staticmethod
+    def _check_failures(held: _Held, now: int) -> None:
         if held.has_failed_too_often(now):
             raise GrantError(
                 "too many grants of this node were refused", f"wait {FAILURES_WITHIN} s"
             )
-        if held.is_full_for(len(token)):
-            raise GrantError(f"the master holds at most {MAX_HELD} grants of one node")
-        grant = open_grant(token, self._anchor.public_key, now, domain=self._anchor.domain)
-        if grant.holder != caller.thumbprint:
-            raise GrantNotHeld("a grant bound to another key", f"it was given to {grant.subject}")
-        held.grants[key], held.sizes[key] = grant, len(token)
+
+    def _verifier(self) -> Verifier:
+        anchor = self._anchor
+        return Verifier(
+            anchor.public_key, anchor.domain, self._signer.public_key, self._seq,
+            self._revocations.check,
+        )  # fmt: skip
+
+    @property
+    def _seq(self) -> int:
+        held = self._revocations.held
+        return 0 if held is None else held.seq
 
     def _confirm(self, now: int) -> None:
         if self._revocations.held is not None and self._confirmed_at != now:
@@ -181,6 +245,4 @@ class Trust:
             self._confirmed_at = now
 
     def _timestamp(self, now: int) -> Timestamp:
-        revocations = self._revocations.held
-        seq = 0 if revocations is None else revocations.seq
-        return Timestamp(seq, digest(self._revocations.data), now, MAX_AGE)
+        return Timestamp(self._seq, digest(self._revocations.data), now, MAX_AGE)

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 from grants.errors import GrantError
 from grants.model import Right
-from rossec.master.api import Presented
+from rossec.master.api import Presented, Renewed
 from rossec.master.gatekeeper import Caller, Peer
 
 ALL = Right(255)
@@ -50,6 +50,15 @@ class FakeStatements:
         good = [token for token in tokens if token != b"forged"]
         self.presented += good
         return Presented(len(self.presented), ("forged",) * (len(tokens) - len(good)))
+
+    def renew(self, caller: Caller, tokens: Sequence[bytes], now: int) -> Renewed:
+        good = [b"" if token == b"forged" else b"renewed " + token for token in tokens]
+        return Renewed(tuple(good), ("forged",) * good.count(b""))
+
+    def delegated(self, data: bytes) -> bool:
+        if data == b"forged":
+            raise GrantError("the signature is not the authority's")
+        return data == b"newer"
 
     def current(self, now: int) -> tuple[bytes, bytes]:
         return (self.lists[-1], b"stamp") if self.lists else (b"", b"")
