@@ -36,7 +36,7 @@ MULTICALL_QUERIES: Final = 16  # answers over the whole graph; more in one call 
 MULTICALL_ONCE: Final = frozenset(  # each of these costs signatures or carries a whole list
     {
         "rossec.presentGrants", "rossec.renewGrants", "rossec.updateDelegation",
-        "rossec.revocations", "rossec.updateRevocations",
+        "rossec.revocations", "rossec.revocationsSince", "rossec.updateRevocations",
     }
 )  # fmt: skip
 PRESENT_LIMIT: Final = 64
@@ -74,6 +74,12 @@ class Statements(Protocol):
 
     def current(self, now: int) -> tuple[bytes, bytes]:
         """The revocation list and a timestamp of it; empty while there is none."""
+
+    def held_by(self, peer: Peer, held: bytes) -> None:
+        """A node says which list it holds, by its digest."""
+
+    def news_for(self, peer: Peer, now: int) -> tuple[bytes, bytes]:
+        """As `current`, but without the list for a node that has said that it holds it."""
 
     def update(self, data: bytes, now: int) -> bool:
         """Take a list; returns whether it is newer. Raises `HintedError`."""
@@ -188,6 +194,7 @@ class MasterApi:
             "rossec.renewGrants": Method((renewed,), [], self._renew),
             "rossec.updateDelegation": Method((arg.binary("delegation"),), 0, self._delegated),
             "rossec.revocations": Method((), [], self._revocations),
+            "rossec.revocationsSince": Method((arg.binary("digest"),), [], self._since),
             "rossec.updateRevocations": Method((arg.binary("list"),), 0, self._update),
         }
 
@@ -222,6 +229,12 @@ class MasterApi:
 
     def _revocations(self, request: Request) -> Reply:
         return Reply(list(self._statements.current(request.now)), "revocations")
+
+    def _since(self, request: Request) -> Reply:
+        """The list only if it is not the one the caller says it holds."""
+        held = request.binary(1)
+        self._statements.held_by(request.caller, held)
+        return Reply(list(self._statements.news_for(request.caller, request.now)), "revocations")
 
     def _update(self, request: Request) -> Reply:
         try:

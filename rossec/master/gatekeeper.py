@@ -125,6 +125,7 @@ RULES: Final[Mapping[str, Rule]] = {
     "rossec.renewGrants": Rule(Scope.OPEN),  # what is renewed is the caller's own, or refused
     "rossec.updateDelegation": Rule(Scope.OPEN),  # as a list, it carries the authority's signature
     "rossec.revocations": Rule(Scope.OPEN),
+    "rossec.revocationsSince": Rule(Scope.OPEN),
     "rossec.updateRevocations": Rule(Scope.OPEN),  # the list carries the authority's signature
 }
 

@@ -241,12 +241,11 @@ class MasterServer:
         self._standing.keep_only(frozenset(registered | connected), self._now())
 
     def _push_revocations(self) -> None:
-        revocations, timestamp = self._standing.current(self._now())
-        if not revocations:
-            return
+        """Confirm the list to every node, and send it to those that do not hold it."""
         now, key = self._now(), ("rossec.revocationUpdate", "")
         for node in self._registry.nodes():
-            if self._standing.caller_of(node, now) is not None:
+            revocations, timestamp = self._standing.news_for(node, now)
+            if timestamp and self._standing.caller_of(node, now) is not None:
                 self._updates.post(node, key, self._name, revocations, timestamp)
 
     async def _dial(self, node: NodeRef) -> RpcClient:

@@ -104,6 +104,7 @@ class Trust:
         self._persist = persist
         self._delegate = Delegate(anchor, signer) if delegate is None else delegate
         self._held: dict[bytes, _Held] = {}
+        self._lists: dict[bytes, bytes] = {}
         self._stamp: tuple[int, bytes] = (-1, b"")
         self._confirmed_at = -1
 
@@ -173,6 +174,15 @@ class Trust:
             self._stamp = now, sign_timestamp(self._signer, self._timestamp(now))
         return self._revocations.data, self._stamp[1]
 
+    def held_by(self, peer: Peer, held: bytes) -> None:
+        """A node says which list it holds, by its digest; believed only to spare it the list."""
+        self._lists[peer.thumbprint] = held
+
+    def news_for(self, peer: Peer, now: int) -> tuple[bytes, bytes]:
+        """As `current`, but without the list for a node that has said that it holds it."""
+        data, stamp = self.current(now)
+        return (b"" if self._lists.get(peer.thumbprint) == digest(data) else data), stamp
+
     def update(self, data: bytes, now: int) -> bool:
         """Take a list signed by the authority; returns whether it differs from the one held.
 
@@ -187,6 +197,7 @@ class Trust:
     def keep_only(self, thumbprints: frozenset[bytes], now: int) -> None:
         """Forget the grants of all other keys, and what has expired of these."""
         self._held = {key: held for key, held in self._held.items() if key in thumbprints}
+        self._lists = {key: held for key, held in self._lists.items() if key in thumbprints}
         for held in self._held.values():
             held.drop_expired(now)
 

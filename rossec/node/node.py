@@ -16,9 +16,9 @@ from typing import Final, Self
 
 from ca.certificates import Identity
 from ca.errors import HintedError
-from ca.revocation import Revocations, open_timestamp
+from ca.revocation import Revocations, digest
 from grants import layout
-from rossec.errors import ConfigurationError, NodeShutdown
+from rossec.errors import AnswerRefused, ConfigurationError, NodeShutdown
 from rossec.home import NodeHome, rossec_home
 from rossec.net.stream import SecureStream
 from rossec.net.tasks import TaskSet
@@ -28,6 +28,7 @@ from rossec.node.links import Link
 from rossec.node.listener import Listener
 from rossec.node.messages import message_type
 from rossec.node.publisher import Publisher
+from rossec.node.renewal import Renewals, renew
 from rossec.node.session import MasterSession
 from rossec.node.shelf import Shelf
 from rossec.node.slave import SlaveApi
@@ -73,8 +74,13 @@ class Node:
         self._subscribers: dict[str, list[Subscriber]] = {}
         self._tasks = TaskSet(on_crash=self._crashed)
         self._session = MasterSession(
-            self.name, self._dial_master, self.revocations_arrived, self._restore
+            self.name,
+            self._dial_master,
+            self.revocations_arrived,
+            self._restore,
+            lambda: digest(self.revocations.data),
         )
+        self._renewals = Renewals(self.access)
         self._listener = Listener(
             self.name, self.credentials, self.anchor, self.access, self._publishers, SlaveApi(self)
         )
@@ -184,10 +190,8 @@ class Node:
     def revocations_arrived(self, revocations: bytes, timestamp: bytes, master: Identity) -> None:
         """Take over a newer list and a fresh timestamp, then cut what they end."""
         now = int(time.time())
-        self.revocations.update(revocations, now, self.home.save_revocations)
         try:
-            self.revocations.confirm(open_timestamp(timestamp, master.public_key), now)
-            self.revocations.check(master.thumbprint, now)
+            self.access.take_news(revocations, timestamp, master, now, self.home.save_revocations)
         finally:  # what the list revokes ends, whatever is wrong with the timestamp
             self._watch.cut(now)
 
@@ -240,6 +244,8 @@ class Node:
         return await self._dialer.rpc(self.settings.master_host, self.settings.master_port)
 
     async def _restore(self, session: MasterSession) -> None:
+        with contextlib.suppress(AnswerRefused):  # what is not renewed now is asked for later
+            await renew(session.call, self._renewals, int(time.time()))
         current = self.access.current(int(time.time()))
         await session.call("rossec.presentGrants", current[:_PRESENTED])
         for publisher in self._publishers.values():
@@ -279,14 +285,15 @@ class Node:
         return [item for items in self._subscribers.values() for item in items]
 
     async def _collect_grants(self) -> None:
-        """A grant that arrives in the node's directory counts without a restart."""
+        """A grant that arrives in the node's directory, or is renewed, counts without a restart."""
         while True:
             await asyncio.sleep(_COLLECT)
             new = self._shelf.take_new()
-            if new:
-                _log.info("%s: %d new grants", self.name, len(new))
-                with contextlib.suppress(HintedError, OSError):  # else with the next connection
+            with contextlib.suppress(HintedError, OSError):  # else with the next connection
+                if new:
+                    _log.info("%s: %d new grants", self.name, len(new))
                     await self._session.call("rossec.presentGrants", new)
+                await renew(self._session.call, self._renewals, int(time.time()))
 
     def _crashed(self, error: BaseException) -> None:
         """A node whose watch has died must not go on: it would no longer cut anything."""

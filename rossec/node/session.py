@@ -34,6 +34,7 @@ class MasterSession:
         dial: opens a secure stream to the master.
         refresh: takes the newest revocation list and timestamp; raises when they are refused.
         restore: makes every registration again; called on each new connection.
+        held: digest of the revocation list this node holds, which then need not be sent.
     """
 
     def __init__(
@@ -42,11 +43,13 @@ class MasterSession:
         dial: Callable[[], Awaitable[SecureStream[Identity]]],
         refresh: Callable[[bytes, bytes, Identity], None],
         restore: Callable[["MasterSession"], Awaitable[None]],
+        held: Callable[[], bytes],
     ) -> None:
         self._name = name
         self._dial = dial
         self._refresh = refresh
         self._restore = restore
+        self._held = held
         self._client: RpcClient | None = None
         self._stream: SecureStream[Identity] | None = None
 
@@ -112,7 +115,7 @@ class MasterSession:
             await client.close()
 
     async def _beat(self) -> None:
-        answer = await self.call("rossec.revocations")
+        answer = await self.call("rossec.revocationsSince", self._held())
         match answer, self._stream:
             case [bytes() as revocations, bytes() as timestamp], SecureStream(peer=master):
                 self._refresh(revocations, timestamp, master)

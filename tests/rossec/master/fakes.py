@@ -41,6 +41,7 @@ class FakeStatements:
     callers: dict[str, Caller] = field(default_factory=dict)
     lists: list[bytes] = field(default_factory=list)
     presented: list[bytes] = field(default_factory=list)
+    held: dict[str, bytes] = field(default_factory=dict)
 
     def caller_of(self, peer: Peer, now: int) -> Caller | None:
         known = self.callers.get(peer.name)
@@ -62,6 +63,13 @@ class FakeStatements:
 
     def current(self, now: int) -> tuple[bytes, bytes]:
         return (self.lists[-1], b"stamp") if self.lists else (b"", b"")
+
+    def held_by(self, peer: Peer, held: bytes) -> None:
+        self.held[peer.name] = held
+
+    def news_for(self, peer: Peer, now: int) -> tuple[bytes, bytes]:
+        data, stamp = self.current(now)
+        return (b"" if self.held.get(peer.name) == data else data), stamp
 
     def update(self, data: bytes, now: int) -> bool:
         if data == b"forged":
