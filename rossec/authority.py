@@ -20,10 +20,13 @@ from ca.signer import KeySigner, Signer
 from ca.store import CertificateRow, GrantRow, Store
 from grants import document
 from grants.model import Draft
+from grants.renewal import Delegation, open_delegation, sign_delegation
 from rossec import files
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
 
+SKEW: Final = 60  # seconds another host's clock may be behind: what is signed holds at once
+_DELEGATIONS: Final = "delegations"
 OWN_NODE: Final = "/ca"  # as which the authority's tools speak to the master
 _SIZE_LIMIT: Final = 256 * 1024
 _LIST_LIFETIME: Final = 90 * 86400
@@ -80,6 +83,39 @@ class OpenAuthority:
         self._refresh_list(now)
         self.store.add_grant(row, now)
         return data
+
+    def delegate(self, holder: bytes, lifetime: int, max_ttl: int, now: int) -> bytes:
+        """Let the master with the key `holder` renew grants; recorded before it is handed out.
+
+        Raises:
+            RenewalMalformed: for too long.
+        """
+        begin = now - SKEW
+        draft = Delegation(
+            self.domain, holder, begin, begin + lifetime, max_ttl, secrets.token_bytes(16)
+        )
+        data = sign_delegation(self.signer, draft)
+        files.make_private_directory(self.path / _DELEGATIONS)
+        name = open_delegation(data, self.signer.public_key).id.hex()
+        files.create(self.path / _DELEGATIONS / f"{name}.cose", data)
+        return data
+
+    def withdraw(self, reason: str, now: int) -> tuple[RevocationList, int]:
+        """Revoke every delegation that has not expired; returns the list, and how many.
+
+        Raises:
+            ConfigurationError: there is none.
+        """
+        missing = ConfigurationError("no delegation")
+        found = [
+            open_delegation(files.read(path, _SIZE_LIMIT, missing), self.signer.public_key)
+            for path in sorted((self.path / _DELEGATIONS).glob("*.cose"))
+        ]
+        living = frozenset(item.id for item in found if now < item.expires)
+        living -= self.store.revoked_entries()
+        if not living:
+            raise ConfigurationError("no delegation is in force", "see: rossec master delegate")
+        return self._revoke(living, reason, now), len(living)
 
     def revoke(self, entry: bytes, reason: str, now: int) -> RevocationList:
         """Add a grant id or key thumbprint to the list of revocations, and sign that anew."""

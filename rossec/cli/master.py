@@ -8,6 +8,7 @@ import click
 
 from rossec.authority import AuthorityHome
 from rossec.cli.context import Environment, now, pass_environment
+from rossec.cli.delegate import delegate
 from rossec.cli.voice import say, say_json
 from rossec.home import NodeHome
 from rossec.master.complaints import Complain, ComplainLog, unheard
@@ -16,7 +17,7 @@ from rossec.node.slave import MASTER
 from rossec.ros import settings
 
 
-@click.command()
+@click.group(invoke_without_command=True)
 @click.option(
     "--port",
     "-p",
@@ -29,13 +30,23 @@ from rossec.ros import settings
     type=click.Path(path_type=Path, dir_okay=False),
     help="append what nodes lack the right to, for: rossec policy learn --from-log",
 )
+@click.pass_context
 @pass_environment
 def master(
-    environment: Environment, port: int | None, as_json: bool, complaints: Path | None
+    environment: Environment,
+    context: click.Context,
+    port: int | None,
+    as_json: bool,
+    complaints: Path | None,
 ) -> None:
     """Run the master, as the node /master. Ends with Ctrl-C."""
+    if context.invoked_subcommand is not None:
+        return
     log = ComplainLog(complaints) if complaints is not None else unheard
     asyncio.run(_serve(environment, port, as_json, log))
+
+
+master.add_command(delegate)
 
 
 async def _serve(

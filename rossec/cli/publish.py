@@ -31,10 +31,21 @@ async def deliver(environment: Environment, master_uri: str | None) -> None:
         ConfigurationError: the list has expired.
         NotDelivered: the master is out of reach or refuses the list.
     """
+    data = _young_list(AuthorityHome.at(environment.home))
+    await carry(environment, master_uri, "rossec.updateRevocations", data, "the list", _HINT)
+
+
+async def carry(
+    environment: Environment, master_uri: str | None, method: str, data: bytes, what: str, hint: str
+) -> None:
+    """Hand a signed statement to the master by `method`, as the authority's own node.
+
+    Raises:
+        NotDelivered: the master is out of reach or refuses `what`; `hint` says what then.
+    """
     uri = master_uri or environment.variables.get("ROS_MASTER_URI", settings.DEFAULT_MASTER_URI)
     host, port = settings.parse_uri(uri, "the master's URI")
-    home = AuthorityHome.at(environment.home)
-    node, data = home.node(), _young_list(home)
+    node = AuthorityHome.at(environment.home).node()
     try:
         stream = await connect(
             host, port, node.credentials(), node.anchor().verify, opening=Flavour.HTTP
@@ -42,11 +53,11 @@ async def deliver(environment: Environment, master_uri: str | None) -> None:
         try:
             if stream.peer.name != MASTER:
                 raise ConfigurationError(f"{stream.peer.name} answers there", "see ROS_MASTER_URI")
-            await RpcClient(stream).ask("rossec.updateRevocations", node.name, data)
+            await RpcClient(stream).ask(method, node.name, data)
         finally:
             await stream.close()
     except (HintedError, OSError, TimeoutError) as error:
-        raise NotDelivered(f"the master at {uri} did not take the list: {error}", _HINT) from error
+        raise NotDelivered(f"the master at {uri} did not take {what}: {error}", hint) from error
 
 
 def _young_list(home: AuthorityHome) -> bytes:

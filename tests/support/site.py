@@ -22,6 +22,7 @@ from rossec.node import Node
 from rossec.node.slave import MASTER
 from rossec.ros.settings import parse_uri
 
+HOUR = 3600
 DAY = 86400
 
 
@@ -80,6 +81,7 @@ class Site:
         *,
         restriction: Restriction | None = None,
         lifetime: int = DAY,
+        cap: int = 0,
         begin: int | None = None,
         holder: bytes | None = None,
     ) -> bytes:
@@ -90,12 +92,19 @@ class Site:
         draft = Draft(
             domain=self.anchor.domain, subject=name,
             holder=holder or self.identity(name).thumbprint,
-            not_before=begin, expires=now + lifetime, cap=now + lifetime,
+            not_before=begin, expires=now + lifetime, cap=now + max(lifetime, cap),
             serial=secrets.token_bytes(16),
             permissions=(Permission(pattern, right, restriction),),
         )  # fmt: skip
         data = self.authority.grant(draft, now)
         home.add_grant(document.grant_id(data), data)
+        return data
+
+    def delegate(self) -> bytes:
+        """Let the master renew grants, once it is started."""
+        home = self.enroll(MASTER)
+        data = self.authority.delegate(self.identity(MASTER).thumbprint, DAY, HOUR, self.now())
+        home.save_delegation(data)
         return data
 
     def publish(self, name: str, pattern: str, **options: int) -> bytes:

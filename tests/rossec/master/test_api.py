@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 
 from rossec.master.api import MULTICALL_LIMIT, PRESENT_LIMIT, Fault, MasterApi
-from rossec.master.calls import GrantsPresented, RevocationsChanged
+from rossec.master.calls import GrantsPresented, Request, RevocationsChanged
 from rossec.master.gatekeeper import Caller
 from rossec.master.registry import KEYS_LIMIT, Registry
 from tests.rossec.master.fakes import FakeStatements, caller, everything
@@ -153,3 +153,36 @@ def test_revocations(api: MasterApi) -> None:
     assert ask(api, who, "rossec.revocations", "/a")[2] == [b"list 2", b"stamp"]
     assert ask(api, who, "rossec.updateRevocations", "/a", b"forged")[0] == -1
     assert ask(api, who, "rossec.updateRevocations", "/a", "text")[1].endswith("must be base64")
+
+
+def test_grants_are_renewed_one_by_one(api: MasterApi) -> None:
+    outcome = api.call("rossec.renewGrants", ("/a", [b"one", b"forged"]), caller("/a"), 0)
+    assert outcome.answer == [1, "grants renewed, but refused: forged", [b"renewed one", b""]]
+    assert outcome.events == (GrantsPresented("/a", ("forged",)),)
+    assert ask(api, caller("/a"), "rossec.renewGrants", "/a", [b"one"])[1] == "grants renewed"
+
+
+def test_a_delegation_is_taken_if_it_is_newer(api: MasterApi) -> None:
+    answers = [
+        ask(api, caller("/a"), "rossec.updateDelegation", "/a", data)
+        for data in (b"newer", b"older", b"forged")
+    ]
+    assert [answer[::2] for answer in answers] == [[1, 1], [1, 0], [-1, 0]]
+
+
+def test_the_list_is_sent_only_to_who_has_not_got_it(
+    api: MasterApi, statements: FakeStatements
+) -> None:
+    statements.lists.append(b"list 1")
+    since = "rossec.revocationsSince"
+    assert ask(api, caller("/a"), since, "/a", b"other")[2] == [b"list 1", b"stamp"]
+    assert ask(api, caller("/a"), since, "/a", b"list 1")[2] == [b"", b"stamp"]
+
+
+def test_what_a_check_returned_is_what_a_handler_reads() -> None:
+    request = Request(caller("/a"), ("/a", b"bytes"), 0)
+    assert request.binary(1) == b"bytes"
+    with pytest.raises(TypeError):
+        request.text(1)
+    with pytest.raises(TypeError):
+        request.binary(0)

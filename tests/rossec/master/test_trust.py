@@ -174,3 +174,62 @@ def test_forgetting(world: World) -> None:
     assert world.may(Right.PUBLISH, "/t")
     world.trust.keep_only(frozenset(), world.now)
     assert not world.may(Right.PUBLISH, "/t")
+
+
+def delegated(world: World) -> World:
+    assert world.trust.delegated(world.site.delegation(world.master))
+    return world
+
+
+def renew(world: World, *tokens: bytes) -> tuple[tuple[bytes, ...], tuple[str, ...]]:
+    return world.trust.renew(world.trust.caller(world.node, world.now), tokens, world.now)
+
+
+def test_a_renewed_grant_counts_at_once_and_when_it_is_presented(world: World) -> None:
+    data = world.site.grant(world.node, {"/t": Right.PUBLISH}, lifetime=60, cap=DAY)
+    world.present(data)
+    (token,), refused = renew(delegated(world), data)
+    assert refused == ()
+    assert world.may(Right.PUBLISH, "/t", later=61)
+    assert world.present(data, token) == (1, ())
+    assert world.may(Right.PUBLISH, "/t", later=61)
+    world.trust.keep_only(frozenset(), world.now)
+    assert not world.may(Right.PUBLISH, "/t", later=61)
+    assert world.present(token) == (1, ())
+    assert world.may(Right.PUBLISH, "/t", later=61)
+    world.trust.update(world.site.revoke(data), world.now)
+    assert not world.may(Right.PUBLISH, "/t")
+    assert renew(world, token)[0] == (b"",)
+
+
+def test_one_that_is_not_renewed_does_not_spoil_the_others(world: World) -> None:
+    good = world.site.grant(world.node, {"/t": Right.PUBLISH}, lifetime=60, cap=DAY)
+    tokens, refused = renew(delegated(world), b"garbage", good)
+    assert (tokens[0], len(refused)) == (b"", 1)
+    assert tokens[1] != b""
+    renew(world, *[b"garbage"] * MAX_FAILURES)
+    assert renew(world, good)[1] == ("too many grants of this node were refused",)
+
+
+def test_a_renewed_grant_is_not_kept_when_there_is_no_room(world: World) -> None:
+    tokens = [world.site.grant(world.node, {f"/t{n}": Right.CALL}) for n in range(MAX_HELD)]
+    world.present(*tokens)
+    (token,), _ = renew(
+        delegated(world), world.site.grant(world.node, {"/t": Right.PUBLISH}, lifetime=60, cap=DAY)
+    )
+    assert token
+    assert not world.may(Right.PUBLISH, "/t")
+
+
+def test_a_node_that_holds_the_list_is_not_sent_it(world: World) -> None:
+    data, stamp = world.trust.current(world.now)
+    assert world.trust.news_for(world.node, world.now) == (data, stamp)
+    world.trust.held_by(world.node, digest(data))
+    assert world.trust.news_for(world.node, world.now) == (b"", stamp)
+    assert world.trust.news_for(world.master, world.now) == (data, stamp)
+    newer = world.site.revoke(world.master)
+    world.trust.update(newer, world.now)
+    assert world.trust.news_for(world.node, world.now)[0] == newer
+    world.trust.held_by(world.node, digest(newer))
+    world.trust.keep_only(frozenset(), world.now)
+    assert world.trust.news_for(world.node, world.now)[0] == newer
