@@ -313,6 +313,8 @@ async def test_nobody_writes_lines_into_the_log(
             await eve.ask(method, *params)
     eve.answer = [-1, forged, 0]
     await eve.ask("registerSubscriber", "/eve/t", T, eve.uri)
+    robot = await world.node("/robot", {"/eve/t": Right.PUBLISH})
+    await robot.ask("registerPublisher", "/eve/t", T, robot.uri)  # eve is told at once
     await until(lambda: "/eve answers" in caplog.text)
     await eve.ask("shutdown", forged)
     messages = [record.getMessage() for record in caplog.records]
