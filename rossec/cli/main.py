@@ -15,6 +15,7 @@ from rossec.cli.context import Environment
 from rossec.cli.demo import demo
 from rossec.cli.explain import explain
 from rossec.cli.grant import grant
+from rossec.cli.graph import graph
 from rossec.cli.master import master
 from rossec.cli.node import node
 from rossec.cli.policy import policy
@@ -36,7 +37,7 @@ def rossec(verbose: bool) -> None:
     logging.basicConfig(level=logging.INFO if verbose else logging.WARNING, handlers=[handler])
 
 
-for command in (ca, node, grant, policy, explain, simulate, privacy, master, topic, demo):
+for command in (ca, node, grant, policy, explain, simulate, privacy, master, graph, topic, demo):
     rossec.add_command(command)
 for command in COMMANDS:
     grant.add_command(command)

@@ -7,11 +7,9 @@ from ca.revocation import open_list
 from ca.store import Store
 from rossec.authority import AuthorityHome
 from rossec.cli.context import Environment, moment, now
+from rossec.cli.reach import master_as, master_at
 from rossec.cli.voice import note
 from rossec.errors import ConfigurationError, NotDelivered
-from rossec.net.rpc import RpcClient
-from rossec.net.stream import Flavour, connect
-from rossec.node.slave import MASTER
 from rossec.ros import settings
 
 _HINT = "the list is signed and kept; deliver it with: rossec ca publish"
@@ -43,19 +41,12 @@ async def carry(
     Raises:
         NotDelivered: the master is out of reach or refuses `what`; `hint` says what then.
     """
-    uri = master_uri or environment.variables.get("ROS_MASTER_URI", settings.DEFAULT_MASTER_URI)
-    host, port = settings.parse_uri(uri, "the master's URI")
+    uri = master_at(environment, master_uri)
+    settings.parse_uri(uri, "the master's URI")
     node = AuthorityHome.at(environment.home).node()
     try:
-        stream = await connect(
-            host, port, node.credentials(), node.anchor().verify, opening=Flavour.HTTP
-        )
-        try:
-            if stream.peer.name != MASTER:
-                raise ConfigurationError(f"{stream.peer.name} answers there", "see ROS_MASTER_URI")
-            await RpcClient(stream).ask(method, node.name, data)
-        finally:
-            await stream.close()
+        async with master_as(node, uri) as client:
+            await client.ask(method, node.name, data)
     except (HintedError, OSError, TimeoutError) as error:
         raise NotDelivered(f"the master at {uri} did not take {what}: {error}", hint) from error
 

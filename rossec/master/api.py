@@ -28,6 +28,7 @@ from rossec.master.graph import GraphCalls
 from rossec.master.paramcalls import ParameterCalls
 from rossec.master.params import Parameters
 from rossec.master.registry import Registry
+from rossec.master.watching import WATCH, WatchCalls
 
 Fault = xmlrpc.client.Fault
 MULTICALL: Final = "system.multicall"
@@ -35,7 +36,7 @@ MULTICALL_LIMIT: Final = 4096  # roslaunch sets every parameter of a launch file
 MULTICALL_QUERIES: Final = 16  # answers over the whole graph; more in one call only amplifies
 MULTICALL_ONCE: Final = frozenset(  # each of these costs signatures or carries a whole list
     {
-        "rossec.presentGrants", "rossec.renewGrants", "rossec.updateDelegation",
+        "rossec.presentGrants", "rossec.renewGrants", "rossec.updateDelegation", WATCH,
         "rossec.revocations", "rossec.revocationsSince", "rossec.updateRevocations",
     }
 )  # fmt: skip
@@ -98,19 +99,29 @@ class MasterApi:
     Args:
         name: the master's own certified name.
         uri, pid: what `getUri` and `getPid` answer.
+        instance: names this run of the master.
     """
 
     def __init__(
-        self, registry: Registry, statements: Statements, *, name: str, uri: str, pid: int
+        self,
+        registry: Registry,
+        statements: Statements,
+        *,
+        name: str,
+        uri: str,
+        pid: int,
+        instance: str = "",
     ) -> None:
         self._statements = statements
         self._uri = uri
         self._pid = pid
         self._gatekeeper = Gatekeeper(registry, name)
+        self.watching = WatchCalls(registry, self._gatekeeper, instance)
         parameters = ParameterCalls(Parameters(), registry, statements.caller_of)
         self.methods: Methods = {
             **GraphCalls(registry, self._gatekeeper).methods(),
             **parameters.methods(),
+            **self.watching.methods(),
             **self._own_methods(),
         }
 

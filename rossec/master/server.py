@@ -9,6 +9,7 @@ import asyncio
 import contextlib
 import logging
 import os
+import secrets
 import time
 from collections import Counter
 from collections.abc import Callable
@@ -29,8 +30,10 @@ from rossec.master.calls import (
 from rossec.master.complaints import Complain, unheard
 from rossec.master.enforce import enforce, steps
 from rossec.master.gatekeeper import Caller, Peer
+from rossec.master.news import WATCH_WAIT, News
 from rossec.master.registry import NodeRef, PublishersChanged, Registry, ShutdownNode
 from rossec.master.updates import Updates
+from rossec.master.watching import WATCH, no_news
 from rossec.net.rpc import RpcClient, serve_calls
 from rossec.net.stream import Flavour, SecureServer, SecureStream, connect, serve
 from rossec.net.tasks import TaskSet
@@ -102,6 +105,7 @@ class MasterServer:
         self._updates = Updates(self._dial)
         self._tasks = TaskSet()
         self._stopping = asyncio.Event()
+        self._news = News()
         self._changed = asyncio.Event()  # revocations: what follows must not wait for the beat
 
     @property
@@ -126,7 +130,12 @@ class MasterServer:
             self._handle, host, port, self._credentials, self._verify, accept={Flavour.HTTP}
         )
         self._api = MasterApi(
-            self._registry, self._standing, name=self._name, uri=self.uri, pid=os.getpid()
+            self._registry,
+            self._standing,
+            name=self._name,
+            uri=self.uri,
+            pid=os.getpid(),
+            instance=secrets.token_hex(8),
         )
         self._tasks.spawn(self._beat(), name="rossec master timestamps")
 
@@ -158,6 +167,13 @@ class MasterServer:
             self._streams.discard(stream)
 
     async def _dispatch(self, method: str, params: tuple[object, ...], peer: ChannelPeer) -> object:
+        answer = self._answer(method, params, peer)
+        if method == WATCH and no_news(answer):
+            await self._news.wait(WATCH_WAIT)
+            answer = self._answer(method, params, peer)
+        return answer
+
+    def _answer(self, method: str, params: tuple[object, ...], peer: ChannelPeer) -> object:
         if self._api is None:
             raise RuntimeError("a call before the master was started")
         now = self._now()
@@ -173,6 +189,7 @@ class MasterServer:
                 pass
         for event in outcome.events:
             self._deliver(event)
+        self._news.tell(self._registry.version)
         return outcome.answer
 
     def _deliver(self, event: MasterEvent) -> None:
@@ -191,6 +208,7 @@ class MasterServer:
             case Denied(node_name, right, name):
                 self._complain(self._now(), node_name, right, name)
             case GrantsPresented(name, refused):
+                self._news.tell()  # it may see other things now
                 if refused:
                     text = printable("; ".join(refused))
                     _audit.warning("%s presents grants that are refused: %s", name, text)
@@ -218,7 +236,9 @@ class MasterServer:
         for step in steps(self._registry):
             for event in enforce(self._registry, self._standing, step, self._now()):
                 self._deliver(event)
+            self._news.tell(self._registry.version)
             await asyncio.sleep(0)
+        self._news.tell()  # what lapsed without a registration may still have been seen
 
     def _cut_revoked(self) -> None:
         """Cut the connections of revoked identities, and tell them nothing more."""
@@ -239,6 +259,8 @@ class MasterServer:
         registered = {node.thumbprint for node in nodes}
         connected = {stream.peer.thumbprint for stream in self._streams}
         self._standing.keep_only(frozenset(registered | connected), self._now())
+        if self._api is not None:
+            self._api.watching.keep_only(frozenset(connected))
 
     def _push_revocations(self) -> None:
         """Confirm the list to every node, and send it to those that do not hold it."""
@@ -268,6 +290,7 @@ class MasterServer:
             _audit.warning("%s is removed: %s answers at %s", node.name, found.name, node.uri)
             for event in self._registry.remove_node(node.name):
                 self._deliver(event)
+            self._news.tell(self._registry.version)
 
     def _now(self) -> int:
         return int(self._clock())
