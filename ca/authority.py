@@ -1,8 +1,9 @@
 """The authority: makes a trust domain's root, and certificates for the nodes in it.
 
-It issues exactly what a request shows (name and key) and nothing the approver did not see. Clock
-and dice come from outside: `now`, and serials of 128 random bits. What is issued, to whom and
-whether it may be, is the store's and the operator's business.
+It issues exactly what a request shows (name and key) and nothing the approver did not see; a
+wildcard tail only on the approver's own word. Clock and dice come from outside: `now`, and serials
+of 128 random bits. What is issued, to whom and whether it may be, is the store's and the operator's
+business.
 """
 
 from datetime import UTC, datetime
@@ -16,10 +17,11 @@ from cryptography.x509.oid import NameOID
 
 from ca.certificates import TrustAnchor
 from ca.errors import IssueRefused
-from ca.names import check_domain, spiffe_id
+from ca.names import check_domain, check_wildcard, spiffe_id
 from ca.publickey import require_p256, thumbprint
 from ca.requests import check_request
 from ca.signer import Signer
+from ca.svid import WILDCARD, WILDCARD_VALUE
 from ca.x509signer import X509Signer
 
 DAY: Final = 86_400
@@ -49,17 +51,27 @@ class Authority:
             )
         self.signer = signer
 
-    def issue(self, csr: bytes, *, now: int, serial: int, lifetime: int = LIFETIME) -> bytes:
+    def issue(
+        self,
+        csr: bytes,
+        *,
+        now: int,
+        serial: int,
+        lifetime: int = LIFETIME,
+        wildcard: bool = False,
+    ) -> bytes:
         """Return the certificate (DER) for what `csr` asks for, valid for `lifetime` seconds.
 
         It begins an hour early and ends with the authority's own certificate at the latest.
-        `serial` is 128 random bits.
+        `serial` is 128 random bits. With `wildcard` the identity also stands for the names of
+        anonymous nodes (`ca.names.covers`), whether the request asks for that or not.
 
         Raises:
             RequestRefused: the request is not in order.
+            NameRefused: this name cannot have a wildcard tail.
             IssueRefused: serial or lifetime out of range, or the authority's own time is over.
         """
-        request = check_request(csr, self.anchor.domain)
+        request = check_request(csr, self.anchor.domain, wildcard=wildcard)
         _check_serial(serial)
         start, end = self._period(now, lifetime)
         uri = spiffe_id(self.anchor.domain, request.name)
@@ -73,6 +85,10 @@ class Authority:
             .add_extension(_name(uri), critical=True)
             .add_extension(_issuer_key(self.anchor.public_key), critical=False)
         )
+        if wildcard:
+            check_wildcard(request.name)
+            tail = x509.UnrecognizedExtension(WILDCARD, WILDCARD_VALUE)
+            builder = builder.add_extension(tail, critical=False)
         return _sign(builder, self.signer)
 
     def _period(self, now: int, lifetime: int) -> tuple[int, int]:

@@ -22,7 +22,7 @@ from ca.errors import (
     ForeignCertificate,
     NameRefused,
 )
-from ca.names import check_domain, parse_spiffe_id
+from ca.names import check_domain, check_wildcard, covers, parse_spiffe_id
 from ca.publickey import thumbprint
 from ca.requests import MAX_REQUEST, Request, build_request, check_request
 from ca.svid import MAX_CERTIFICATE
@@ -41,6 +41,7 @@ class Identity:
     """Who a verified certificate says its holder is. Times are inclusive, in seconds.
 
     `thumbprint` names the key (32 bytes, RFC 9679), `certificate` is the DER as received.
+    Grants and rules are for `name`; with `wildcard` it also stands for anonymous nodes (`covers`).
     """
 
     domain: str
@@ -51,6 +52,11 @@ class Identity:
     not_after: int
     serial: int
     certificate: bytes
+    wildcard: bool = False
+
+    def covers(self, name: str) -> bool:
+        """Whether the holder may go by `name`: the certified one, or one with a certified tail."""
+        return covers(self.name, name, wildcard=self.wildcard)
 
 
 @dataclass(frozen=True)
@@ -112,15 +118,18 @@ class TrustAnchor:
     def _identity(self, certificate: x509.Certificate, der: bytes) -> Identity:
         extensions = svid.extensions(certificate)
         svid.check_leaf(extensions)
-        name = self._name(svid.only_uri(extensions))
+        wildcard = svid.has_wildcard(extensions)
+        name = self._name(svid.only_uri(extensions), wildcard=wildcard)
         key = svid.key_of(certificate)
         start, end = svid.validity(certificate)
         serial = certificate.serial_number
-        return Identity(self.domain, name, key, thumbprint(key), start, end, serial, der)
+        return Identity(self.domain, name, key, thumbprint(key), start, end, serial, der, wildcard)
 
-    def _name(self, uri: str) -> str:
+    def _name(self, uri: str, *, wildcard: bool) -> str:
         try:
             domain, name = parse_spiffe_id(uri)
+            if wildcard:
+                check_wildcard(name)
         except NameRefused as error:
             raise CertificateRefused(f"the certificate's name is none: {error}") from error
         if domain != self.domain:

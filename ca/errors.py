@@ -95,5 +95,9 @@ class StoreError(CAError):
     """The authority's database is missing, foreign, damaged, or refuses the entry."""
 
 
+class NameCovered(StoreError):
+    """A name that a living identity of another key stands for, or that would stand for its name."""
+
+
 class KeyChanged(StoreError):
     """A name that is alive with one key asks for a certificate with another."""

@@ -4,6 +4,9 @@ A node name is an absolute ROS name (`/robot1/camera`). Its place of validity is
 (`home`). Both together form the SPIFFE ID `spiffe://home/robot1/camera`, the only name a
 certificate carries. Both syntaxes are closed sets of ASCII, so there is exactly one spelling:
 nothing is escaped, folded or normalised here, and two names are equal if their bytes are.
+
+An identity with a wildcard tail stands for its name, and for that name with `_` and more behind it:
+`/rviz` also for `/rviz_1234_1700000000000`, as ROS calls anonymous nodes.
 """
 
 import re
@@ -12,7 +15,10 @@ from typing import Final
 from ca.errors import NameRefused
 
 MAX_NAME: Final = 255
+# Nodes trust whoever is certified under these; nobody shares them.
+RESERVED: Final = frozenset({"/master", "/ca"})
 _NAME: Final = re.compile(r"(?:/[A-Za-z][A-Za-z0-9_]*)+")
+_TAIL: Final = re.compile(r"_[A-Za-z0-9_]+")
 _DOMAIN: Final = re.compile(r"[a-z0-9._-]+")  # SPIFFE-ID section 2.1
 _SCHEME: Final = "spiffe://"
 
@@ -53,6 +59,33 @@ def check_domain(text: str) -> str:
             "use lower case letters, digits, dots, dashes and underscores, for example home",
         )
     return text
+
+
+def covers(name: str, asked: str, *, wildcard: bool) -> bool:
+    """Whether an identity for `name`, with a wildcard tail or not, may go by the name `asked`.
+
+    A tail is `_` and at least one character more of the same segment: `/rviz` covers `/rviz_1_2`,
+    never `/rviz_`, `/rvizx`, `/rviz_a/b` or `/robot1/rviz_1`.
+    """
+    if asked == name:
+        return True
+    if not wildcard or len(asked) > MAX_NAME or asked in RESERVED or not asked.startswith(name):
+        return False
+    return _TAIL.fullmatch(asked, len(name)) is not None
+
+
+def check_wildcard(name: str) -> str:
+    """Return `name` if an identity for it may have a wildcard tail.
+
+    Raises:
+        NameRefused: it is the master's or the authority's own.
+    """
+    if name in RESERVED:
+        raise NameRefused(
+            f"{name} is one node, it cannot have a wildcard tail",
+            "anonymous nodes need a name of their own",
+        )
+    return name
 
 
 def spiffe_id(domain: str, name: str) -> str:

@@ -2,7 +2,8 @@
 
 A request is a PKCS#10 CSR (so every CA tool can read it) in the one form `build_request` writes:
 empty subject, one extension, in it one URI. What the approver is shown is therefore all there is;
-anything more (CA:TRUE, a second name, a key usage) is refused, never silently dropped.
+anything more (CA:TRUE, a second name, a key usage) is refused, never silently dropped. One thing
+more may be asked for, a wildcard tail; it is refused as well unless the approver said so before.
 """
 
 import hashlib
@@ -16,10 +17,10 @@ from cryptography.hazmat.primitives.serialization import Encoding
 from cryptography.x509.oid import ExtensionOID, SignatureAlgorithmOID
 
 from ca.errors import KeyRefused, NameRefused, RequestRefused
-from ca.names import parse_spiffe_id, spiffe_id
+from ca.names import check_wildcard, parse_spiffe_id, spiffe_id
 from ca.publickey import require_p256, thumbprint
 from ca.signer import Signer
-from ca.svid import PARSE_ERRORS, ends_with_whole_octets
+from ca.svid import PARSE_ERRORS, WILDCARD, WILDCARD_VALUE, ends_with_whole_octets
 from ca.x509signer import X509Signer
 
 MAX_REQUEST: Final = 2048  # a request for the longest name has about 800 bytes
@@ -31,7 +32,8 @@ _HINT: Final = "make the request on the node with `rossec node request`"
 class Request:
     """A checked request.
 
-    `digest` is the SHA-256 of the DER bytes, as in the enrollment code.
+    `digest` is the SHA-256 of the DER bytes, as in the enrollment code. `wildcard`: it asks for a
+    wildcard tail.
     """
 
     domain: str
@@ -39,23 +41,32 @@ class Request:
     public_key: ec.EllipticCurvePublicKey
     thumbprint: bytes
     digest: bytes
+    wildcard: bool = False
 
 
-def build_request(signer: Signer, domain: str, name: str) -> bytes:
+def build_request(signer: Signer, domain: str, name: str, *, wildcard: bool = False) -> bytes:
     """Return a CSR (DER) that asks for `name` in `domain` for the signer's key.
 
     Raises:
-        NameRefused: `domain` or `name` is not one.
+        NameRefused: `domain` or `name` is not one, or this name cannot have a wildcard tail.
     """
     uri = x509.UniformResourceIdentifier(spiffe_id(domain, name))
     builder = x509.CertificateSigningRequestBuilder(x509.Name([])).add_extension(
         x509.SubjectAlternativeName([uri]), critical=True
     )
+    if wildcard:
+        check_wildcard(name)
+        builder = builder.add_extension(
+            x509.UnrecognizedExtension(WILDCARD, WILDCARD_VALUE), critical=False
+        )
     return builder.sign(X509Signer(signer), hashes.SHA256()).public_bytes(Encoding.DER)
 
 
-def check_request(csr: bytes, domain: str) -> Request:
+def check_request(csr: bytes, domain: str, *, wildcard: bool = False) -> Request:
     """Return what the CSR asks for, if it is one name in `domain` for one proven P-256 key.
+
+    Args:
+        wildcard: the approver means to give a wildcard tail, so asking for one is allowed.
 
     Raises:
         RequestRefused: malformed, unproven, or asking for anything else; the message says which.
@@ -69,10 +80,16 @@ def check_request(csr: bytes, domain: str) -> Request:
         if not ends_with_whole_octets(csr, request.signature):
             raise RequestRefused("the request's signature is not in whole octets", _HINT)
         key = _check_key(request)
-        name = _check_name(_only_uri(request), domain)
+        uri, asks = _asked(request)
+        name = _check_name(uri, domain)
     except PARSE_ERRORS as error:
         raise RequestRefused("this is not a certificate request", _HINT) from error
-    return Request(domain, name, key, thumbprint(key), hashlib.sha256(csr).digest())
+    if asks and not wildcard:
+        raise RequestRefused(
+            f"the request asks for all names that begin with {name}_",
+            "only for anonymous nodes: if that is meant, sign it with --anonymous",
+        )
+    return Request(domain, name, key, thumbprint(key), hashlib.sha256(csr).digest(), asks)
 
 
 def _check_key(request: x509.CertificateSigningRequest) -> ec.EllipticCurvePublicKey:
@@ -89,17 +106,22 @@ def _check_key(request: x509.CertificateSigningRequest) -> ec.EllipticCurvePubli
     return key
 
 
-def _only_uri(request: x509.CertificateSigningRequest) -> str:
-    """The one thing a request may contain besides its key."""
+def _asked(request: x509.CertificateSigningRequest) -> tuple[str, bool]:
+    """What a request may contain besides its key: one URI, and whether it asks for a wildcard."""
     if len(request.subject.rdns) > 0:
         raise RequestRefused("the request asks for a subject", _HINT)
     if [attribute.oid for attribute in request.attributes] != [_EXTENSION_REQUEST]:
         raise RequestRefused("the request has other attributes than its extensions", _HINT)
     names: list[x509.GeneralName] = []
+    wildcard = False
     for extension in request.extensions:
         match extension.value:
             case x509.SubjectAlternativeName() as alternative:
                 names = list(alternative)
+            case x509.UnrecognizedExtension(oid=oid, value=value) if (
+                oid == WILDCARD and value == WILDCARD_VALUE
+            ):
+                wildcard = True
             case x509.BasicConstraints(ca=True):
                 raise RequestRefused(
                     "the request asks to be an authority", "do not sign it: find out who made it"
@@ -108,7 +130,7 @@ def _only_uri(request: x509.CertificateSigningRequest) -> str:
                 raise RequestRefused(f"the request asks for extension {_title(extension)}", _HINT)
     match names:
         case [x509.UniformResourceIdentifier(value=uri)]:
-            return uri
+            return uri, wildcard
         case _:
             raise RequestRefused(
                 f"the request asks for {len(names)} names where exactly one URI is allowed", _HINT

@@ -12,7 +12,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final, NamedTuple, Self
 
-from ca.errors import KeyChanged, StoreError
+from ca import names, svid
+from ca.errors import KeyChanged, NameCovered, StoreError
 
 APPLICATION_ID: Final = 0x524F5343  # "ROSC"
 VERSION: Final = 1
@@ -51,6 +52,16 @@ class CertificateRow(NamedTuple):
     der: bytes
     not_before: int
     not_after: int
+
+    @property
+    def wildcard(self) -> bool:
+        """Whether it also stands for anonymous nodes."""
+        return svid.is_wildcard(self.der)
+
+    def covers(self, name: str) -> bool:
+        """Whether its holder may go by `name`."""
+        related = names.covers(self.name, name, wildcard=True)
+        return related and (self.name == name or self.wildcard)
 
 
 class GrantRow(NamedTuple):
@@ -128,6 +139,8 @@ class Store:
 
         Raises:
             KeyChanged: the name is alive with another key, and that was not explicitly allowed.
+            NameCovered: another living identity has a wildcard tail that covers the name, or the
+                other way round.
             StoreError: the key is revoked, or the serial is taken.
         """
         with self._changing() as db:
@@ -135,6 +148,7 @@ class Store:
                 raise StoreError(
                     f"the key of {row.name} is revoked", "have the node make a new key and request"
                 )
+            self._check_names(row, now)
             if not allow_new_key:
                 self._check_key(row, now)
             serial = row.serial.to_bytes(20)
@@ -161,6 +175,19 @@ class Store:
         }
         return frozenset(alive) - self.revoked_entries()
 
+    def certified(self, name: str, now: int) -> str:
+        """The name under which grants, rules and revocations are for the node called `name`.
+
+        Its own, unless it is an anonymous one: then that of the living identity that covers it.
+        """
+        revoked = self.revoked_entries()
+        covering = (
+            row.name
+            for row in self.certificates()
+            if now <= row.not_after and row.thumbprint not in revoked and row.covers(name)
+        )
+        return max(covering, key=len, default=name)
+
     def live_certificate(self, name: str, now: int) -> CertificateRow:
         """The newest identity of `name` that is still valid and not revoked.
 
@@ -174,9 +201,12 @@ class Store:
             if row.name == name and row.thumbprint in keys and now <= row.not_after
         ]
         if not alive:
+            certified = self.certified(name, now)
             raise StoreError(
                 f"{name} has no valid identity here",
-                f"first enroll it: rossec node request {name}, then rossec ca sign",
+                f"first enroll it: rossec node request {name}, then rossec ca sign"
+                if certified == name
+                else f"it is one of the anonymous nodes of {certified}: name that",
             )
         return alive[-1]
 
@@ -243,6 +273,18 @@ class Store:
                 raise KeyChanged(
                     f"{row.name} has an identity with another key until it expires",
                     "was the node set up anew? then say so with --new-key; if not, refuse",
+                )
+
+    def _check_names(self, row: CertificateRow, now: int) -> None:
+        """No two keys may go by one name, also not through a wildcard tail."""
+        revoked = self.revoked_entries()
+        for known in self.certificates():
+            alive = now <= known.not_after and known.thumbprint not in {row.thumbprint, *revoked}
+            one = known.covers(row.name) or row.covers(known.name)
+            if alive and known.name != row.name and one:
+                raise NameCovered(
+                    f"{row.name} and {known.name}: one is for anonymous nodes and covers the other",
+                    f"choose another name, or revoke {known.name} first",
                 )
 
     def _rows(self, query: str) -> list[Any]:

@@ -24,6 +24,10 @@ PARSE_ERRORS: Final = (
     x509.InvalidVersion, x509.DuplicateExtension, x509.UnsupportedGeneralNameType,
     CryptographyDeprecationWarning,  # an error where warnings are errors
 )  # fmt: skip
+# Private, from a UUID (ITU-T X.667); the value is NULL. Never critical: whoever does not know it
+# sees an identity for one name, which is less, so ignoring it is safe (RFC 5280 section 4.2).
+WILDCARD: Final = x509.ObjectIdentifier("2.25.176961642418767879325470120852094281072")
+WILDCARD_VALUE: Final = b"\x05\x00"
 _ECDSA: Final = ec.ECDSA(hashes.SHA256())
 _USAGES: Final = (
     "digital_signature", "content_commitment", "key_encipherment", "data_encipherment",
@@ -177,6 +181,21 @@ def only_uri(extensions: x509.Extensions) -> str:
             raise CertificateRefused(
                 f"the certificate has {len(names)} names where exactly one URI is allowed"
             )
+
+
+def has_wildcard(extensions: x509.Extensions) -> bool:
+    """Whether the identity also stands for its name with any tail (`ca.names.covers`)."""
+    for extension in extensions:
+        if extension.oid == WILDCARD:
+            if extension.value.public_bytes() != WILDCARD_VALUE:
+                raise CertificateRefused("the certificate's wildcard is malformed")
+            return True
+    return False
+
+
+def is_wildcard(der: bytes) -> bool:
+    """`has_wildcard` of a certificate in DER, which is not verified here."""
+    return has_wildcard(extensions(parse(der)))
 
 
 def _malformed(error: Exception) -> NoReturn:

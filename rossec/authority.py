@@ -53,14 +53,25 @@ class OpenAuthority:
         return self.authority.signer
 
     def issue(
-        self, request: bytes, now: int, lifetime: int = LIFETIME, *, allow_new_key: bool = False
+        self,
+        request: bytes,
+        now: int,
+        lifetime: int = LIFETIME,
+        *,
+        allow_new_key: bool = False,
+        wildcard: bool = False,
     ) -> bytes:
         """Sign and record an identity; returns the node's bundle (PEM, leaf and authority).
 
-        A new key that takes a name over revokes the key it replaces: the list is to be delivered.
+        With `wildcard` it is for anonymous nodes as well. A new key that takes a name over revokes
+        the key it replaces: the list is to be delivered.
         """
         der = self.authority.issue(
-            request, now=now, serial=secrets.randbits(127) + 1, lifetime=lifetime
+            request,
+            now=now,
+            serial=secrets.randbits(127) + 1,
+            lifetime=lifetime,
+            wildcard=wildcard,
         )
         identity = self.authority.anchor.verify([der], now)
         self._refresh_list(now)
@@ -135,8 +146,12 @@ class OpenAuthority:
             )
         found = self.store.live_keys(check_name(name), now)
         if not found:
+            certified = self.store.certified(name, now)
             raise ConfigurationError(
-                f"{name} has no living identity to revoke", "see: rossec ca show"
+                f"{name} has no living identity to revoke",
+                "see: rossec ca show"
+                if certified == name
+                else f"it is one of the anonymous nodes of {certified}: revoking that ends all",
             )
         return self._revoke(found, reason, now), len(found)
 

@@ -5,12 +5,13 @@ by the module that knows the format. Errors say which command comes next.
 """
 
 import contextlib
+import re
 import secrets
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Final, Self
 
-from ca import keys
+from ca import keys, svid
 from ca.certificates import (
     Identity,
     Request,
@@ -28,6 +29,7 @@ from rossec.channel.credentials import Credentials
 from rossec.errors import ConfigurationError
 
 _SIZE_LIMIT: Final = 256 * 1024
+_NUMBERS: Final = re.compile(r"(?<=[^_])(?:_[0-9]+)+$")  # as ROS makes names anonymous
 
 
 def rossec_home(environ: Mapping[str, str]) -> Path:
@@ -58,6 +60,19 @@ class NodeHome:
         return cls(home / "nodes" / check_name(name).lstrip("/").replace("/", "."), name)
 
     @classmethod
+    def find(cls, home: Path, name: str) -> Self:
+        """The directory of the identity that covers `name`.
+
+        Its own if there is one; else that of the longest name with a wildcard tail that covers it;
+        else its own, which does not exist, for errors that say what to do.
+        """
+        own = cls.of(home, name)
+        if own.path.exists():
+            return own
+        candidates = (cls.of(home, base) for base in _shortened(name))
+        return next((found for found in candidates if found.is_wildcard()), own)
+
+    @classmethod
     def for_bundle(cls, home: Path, bundle: bytes, now: int) -> tuple[Self, TrustAnchor]:
         """The directory of the node a signed identity is for, and the authority that signed it.
 
@@ -73,18 +88,19 @@ class NodeHome:
         """The request for an identity, to carry to the authority."""
         return self.path / "node.csr"
 
-    def create_request(self, domain: str) -> Request:
-        """Make the key and the request for an identity.
+    def create_request(self, domain: str, *, wildcard: bool = False) -> Request:
+        """Make the key and the request for an identity; with `wildcard`, for anonymous nodes too.
 
         Raises:
+            NameRefused: not a trust domain, or a name that is one node.
             KeyRefused: the node has a key already.
         """
         files.make_private_directory(self.path)
         key = keys.generate()
-        request = build_request(KeySigner(key), domain, self.name)
+        request = build_request(KeySigner(key), domain, self.name, wildcard=wildcard)
         keys.write_private(self.path / "node.key", key)
         files.replace(self.request_path, request, 0o644)
-        return check_request(request, domain)
+        return check_request(request, domain, wildcard=wildcard)
 
     def request(self) -> bytes:
         """The request (DER)."""
@@ -128,10 +144,18 @@ class NodeHome:
             )
         return identity
 
+    def is_wildcard(self) -> bool:
+        """Whether an identity with a wildcard tail is installed; verified when it is used."""
+        if not (self.path / "node.pem").exists():
+            return False
+        leaf, _ = _split(self._read("node.pem", ""))
+        return svid.is_wildcard(leaf)
+
     def credentials(self) -> Credentials:
         """This node's key and certificate."""
         leaf, _ = _split(self._read("node.pem", self._enroll))
-        return Credentials(KeySigner(keys.load_private(self.path / "node.key")), (leaf,))
+        key = keys.load_private(self.path / "node.key")
+        return Credentials(KeySigner(key), (leaf,), shared=svid.is_wildcard(leaf))
 
     def grants(self) -> list[bytes]:
         """The grants this node holds, as signed; unverified."""
@@ -185,7 +209,9 @@ class NodeHome:
     @property
     def _enroll(self) -> str:
         if not (self.path / "node.key").exists():
-            return f"rossec node request {self.name}"
+            base = _NUMBERS.sub("", self.name)
+            anonymous = "" if base == self.name else f", or for all such nodes {base} --anonymous"
+            return f"rossec node request {self.name}{anonymous}"
         return f"rossec ca sign {self.request_path}, then rossec node install FILE"
 
     def _read(self, name: str, command: str) -> bytes:
@@ -210,6 +236,13 @@ class NodeHome:
                 f"{self.name} trusts another authority already",
                 f"to change it, move {self.path} away and enroll the node anew",
             )
+
+
+def _shortened(name: str) -> Iterator[str]:
+    """The names whose wildcard tail covers `name`, the longest first."""
+    for end in range(len(name) - 2, name.rindex("/") + 1, -1):
+        if name[end] == "_":
+            yield name[:end]
 
 
 def _split(bundle: bytes) -> tuple[bytes, bytes]:

@@ -58,6 +58,11 @@ class OwnCredential(Protocol):
         """CRED_x without its CBOR frame: the DER of the end-entity certificate."""
         ...
 
+    @property
+    def shared(self) -> bool:
+        """Whether several nodes hold this certificate: a peer that shows it is no reflection."""
+        ...
+
     def sign(self, message: bytes) -> bytes:
         """Sign with the certified key: 64 bytes."""
         ...
@@ -65,10 +70,14 @@ class OwnCredential(Protocol):
 
 @dataclass(frozen=True)
 class Credentials:
-    """A node's key and its certificate chain, end entity first, without the trust anchor."""
+    """A node's key and its certificate chain, end entity first, without the trust anchor.
+
+    `shared`: the identity has a wildcard tail, so several nodes have it.
+    """
 
     signer: Signer
     chain: tuple[bytes, ...]
+    shared: bool = False
 
     @property
     def id_cred(self) -> Value:

@@ -140,7 +140,8 @@ class Side(Generic[PeerT]):
         known = self._party.known
         chain = self._party.find_chain(id_cred) if known is None else known.find(id_cred)
         self._chain = chain
-        if chain[0] == self._party.credential.certificate:
+        own = self._party.credential
+        if chain[0] == own.certificate and not own.shared:
             # Reflection: nobody else can hold this certificate's key (notes: selfie attack).
             raise IdentityRefused("the peer shows this node's own certificate")
         try:

@@ -8,7 +8,7 @@ import click
 from ca import qr
 from ca.authority import DAY, MAX_LIFETIME
 from ca.certificates import Request, check_request
-from ca.names import spiffe_id
+from ca.names import check_wildcard, spiffe_id
 from rossec.authority import AuthorityHome, fingerprint, grouped
 from rossec.cli import passphrase
 from rossec.cli.context import Duration, Environment, confirm, moment, now, pass_environment
@@ -57,6 +57,11 @@ def init(environment: Environment, domain: str, passphrase_file: Path | None) ->
 @click.option(
     "--new-key", is_flag=True, help="let a known name come with another key; revokes the old one"
 )
+@click.option(
+    "--anonymous",
+    is_flag=True,
+    help="for anonymous nodes too: /rviz also as /rviz_1234_1700000000000",
+)
 @click.option("--master", "master_uri", help="master to tell, instead of ROS_MASTER_URI")
 @click.option("--yes", is_flag=True, help="do not ask")
 @passphrase.option
@@ -67,6 +72,7 @@ def sign(
     codes: tuple[str, ...],
     lifetime: int,
     new_key: bool,
+    anonymous: bool,
     master_uri: str | None,
     yes: bool,
     passphrase_file: Path | None,
@@ -78,16 +84,20 @@ def sign(
     """
     home = AuthorityHome.at(environment.home)
     read = [(path, _read(path)) for path in requests]
-    checked = [(path, data, check_request(data, home.domain)) for path, data in read]
+    checked = [
+        (path, data, check_request(data, home.domain, wildcard=anonymous)) for path, data in read
+    ]
     if codes:
         _check_codes(codes, [data for _, data, _ in checked])
     for path, _, request in checked:
         _introduce(path, request, home, vouched=bool(codes))
+        if anonymous:
+            _warn_of_tail(request)
     confirm(f"sign {_count(len(checked))}?", yes=yes)
     authority = home.unlock(passphrase.read(passphrase_file, environment.variables))
     revoked, number = authority.store.revoked_entries(), authority.store.next_number()
     for path, data, request in checked:
-        bundle = authority.issue(data, now(), lifetime, allow_new_key=new_key)
+        bundle = authority.issue(data, now(), lifetime, allow_new_key=new_key, wildcard=anonymous)
         target = path.with_name("node.pem" if path.name == "node.csr" else f"{path.stem}.pem")
         target.write_bytes(bundle)
         say(f"signed {request.name}: {target}")
@@ -107,7 +117,12 @@ def show(environment: Environment, as_json: bool) -> None:
     rows = home.store().certificates()
     if as_json:
         nodes = [
-            {"name": row.name, "expires": row.not_after, "key": row.thumbprint.hex()}
+            {
+                "name": row.name,
+                "anonymous": row.wildcard,
+                "expires": row.not_after,
+                "key": row.thumbprint.hex(),
+            }
             for row in rows
         ]
         say_json(
@@ -117,7 +132,8 @@ def show(environment: Environment, as_json: bool) -> None:
     say(f"authority of {home.domain} in {home.path}")
     say(f"fingerprint {fingerprint(home.anchor())}")
     for row in rows:
-        say(f"{row.name}  until {moment(row.not_after)}  fingerprint {grouped(row.thumbprint)}")
+        name = f"{row.name} and {row.name}_*" if row.wildcard else row.name
+        say(f"{name}  until {moment(row.not_after)}  fingerprint {grouped(row.thumbprint)}")
 
 
 @ca.command()
@@ -193,6 +209,12 @@ def _introduce(path: Path, request: Request, home: AuthorityHome, *, vouched: bo
     say(f"{printable(spiffe_id(home.domain, request.name))} asks for an identity ({path})")
     say(f"  fingerprint {grouped(request.thumbprint)}")
     say(f"  {how}")
+
+
+def _warn_of_tail(request: Request) -> None:
+    name = check_wildcard(request.name)
+    say(f"  it may run as any number of nodes, under every name that begins with {name}_")
+    say("  all of them have one key and the same grants, and are revoked together")
 
 
 def _read(path: Path) -> bytes:

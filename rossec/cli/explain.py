@@ -85,11 +85,12 @@ def subject_of(environment: Environment, node: str) -> Subject:
     if (environment.home / "ca" / "ca.pem").exists():
         store = AuthorityHome.at(environment.home).store()
         try:
-            rows = [row for row in store.certificates() if row.name == node]
+            name = store.certified(node, now())
+            rows = [row for row in store.certificates() if row.name == name]
         finally:
             store.close()
         if rows:
-            return Subject(node, rows[-1].thumbprint)
+            return Subject(name, rows[-1].thumbprint)
     note(f"{node} is not enrolled here: rules that pin its key do not count")
     return Subject(node, bytes(32))
 

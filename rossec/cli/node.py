@@ -21,14 +21,16 @@ def node() -> None:
 @node.command()
 @click.argument("name")
 @click.option("--domain", default="home", show_default=True, help="trust domain of the authority")
+@click.option("--anonymous", is_flag=True, help="for anonymous nodes too: /rviz also as /rviz_17")
 @pass_environment
-def request(environment: Environment, name: str, domain: str) -> None:
+def request(environment: Environment, name: str, domain: str, anonymous: bool) -> None:
     """Make the key of the node NAME and a request for its identity. The key stays here."""
     home = NodeHome.of(environment.home, name)
-    made = home.create_request(domain)
+    made = home.create_request(domain, wildcard=anonymous)
     say(f"request of {name}: {home.request_path}")
     say(f"fingerprint {grouped(made.thumbprint)}")
-    say(f"next, at the authority: rossec ca sign {home.request_path}")
+    option = " --anonymous" if anonymous else ""
+    say(f"next, at the authority: rossec ca sign {home.request_path}{option}")
 
 
 @node.command()
@@ -69,5 +71,7 @@ def show(environment: Environment, name: str) -> None:
     home = NodeHome.of(environment.home, name)
     identity = home.identity(now())
     say(f"{identity.name} of {identity.domain} until {moment(identity.not_after)}")
+    if identity.wildcard:
+        say(f"also for anonymous nodes, {identity.name}_*")
     say(f"fingerprint {grouped(identity.thumbprint)}")
     say(f"{len(home.grants())} grants in {home.path}")

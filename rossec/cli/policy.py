@@ -1,7 +1,9 @@
 """`rossec policy`: check a policy, get advice on it, and let it be written from what runs."""
 
 import asyncio
+import contextlib
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import click
@@ -16,6 +18,7 @@ from grants.policy.mistakes import Mistake, nearest
 from grants.policy.read import mistakes_in
 from grants.policy.sros2 import MAX_SIZE, import_sros2
 from rossec import files
+from rossec.authority import AuthorityHome
 from rossec.cli import options
 from rossec.cli.context import Environment, now, pass_environment
 from rossec.cli.reach import master_as, master_at
@@ -89,7 +92,7 @@ def learn(
         raise ConfigurationError("nothing to learn from", "add --from-graph or --from-log")
     seen = _read_log(log) if log is not None else []
     if node is not None:
-        seen += asyncio.run(_look(environment, node))
+        seen += _certified(environment, asyncio.run(_look(environment, node)))
     read = _existing(place(environment.home, policy_path))
     text, rules = learn_from(read.text, read.decider, seen, _day())
     PolicyFile(out or read.path, text, parse_policy(text, str(out or read.path))).replace(text)
@@ -164,6 +167,15 @@ async def _look(environment: Environment, node: str) -> list[Seen]:
         state = await client.ask("getSystemState", home.name)
         types = await client.ask("getTopicTypes", home.name)
     return [item for item in from_graph(state, types) if item.node != home.name]
+
+
+def _certified(environment: Environment, seen: list[Seen]) -> list[Seen]:
+    """What was seen, under the names rules are for: those of certificates, where they are known."""
+    if not (environment.home / "ca" / "ca.pem").exists():
+        return seen
+    with contextlib.closing(AuthorityHome.at(environment.home).store()) as store:
+        named = (replace(item, node=store.certified(item.node, now())) for item in seen)
+        return list(dict.fromkeys(named))
 
 
 def _undecided(read: PolicyFile, item: Seen) -> bool:

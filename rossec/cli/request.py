@@ -50,7 +50,7 @@ def request(
     The request is signed with the node's key. Carry it to the authority as a file; when the
     authority is in the same ROSSEC_HOME, it lands in its inbox by itself.
     """
-    home = NodeHome.of(environment.home, node)
+    home = NodeHome.find(environment.home, node)
     wishes = tuple(
         Wish(Right[label.upper()], pattern)
         for label, patterns in named.items()

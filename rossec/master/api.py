@@ -156,12 +156,12 @@ class MasterApi:
         caller_id = params[0]
         if not isinstance(caller_id, str):
             raise ArgumentRefused("caller_id must be a string")
-        self._gatekeeper.check_identity(caller, caller_id)
+        acting = caller.acting_as(caller_id)
         checked = (
             check(value, caller_id) for check, value in zip(row.checks, params[1:], strict=True)
         )
-        request = Request(caller, (caller_id, *checked), now)
-        self._gatekeeper.check(method, caller, request.arguments)
+        request = Request(acting, (caller_id, *checked), now)
+        self._gatekeeper.check(method, acting, request.arguments)
         return request
 
     def _multicall(self, params: Sequence[object], caller: Caller, now: int) -> Outcome:

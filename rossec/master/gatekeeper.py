@@ -7,10 +7,11 @@ answers as if it were absent.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Final, Protocol
 
+from ca import names
 from ca.errors import HintedError
 from grants.model import Right
 from rossec.master.registry import KEYS_LIMIT, Kind, NodeRef, Registry
@@ -50,13 +51,50 @@ class Peer(Protocol):
         """The certified key's thumbprint."""
 
 
+class Certified(Peer, Protocol):
+    """A peer as its certificate shows it: `ca.certificates.Identity` is one."""
+
+    @property
+    def wildcard(self) -> bool:
+        """Whether the name has a wildcard tail."""
+
+    def covers(self, name: str) -> bool:
+        """Whether the peer may go by `name`."""
+
+
 @dataclass(frozen=True)
 class Caller:
-    """Who calls: the certified name, the thumbprint of its key, and what it may do."""
+    """Who calls, and what it may do.
+
+    Attributes:
+        name: the certified name; within a call the name of the node, see `acting_as`.
+        thumbprint: of the certified key, to which grants are bound.
+        wildcard: the certified name has a wildcard tail.
+        certified: the certified name where `name` is another one.
+    """
 
     name: str
     thumbprint: bytes
     access: Access
+    wildcard: bool = False
+    certified: str = ""
+
+    @property
+    def title(self) -> str:
+        """Who it is, for people."""
+        return f"{self.name} (certified as {self.certified})" if self.certified else self.name
+
+    def acting_as(self, name: str) -> "Caller":
+        """The caller as the node `name`, which has entries of its own in the registry.
+
+        Raises:
+            Refused: its identity does not cover `name`.
+        """
+        if not names.covers(self.name, name, wildcard=self.wildcard):
+            raise Refused(f"this connection belongs to {self.name}, it cannot act as another")
+        if name == self.name:
+            return self
+        return replace(self, name=name, wildcard=False, certified=self.name)
 
     def may(self, right: Right, name: str) -> bool:
         """Whether a grant covers `right` on `name`."""
@@ -144,15 +182,6 @@ class Gatekeeper:
         self._registry = registry
         self._master = master
 
-    def check_identity(self, caller: Caller, caller_id: str) -> None:
-        """A node speaks only for itself: the certificate's name, not the argument's, counts.
-
-        Raises:
-            Refused: `caller_id` is another name.
-        """
-        if caller_id != caller.name:
-            raise Refused(f"this connection belongs to {caller.name}, it cannot act as another")
-
     def check(self, method: str, caller: Caller, arguments: tuple[object, ...]) -> None:
         """The rule of `method`, except for TREE, where the reach is known to the parameters.
 
@@ -195,7 +224,7 @@ def require(caller: Caller, right: Right, name: str) -> None:
         caller.access.require(right, name)
     except HintedError as error:
         hint = f" ({error.hint})" if error.hint else ""
-        wanted = f"{caller.name} needs the right {_label(right)} on {name}"
+        wanted = f"{caller.title} needs the right {_label(right)} on {name}"
         raise Refused(f"{wanted}: {error}{hint}", (right, name)) from error
 
 
@@ -214,7 +243,7 @@ def require_tree(caller: Caller, right: Right, key: str, leaves: list[str]) -> N
     grants that nearly cover it, would tell which parameters exist.
     """
     if not leaves or not all(caller.may(right, leaf) for leaf in leaves):
-        wanted = f"{caller.name} needs the right {_label(right)} on {key}"
+        wanted = f"{caller.title} needs the right {_label(right)} on {key}"
         raise Refused(f"{wanted}: no grant covers it and all below it ({_ASK})", (right, key))
 
 

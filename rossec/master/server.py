@@ -29,7 +29,7 @@ from rossec.master.calls import (
 )
 from rossec.master.complaints import Complain, unheard
 from rossec.master.enforce import enforce, steps
-from rossec.master.gatekeeper import Caller, Peer
+from rossec.master.gatekeeper import Caller, Certified, Peer
 from rossec.master.news import WATCH_WAIT, News
 from rossec.master.registry import NodeRef, PublishersChanged, Registry, ShutdownNode
 from rossec.master.updates import Updates
@@ -49,14 +49,14 @@ _log = logging.getLogger(__name__)
 _audit = logging.getLogger("rossec.audit")
 
 
-class ChannelPeer(Peer, PeerIdentity, Protocol):
+class ChannelPeer(Certified, PeerIdentity, Protocol):
     """A peer as the channel hands it over: `ca.certificates.Identity` is one."""
 
 
 class Standing(Statements, Protocol):
     """What the authority has said and the nodes have shown; `rossec.master.trust` is it."""
 
-    def caller(self, peer: Peer, now: int) -> Caller:
+    def caller(self, peer: Certified, now: int) -> Caller:
         """Who calls and what it may do now; remembers the peer. Raises `HintedError`: revoked."""
 
     def keep_only(self, thumbprints: frozenset[bytes], now: int) -> None:
@@ -274,7 +274,7 @@ class MasterServer:
         """Connect to a slave API; whoever answers must be the node that registered."""
         host, port = parse_uri(node.uri, "the slave API")
         stream = await connect(host, port, self._credentials, self._verify, opening=Flavour.HTTP)
-        if (stream.peer.name, stream.peer.thumbprint) != (node.name, node.thumbprint):
+        if not stream.peer.covers(node.name) or stream.peer.thumbprint != node.thumbprint:
             stream.abort("not the node that was registered")
             self._evict(node, stream.peer)
             raise CallerMismatch(f"{stream.peer.name} answers at the slave API of {node.name}")

@@ -20,11 +20,12 @@ from grants.errors import GrantError, GrantNotHeld
 from grants.model import Grant, Right
 from grants.token import Verifier
 from rossec.master.api import Presented, Renewed
-from rossec.master.gatekeeper import Caller, Peer
+from rossec.master.gatekeeper import Caller, Certified, Peer
 from rossec.master.renewal import Delegate
 
 MAX_HELD: Final = 64
 MAX_HELD_BYTES: Final = 256 * 1024
+MAX_NAMES: Final = 16 * 1024  # nodes of which is known which list they hold
 MAX_FAILURES: Final = 256  # refused grants of one key in FAILURES_WITHIN; each costs a verification
 FAILURES_WITHIN: Final = 60  # seconds
 
@@ -104,11 +105,11 @@ class Trust:
         self._persist = persist
         self._delegate = Delegate(anchor, signer) if delegate is None else delegate
         self._held: dict[bytes, _Held] = {}
-        self._lists: dict[bytes, bytes] = {}
+        self._lists: dict[tuple[str, bytes], bytes] = {}
         self._stamp: tuple[int, bytes] = (-1, b"")
         self._confirmed_at = -1
 
-    def caller(self, peer: Peer, now: int) -> Caller:
+    def caller(self, peer: Certified, now: int) -> Caller:
         """Who calls and what it may do now.
 
         Raises:
@@ -116,13 +117,13 @@ class Trust:
         """
         if peer.thumbprint in self._revocations.entries:
             raise Revoked(f"the key of {peer.name} is revoked", "enroll the node with a new key")
-        return self._caller(peer.name, peer.thumbprint, now)
+        return self._caller(peer, now, wildcard=peer.wildcard)
 
     def caller_of(self, peer: Peer, now: int) -> Caller | None:
         """What a name and key seen before may do now; None: the key is revoked."""
         if peer.thumbprint in self._revocations.entries:
             return None
-        return self._caller(peer.name, peer.thumbprint, now)
+        return self._caller(peer, now)
 
     def present(self, caller: Caller, tokens: Sequence[bytes], now: int) -> Presented:
         """Verify and keep grants; one that is refused does not spoil the others.
@@ -176,12 +177,16 @@ class Trust:
 
     def held_by(self, peer: Peer, held: bytes) -> None:
         """A node says which list it holds, by its digest; believed only to spare it the list."""
-        self._lists[peer.thumbprint] = held
+        if len(self._lists) >= MAX_NAMES:  # a wildcard identity goes by as many as it likes
+            self._lists.clear()
+        self._lists[peer.name, peer.thumbprint] = held
 
     def news_for(self, peer: Peer, now: int) -> tuple[bytes, bytes]:
         """As `current`, but without the list for a node that has said that it holds it."""
         data, stamp = self.current(now)
-        return (b"" if self._lists.get(peer.thumbprint) == digest(data) else data), stamp
+        return (
+            b"" if self._lists.get((peer.name, peer.thumbprint)) == digest(data) else data
+        ), stamp
 
     def update(self, data: bytes, now: int) -> bool:
         """Take a list signed by the authority; returns whether it differs from the one held.
@@ -197,17 +202,16 @@ class Trust:
     def keep_only(self, thumbprints: frozenset[bytes], now: int) -> None:
         """Forget the grants of all other keys, and what has expired of these."""
         self._held = {key: held for key, held in self._held.items() if key in thumbprints}
-        self._lists = {key: held for key, held in self._lists.items() if key in thumbprints}
+        self._lists = {key: held for key, held in self._lists.items() if key[1] in thumbprints}
         for held in self._held.values():
             held.drop_expired(now)
 
-    def _caller(self, name: str, thumbprint: bytes, now: int) -> Caller:
+    def _caller(self, peer: Peer, now: int, *, wildcard: bool = False) -> Caller:
         self._confirm(now)
-        held = self._held.get(thumbprint)
+        held = self._held.get(peer.thumbprint)
         grants = () if held is None else tuple(held.grants.values())
-        return Caller(
-            name, thumbprint, GrantAccess(grants, thumbprint, now, self._revocations.check)
-        )
+        access = GrantAccess(grants, peer.thumbprint, now, self._revocations.check)
+        return Caller(peer.name, peer.thumbprint, access, wildcard)
 
     def _keep(self, held: _Held, caller: Caller, token: bytes, now: int) -> None:
         key = hashlib.sha256(token).digest()

@@ -16,7 +16,7 @@ def check_caller(fields: Mapping[str, bytes], peer: Identity) -> None:
         TopicRefused: there is none.
     """
     caller = text(fields, "callerid")
-    if caller != peer.name:
+    if not peer.covers(caller):
         raise CallerMismatch(
             f"a node certified as {peer.name} calls itself {caller}",
             "start it under the name it was enrolled with",

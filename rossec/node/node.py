@@ -47,7 +47,8 @@ class Node:
     """One node: `async with Node("/camera") as node: ...`.
 
     Args:
-        name: the node's name; `__name:=` and `__ns:=` in `argv` change it as in ROS.
+        name: the node's name; `__name:=` and `__ns:=` in `argv` change it as in ROS. For
+            `/rviz_17` an identity of `/rviz` for anonymous nodes will do.
         argv: ROS arguments of the program (remappings and the like), without its path.
         environ: where ROS_MASTER_URI, ROS_IP and so on, and ROSSEC_HOME are read from.
     """
@@ -61,7 +62,7 @@ class Node:
     ) -> None:
         self.settings = settings.read(argv, environ, default_name=name)
         self.name = self.settings.name
-        self.home = NodeHome.of(rossec_home(environ), self.name)
+        self.home = NodeHome.find(rossec_home(environ), self.name)
         self.anchor = self.home.anchor()
         self.credentials = self.home.credentials()
         self.identity = self.home.identity(int(time.time()))

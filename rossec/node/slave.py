@@ -75,7 +75,7 @@ class SlaveApi:
             return [_ERROR, f"rossec: {method} is for the master alone", entry.default]
         if not _fits(params, entry.kinds):
             return [_ERROR, "Error: bad call arity or types", entry.default]
-        if params[0] != peer.name:
+        if not peer.covers(str(params[0])):
             return [_ERROR, f"rossec: caller_id is not {peer.name}", entry.default]
         try:
             return entry.run(peer, *params[1:])

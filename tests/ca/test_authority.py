@@ -110,16 +110,18 @@ def test_roots_of_one_domain_have_different_subjects() -> None:
 def test_openssl_accepts_it_strictly(tmp_path: Path) -> None:
     (tmp_path / "ca.pem").write_bytes(to_pem(SITE.root))
     longest = build_request(new_signer(), "home", "/" + "a" * 254)
-    for number, csr in enumerate((CSR, longest)):
+    for number, csr in enumerate((CSR, longest, CSR)):
         leaf = tmp_path / f"{number}.pem"
-        leaf.write_bytes(to_pem(SITE.authority.issue(csr, now=NOW, serial=5)))
+        der = SITE.authority.issue(csr, now=NOW, serial=5, wildcard=number == 2)
+        leaf.write_bytes(to_pem(der))
         command = ["openssl", "verify", "-x509_strict", "-check_ss_sig", "-policy_check"]
         arguments = ["-attime", str(NOW), "-CAfile", str(tmp_path / "ca.pem"), str(leaf)]
         done = subprocess.run([*command, *arguments], capture_output=True, check=False, text=True)
         assert done.stdout.strip().endswith("OK"), done.stderr
 
 
-def test_the_verifier_of_cryptography_accepts_it() -> None:
+@pytest.mark.parametrize("wildcard", [False, True])
+def test_the_verifier_of_cryptography_accepts_it(*, wildcard: bool) -> None:
     root = x509.load_der_x509_certificate(SITE.root)
     verifier = (
         verification.PolicyBuilder()
@@ -127,7 +129,8 @@ def test_the_verifier_of_cryptography_accepts_it() -> None:
         .time(datetime.fromtimestamp(NOW, UTC))
         .build_client_verifier()
     )
-    verified = verifier.verify(issue(), [])
+    der = SITE.authority.issue(CSR, now=NOW, serial=5, wildcard=wildcard)
+    verified = verifier.verify(x509.load_der_x509_certificate(der), [])
     assert verified.subjects is not None
     assert [name.value for name in verified.subjects] == ["spiffe://home/robot1/camera"]
 
@@ -140,3 +143,20 @@ def test_only_p256_authorities() -> None:
     signer = KeySigner(ec.generate_private_key(ec.SECP384R1()))
     with pytest.raises(KeyRefused):
         create_root(signer, "home", now=NOW, serial=1)
+
+
+def test_a_wildcard_tail_on_the_approvers_word_alone() -> None:
+    asking = build_request(new_signer(), "home", "/rviz", wildcard=True)
+    with pytest.raises(RequestRefused, match="all names that begin with /rviz_"):
+        SITE.authority.issue(asking, now=NOW, serial=5)
+    for csr in (asking, CSR):
+        der = SITE.authority.issue(csr, now=NOW, serial=5, wildcard=True)
+        assert SITE.anchor.verify([der], NOW).wildcard
+    assert not SITE.anchor.verify([SITE.authority.issue(CSR, now=NOW, serial=5)], NOW).wildcard
+
+
+@pytest.mark.parametrize("name", ["/master", "/ca"])
+def test_no_wildcard_tail_for_those_whom_all_trust(name: str) -> None:
+    csr = build_request(new_signer(), "home", name)
+    with pytest.raises(NameRefused, match=f"{name} is one node"):
+        SITE.authority.issue(csr, now=NOW, serial=5, wildcard=True)

@@ -14,6 +14,7 @@ from ca.errors import (
     ForeignCertificate,
 )
 from ca.publickey import thumbprint
+from ca.svid import WILDCARD, WILDCARD_VALUE
 from tests.support.pki import (
     DAY,
     NOW,
@@ -206,3 +207,31 @@ def test_too_much_pem() -> None:
 def test_no_pem_of_garbage() -> None:
     with pytest.raises(CertificateRefused, match="not a well-formed certificate"):
         to_pem(b"garbage")
+
+
+TAIL = (x509.UnrecognizedExtension(WILDCARD, WILDCARD_VALUE), False)
+
+
+def with_tail(uri: str) -> bytes:
+    return draft_leaf(SITE, [*leaf_extensions(uri), TAIL]).build()
+
+
+def test_an_identity_with_a_wildcard_tail() -> None:
+    identity = SITE.anchor.verify([with_tail("spiffe://home/robot1/rviz")], NOW)
+    assert (identity.name, identity.wildcard) == ("/robot1/rviz", True)
+    assert identity.covers("/robot1/rviz")
+    assert identity.covers("/robot1/rviz_17")
+    assert not identity.covers("/robot1/rviz_a/b")
+
+
+def test_an_identity_without_one_covers_its_name() -> None:
+    identity = SITE.anchor.verify([LEAF], NOW)
+    assert not identity.wildcard
+    assert identity.covers("/robot1/camera")
+    assert not identity.covers("/robot1/camera_17")
+
+
+@pytest.mark.parametrize("name", ["/master", "/ca"])
+def test_no_tail_for_the_master_and_the_authority(name: str) -> None:
+    with pytest.raises(CertificateRefused, match=f"{name} is one node"):
+        SITE.anchor.verify([with_tail(f"spiffe://home{name}")], NOW)

@@ -5,7 +5,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ca.errors import NameRefused
-from ca.names import check_domain, check_name, parse_spiffe_id, spiffe_id
+from ca.names import (
+    RESERVED,
+    check_domain,
+    check_name,
+    check_wildcard,
+    covers,
+    parse_spiffe_id,
+    spiffe_id,
+)
 
 names = st.from_regex(r"(/[A-Za-z][A-Za-z0-9_]{0,9}){1,8}", fullmatch=True)
 domains = st.from_regex(r"[a-z0-9._-]{1,30}", fullmatch=True)
@@ -88,3 +96,54 @@ def test_parsing_is_strict(text: str) -> None:
 def test_not_what_we_write(text: str, message: str) -> None:
     with pytest.raises(NameRefused, match=re.escape(message)):
         parse_spiffe_id(text)
+
+
+TAILS = ["/rviz_1", "/rviz_1234_1700000000000", "/rviz_robot1_4711_x", "/rviz__1", "/rviz_A"]
+
+
+@pytest.mark.parametrize("name", ["/rviz", *TAILS])
+def test_a_wildcard_tail_covers(name: str) -> None:
+    assert covers("/rviz", name, wildcard=True)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "", "/", "/rviz_", "/rvizx", "/rviz1", "/rviz/1", "/rviz_a/b", "/rviz_1/", "/rviz/_1",
+        "/rvi", "/robot1/rviz_1", "rviz_1", "//rviz_1", "/Rviz_1", "/rviz_*", "/rviz*", "/rviz_1\n",
+        "/rviz_1 ", "/rviz_1.2", "/rviz_\u0661", "/rviz_\x00", "/master", "/ca",
+        "/rviz_" + "1" * 250,
+    ],
+)  # fmt: skip
+def test_a_wildcard_tail_covers_nothing_else(name: str) -> None:
+    assert not covers("/rviz", name, wildcard=True)
+
+
+@pytest.mark.parametrize("name", TAILS)
+def test_a_plain_identity_has_no_tail(name: str) -> None:
+    assert not covers("/rviz", name, wildcard=False)
+    assert covers(name, name, wildcard=False)
+
+
+@given(names, names)
+def test_what_is_covered_is_a_name_in_the_same_place(name: str, asked: str) -> None:
+    for candidate in (asked, name + asked, f"{name}_{asked[1:]}"):
+        if covers(name, candidate, wildcard=True) and candidate != name:
+            assert check_name(candidate).rpartition("/")[0] == name.rpartition("/")[0]
+            assert candidate.startswith(f"{name}_")
+
+
+@given(names)
+def test_the_master_and_the_authority_are_covered_by_nobody_else(name: str) -> None:
+    for reserved in RESERVED:
+        assert covers(name, reserved, wildcard=True) == (name == reserved)
+    for end in range(2, len("/master")):
+        assert not covers("/master"[:end], "/master", wildcard=True)
+
+
+def test_reserved_names_have_no_tail() -> None:
+    assert check_wildcard("/rviz") == "/rviz"
+    for reserved in RESERVED:
+        with pytest.raises(NameRefused, match=f"{reserved} is one node") as caught:
+            check_wildcard(reserved)
+        assert caught.value.hint

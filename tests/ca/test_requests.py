@@ -13,6 +13,7 @@ from cryptography.x509.oid import AttributeOID, NameOID
 from ca.errors import NameRefused, RequestRefused
 from ca.publickey import thumbprint
 from ca.requests import MAX_REQUEST, build_request, check_request
+from ca.svid import WILDCARD, WILDCARD_VALUE
 from tests.support.pki import new_signer, uris, usage
 
 URI = "spiffe://home/robot1/camera"
@@ -120,6 +121,8 @@ def test_the_signature_has_no_unused_bits() -> None:
 CA_TRUE = x509.BasicConstraints(ca=True, path_length=None)
 CA_FALSE = x509.BasicConstraints(ca=False, path_length=None)
 UNKNOWN = x509.UnrecognizedExtension(x509.ObjectIdentifier("1.2.3.4"), b"\x05\x00")
+TAIL = x509.UnrecognizedExtension(WILDCARD, WILDCARD_VALUE)
+ODD_TAIL = x509.UnrecognizedExtension(WILDCARD, b"\x01\x01\xff")
 COMMON_NAME = [x509.NameAttribute(NameOID.COMMON_NAME, "robot")]
 
 
@@ -138,6 +141,8 @@ COMMON_NAME = [x509.NameAttribute(NameOID.COMMON_NAME, "robot")]
         (crafted((SAN, True), (CA_FALSE, True)), "asks for extension BASIC_CONSTRAINTS"),
         (crafted((SAN, True), (usage("key_cert_sign"), True)), "asks for extension KEY_USAGE"),
         (crafted((SAN, True), (UNKNOWN, False)), r"asks for extension 1\.2\.3\.4"),
+        (crafted((SAN, True), (TAIL, False)), "asks for all names that begin with /robot1/camera_"),
+        (crafted((SAN, True), (ODD_TAIL, False)), r"asks for extension 2\.25\.1769"),
         (crafted((uris(URI, URI), True)), "asks for 2 names where exactly one URI"),
         (crafted((uris(), True)), "asks for 0 names where exactly one URI"),
         (
@@ -160,3 +165,23 @@ def test_ed25519_is_not_p256() -> None:
     csr = builder.sign(ed25519.Ed25519PrivateKey.generate(), None).public_bytes(Encoding.DER)
     with pytest.raises(RequestRefused, match="for a key that is not P-256"):
         check_request(csr, "home")
+
+
+def test_a_wildcard_tail_only_where_the_approver_means_it() -> None:
+    csr = build_request(new_signer(), "home", "/rviz", wildcard=True)
+    with pytest.raises(RequestRefused, match="all names that begin with /rviz_") as caught:
+        check_request(csr, "home")
+    assert "--anonymous" in caught.value.hint
+    assert check_request(csr, "home", wildcard=True).wildcard
+    assert not check_request(CSR, "home", wildcard=True).wildcard
+
+
+def test_allowing_a_tail_allows_nothing_else() -> None:
+    for extension in (ODD_TAIL, UNKNOWN, CA_TRUE):
+        with pytest.raises(RequestRefused):
+            check_request(crafted((SAN, True), (extension, False)), "home", wildcard=True)
+
+
+def test_no_request_for_the_masters_tail() -> None:
+    with pytest.raises(NameRefused, match="/master is one node"):
+        build_request(new_signer(), "home", "/master", wildcard=True)

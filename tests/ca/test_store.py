@@ -7,8 +7,10 @@ from types import SimpleNamespace
 
 import pytest
 
-from ca.errors import KeyChanged, StoreError
+from ca.certificates import build_request
+from ca.errors import KeyChanged, NameCovered, StoreError
 from ca.store import CertificateRow, GrantRow, LogRow, Store
+from tests.support.pki import Site, new_signer
 
 NOW, DAY = 1_800_000_000, 86_400
 KEY, OTHER = b"k" * 32, b"o" * 32
@@ -272,3 +274,54 @@ def test_a_file_that_goes_between_look_and_open(
     with pytest.raises(StoreError, match="cannot be opened: unable to open database file"):
         Store.open(path)
     assert not os.path.lexists(path)
+
+
+SITE = Site.create()
+
+
+def real(serial: int, name: str, key: bytes = KEY, *, wildcard: bool = False) -> CertificateRow:
+    csr = build_request(new_signer(), "home", name)
+    der = SITE.authority.issue(csr, now=NOW, serial=serial, wildcard=wildcard)
+    return CertificateRow(serial, name, key, der, NOW, NOW + DAY)
+
+
+def test_a_row_covers_what_its_certificate_does() -> None:
+    assert real(1, "/rviz", wildcard=True).covers("/rviz_1")
+    assert not real(1, "/rviz").covers("/rviz_1")
+    assert real(1, "/rviz").covers("/rviz")
+    assert not certificate().covers("/b")
+
+
+@pytest.mark.parametrize("wildcard", [False, True])
+@pytest.mark.parametrize("first", [0, 1])
+def test_two_keys_never_go_by_one_name(store: Store, first: int, *, wildcard: bool) -> None:
+    rows = [real(1, "/rviz", wildcard=True), real(2, "/rviz_17", OTHER, wildcard=wildcard)]
+    store.add_certificate(rows[first], NOW)
+    with pytest.raises(NameCovered, match="is for anonymous nodes and covers the other") as caught:
+        store.add_certificate(rows[1 - first], NOW, allow_new_key=True)
+    assert f"revoke {rows[first].name} first" in caught.value.hint
+    store.revoke(rows[first].thumbprint, "no more", NOW)
+    store.add_certificate(rows[1 - first], NOW)
+
+
+def test_a_tail_is_in_nobodys_way(store: Store) -> None:
+    store.add_certificate(real(1, "/rviz", wildcard=True), NOW)
+    store.add_certificate(real(2, "/rvizx", OTHER), NOW)
+    store.add_certificate(real(3, "/robot1/rviz_1", OTHER), NOW)
+    store.add_certificate(real(4, "/rviz_17"), NOW)  # the same key
+    store.add_certificate(real(5, "/rviz_18", OTHER), NOW + DAY + 1)  # expired by then
+    store.add_certificate(real(6, "/plain"), NOW)
+    store.add_certificate(real(7, "/plain_1", OTHER), NOW)
+
+
+def test_the_name_an_anonymous_node_is_certified_under(store: Store) -> None:
+    store.add_certificate(real(1, "/rviz", wildcard=True), NOW)
+    store.add_certificate(real(2, "/plain", OTHER), NOW)
+    names = {"/rviz": "/rviz", "/rviz_1": "/rviz", "/plain_1": "/plain_1", "/new": "/new"}
+    assert {name: store.certified(name, NOW) for name in names} == names
+    with pytest.raises(StoreError, match="/rviz_1 has no valid identity") as caught:
+        store.live_certificate("/rviz_1", NOW)
+    assert caught.value.hint == "it is one of the anonymous nodes of /rviz: name that"
+    assert store.certified("/rviz_1", NOW + DAY + 1) == "/rviz_1"
+    store.revoke(KEY, "lost", NOW)
+    assert store.certified("/rviz_1", NOW) == "/rviz_1"

@@ -225,3 +225,25 @@ def test_parts_the_library_finds_malformed_later() -> None:
     for flaw in (ValueError("bad"), UnsupportedAlgorithm("odd")):
         with pytest.raises(CertificateRefused, match=MALFORMED):
             svid.key_of(Mock(public_key=Mock(side_effect=flaw)))
+
+
+TAIL = x509.UnrecognizedExtension(svid.WILDCARD, svid.WILDCARD_VALUE)
+
+
+def test_a_wildcard_is_seen_where_it_is() -> None:
+    assert svid.has_wildcard(leaf_with(NO_CA, USAGE, NAME, (TAIL, False)))
+    assert not svid.has_wildcard(leaf_with(NO_CA, USAGE, NAME, (UNKNOWN, False)))
+    assert svid.is_wildcard(draft_leaf(SITE, [NO_CA, USAGE, NAME, (TAIL, False)]).build())
+    assert not svid.is_wildcard(SITE.leaf())
+
+
+@pytest.mark.parametrize("value", [b"", b"\x05", b"\x05\x00\x00", b"\x01\x01\xff"])
+def test_a_malformed_wildcard(value: bytes) -> None:
+    flawed = x509.UnrecognizedExtension(svid.WILDCARD, value)
+    with pytest.raises(CertificateRefused, match="the certificate's wildcard is malformed"):
+        svid.has_wildcard(leaf_with(NO_CA, USAGE, NAME, (flawed, False)))
+
+
+def test_a_critical_wildcard_is_not_ours() -> None:
+    with pytest.raises(CertificateRefused, match=r"unknown critical extension 2\.25\.1769"):
+        leaf_with(NO_CA, USAGE, NAME, (TAIL, True))

@@ -3,10 +3,12 @@ from pathlib import Path
 import pytest
 
 from ca.errors import PassphraseRefused
+from ca.names import RESERVED
 from ca.revocation import open_list
 from rossec.authority import OWN_NODE, AuthorityHome, fingerprint
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
+from rossec.node.slave import MASTER
 
 NOW = 1_800_000_000
 PASSPHRASE = "four random words here"
@@ -85,3 +87,7 @@ def test_the_list_is_kept_young_while_the_key_is_at_hand(home: AuthorityHome) ->
     assert unlocked.store.next_number() == (1, seq + 1)
     unlocked.issue(node.request(), NOW + 8 * 86400)
     assert unlocked.store.next_number() == (1, seq + 2)
+
+
+def test_the_names_nobody_may_share_are_the_masters_and_its_own() -> None:
+    assert {MASTER, OWN_NODE} == RESERVED

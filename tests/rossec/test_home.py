@@ -206,3 +206,45 @@ def test_filter_keys(tmp_path: Path) -> None:
     path.write_bytes(b"short")
     with pytest.raises(ConfigurationError, match="is not a key of 32 bytes"):
         home.filter_key("ward")
+
+
+def enrolled_as(root: Path, name: str, *, wildcard: bool) -> NodeHome:
+    home = NodeHome.of(root, name)
+    home.create_request("home", wildcard=wildcard)
+    leaf = SITE.authority.issue(home.request(), now=NOW, serial=7, wildcard=wildcard)
+    home.install(to_pem(leaf, SITE.root), NOW)
+    return home
+
+
+def test_an_anonymous_node_finds_its_identity(tmp_path: Path) -> None:
+    for name in ("/rviz", "/rviz_tall"):
+        enrolled_as(tmp_path, name, wildcard=True)
+    enrolled_as(tmp_path, "/rviz_9", wildcard=False)
+    found = {
+        "/rviz": "/rviz", "/rviz_1": "/rviz", "/rviz_1_2": "/rviz", "/rviz_": "/rviz_",
+        "/rviz_tall_1": "/rviz_tall", "/rviz_9": "/rviz_9", "/rviz_9_1": "/rviz",
+        "/robot/rviz_1": "/robot/rviz_1", "/rvizx": "/rvizx", "/r": "/r",
+    }  # fmt: skip
+    assert {name: NodeHome.find(tmp_path, name).name for name in found} == found
+    assert NodeHome.find(tmp_path, "/rviz_1").identity(NOW).covers("/rviz_1")
+
+
+def test_a_plain_identity_is_not_found_for_other_names(tmp_path: Path) -> None:
+    enrolled_as(tmp_path, "/rviz", wildcard=False)
+    NodeHome.of(tmp_path, "/half").create_request("home", wildcard=True)
+    assert NodeHome.find(tmp_path, "/rviz_1").name == "/rviz_1"
+    assert NodeHome.find(tmp_path, "/half_1").name == "/half_1"
+
+
+def test_only_an_identity_for_anonymous_nodes_is_shared(tmp_path: Path) -> None:
+    assert enrolled_as(tmp_path, "/rviz", wildcard=True).credentials().shared
+    assert not enrolled_as(tmp_path, "/plain", wildcard=False).credentials().shared
+
+
+@pytest.mark.parametrize("name", ["/rviz_1234_1700000000000", "/rviz_17"])
+def test_an_anonymous_node_without_an_identity_is_told_how(tmp_path: Path, name: str) -> None:
+    with pytest.raises(ConfigurationError) as caught:
+        NodeHome.find(tmp_path, name).credentials()
+    assert caught.value.hint == (
+        f"next: rossec node request {name}, or for all such nodes /rviz --anonymous"
+    )

@@ -34,6 +34,13 @@ class Member:
     def thumbprint(self) -> bytes:
         return self.identity.thumbprint
 
+    @property
+    def wildcard(self) -> bool:
+        return self.identity.wildcard
+
+    def covers(self, name: str) -> bool:
+        return self.identity.covers(name)
+
 
 @dataclass
 class Site:
@@ -49,10 +56,12 @@ class Site:
         self.anchor = TrustAnchor.load(root)
         self._numbers = itertools.count(1)
 
-    def enroll(self, name: str) -> Member:
+    def enroll(self, name: str, *, wildcard: bool = False) -> Member:
         signer = KeySigner(generate())
         request = build_request(signer, self.domain, name)
-        certificate = self.authority.issue(request, now=self.now, serial=secrets.randbits(127))
+        certificate = self.authority.issue(
+            request, now=self.now, serial=secrets.randbits(127), wildcard=wildcard
+        )
         identity = self.anchor.verify([certificate], self.now)
         return Member(identity, Credentials(signer, (certificate,)))
 

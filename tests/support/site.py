@@ -60,13 +60,14 @@ class Site:
         uri = {"ROS_MASTER_URI": self.master.uri} if self.master is not None else {}
         return {"ROSSEC_HOME": str(self.root), "ROS_IP": "127.0.0.1", **uri}
 
-    def enroll(self, name: str, lifetime: int = DAY) -> NodeHome:
-        """Give the node `name` a key and an identity."""
+    def enroll(self, name: str, lifetime: int = DAY, *, wildcard: bool = False) -> NodeHome:
+        """Give the node `name` a key and an identity; with `wildcard`, for anonymous nodes too."""
         home = NodeHome.of(self.root, name)
         if not (home.path / "node.pem").exists():
             home.create_request(self.anchor.domain)
             now = self.now()
-            home.install(self.authority.issue(home.request(), now, lifetime), now)
+            bundle = self.authority.issue(home.request(), now, lifetime, wildcard=wildcard)
+            home.install(bundle, now)
         return home
 
     def identity(self, name: str) -> Identity:
@@ -155,8 +156,9 @@ class Site:
         await self.master.start()
 
     def node(self, name: str, *argv: str) -> Node:
-        """A node of this site, not yet started."""
-        self.enroll(name)
+        """A node of this site, not yet started; enrolled by its name, unless a wildcard fits."""
+        if not NodeHome.find(self.root, name).is_wildcard():
+            self.enroll(name)
         return Node(name, argv=argv, environ=self.environ)
 
 

@@ -1,3 +1,5 @@
+import dataclasses
+
 import pytest
 
 from rossec.channel.connection import Connection
@@ -200,6 +202,18 @@ def test_ones_own_certificate_is_refused() -> None:
     w = wire(alice(), bob(credentials=ALICE)).pump()
     assert isinstance(w.left.error, IdentityRefused)
     assert "own certificate" in str(w.left.error)
+
+
+def test_a_certificate_of_several_nodes_is_no_reflection() -> None:
+    shared = dataclasses.replace(ALICE, shared=True)
+    w = wire(alice(credentials=shared), bob(credentials=shared)).pump()
+    assert (w.left.error, w.right.error) == (None, None)
+    assert names(w.left) == names(w.right) == ["/alice"]
+
+
+def test_whoever_does_not_share_its_certificate_refuses_it_from_those_who_do() -> None:
+    w = wire(alice(), bob(credentials=dataclasses.replace(ALICE, shared=True))).pump()
+    assert isinstance(w.left.error, IdentityRefused)
 
 
 def test_a_bug_in_verify_ends_the_connection() -> None:

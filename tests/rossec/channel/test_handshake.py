@@ -40,6 +40,8 @@ class TraceIdentity:
 class TraceCredential:
     """x5t with Ed25519, as the trace has it; rossec itself sends x5chain with ES256."""
 
+    shared = False
+
     def __init__(self, who: str) -> None:
         key = value({"R": "Responder", "I": "Initiator"}[who] + "'s private authentication key")
         self._key = ed25519.Ed25519PrivateKey.from_private_bytes(key)

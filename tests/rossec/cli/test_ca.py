@@ -181,3 +181,49 @@ def test_an_identity_lasts_a_year_at_most(shell: Shell) -> None:
     said = shell.unlocked("ca", "sign", request, "--yes", "--for", "367d")
     refused(said, "367d is too long; at most 366d are allowed", "ca sign --help", code=2)
     assert shell.unlocked("ca", "sign", request, "--yes", "--for", "366d").code == 0
+
+
+def test_anonymous_nodes_must_be_meant(shell: Shell) -> None:
+    said = shell("node", "request", "/rviz", "--anonymous")
+    request = str(shell.node("/rviz") / "node.csr")
+    assert said.out.endswith(f"rossec ca sign {request} --anonymous\n")
+    sign = ("ca", "sign", request, "--yes")
+    refused(shell.unlocked(*sign), "asks for all names that begin with /rviz_", "--anonymous")
+    signed = shell.unlocked(*sign, "--anonymous")
+    assert (
+        "it may run as any number of nodes, under every name that begins with /rviz_" in signed.out
+    )
+    assert "one key and the same grants, and are revoked together" in signed.out
+    assert shell("node", "install", str(shell.node("/rviz") / "node.pem"), "--yes").code == 0
+    assert "also for anonymous nodes, /rviz_*" in shell("node", "show", "/rviz").out
+    assert "/rviz and /rviz_*  until" in shell("ca", "show").out
+    listed = json.loads(shell("ca", "show", "--json").out)["identities"]
+    assert {node["name"]: node["anonymous"] for node in listed} == {"/ca": False, "/rviz": True}
+
+
+def test_a_tail_is_the_authoritys_word_not_the_requests(shell: Shell) -> None:
+    shell("node", "request", "/rviz")
+    request = str(shell.node("/rviz") / "node.csr")
+    assert shell.unlocked("ca", "sign", request, "--yes", "--anonymous").code == 0
+    assert "/rviz and /rviz_*" in shell("ca", "show").out
+    shell("node", "request", "/rviz_9")
+    other = str(shell.node("/rviz_9") / "node.csr")
+    refused(shell.unlocked("ca", "sign", other, "--yes"), "/rviz_9 and /rviz", "revoke /rviz first")
+
+
+@pytest.mark.parametrize("name", ["/master", "/ca"])
+def test_no_tail_for_those_whom_all_trust(shell: Shell, name: str) -> None:
+    refused(shell("node", "request", name, "--anonymous"), f"{name} is one node")
+    shell.node(name).rename(shell.root / "aside")
+    shell("node", "request", name)
+    request = str(shell.node(name) / "node.csr")
+    said = shell.unlocked("ca", "sign", request, "--yes", "--anonymous")
+    refused(said, f"{name} is one node", "a name of their own")
+
+
+def test_an_anonymous_node_goes_with_its_identity(shell: Shell) -> None:
+    shell("node", "request", "/rviz")
+    request = str(shell.node("/rviz") / "node.csr")
+    shell.unlocked("ca", "sign", request, "--yes", "--anonymous")
+    revoke = ("ca", "revoke", "/rviz_17", "--master", "http://127.0.0.1:1")
+    refused(shell.unlocked(*revoke), "/rviz_17 has no living", "nodes of /rviz: revoking that ends")

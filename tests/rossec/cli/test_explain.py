@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rossec.cli.explain import changes
+from rossec.cli.context import Environment
+from rossec.cli.explain import changes, subject_of
 from rossec.node.messages import message_type
 from tests.support.commands import Shell, refused
 
@@ -111,3 +112,12 @@ def test_changes_are_shortened() -> None:
     (line,) = changes("std_msgs/String", before, after)
     assert line.startswith("data: " + "a" * 40)
     assert "..." in line
+
+
+def test_an_anonymous_node_is_its_certified_name(shell: Shell, file: str) -> None:
+    shell("node", "request", "/heating")
+    request = str(shell.node("/heating") / "node.csr")
+    assert shell.unlocked("ca", "sign", request, "--yes", "--anonymous").code == 0
+    subject = subject_of(Environment(shell.environ), "/heating_17")
+    assert subject.name == "/heating"
+    assert subject.key != bytes(32)

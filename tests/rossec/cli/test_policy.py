@@ -166,3 +166,18 @@ def test_import_sros2(shell: Shell, tmp_path: Path) -> None:
     assert (said.code, "is not overwritten" in said.err) == (1, True)
     xml.write_text('<!DOCTYPE p [<!ENTITY a "b">]><policy>&a;</policy>')
     refused(shell("policy", "import-sros2", str(xml)), "a policy with a DTD is refused")
+
+
+def test_anonymous_nodes_are_learnt_under_their_certified_name(
+    shell: Shell, file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shell("node", "request", "/rviz")
+    request = str(shell.node("/rviz") / "node.csr")
+    assert shell.unlocked("ca", "sign", request, "--yes", "--anonymous").code == 0
+
+    async def look(*_: object) -> list[Seen]:
+        return [Seen(f"/rviz_{number}", Right.SUBSCRIBE, "/scan") for number in (1, 2)]
+
+    monkeypatch.setattr(module, "_look", look)
+    said = shell("policy", "learn", "--from-graph", "/looker", "--policy", str(file))
+    assert said.out.splitlines()[0] == "learned learned-rviz: subscribe /scan"

@@ -34,6 +34,11 @@ def everything(name: str) -> Caller:
     return caller(name, {"**": ALL})
 
 
+def anonymous(name: str, rights: Mapping[str, Right] | None = None) -> Caller:
+    """With a wildcard tail."""
+    return Caller(name, name.encode(), FakeAccess(rights or {"**": ALL}), wildcard=True)
+
+
 @dataclass
 class FakeStatements:
     """What the trust module is to the API."""

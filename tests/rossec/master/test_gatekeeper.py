@@ -6,6 +6,7 @@ import pytest
 
 from grants.model import Right
 from rossec.master.api import MasterApi
+from rossec.master.calls import Denied
 from rossec.master.gatekeeper import (
     RULES,
     Caller,
@@ -16,7 +17,7 @@ from rossec.master.gatekeeper import (
     require_tree,
 )
 from rossec.master.registry import Registry
-from tests.rossec.master.fakes import FakeStatements, caller, everything
+from tests.rossec.master.fakes import FakeStatements, anonymous, caller, everything
 
 T = "std_msgs/String"
 VICTIM_API, EVIL_API = "http://victim:1/", "http://evil:1/"
@@ -248,3 +249,71 @@ def test_m6_a_refusal_does_not_tell_what_is_below(
     assert answers[0] == answers[1]
     asked = next(p for p in reversed(params) if isinstance(p, str) and p.startswith("KEY"))
     assert f" on {asked}: no grant covers it and all below it (ask the auth" in answers[0]
+
+
+RVIZ = anonymous("/rviz")
+ONE, TWO = ("/rviz_1", "http://h:1/"), ("/rviz_2", "http://h:2/")
+
+
+def test_nodes_of_one_wildcard_have_entries_of_their_own(api: MasterApi) -> None:
+    for name, uri in (ONE, TWO):
+        assert ask(api, RVIZ, "registerPublisher", name, "/t", T, uri)[0] == 1
+    assert ask(api, RVIZ, "getSystemState", "/rviz_1")[2][0][1] == ["/t", ["/rviz_1", "/rviz_2"]]
+    assert ask(api, RVIZ, "lookupNode", "/rviz_1", "/rviz_2")[2] == TWO[1]
+    assert ask(api, RVIZ, "unregisterPublisher", "/rviz_1", "/t", TWO[1])[2] == 0
+    assert ask(api, RVIZ, "unregisterPublisher", "/rviz_1", "/t", ONE[1])[2] == 1
+    assert ask(api, RVIZ, "getSystemState", "/rviz_2")[2][0][1] == ["/t", ["/rviz_2"]]
+
+
+def test_a_node_of_a_wildcard_owns_its_own_address_alone(api: MasterApi) -> None:
+    assert ask(api, RVIZ, "registerPublisher", "/rviz_1", "/t", T, ONE[1])[0] == 1
+    for uri in (ONE[1], VICTIM_API):
+        answer = ask(api, RVIZ, "registerPublisher", "/rviz_2", "/t", T, uri)
+        assert answer == [-1, "rossec: this slave API URI is registered by another node", []]
+
+
+def test_a_node_of_a_wildcard_sees_what_it_registered_itself(api: MasterApi) -> None:
+    modest = anonymous("/rviz", {"/t": Right.PUBLISH})
+    api.call("registerPublisher", ("/rviz_1", "/t", T, ONE[1]), modest, 0)
+    blind = anonymous("/rviz", {"/nothing": Right.PUBLISH})
+    assert ask(api, blind, "getSystemState", "/rviz_1")[2] == [[["/t", ["/rviz_1"]]], [], []]
+    assert ask(api, blind, "getSystemState", "/rviz_2")[2] == [[], [], []]
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["/victim", "/master", "/ca", "/rviz_", "/rvizx", "/rviz_1/a", "/robot/rviz_1", "rviz_1"],
+)
+def test_a_wildcard_takes_no_other_name(api: MasterApi, name: str) -> None:
+    for method, *params in (
+        ("registerPublisher", "/t", T, EVIL_API),
+        ("unregisterPublisher", "/secret", VICTIM_API),
+        ("setParam", "/p", 1),
+        ("getSystemState",),
+    ):
+        code, status, _ = ask(api, RVIZ, method, name, *params)
+        assert code == -1
+        assert status == "rossec: this connection belongs to /rviz, it cannot act as another"
+
+
+def test_a_plain_identity_takes_no_tail(api: MasterApi) -> None:
+    code, status, _ = ask(api, everything("/rviz"), "getPid", "/rviz_1")
+    assert (code, status.startswith("rossec: this connection belongs to /rviz,")) == (-1, True)
+
+
+def test_what_is_missing_is_missing_to_the_certified_name(api: MasterApi) -> None:
+    blind = anonymous("/rviz", {"/nothing": Right.PUBLISH})
+    outcome = api.call("registerSubscriber", ("/rviz_1", "/t", T, ONE[1]), blind, 0)
+    assert "/rviz_1 (certified as /rviz) needs the right subscribe on /t" in str(outcome.answer)
+    assert [event.node for event in outcome.events if isinstance(event, Denied)] == ["/rviz"]
+    refused = ask(api, blind, "getParam", "/rviz", "/p")[1]
+    assert refused.startswith("rossec: /rviz needs the right param-get on /p")
+
+
+def test_a_name_is_taken_once() -> None:
+    acting = RVIZ.acting_as("/rviz_1")
+    assert acting.acting_as("/rviz_1") is acting
+    with pytest.raises(Refused):
+        acting.acting_as("/rviz_1_2")
+    with pytest.raises(Refused):
+        acting.acting_as("/rviz")

@@ -7,6 +7,8 @@ from ca.revocation import digest, open_timestamp
 from ca.signer import KeySigner
 from grants.errors import GrantError
 from grants.model import Right
+from rossec.master import trust as module
+from rossec.master.registry import NodeRef
 from rossec.master.trust import FAILURES_WITHIN, MAX_FAILURES, MAX_HELD, Trust
 from tests.support.authority import DAY, Site
 
@@ -227,9 +229,29 @@ def test_a_node_that_holds_the_list_is_not_sent_it(world: World) -> None:
     world.trust.held_by(world.node, digest(data))
     assert world.trust.news_for(world.node, world.now) == (b"", stamp)
     assert world.trust.news_for(world.master, world.now) == (data, stamp)
+    other = NodeRef("/anonymous", "http://h:1/", world.node.thumbprint)
+    assert world.trust.news_for(other, world.now) == (data, stamp)
     newer = world.site.revoke(world.master)
     world.trust.update(newer, world.now)
     assert world.trust.news_for(world.node, world.now)[0] == newer
     world.trust.held_by(world.node, digest(newer))
     world.trust.keep_only(frozenset(), world.now)
     assert world.trust.news_for(world.node, world.now)[0] == newer
+
+
+def test_a_caller_is_what_its_certificate_says(world: World) -> None:
+    assert not world.trust.caller(world.node, world.now).wildcard
+    rviz = world.site.enroll("/rviz", wildcard=True)
+    assert world.trust.caller(rviz, world.now).acting_as("/rviz_1").thumbprint == rviz.thumbprint
+    registered = world.trust.caller_of(rviz, world.now)
+    assert registered is not None
+    assert not registered.wildcard  # a name in the registry is that name alone
+
+
+def test_what_is_remembered_of_nodes_is_bounded(
+    world: World, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "MAX_NAMES", 2)
+    for n in range(5):
+        world.trust.held_by(NodeRef(f"/n{n}", "http://h:1/", world.node.thumbprint), bytes(32))
+        assert len(world.trust._lists) <= 2

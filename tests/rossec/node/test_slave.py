@@ -125,3 +125,13 @@ async def test_a_refused_list_is_an_answer_not_a_crash(node: Node, identity: Ide
     master = replace(identity, name="/master")
     answer = await call(node, master, "rossec.revocationUpdate", "/master", b"older", b"")
     assert answer == [-1, "rossec: older than one seen", 0]
+
+
+async def test_an_anonymous_node_asks_under_its_own_names(node: Node, identity: Identity) -> None:
+    rviz = replace(identity, wildcard=True)
+    for name, code in (("/viewer_17", 1), ("/viewer", 1), ("/robot", -1), ("/master", -1)):
+        answer = await call(node, rviz, "requestTopic", name, "/t", [["TCPROS"]])
+        assert isinstance(answer, list)
+        assert answer[0] == code
+    answer = await call(node, identity, "requestTopic", "/viewer_17", "/t", [["TCPROS"]])
+    assert answer == [-1, "rossec: caller_id is not /viewer", []]

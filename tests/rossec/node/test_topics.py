@@ -1,4 +1,5 @@
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -142,3 +143,13 @@ def test_types_are_compared_as_in_ros(pair: Pair, change: Fields, fits: bool) ->
     with pytest.raises(TopicRefused, match="the peer expects") as caught:
         topics.check_type(fields, ENDPOINT)
     assert "same version" in caught.value.hint
+
+
+def test_an_anonymous_node_goes_by_a_name_its_certificate_covers(pair: Pair) -> None:
+    rviz = replace(pair.viewer, wildcard=True)
+    pair.admit_viewer(pair.question() | {"callerid": b"/viewer_17"}, rviz)
+    for name in (b"/robot", b"/master", b"/viewer_", b"/viewer_1/a"):
+        with pytest.raises(CallerMismatch, match="certified as /viewer calls itself"):
+            pair.admit_viewer(pair.question() | {"callerid": name}, rviz)
+    with pytest.raises(CallerMismatch):
+        pair.admit_viewer(pair.question() | {"callerid": b"/viewer_17"})

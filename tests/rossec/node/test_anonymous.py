@@ -1,0 +1,87 @@
+"""Anonymous nodes: one certified wildcard, several nodes, a real master and real sockets."""
+
+import asyncio
+from collections.abc import AsyncIterator
+from pathlib import Path
+
+import pytest
+
+from ca.errors import NameCovered
+from rossec.errors import ConfigurationError, RossecError
+from rossec.node import Node
+from tests.support.site import Site
+from tests.support.witness import POSE, until
+
+TOPIC = "/robot/pose"
+
+
+@pytest.fixture
+async def site(tmp_path: Path) -> AsyncIterator[Site]:
+    """With an identity for `/rviz_*` that may do both."""
+    async with Site(tmp_path / "site").running() as site:
+        site.enroll("/rviz", wildcard=True)
+        site.publish("/rviz", TOPIC)
+        site.subscribe("/rviz", TOPIC)
+        yield site
+
+
+async def test_two_nodes_of_one_identity_talk_to_each_other(site: Site) -> None:
+    one, two = site.node("/rviz_1234_1700000000000"), site.node("/rviz_2_x")
+    async with one, two:
+        publisher = await one.publisher(TOPIC, POSE)
+        subscriber = await two.subscriber(TOPIC, POSE)
+        await publisher.wait_for_subscribers()
+        publisher.publish(publisher.create())
+        async with asyncio.timeout(10):
+            await anext(aiter(subscriber))
+        state = await two._session.call("getSystemState")
+        assert state == [[[TOPIC, [one.name]]], [[TOPIC, [two.name]]], []]
+        assert await one._session.call("lookupNode", two.name) == two.uri
+
+
+async def test_an_anonymous_node_hears_a_plain_one(site: Site) -> None:
+    site.publish("/robot", TOPIC)
+    async with site.node("/robot") as robot, site.node("/rviz_1") as rviz:
+        await rviz.subscriber(TOPIC, POSE)
+        publisher = await robot.publisher(TOPIC, POSE)
+        await publisher.wait_for_subscribers()
+
+
+async def test_remapping_the_name_finds_the_same_identity(site: Site) -> None:
+    node = Node("/something", argv=["__name:=rviz_7"], environ=site.environ)
+    assert (node.name, node.identity.name) == ("/rviz_7", "/rviz")
+    with pytest.raises(ConfigurationError, match=r"/robot/rviz_7 has no ca\.pem"):
+        Node("/something", argv=["__name:=rviz_7", "__ns:=/robot"], environ=site.environ)
+
+
+async def test_closing_one_leaves_the_other(site: Site) -> None:
+    async with site.node("/rviz_1") as one, site.node("/rviz_2") as two:
+        kept = await one.publisher(TOPIC, POSE)
+        await two.publisher(TOPIC, POSE)
+        await two.close()
+        state = await one._session.call("getSystemState")
+        assert state == [[[TOPIC, [one.name]]], [], []]
+        assert kept.topic == TOPIC
+
+
+async def test_revoking_the_identity_ends_all_of_them(site: Site) -> None:
+    site.publish("/robot", TOPIC)
+    async with (
+        site.node("/robot") as robot,
+        site.node("/rviz_1") as one,
+        site.node("/rviz_2") as two,
+    ):
+        publisher = await robot.publisher(TOPIC, POSE)
+        for node in (one, two):
+            await node.subscriber(TOPIC, POSE)
+        await publisher.wait_for_subscribers(2)
+        revoked = site.revoke(site.identity("/rviz").thumbprint)
+        await robot._session.call("rossec.updateRevocations", revoked)
+        await until(lambda: not publisher.links)
+        with pytest.raises((RossecError, OSError)):
+            await site.node("/rviz_3")._session.open()
+
+
+async def test_a_name_that_a_wildcard_covers_is_not_given_away(site: Site) -> None:
+    with pytest.raises(NameCovered):
+        site.enroll("/rviz_1")
