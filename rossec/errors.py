@@ -74,6 +74,10 @@ class AnswerRefused(RossecError):
         self.code = code
 
 
+class QueryRefused(RossecError):
+    """A query of the revocation list that is none, or cannot be answered."""
+
+
 class SettingsRefused(RossecError):
     """The command line or the environment of this program says something that cannot be meant."""
 

@@ -48,7 +48,24 @@ class Denied:
     name: str
 
 
-MasterEvent = Event | ParameterChanged | StopMaster | GrantsPresented | RevocationsChanged | Denied
+@dataclass(frozen=True)
+class CallRefused:
+    """A call was refused by rossec, alone or within a multicall: for the audit."""
+
+    node: str
+    method: str
+    status: str
+
+
+MasterEvent = (
+    Event
+    | ParameterChanged
+    | StopMaster
+    | GrantsPresented
+    | RevocationsChanged
+    | Denied
+    | CallRefused
+)
 
 
 class Reply(NamedTuple):

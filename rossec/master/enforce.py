@@ -8,9 +8,9 @@ each update asks for the right again before it is sent.
 from typing import Final, NamedTuple
 
 from grants.model import Right
-from rossec.master.api import Statements
 from rossec.master.calls import MasterEvent
 from rossec.master.registry import Kind, NodeRef, Registry
+from rossec.master.standing import Statements
 
 _NEEDED: Final = {
     Kind.PUBLISHER: Right.PUBLISH,

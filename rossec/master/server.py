@@ -18,8 +18,9 @@ from typing import Final, Protocol
 from ca.errors import HintedError
 from rossec.channel.credentials import OwnCredential, PeerIdentity, Verify
 from rossec.errors import CallerMismatch
-from rossec.master.api import MasterApi, Statements
+from rossec.master.api import MasterApi
 from rossec.master.calls import (
+    CallRefused,
     Denied,
     GrantsPresented,
     MasterEvent,
@@ -32,6 +33,7 @@ from rossec.master.enforce import enforce, steps
 from rossec.master.gatekeeper import Caller, Certified, Peer
 from rossec.master.news import WATCH_WAIT, News
 from rossec.master.registry import NodeRef, PublishersChanged, Registry, ShutdownNode
+from rossec.master.standing import Statements
 from rossec.master.updates import Updates
 from rossec.master.watching import WATCH, no_news
 from rossec.net.rpc import RpcClient, serve_calls
@@ -136,6 +138,7 @@ class MasterServer:
             uri=self.uri,
             pid=os.getpid(),
             instance=secrets.token_hex(8),
+            started=self._now(),
         )
         self._tasks.spawn(self._beat(), name="rossec master timestamps")
 
@@ -182,11 +185,6 @@ class MasterServer:
         except HintedError as error:  # revoked a moment ago: the connection is being cut
             raise Fault(1, f"rossec: {error}") from error
         outcome = self._api.call(method, params, caller, now)
-        match outcome.answer:
-            case [-1, str(status), _] if status.startswith("rossec: "):
-                _audit.warning("%s may not %s: %s", peer.name, method, printable(status))
-            case _:
-                pass
         for event in outcome.events:
             self._deliver(event)
         self._news.tell(self._registry.version)
@@ -205,8 +203,6 @@ class MasterServer:
                 self._cut_revoked()
                 self._push_revocations()
                 self._changed.set()
-            case Denied(node_name, right, name):
-                self._complain(self._now(), node_name, right, name)
             case GrantsPresented(name, refused):
                 self._news.tell()  # it may see other things now
                 if refused:
@@ -215,6 +211,15 @@ class MasterServer:
             case StopMaster(reason):
                 _audit.warning("stopping: %s", printable(reason))
                 self._stopping.set()
+            case CallRefused() | Denied():
+                self._record(event)
+
+    def _record(self, refusal: CallRefused | Denied) -> None:
+        match refusal:
+            case CallRefused(node, method, status):
+                _audit.warning("%s may not %s: %s", node, method, printable(status))
+            case Denied(node, right, name):
+                self._complain(self._now(), node, right, name)
 
     def _tell(self, node: NodeRef, method: str, subject: object, *rest: object) -> None:
         about = subject if isinstance(subject, str) and rest else ""

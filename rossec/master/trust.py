@@ -7,7 +7,7 @@ holds. Grants are kept per key, verified once, bounded in number and size.
 """
 
 import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -19,9 +19,9 @@ from grants.decision import Check, authorize
 from grants.errors import GrantError, GrantNotHeld
 from grants.model import Grant, Right
 from grants.token import Verifier
-from rossec.master.api import Presented, Renewed
 from rossec.master.gatekeeper import Caller, Certified, Peer
 from rossec.master.renewal import Delegate
+from rossec.master.standing import Presented, Renewed
 
 MAX_HELD: Final = 64
 MAX_HELD_BYTES: Final = 256 * 1024
@@ -105,6 +105,7 @@ class Trust:
         self._persist = persist
         self._delegate = Delegate(anchor, signer) if delegate is None else delegate
         self._held: dict[bytes, _Held] = {}
+        self._ended: dict[bytes, Grant] = {}
         self._lists: dict[tuple[str, bytes], bytes] = {}
         self._stamp: tuple[int, bytes] = (-1, b"")
         self._confirmed_at = -1
@@ -141,6 +142,24 @@ class Trust:
                 held.count_failure(now)
                 refused.append(str(error))
         return Presented(len(held.grants), tuple(refused))
+
+    def revoked(self) -> frozenset[bytes]:
+        """The whole list."""
+        return self._revocations.entries
+
+    def pertaining(self, caller: Caller, names: Iterable[str]) -> frozenset[bytes]:
+        """What of the list concerns a caller that is registered for `names`.
+
+        Its own grants; grants for these names, whoever holds them, and their holders' keys; what
+        renews grants. The master knows of grants that were presented to it: of others nobody here
+        could say whom they concern.
+        """
+        keys = frozenset(names)
+        concerned = {caller.thumbprint, self._delegate.id}
+        for grant in self._known():
+            if grant.holder == caller.thumbprint or _reaches(grant, keys):
+                concerned |= {grant.id, grant.holder}
+        return self._revocations.entries & concerned
 
     def renew(self, caller: Caller, tokens: Sequence[bytes], now: int) -> Renewed:
         """Tokens that hold longer, in the same order, empty where one is not renewed."""
@@ -196,6 +215,11 @@ class Trust:
         """
         before = self._revocations.data
         self._revocations.update(data, now, self._persist)
+        self._ended = {
+            grant.id: grant
+            for grant in self._known()
+            if not self._revocations.entries.isdisjoint((grant.id, grant.holder))
+        }
         self._stamp, self._confirmed_at = (-1, b""), -1
         return self._revocations.data != before
 
@@ -212,6 +236,12 @@ class Trust:
         grants = () if held is None else tuple(held.grants.values())
         access = GrantAccess(grants, peer.thumbprint, now, self._revocations.check)
         return Caller(peer.name, peer.thumbprint, access, wildcard)
+
+    def _known(self) -> Iterator[Grant]:
+        """Grants presented by those who are here, and those remembered because of the list."""
+        yield from self._ended.values()
+        for held in self._held.values():
+            yield from held.grants.values()
 
     def _keep(self, held: _Held, caller: Caller, token: bytes, now: int) -> None:
         key = hashlib.sha256(token).digest()
@@ -261,3 +291,11 @@ class Trust:
 
     def _timestamp(self, now: int) -> Timestamp:
         return Timestamp(self._seq, digest(self._revocations.data), now, MAX_AGE)
+
+
+def _reaches(grant: Grant, names: frozenset[str]) -> bool:
+    return any(
+        permission.names(name, permission.rights)
+        for permission in grant.permissions
+        for name in names
+    )

@@ -1,12 +1,12 @@
 """Callers with chosen rights, and an authority that never was, for the tests of the cores."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from grants.errors import GrantError
 from grants.model import Right
-from rossec.master.api import Presented, Renewed
 from rossec.master.gatekeeper import Caller, Peer
+from rossec.master.standing import Presented, Renewed
 
 ALL = Right(255)
 
@@ -56,6 +56,12 @@ class FakeStatements:
         good = [token for token in tokens if token != b"forged"]
         self.presented += good
         return Presented(len(self.presented), ("forged",) * (len(tokens) - len(good)))
+
+    def revoked(self) -> frozenset[bytes]:
+        return frozenset({b"one", b"two"})
+
+    def pertaining(self, caller: Caller, names: Iterable[str]) -> frozenset[bytes]:
+        return frozenset({b"one"}) if "/t" in names else frozenset()
 
     def renew(self, caller: Caller, tokens: Sequence[bytes], now: int) -> Renewed:
         good = [b"" if token == b"forged" else b"renewed " + token for token in tokens]

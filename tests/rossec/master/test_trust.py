@@ -5,6 +5,7 @@ import pytest
 from ca.errors import RevocationRefused, Revoked
 from ca.revocation import digest, open_timestamp
 from ca.signer import KeySigner
+from grants.document import grant_id
 from grants.errors import GrantError
 from grants.model import Right
 from rossec.master import trust as module
@@ -255,3 +256,27 @@ def test_what_is_remembered_of_nodes_is_bounded(
     for n in range(5):
         world.trust.held_by(NodeRef(f"/n{n}", "http://h:1/", world.node.thumbprint), bytes(32))
         assert len(world.trust._lists) <= 2
+
+
+def test_what_of_the_list_concerns_a_node(world: World) -> None:
+    other, third = world.site.enroll("/other"), world.site.enroll("/third")
+    own, near, far, unseen = (
+        world.site.grant(who, {name: Right.SUBSCRIBE})
+        for who, name in (
+            (world.node, "/own"), (other, "/t"), (third, "/far"), (other, "/unseen"),
+        )
+    )  # fmt: skip
+    delegated(world)
+    id_ = world.trust._delegate.id
+    assert id_ is not None
+    for who, token in ((world.node, own), (other, near), (third, far)):
+        world.trust.present(world.trust.caller(who, world.now), [token], world.now)
+    world.trust.update(world.site.revoke(own, near, far, unseen, other, id_), world.now)
+    world.trust.keep_only(frozenset(), world.now)
+    caller = world.trust.caller(world.node, world.now)
+    mine = {grant_id(own), id_}
+    assert world.trust.pertaining(caller, []) == mine
+    assert world.trust.pertaining(caller, ["/t"]) == mine | {grant_id(near), other.thumbprint}
+    assert len(world.trust.revoked()) == 6
+    world.trust.update(world.site.revoke(far), world.now)
+    assert world.trust.pertaining(caller, ["/t", "/far"]) == {grant_id(far)}
