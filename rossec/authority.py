@@ -160,6 +160,16 @@ class OpenAuthority:
             self.store.revoke(entry, reason, now)
         return self.sign_list(now)
 
+    def _ended(self, now: int) -> frozenset[bytes]:
+        """Grants that no renewal can bring back: they need not be on the list any longer.
+
+        A node that relies on a list refuses to have a clock behind it, so whoever lacks the entry
+        finds the grant expired (RFC 9770 lets entries go in the same way). Keys stay: they are few,
+        and a certificate renewed by the master may outlive all that are recorded here.
+        """
+        rows = self.store.grants()
+        return frozenset(row.id for row in rows if document.peek(row.data).cap + SKEW < now)
+
     def _refresh_list(self, now: int) -> None:
         """Sign the list anew while the key is at hand, long before it expires."""
         held = self.store.newest_list()
@@ -168,9 +178,10 @@ class OpenAuthority:
             self.sign_list(now)
 
     def sign_list(self, now: int) -> RevocationList:
-        """Sign the list of everything revoked, with the next number."""
+        """Sign the list of everything revoked that could still hold, with the next number."""
         epoch, seq = self.store.next_number()
-        listed = RevocationList(epoch, seq, now, now + _LIST_LIFETIME, self.store.revoked_entries())
+        entries = self.store.revoked_entries() - self._ended(now)
+        listed = RevocationList(epoch, seq, now, now + _LIST_LIFETIME, entries)
         self.store.save_list(listed.number, sign_list(self.signer, listed), now)
         return listed
 

@@ -74,10 +74,10 @@ class MasterApi:
         self._pid = pid
         self._gatekeeper = Gatekeeper(registry, name)
         self.watching = WatchCalls(registry, self._gatekeeper, instance)
-        parameters = ParameterCalls(Parameters(), registry, statements.caller_of)
+        self.parameters = ParameterCalls(Parameters(), registry, statements.caller_of)
         self.methods: Methods = {
             **GraphCalls(registry, self._gatekeeper).methods(),
-            **parameters.methods(),
+            **self.parameters.methods(),
             **self.watching.methods(),
             **StatementCalls(statements, registry, name, started).methods(),
             **self._own_methods(),

@@ -238,8 +238,11 @@ class MasterServer:
 
     async def _enforce(self) -> None:
         """Drop what is no longer allowed, tell those concerned; others are answered meanwhile."""
+        if self._api is None:
+            return
+        below = self._api.parameters.below
         for step in steps(self._registry):
-            for event in enforce(self._registry, self._standing, step, self._now()):
+            for event in enforce(self._registry, self._standing, step, self._now(), below):
                 self._deliver(event)
             self._news.tell(self._registry.version)
             await asyncio.sleep(0)
