@@ -100,13 +100,17 @@ class StatementCalls:
         if caller.may(Right.ADMIN, self._master):
             entries = self._statements.revoked()
         else:
-            keys = [key for kind in Kind for key in self._registry.keys_of(caller.name, kind)]
-            entries = self._statements.pertaining(caller, keys)
+            entries = self._statements.pertaining(caller, self._names_of(caller.name))
         requester = caller.thumbprint + caller.name.encode()
         try:
             return Reply(self._queries.answer(requester, entries, request.binary(1)), "revocations")
         except HintedError as error:
             raise _refusal(error) from error
+
+    def _names_of(self, node: str) -> list[str]:
+        """What a node is registered for; whoever subscribes to all parameters names none."""
+        keys = (key for kind in Kind for key in self._registry.keys_of(node, kind))
+        return [name for key in keys if (name := key.removesuffix("/"))]
 
 
 def _refusal(error: HintedError) -> Refused:

@@ -28,7 +28,11 @@ from tests.support.authority import Member, Site
 NODES: Final = ("/a", "/b", "/watcher")
 TOPICS: Final = ("/t", "/ns/u")
 PARAMETERS: Final = ("/p", "/p/q", "/ns/r")
-PATTERNS: Final = (*TOPICS, *PARAMETERS, "/ns/**", "/s", "/**")
+PATTERNS: Final = ("/**", "/t", "/ns/**", "/p")
+RIGHTS: Final = (
+    Right.PUBLISH, Right.SUBSCRIBE | Right.PROVIDE, Right.PARAM_GET | Right.PARAM_SET,
+    Right.CALL | Right.GRAPH, Right(127), Right(255),
+)  # fmt: skip
 HOUR: Final = 3600
 
 NEEDED: Final = {
@@ -105,19 +109,25 @@ class Master(RuleBasedStateMachine):
 
     # --- what may happen ---
 
-    @initialize()
-    def begin(self) -> None:
+    @initialize(first=st.sampled_from(RIGHTS), second=st.sampled_from(RIGHTS))
+    def begin(self, first: Right, second: Right) -> None:
         self.trust.update(self.site.revoke(), self.now)
+        for name, rights in zip(NODES, (first, second, Right.GRAPH), strict=True):
+            self.sign(name, "/**", rights, 10 * HOUR)
+        self.register("/a", "/t", "registerPublisher")
+        self.register("/b", "/t", "registerSubscriber")
+        self.register("/b", "/ns/u", "registerService")
 
-    @rule(name=names, pattern=st.sampled_from(PATTERNS), rights=st.integers(1, 255),
+    @rule(name=names, pattern=st.sampled_from(PATTERNS), rights=st.sampled_from(RIGHTS),
           lifetime=st.sampled_from([HOUR // 2, 10 * HOUR]))  # fmt: skip
-    def sign(self, name: str, pattern: str, rights: int, lifetime: int) -> None:
+    def sign(self, name: str, pattern: str, rights: Right, lifetime: int) -> None:
         self.site.now = self.now
-        rights_of = {pattern: Right(rights)}
+        rights_of = {pattern: rights}
         if name == "/watcher":
             rights_of["/master"] = Right.GRAPH
         token = self.site.grant(self.members[name], rights_of, lifetime=lifetime, cap=20 * HOUR)
         self.signed.append((name, token))
+        self.present(len(self.signed) - 1, None)
 
     @precondition(lambda self: self.signed)
     @rule(pick=picks, thief=st.none() | names)
@@ -312,7 +322,7 @@ class Master(RuleBasedStateMachine):
 
 TestMaster = Master.TestCase
 TestMaster.settings = settings(
-    max_examples=40,
+    max_examples=80,
     stateful_step_count=30,
     deadline=None,
     derandomize=True,

@@ -100,6 +100,10 @@ def test_a_node_is_shown_of_the_list_what_concerns_it(api: MasterApi) -> None:
     ask(api, node, "registerPublisher", "/a", "/t", "*", "http://a:1/")
     answer = ask(api, node, "rossec.trl", "/a", query)
     assert (answer[0], full_set(answer)) == (1, [b"one"])
+    reader = caller("/r", {"/**": Right.PARAM_GET, "/t": Right.PARAM_GET, "/": Right.PARAM_GET})
+    for key in ("/t", "/"):
+        ask(api, reader, "subscribeParam", "/r", "http://r:1/", key)
+    assert full_set(ask(api, reader, "rossec.trl", "/r", query)) == [b"one"]
     admin = caller("/admin", {"/master": Right.ADMIN})
     assert full_set(ask(api, admin, "rossec.trl", "/admin", query)) == [b"one", b"two"]
 
