@@ -101,3 +101,7 @@ class NameCovered(StoreError):
 
 class KeyChanged(StoreError):
     """A name that is alive with one key asks for a certificate with another."""
+
+
+class ProofRefused(CAError):
+    """A Merkle proof that does not show what it should."""

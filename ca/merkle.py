@@ -1,0 +1,225 @@
+"""Merkle trees as in Certificate Transparency: roots, and short proofs that a verifier can check.
+
+RFC 6962 section 2.1 defines the hashes (a leaf is never mistaken for an inner node: 0x00 and 0x01
+before the data), RFC 9162 section 2.1 the two verifications done here. Pure, and about nothing but
+hashes: what a leaf means, who signed a root and whether it is new, the callers know. An
+*inclusion* proof shows that a leaf stands at its place; two neighbours of a tree over sorted leaves
+show that what would stand between them is absent. A *consistency* proof shows that a tree
+continues an older one. A proof is verified or refused by raising.
+"""
+
+import hashlib
+from collections.abc import Iterable, Sequence
+from typing import Final
+
+from ca.errors import ProofRefused
+
+HASH_SIZE: Final = 32
+MAX_PROOF: Final = 64  # hashes: enough for a tree of 2^63 leaves
+EMPTY_ROOT: Final = hashlib.sha256().digest()
+
+
+def leaf_hash(data: bytes) -> bytes:
+    """The hash of a leaf with the content `data`."""
+    return hashlib.sha256(b"\0" + data).digest()
+
+
+def node_hash(left: bytes, right: bytes) -> bytes:
+    """The hash of the node above two others."""
+    return hashlib.sha256(b"\1" + left + right).digest()
+
+
+class Tree:
+    """A growing tree with all its hashes at hand, of which older states can still be asked."""
+
+    def __init__(self, leaves: Iterable[bytes] = ()) -> None:
+        """Start with the contents `leaves`."""
+        self._levels: list[list[bytes]] = [[]]  # hashes of complete subtrees of 1, 2, 4 ... leaves
+        for data in leaves:
+            self.append(data)
+
+    def __len__(self) -> int:
+        return len(self._levels[0])
+
+    def append(self, data: bytes) -> None:
+        """Add a leaf with the content `data`."""
+        digest = leaf_hash(data)
+        for level in self._levels:
+            level.append(digest)
+            if len(level) % 2:
+                return
+            digest = node_hash(level[-2], level[-1])
+        self._levels.append([digest])
+
+    def root(self, size: int | None = None) -> bytes:
+        """The root over the first `size` leaves, by default over all.
+
+        Raises:
+            ProofRefused: there are not so many.
+        """
+        size = self._size(size)
+        return self._hash(0, size) if size else EMPTY_ROOT
+
+    def inclusion(self, index: int, size: int | None = None) -> list[bytes]:
+        """The proof that leaf `index` is in the tree of the first `size` leaves.
+
+        Raises:
+            ProofRefused: it is not.
+        """
+        size = self._size(size)
+        if not 0 <= index < size:
+            raise ProofRefused(f"there is no leaf {index} in a tree of {size}")
+        return self._path(index, 0, size)
+
+    def consistency(self, first: int, second: int | None = None) -> list[bytes]:
+        """The proof that the tree of `second` leaves continues the one of `first`.
+
+        Raises:
+            ProofRefused: it does not, or `first` is empty: nothing is proved about no leaves.
+        """
+        second = self._size(second)
+        if not 0 < first <= second:
+            raise ProofRefused(f"a tree of {second} leaves does not continue one of {first}")
+        return self._subproof(first, 0, second, whole=True)
+
+    def _size(self, size: int | None) -> int:
+        if size is None:
+            return len(self)
+        if not 0 <= size <= len(self):
+            raise ProofRefused(f"a tree of {len(self)} leaves never had {size}")
+        return size
+
+    def _hash(self, start: int, end: int) -> bytes:
+        """MTH(D[start:end]); whole subtrees are known, and `start` is always aligned to them."""
+        width = end - start
+        if width & (width - 1) == 0:
+            return self._levels[width.bit_length() - 1][start // width]
+        middle = start + _split(width)
+        return node_hash(self._hash(start, middle), self._hash(middle, end))
+
+    def _path(self, index: int, start: int, end: int) -> list[bytes]:
+        """PATH(index, D[start:end]), RFC 6962 section 2.1.1."""
+        if end - start == 1:
+            return []
+        middle = start + _split(end - start)
+        if index < middle:
+            return [*self._path(index, start, middle), self._hash(middle, end)]
+        return [*self._path(index, middle, end), self._hash(start, middle)]
+
+    def _subproof(self, first: int, start: int, end: int, *, whole: bool) -> list[bytes]:
+        """SUBPROOF(first, D[start:end], whole), RFC 6962 section 2.1.2; `first` counts from 0."""
+        if first == end:
+            return [] if whole else [self._hash(start, end)]
+        middle = start + _split(end - start)
+        if first <= middle:
+            left = self._subproof(first, start, middle, whole=whole)
+            return [*left, self._hash(middle, end)]
+        right = self._subproof(first, middle, end, whole=False)
+        return [*right, self._hash(start, middle)]
+
+
+def _split(width: int) -> int:
+    """The largest power of two below `width`, which is at least 2."""
+    return 1 << ((width - 1).bit_length() - 1)
+
+
+def extend(peaks: Sequence[bytes], size: int, data: bytes) -> tuple[bytes, ...]:
+    """The peaks after one more leaf.
+
+    The *peaks* of a tree of `size` leaves are the roots of its complete subtrees, the largest
+    first: all that is needed to let it grow.
+
+    Raises:
+        ProofRefused: a tree of `size` leaves has another number of peaks.
+    """
+    if len(peaks) != size.bit_count():
+        raise ProofRefused(f"a tree of {size} leaves has not {len(peaks)} peaks")
+    grown, digest = list(peaks), leaf_hash(data)
+    while size & 1:
+        digest = node_hash(grown.pop(), digest)
+        size >>= 1
+    return (*grown, digest)
+
+
+def root_of(peaks: Sequence[bytes]) -> bytes:
+    """The root of the tree with these peaks."""
+    if not peaks:
+        return EMPTY_ROOT
+    *rest, root = peaks
+    for peak in reversed(rest):
+        root = node_hash(peak, root)
+    return root
+
+
+def verify_inclusion(
+    data: bytes, index: int, size: int, proof: Sequence[bytes], root: bytes
+) -> None:
+    """Return if `proof` shows a leaf with the content `data` at `index` (RFC 9162, 2.1.3.2).
+
+    Raises:
+        ProofRefused: it does not.
+    """
+    _check_form(proof)
+    if not 0 <= index < size:
+        raise ProofRefused(f"there is no leaf {index} in a tree of {size}")
+    number, last, digest = index, size - 1, leaf_hash(data)
+    for sibling in proof:
+        if last == 0:
+            raise ProofRefused("the inclusion proof is too long")
+        if number & 1 or number == last:
+            digest = node_hash(sibling, digest)
+            while not number & 1:  # ends: `number` is not 0 here
+                number, last = number >> 1, last >> 1
+        else:
+            digest = node_hash(digest, sibling)
+        number, last = number >> 1, last >> 1
+    if last != 0 or digest != root:
+        raise ProofRefused("the inclusion proof does not lead to the root")
+
+
+def verify_consistency(
+    first: int, second: int, proof: Sequence[bytes], first_root: bytes, second_root: bytes
+) -> None:
+    """Return if `proof` shows that the second tree continues the first (RFC 9162, 2.1.4.2).
+
+    Raises:
+        ProofRefused: it does not.
+    """
+    _check_form(proof)
+    if not 0 < first <= second:
+        raise ProofRefused(f"a tree of {second} leaves does not continue one of {first}")
+    if first == second:
+        if proof or first_root != second_root:
+            raise ProofRefused("two trees of one size are not the same")
+        return
+    _check_growth(first, second, proof, first_root, second_root)
+
+
+def _check_growth(
+    first: int, second: int, proof: Sequence[bytes], first_root: bytes, second_root: bytes
+) -> None:
+    # The old root itself is in no proof: it begins one when the old tree is a complete subtree.
+    path = [first_root, *proof] if first & (first - 1) == 0 else list(proof)
+    if not path:
+        raise ProofRefused("the consistency proof is empty")
+    number, last = first - 1, second - 1
+    while number & 1:
+        number, last = number >> 1, last >> 1
+    old = new = path[0]
+    for sibling in path[1:]:
+        if last == 0:
+            raise ProofRefused("the consistency proof is too long")
+        if number & 1 or number == last:
+            old, new = node_hash(sibling, old), node_hash(sibling, new)
+            while number and not number & 1:
+                number, last = number >> 1, last >> 1
+        else:
+            new = node_hash(new, sibling)
+        number, last = number >> 1, last >> 1
+    if last != 0 or old != first_root or new != second_root:
+        raise ProofRefused("the consistency proof does not lead from the old root to the new one")
+
+
+def _check_form(proof: Sequence[bytes]) -> None:
+    if len(proof) > MAX_PROOF or any(len(digest) != HASH_SIZE for digest in proof):
+        raise ProofRefused(f"a proof is at most {MAX_PROOF} hashes of {HASH_SIZE} bytes")
