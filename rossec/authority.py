@@ -15,7 +15,8 @@ from ca import keys
 from ca.authority import LIFETIME, Authority, create_root
 from ca.certificates import TrustAnchor, from_pem, to_pem
 from ca.names import check_name
-from ca.revocation import RevocationList, open_list, sign_list
+from ca.revocation import MAX_ENTRIES, RevocationList, open_statement, sign_list
+from ca.revocationtree import MAX_LISTING, Listing, RevocationTree, sign_tree
 from ca.signer import KeySigner, Signer
 from ca.store import CertificateRow, GrantRow, Store
 from grants import document
@@ -27,6 +28,7 @@ from rossec.home import NodeHome
 
 SKEW: Final = 60  # seconds another host's clock may be behind: what is signed holds at once
 _DELEGATIONS: Final = "delegations"
+_ENTRIES: Final = "revocations.entries"  # of the newest tree
 OWN_NODE: Final = "/ca"  # as which the authority's tools speak to the master
 _SIZE_LIMIT: Final = 256 * 1024
 _LIST_LIFETIME: Final = 90 * 86400
@@ -160,6 +162,17 @@ class OpenAuthority:
             self.store.revoke(entry, reason, now)
         return self.sign_list(now)
 
+    def _signed(self, listed: RevocationList) -> bytes:
+        """The list, or where it has grown too long a tree of it, whose entries are kept beside."""
+        if len(listed.entries) <= MAX_ENTRIES:
+            return sign_list(self.signer, listed)
+        listing = Listing(listed.entries)
+        tree = RevocationTree(
+            listed.epoch, listed.seq, listed.issued, listed.expires, *listing.size_and_root
+        )
+        files.replace(self.path / _ENTRIES, listing.encoded())
+        return sign_tree(self.signer, tree)
+
     def _ended(self, now: int) -> frozenset[bytes]:
         """Grants that no renewal can bring back: they need not be on the list any longer.
 
@@ -173,7 +186,7 @@ class OpenAuthority:
     def _refresh_list(self, now: int) -> None:
         """Sign the list anew while the key is at hand, long before it expires."""
         held = self.store.newest_list()
-        issued = 0 if held is None else open_list(held, self.signer.public_key).issued
+        issued = 0 if held is None else open_statement(held, self.signer.public_key).issued
         if now - issued > _LIST_REFRESH:
             self.sign_list(now)
 
@@ -182,7 +195,7 @@ class OpenAuthority:
         epoch, seq = self.store.next_number()
         entries = self.store.revoked_entries() - self._ended(now)
         listed = RevocationList(epoch, seq, now, now + _LIST_LIFETIME, entries)
-        self.store.save_list(listed.number, sign_list(self.signer, listed), now)
+        self.store.save_list(listed.number, self._signed(listed), now)
         return listed
 
 
@@ -270,6 +283,15 @@ class AuthorityHome:
         if data is None:
             raise ConfigurationError("no revocation list was signed yet", "next: rossec ca refresh")
         return data
+
+    def entries(self) -> bytes:
+        """The entries of the newest tree.
+
+        Raises:
+            ConfigurationError: they are missing.
+        """
+        missing = ConfigurationError("the entries of the tree are missing", "rossec ca refresh")
+        return files.read(self.path / _ENTRIES, MAX_LISTING, missing)
 
 
 def _build(path: Path, signer: KeySigner, root: bytes, now: int) -> None:

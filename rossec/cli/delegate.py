@@ -64,7 +64,7 @@ def delegate(
     opened = open_delegation(data, authority.signer.public_key)
     say(f"{MASTER} may renew grants until {moment(opened.expires)} (delegation {opened.id.hex()})")
     hint = _HINT.format(home.path / "delegations")
-    given = carry(environment, master_uri, "rossec.updateDelegation", data, "it", hint)
+    given = carry(environment, master_uri, "rossec.updateDelegation", (data,), "it", hint)
     asyncio.run(given)
     say("the master has the delegation")
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from ca.revocationtree import is_tree
 from rossec.authority import AuthorityHome
 from rossec.cli.context import Environment, now, pass_environment
 from rossec.cli.delegate import delegate
@@ -62,6 +63,7 @@ async def _serve(
         host=own.address,
         port=own.master_port if port is None else port,
         newest=_newest_list(environment),
+        entries=_entries(environment),
         now=now(),
         complain=complain,
     )
@@ -85,3 +87,11 @@ def _newest_list(environment: Environment) -> bytes | None:
     if not (environment.home / "ca" / "ca.pem").exists():
         return None
     return AuthorityHome.at(environment.home).revocation_list()
+
+
+def _entries(environment: Environment) -> bytes | None:
+    """The entries of the authority's tree, when it lives on this host and needs one."""
+    newest = _newest_list(environment)
+    if newest is None or not is_tree(newest):
+        return None
+    return AuthorityHome.at(environment.home).entries()

@@ -3,7 +3,8 @@
 from typing import Final
 
 from ca.errors import HintedError
-from ca.revocation import open_list
+from ca.revocation import open_statement
+from ca.revocationtree import is_tree
 from ca.store import Store
 from rossec.authority import AuthorityHome
 from rossec.cli.context import Environment, moment, now
@@ -29,12 +30,20 @@ async def deliver(environment: Environment, master_uri: str | None) -> None:
         ConfigurationError: the list has expired.
         NotDelivered: the master is out of reach or refuses the list.
     """
-    data = _young_list(AuthorityHome.at(environment.home))
-    await carry(environment, master_uri, "rossec.updateRevocations", data, "the list", _HINT)
+    home = AuthorityHome.at(environment.home)
+    data = _young_list(home)
+    method = "rossec.updateRevocationTree" if is_tree(data) else "rossec.updateRevocations"
+    statement = (data, home.entries()) if is_tree(data) else (data,)
+    await carry(environment, master_uri, method, statement, "the list", _HINT)
 
 
 async def carry(
-    environment: Environment, master_uri: str | None, method: str, data: bytes, what: str, hint: str
+    environment: Environment,
+    master_uri: str | None,
+    method: str,
+    statement: tuple[bytes, ...],
+    what: str,
+    hint: str,
 ) -> None:
     """Hand a signed statement to the master by `method`, as the authority's own node.
 
@@ -46,7 +55,7 @@ async def carry(
     node = AuthorityHome.at(environment.home).node()
     try:
         async with master_as(node, uri) as client:
-            await client.ask(method, node.name, data)
+            await client.ask(method, node.name, *statement)
     except (HintedError, OSError, TimeoutError) as error:
         raise NotDelivered(f"the master at {uri} did not take {what}: {error}", hint) from error
 
@@ -54,7 +63,7 @@ async def carry(
 def _young_list(home: AuthorityHome) -> bytes:
     """The newest list; with an expired one no grant would hold any more."""
     data = home.revocation_list()
-    expires = open_list(data, home.anchor().public_key).expires
+    expires = open_statement(data, home.anchor().public_key).expires
     if now() >= expires:
         raise ConfigurationError(
             f"the revocation list expired {moment(expires)} and is of no use to anybody",

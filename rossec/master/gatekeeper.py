@@ -166,6 +166,8 @@ RULES: Final[Mapping[str, Rule]] = {
     "rossec.updateDelegation": Rule(Scope.OPEN),  # as a list, it carries the authority's signature
     "rossec.revocations": Rule(Scope.OPEN),
     "rossec.revocationsSince": Rule(Scope.OPEN),
+    "rossec.updateRevocationTree": Rule(Scope.OPEN),
+    "rossec.revocationProofs": Rule(Scope.OPEN),  # whoever can ask about an entry knows it
     "rossec.trl": Rule(Scope.FILTERED),  # what concerns the caller; all with ADMIN on the master
     "rossec.updateRevocations": Rule(Scope.OPEN),  # the list carries the authority's signature
 }

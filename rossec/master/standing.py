@@ -44,6 +44,12 @@ class Statements(Protocol):
     def current(self, now: int) -> tuple[bytes, bytes]:
         """The revocation list and a timestamp of it; empty while there is none."""
 
+    def update_tree(self, data: bytes, entries: bytes, now: int) -> bool:
+        """Take a tree with its entries; as `update`."""
+
+    def proofs(self, entries: Sequence[bytes]) -> list[bytes]:
+        """What the tree in force shows of each entry; empty where there is a list."""
+
     def held_by(self, peer: Peer, held: bytes) -> None:
         """A node says which list it holds, by its digest."""
 

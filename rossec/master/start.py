@@ -1,10 +1,12 @@
 """Making a master from the directory of its node."""
 
+import contextlib
 import logging
 import socket
 
-from ca.errors import HintedError
+from ca.errors import HintedError, RevocationRefused
 from ca.revocation import Revocations
+from ca.revocationtree import is_tree
 from rossec.home import NodeHome
 from rossec.master.complaints import Complain, unheard
 from rossec.master.renewal import Delegate
@@ -22,6 +24,7 @@ def master_of(
     port: int,
     newest: bytes | None,
     now: int,
+    entries: bytes | None = None,
     complain: Complain = unheard,
 ) -> MasterServer:
     """The master whose identity is in `home`, not yet started.
@@ -31,6 +34,7 @@ def master_of(
             loopback, as in ROS; None: this machine's name, and any address.
         newest: a revocation list that may be newer than the one saved, when the authority lives on
             this host; otherwise the master waits until one is published.
+        entries: where `newest` is a tree, all it was made of.
         complain: hears of every right that somebody lacks.
 
     Raises:
@@ -48,7 +52,15 @@ def master_of(
     delegation = home.load_delegation()
     if delegation is not None:
         _take(delegate, delegation)
-    trust = Trust(anchor, credentials.signer, revocations, home.save_revocations, delegate)
+    trust = Trust(
+        anchor,
+        credentials.signer,
+        revocations,
+        home.save_revocations,
+        delegate,
+        home.save_entries,
+    )
+    _complete(trust, revocations, (entries, home.load_entries()), now)
     return MasterServer(
         credentials,
         anchor.verify,
@@ -67,3 +79,17 @@ def _take(delegate: Delegate, data: bytes) -> None:
         delegate.take(data)
     except HintedError as error:
         _log.warning("grants are not renewed: %s", error)
+
+
+def _complete(
+    trust: Trust, revocations: Revocations, found: tuple[bytes | None, ...], now: int
+) -> None:
+    """A tree is of use with its entries: those saved, or the authority's own, whichever fit."""
+    if not is_tree(revocations.data):
+        return
+    for entries in found:
+        if entries is not None:
+            with contextlib.suppress(RevocationRefused):
+                trust.update_tree(revocations.data, entries, now)
+                return
+    _log.warning("the entries of the revocation tree are missing: rossec ca publish")

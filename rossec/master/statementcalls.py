@@ -18,6 +18,7 @@ from rossec.master.trl import RevocationQueries
 
 PRESENT_LIMIT: Final = 64
 RENEW_LIMIT: Final = 16
+PROOF_LIMIT: Final = 64
 
 
 class StatementCalls:
@@ -48,6 +49,12 @@ class StatementCalls:
             "rossec.revocations": Method((), [], self._revocations),
             "rossec.revocationsSince": Method((arg.binary("digest"),), [], self._since),
             "rossec.updateRevocations": Method((arg.binary("list"),), 0, self._update),
+            "rossec.updateRevocationTree": Method(
+                (arg.binary("tree"), arg.binary("entries")), 0, self._update_tree
+            ),
+            "rossec.revocationProofs": Method(
+                (arg.binaries("entries", PROOF_LIMIT),), [], self._proofs
+            ),
             "rossec.trl": Method((arg.binary("query"),), b"", self._query),
         }
 
@@ -91,9 +98,18 @@ class StatementCalls:
             newer = self._statements.update(request.binary(1), request.now)
         except HintedError as error:
             raise _refusal(error) from error
-        if not newer:
-            return Reply(0, "not newer than the list in force")
-        return Reply(1, "revocations updated", events=(RevocationsChanged(),))
+        return _taken(newer)
+
+    def _update_tree(self, request: Request) -> Reply:
+        tree, entries = request.binary(1), request.binary(2)
+        try:
+            newer = self._statements.update_tree(tree, entries, request.now)
+        except HintedError as error:
+            raise _refusal(error) from error
+        return _taken(newer)
+
+    def _proofs(self, request: Request) -> Reply:
+        return Reply(self._statements.proofs(_binaries(request.arguments[1])), "proofs")
 
     def _query(self, request: Request) -> Reply:
         caller = request.caller
@@ -111,6 +127,12 @@ class StatementCalls:
         """What a node is registered for; whoever subscribes to all parameters names none."""
         keys = (key for kind in Kind for key in self._registry.keys_of(node, kind))
         return [name for key in keys if (name := key.removesuffix("/"))]
+
+
+def _taken(newer: bool) -> Reply:
+    if not newer:
+        return Reply(0, "not newer than the list in force")
+    return Reply(1, "revocations updated", events=(RevocationsChanged(),))
 
 
 def _refusal(error: HintedError) -> Refused:

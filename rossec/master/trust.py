@@ -12,17 +12,19 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from ca.certificates import TrustAnchor
-from ca.errors import HintedError, Revoked
+from ca.errors import HintedError, RevocationRefused, Revoked
 from ca.revocation import MAX_AGE, Revocations, Timestamp, digest, sign_timestamp
+from ca.revocationtree import Listing, is_tree, open_tree
 from ca.signer import Signer
 from grants.decision import Check, authorize
 from grants.errors import GrantError, GrantNotHeld
 from grants.model import Grant, Right
 from grants.token import Verifier
 from rossec.master.gatekeeper import Caller, Certified, Peer
-from rossec.master.renewal import Delegate
+from rossec.master.renewal import Delegate, forget
 from rossec.master.standing import Presented, Renewed
 
+_PUBLISH: Final = "deliver it with: rossec ca publish"
 MAX_HELD: Final = 64
 MAX_HELD_BYTES: Final = 256 * 1024
 MAX_NAMES: Final = 16 * 1024  # nodes of which is known which list they hold
@@ -89,6 +91,7 @@ class Trust:
         revocations: loaded with what was persisted, if anything.
         persist: makes a list durable; called before the list takes effect.
         delegate: renews grants; by default the authority has not delegated that.
+        persist_entries: makes the entries of a tree durable, before the tree itself.
     """
 
     def __init__(
@@ -98,11 +101,14 @@ class Trust:
         revocations: Revocations,
         persist: Callable[[bytes], None],
         delegate: Delegate | None = None,
+        persist_entries: Callable[[bytes], None] = forget,
     ) -> None:
         self._anchor = anchor
         self._signer = signer
         self._revocations = revocations
         self._persist = persist
+        self._persist_entries = persist_entries
+        self._listing: Listing | None = None
         self._delegate = Delegate(anchor, signer) if delegate is None else delegate
         self._held: dict[bytes, _Held] = {}
         self._ended: dict[bytes, Grant] = {}
@@ -213,8 +219,36 @@ class Trust:
         Raises:
             RevocationRefused: forged, malformed, or older than one seen.
         """
+        if is_tree(data):
+            raise RevocationRefused("a tree of revocations comes with its entries", _PUBLISH)
         before = self._revocations.data
         self._revocations.update(data, now, self._persist)
+        self._listing = None
+        return self._updated(before)
+
+    def update_tree(self, data: bytes, entries: bytes, now: int) -> bool:
+        """Take a tree signed by the authority, and all it was made of; as `update`."""
+        listing = Listing.read(entries)
+        listing.check(open_tree(data, self._anchor.public_key))
+        before = self._revocations.data
+
+        def persist(data: bytes) -> None:
+            self._persist_entries(entries)
+            self._persist(data)
+
+        if data == before:  # after a restart without the entries
+            self._persist_entries(entries)
+        self._revocations.update(data, now, persist)
+        self._revocations.complete(listing)
+        self._listing = listing
+        return self._updated(before)
+
+    def proofs(self, entries: Sequence[bytes]) -> list[bytes]:
+        """What the tree shows of each entry; nothing while the whole list is at hand."""
+        return [] if self._listing is None else [self._listing.prove(item) for item in entries]
+
+    def _updated(self, before: bytes) -> bool:
+        """Forget what followed from the statement `before`; returns whether it is another now."""
         self._ended = {
             grant.id: grant
             for grant in self._known()

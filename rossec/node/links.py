@@ -31,14 +31,16 @@ def why_cut(link: Link, revocations: Revocations, now: int) -> str | None:
     """
     if now >= link.ends:
         return "its grant or its certificate has expired"
-    reasons = [_trouble(entry, revocations, now) for entry in _entries(link)]
-    for reason in reasons:  # before staleness, which the first entry meets as well as the last
+    reasons = {entry: _trouble(entry, revocations, now) for entry in _entries(link)}
+    for reason in reasons.values():  # before staleness, which the first meets as well as the last
         if isinstance(reason, Revoked):
             return str(reason)
-    stale = next((reason for reason in reasons if reason is not None), None)
-    if stale is None or link.decision.keep_when_stale:
+    if link.decision.keep_when_stale:
         return None
-    return str(stale) if now >= revocations.fresh_until + STALE_GRACE else None
+    for entry, reason in reasons.items():
+        if reason is not None and now >= revocations.known_until(entry) + STALE_GRACE:
+            return str(reason)
+    return None
 
 
 def _entries(link: Link) -> tuple[bytes, ...]:

@@ -27,6 +27,7 @@ from rossec.node.dial import Dialer
 from rossec.node.links import Link
 from rossec.node.listener import Listener
 from rossec.node.messages import message_type
+from rossec.node.proofs import prove
 from rossec.node.publisher import Publisher
 from rossec.node.renewal import Renewals, renew
 from rossec.node.session import MasterSession
@@ -80,6 +81,7 @@ class Node:
             self.revocations_arrived,
             self._restore,
             lambda: digest(self.revocations.data),
+            lambda call: prove(call, self.revocations),
         )
         self._renewals = Renewals(self.access)
         self._listener = Listener(
@@ -295,6 +297,8 @@ class Node:
                     _log.info("%s: %d new grants", self.name, len(new))
                     await self._session.call("rossec.presentGrants", new)
                 await renew(self._session.call, self._renewals, int(time.time()))
+                if await prove(self._session.call, self.revocations):
+                    self._watch.cut(int(time.time()))
 
     def _crashed(self, error: BaseException) -> None:
         """A node whose watch has died must not go on: it would no longer cut anything."""

@@ -13,10 +13,11 @@ from collections.abc import Awaitable, Callable
 from typing import Final
 
 from ca.certificates import Identity
-from ca.errors import CAError, HintedError
+from ca.errors import CAError, HintedError, RevocationsStale
 from rossec.errors import ConfigurationError, RossecError
 from rossec.net.rpc import RpcClient
 from rossec.net.stream import SecureStream
+from rossec.node.renewal import Call
 from rossec.node.slave import MASTER
 
 HEARTBEAT: Final = 10.0
@@ -35,6 +36,7 @@ class MasterSession:
         refresh: takes the newest revocation list and timestamp; raises when they are refused.
         restore: makes every registration again; called on each new connection.
         held: digest of the revocation list this node holds, which then need not be sent.
+        prove: asks for the proofs that are wanted; how many came.
     """
 
     def __init__(
@@ -44,12 +46,14 @@ class MasterSession:
         refresh: Callable[[bytes, bytes, Identity], None],
         restore: Callable[["MasterSession"], Awaitable[None]],
         held: Callable[[], bytes],
+        prove: Callable[[Call], Awaitable[int]],
     ) -> None:
         self._name = name
         self._dial = dial
         self._refresh = refresh
         self._restore = restore
         self._held = held
+        self._prove = prove
         self._client: RpcClient | None = None
         self._stream: SecureStream[Identity] | None = None
 
@@ -118,6 +122,11 @@ class MasterSession:
         answer = await self.call("rossec.revocationsSince", self._held())
         match answer, self._stream:
             case [bytes() as revocations, bytes() as timestamp], SecureStream(peer=master):
-                self._refresh(revocations, timestamp, master)
+                try:
+                    self._refresh(revocations, timestamp, master)
+                except RevocationsStale:  # of a tree: the master's own key is still unproved
+                    if not await self._prove(self.call):
+                        raise
+                    self._refresh(b"", timestamp, master)
             case _:
                 raise CAError("the master has no revocation list", "give it one: rossec ca publish")

@@ -4,7 +4,8 @@ import pytest
 
 from ca.errors import PassphraseRefused
 from ca.names import RESERVED
-from ca.revocation import open_list
+from ca.revocation import RevocationList, open_list, open_statement
+from ca.revocationtree import Listing, is_tree, open_tree
 from grants import document
 from grants.model import Draft, Permission, Right
 from grants.renewal import open_delegation
@@ -125,3 +126,25 @@ def test_what_is_delegated_is_recorded_until_it_is_withdrawn(tmp_path: Path) -> 
     assert expired.id not in listed.entries
     with pytest.raises(ConfigurationError):
         opened.withdraw("", NOW + 86400)
+
+
+def test_too_many_revocations_become_a_tree(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    home = AuthorityHome.create(tmp_path, "home", PASSPHRASE, NOW)
+    with pytest.raises(ConfigurationError, match="the entries of the tree are missing"):
+        home.entries()
+    opened = home.unlock(PASSPHRASE)
+    monkeypatch.setattr("rossec.authority.MAX_ENTRIES", 1)
+    assert not is_tree(opened_list(opened.revoke(bytes(32), "", NOW), home))
+    listed = opened.revoke(bytes(16), "", NOW)
+    tree = open_tree(opened_list(listed, home), home.anchor().public_key)
+    assert (tree.number, tree.size) == (listed.number, 2)
+    Listing.read(home.entries()).check(tree)
+
+
+def opened_list(listed: RevocationList, home: AuthorityHome) -> bytes:
+    """The statement that was signed with the number of `listed`."""
+    data = home.revocation_list()
+    assert open_statement(data, home.anchor().public_key).number == listed.number
+    return data

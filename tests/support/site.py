@@ -55,6 +55,12 @@ class Site:
         return self.authority.authority.anchor
 
     @property
+    def entries(self) -> bytes | None:
+        """The entries of the newest tree, if the authority has signed one."""
+        path = self.root / "revocations.entries"
+        return path.read_bytes() if path.exists() else None
+
+    @property
     def environ(self) -> Mapping[str, str]:
         """The environment a node of this site runs in."""
         uri = {"ROS_MASTER_URI": self.master.uri} if self.master is not None else {}
@@ -151,7 +157,8 @@ class Site:
         """Start a master on `port` of loopback."""
         self.master = master_of(
             self.enroll(MASTER), host="127.0.0.1", port=port,
-            newest=self.authority.store.newest_list(), now=self.now(), complain=self.complain,
+            newest=self.authority.store.newest_list(), now=self.now(), entries=self.entries,
+            complain=self.complain,
         )  # fmt: skip
         await self.master.start()
 

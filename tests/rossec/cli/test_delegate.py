@@ -61,3 +61,42 @@ def test_nothing_to_withdraw_and_too_long(site: Shell) -> None:
     refused(said, "at most 90d are allowed", code=2)
     said = site.unlocked("master", "delegate", "--ticket", "8d", *NOBODY)
     refused(said, "at most 7d are allowed", code=2)
+
+
+async def test_a_tree_is_delivered_with_its_entries(
+    site: Shell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rossec.authority.MAX_ENTRIES", 0)
+    home = NodeHome.of(site.root, "/master")
+    server = master_of(home, host="127.0.0.1", port=0, newest=None, now=int(time.time()))
+    await server.start()
+    try:
+        site.enroll("/robot")
+        command = ("ca", "revoke", "/robot", "--master", server.uri)
+        said = await asyncio.to_thread(site.unlocked, *command)
+        assert said.out.endswith("the master has the new list\n"), said
+        assert home.load_entries() == AuthorityHome.at(site.root).entries()
+    finally:
+        await server.close()
+
+
+def test_a_master_begins_with_the_tree_it_had(
+    site: Shell, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr("rossec.authority.MAX_ENTRIES", 0)
+    site.enroll("/robot")
+    site.unlocked("ca", "revoke", "/robot", *NOBODY)
+    home, authority = NodeHome.of(site.root, "/master"), AuthorityHome.at(site.root)
+
+    def begin(newest: bytes | None, entries: bytes | None) -> None:
+        caplog.clear()
+        master_of(
+            home, host="127.0.0.1", port=0, newest=newest, entries=entries, now=int(time.time())
+        )
+
+    begin(authority.revocation_list(), None)
+    assert "the entries of the revocation tree are missing" in caplog.text
+    begin(authority.revocation_list(), authority.entries())
+    assert caplog.text == ""
+    begin(None, None)  # it has kept both
+    assert caplog.text == ""

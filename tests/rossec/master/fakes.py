@@ -75,6 +75,12 @@ class FakeStatements:
     def current(self, now: int) -> tuple[bytes, bytes]:
         return (self.lists[-1], b"stamp") if self.lists else (b"", b"")
 
+    def update_tree(self, data: bytes, entries: bytes, now: int) -> bool:
+        return self.update(data + entries, now)
+
+    def proofs(self, entries: Sequence[bytes]) -> list[bytes]:
+        return [b"proof of " + entry for entry in entries]
+
     def held_by(self, peer: Peer, held: bytes) -> None:
         self.held[peer.name] = held
 

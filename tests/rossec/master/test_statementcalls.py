@@ -112,3 +112,14 @@ def test_a_query_that_is_none(api: MasterApi) -> None:
     answer = ask(api, everything("/a"), "rossec.trl", "/a", b"garbage")
     assert (answer[0], answer[2]) == (-1, b"")
     assert answer[1].startswith("rossec: not a query")
+
+
+def test_a_tree_and_its_proofs(api: MasterApi) -> None:
+    update = "rossec.updateRevocationTree"
+    outcome = api.call(update, ("/a", b"tree", b"entries"), caller("/a"), 0)
+    assert outcome.answer == [1, "revocations updated", 1]
+    assert outcome.events == (RevocationsChanged(),)
+    assert ask(api, caller("/a"), update, "/a", b"tree", b"entries")[2] == 0
+    assert ask(api, caller("/a"), update, "/a", b"for", b"ged")[0] == -1
+    answer = ask(api, caller("/a"), "rossec.revocationProofs", "/a", [b"x", b"y"])
+    assert answer[2] == [b"proof of x", b"proof of y"]

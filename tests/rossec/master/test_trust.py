@@ -4,6 +4,7 @@ import pytest
 
 from ca.errors import RevocationRefused, Revoked
 from ca.revocation import digest, open_timestamp
+from ca.revocationtree import Listing, RevocationTree, is_revoked, open_tree, sign_tree
 from ca.signer import KeySigner
 from grants.document import grant_id
 from grants.errors import GrantError
@@ -280,3 +281,30 @@ def test_what_of_the_list_concerns_a_node(world: World) -> None:
     assert len(world.trust.revoked()) == 6
     world.trust.update(world.site.revoke(far), world.now)
     assert world.trust.pertaining(caller, ["/t", "/far"]) == {grant_id(far)}
+
+
+def tree_of(world: World, *entries: bytes) -> tuple[bytes, bytes]:
+    listing = Listing([*entries, *(n.to_bytes(16) for n in range(9))])
+    tree = RevocationTree(1, 90, world.now, world.now + DAY, *listing.size_and_root)
+    return sign_tree(world.site.signer, tree), listing.encoded()
+
+
+def test_a_tree_takes_the_place_of_the_list(world: World) -> None:
+    data = world.site.grant(world.node, {"/t": Right.PUBLISH})
+    world.present(data)
+    tree, entries = tree_of(world, grant_id(data))
+    with pytest.raises(RevocationRefused, match="comes with its entries"):
+        world.trust.update(tree, world.now)
+    with pytest.raises(RevocationRefused, match="not those of the signed tree"):
+        world.trust.update_tree(tree, tree_of(world, bytes(32))[1], world.now)
+    assert world.may(Right.PUBLISH, "/t")
+    assert world.trust.proofs([bytes(16)]) == []
+    assert world.trust.update_tree(tree, entries, world.now)
+    assert not world.trust.update_tree(tree, entries, world.now)
+    assert world.persisted[-1] == tree
+    assert not world.may(Right.PUBLISH, "/t")
+    assert world.trust.current(world.now)[0] == tree
+    signed = open_tree(tree, world.site.anchor.public_key)
+    asked = [grant_id(data), b"x" * 16]
+    shown = zip(asked, world.trust.proofs(asked), strict=True)
+    assert [is_revoked(signed, entry, proof) for entry, proof in shown] == [True, False]

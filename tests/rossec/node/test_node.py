@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from ca.errors import CAError, CertificateExpired
+from ca.revocationtree import is_tree
 from grants.model import Restriction, Right, filter_rules
 from grants.renewal import open_delegation
 from rossec.errors import ConfigurationError, MessageError, NodeShutdown, RossecError
@@ -227,7 +228,10 @@ async def test_a_node_refuses_an_older_list_after_its_own_restart(site: Site) ->
 
 
 async def tell_master(site: Site, node: Node, revocations: bytes) -> None:
-    await node._session.call("rossec.updateRevocations", revocations)
+    if is_tree(revocations):
+        await node._session.call("rossec.updateRevocationTree", revocations, site.entries)
+    else:
+        await node._session.call("rossec.updateRevocations", revocations)
 
 
 async def test_graph_right_is_a_right_of_its_own(site: Site) -> None:
