@@ -8,6 +8,7 @@ import click
 
 from ca.revocationtree import is_tree
 from rossec.authority import AuthorityHome
+from rossec.channel import policy
 from rossec.cli.context import Environment, now, pass_environment
 from rossec.cli.delegate import delegate
 from rossec.cli.voice import say, say_json
@@ -31,6 +32,11 @@ from rossec.ros import settings
     type=click.Path(path_type=Path, dir_okay=False),
     help="append what nodes lack the right to, for: rossec policy learn --from-log",
 )
+@click.option(
+    "--post-quantum",
+    metavar="POLICY",
+    help="off, prefer or require; instead of ROSSEC_POST_QUANTUM",
+)
 @click.pass_context
 @pass_environment
 def master(
@@ -39,19 +45,25 @@ def master(
     port: int | None,
     as_json: bool,
     complaints: Path | None,
+    post_quantum: str | None,
 ) -> None:
     """Run the master, as the node /master. Ends with Ctrl-C."""
     if context.invoked_subcommand is not None:
         return
     log = ComplainLog(complaints) if complaints is not None else unheard
-    asyncio.run(_serve(environment, port, as_json, log))
+    suites = policy.post_quantum(environment.variables, post_quantum)
+    asyncio.run(_serve(environment, port, as_json, log, suites))
 
 
 master.add_command(delegate)
 
 
 async def _serve(
-    environment: Environment, port: int | None, as_json: bool, complain: Complain
+    environment: Environment,
+    port: int | None,
+    as_json: bool,
+    complain: Complain,
+    suites: tuple[int, ...],
 ) -> None:
     own = settings.read((), environment.variables, default_name=MASTER)
     stop = asyncio.Event()
@@ -66,6 +78,7 @@ async def _serve(
         entries=_entries(environment),
         now=now(),
         complain=complain,
+        suites=suites,
     )
     await server.start()
     try:

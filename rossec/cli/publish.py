@@ -54,7 +54,7 @@ async def carry(
     settings.parse_uri(uri, "the master's URI")
     node = AuthorityHome.at(environment.home).node()
     try:
-        async with master_as(node, uri) as client:
+        async with master_as(environment, node, uri) as client:
             await client.ask(method, node.name, *statement)
     except (HintedError, OSError, TimeoutError) as error:
         raise NotDelivered(f"the master at {uri} did not take {what}: {error}", hint) from error

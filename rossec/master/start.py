@@ -7,6 +7,7 @@ import socket
 from ca.errors import HintedError, RevocationRefused
 from ca.revocation import Revocations
 from ca.revocationtree import is_tree
+from rossec.channel.suites import PRODUCTION
 from rossec.home import NodeHome
 from rossec.master.complaints import Complain, unheard
 from rossec.master.renewal import Delegate
@@ -26,6 +27,7 @@ def master_of(
     now: int,
     entries: bytes | None = None,
     complain: Complain = unheard,
+    suites: tuple[int, ...] = PRODUCTION,
 ) -> MasterServer:
     """The master whose identity is in `home`, not yet started.
 
@@ -36,6 +38,7 @@ def master_of(
             this host; otherwise the master waits until one is published.
         entries: where `newest` is a tree, all it was made of.
         complain: hears of every right that somebody lacks.
+        suites: the post-quantum policy (`rossec.channel.policy`).
 
     Raises:
         ConfigurationError: the node is not enrolled.
@@ -70,6 +73,7 @@ def master_of(
         port=port,
         advertise=host or socket.gethostname(),
         complain=complain,
+        suites=suites,
     )
 
 
