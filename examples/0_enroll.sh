@@ -17,6 +17,8 @@ for bundle in "$ROSSEC_HOME"/nodes/*/node.pem; do
     rossec node install "$bundle" --yes
 done
 
-rossec grant sign /talker --publish /chatter --publish /robot/pose "${secret[@]}"
-rossec grant sign /listener --subscribe /chatter "${secret[@]}"
+rossec grant sign /talker --publish /chatter --publish /robot/pose \
+    --provide /talker/mute --param-get /talker "${secret[@]}"
+rossec grant sign /listener --subscribe /chatter \
+    --call /talker/mute --param-set /talker/rate "${secret[@]}"
 echo "now start the master in another shell: rossec master"

@@ -110,11 +110,15 @@ _CONSTANT_TYPES: Final = _BUILT_IN.keys() - {"time", "duration"}
 
 @dataclass(frozen=True)
 class Layout:
-    """The layout of one message type: `md5` is ROS's checksum of the definition."""
+    """The layout of one message type: `md5` is ROS's checksum of the definition.
+
+    `checked` is the text that checksum is over: constants and fields, in genmsg's form.
+    """
 
     type_name: str
     md5: str
     root: Struct
+    checked: str
 
 
 def parse(type_name: str, definition: str) -> Layout:
@@ -132,7 +136,12 @@ def parse(type_name: str, definition: str) -> Layout:
     if any("\ud800" <= character <= "\udfff" for character in definition):
         raise DefinitionRefused("a definition that is not text: it has lone surrogates")
     built = _Builder(_sections(type_name, definition)).build(type_name, ())
-    return Layout(type_name, built.md5, built.struct)
+    return Layout(type_name, built.md5, built.struct, built.checked)
+
+
+def service_md5(request: Layout, response: Layout) -> str:
+    """ROS's checksum of a service: over both parts, joined by nothing (genmsg, `_compute_hash`)."""
+    return _md5(request.checked + response.checked)
 
 
 def _sections(type_name: str, definition: str) -> dict[str, list[str]]:
@@ -162,6 +171,7 @@ def _section_name(line: str) -> str:
 @dataclass(frozen=True)
 class _Built:
     struct: Struct
+    checked: str
     md5: str
     leaves: int
 
@@ -195,7 +205,7 @@ class _Builder:
             if leaves > MAX_FIELDS:
                 raise DefinitionRefused(f"{name} has more than {MAX_FIELDS} fields")
         checked = "\n".join(constants + lines).strip()
-        return _Built(_bounded(Struct(name, tuple(fields))), _md5(checked), leaves)
+        return _Built(_bounded(Struct(name, tuple(fields))), checked, _md5(checked), leaves)
 
     def _resolve(self, inside: str, text: str, above: tuple[str, ...]) -> tuple[Type, str, int]:
         """The type `text` means inside a message, what it adds to the checksum, and its leaves."""

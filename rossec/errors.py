@@ -27,6 +27,22 @@ class CallerMismatch(TopicRefused):
     """A peer that calls itself by another name than its certificate says."""
 
 
+class ServiceUnavailable(RossecError):
+    """No node provides the service now."""
+
+
+class ServiceRefused(RossecError):
+    """A request or a response which the grant does not allow."""
+
+
+class ServiceFailed(RossecError):
+    """The provider of a service could not do what was asked; handlers raise it to say why."""
+
+
+class ParameterUnset(RossecError):
+    """A parameter that has no value."""
+
+
 class NodeShutdown(RossecError):
     """The node is closed, or the master told it to shut down."""
 

@@ -9,27 +9,18 @@ import click
 
 from ca.names import check_name
 from grants import document
-from grants.conditions import compile_condition
-from grants.errors import ConditionRefused, FilterRefused
-from grants.filters import compile_filter
-from grants.layout import parse
-from grants.model import Draft, Permission, Restriction, Right, filter_rules
-from grants.presets import PRESETS, preset
+from grants.model import Draft
+from grants.presets import PRESETS
 from rossec.authority import AuthorityHome
-from rossec.cli import passphrase
+from rossec.cli import grantoptions, passphrase
 from rossec.cli.context import Duration, Environment, moment, now, pass_environment
 from rossec.cli.publish import deliver, remind
 from rossec.cli.voice import note, printable, say, say_json
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
-from rossec.node.messages import message_type
 
 SKEW: Final = 60  # seconds another host's clock may be behind: it must not find the grant too new
 MAX_DAYS: Final = 3650  # an authority's own certificate does not last longer
-_EXAMPLES: Final = (
-    "for example --clear header.frame_id, --round pose.position=2.0,"
-    " --when 'msg.header.frame_id == \"map\"'"
-)
 
 
 @click.group()
@@ -39,8 +30,7 @@ def grant() -> None:
 
 @grant.command()
 @click.argument("node")
-@click.option("--publish", multiple=True, metavar="PATTERN", help="may publish these topics")
-@click.option("--subscribe", multiple=True, metavar="PATTERN", help="may subscribe to these topics")
+@grantoptions.rights
 @click.option("--graph", is_flag=True, help="may see the whole ROS graph")
 @click.option("--type", "type_name", metavar="PKG/TYPE", help="message type of the restrictions")
 @click.option("--clear", multiple=True, metavar="FIELD", help="clear this field")
@@ -84,9 +74,8 @@ def grant() -> None:
 @pass_environment
 def sign(
     environment: Environment,
+    /,
     node: str,
-    publish: tuple[str, ...],
-    subscribe: tuple[str, ...],
     graph: bool,
     type_name: str | None,
     clear: tuple[str, ...],
@@ -99,16 +88,20 @@ def sign(
     renewal: int,
     out: Path | None,
     passphrase_file: Path | None,
+    **rights: tuple[str, ...],
 ) -> None:
-    """Let NODE publish or subscribe, under conditions and through filters.
+    """Let NODE publish, subscribe, call and so on, under conditions and through filters.
 
-    PATTERN is a topic name; * stands for one segment, ** for any depth.
+    PATTERN is a name; * stands for one segment, ** for any depth.
     """
     check_name(node)
     if out is not None:
         _check_new(out)
-    restrictions = _restrictions(type_name, _rules(clear, rounds, clamps), when, rate, preset_name)
-    permissions = _permissions(publish, subscribe, graph, restrictions)
+    filters = grantoptions.rules(clear, rounds, clamps)
+    restricted = grantoptions.restrictions(type_name, filters, when, rate, preset_name)
+    permissions = grantoptions.permissions(
+        grantoptions.asked(rights), graph=graph, restricted=restricted
+    )
     home = AuthorityHome.at(environment.home)
     holder = home.store().live_certificate(node, now()).thumbprint
     authority = home.unlock(passphrase.read(passphrase_file, environment.variables))
@@ -199,98 +192,6 @@ def revoke(
     say(f"revoked {entry.hex()} (list {listed.seq})")
     asyncio.run(deliver(environment, master_uri))
     say("the master has the new list")
-
-
-def _rules(
-    clear: tuple[str, ...], rounds: tuple[str, ...], clamps: tuple[str, ...]
-) -> dict[str, dict[str, object]]:
-    rules: dict[str, dict[str, object]] = {path: {"clear": True} for path in clear}
-    rules |= {path: {"round": {"step": step}} for path, step in map(_rounding, rounds)}
-    return rules | {
-        path: {"clamp": {"low": low, "high": high}} for path, low, high in map(_clamping, clamps)
-    }
-
-
-def _restrictions(
-    type_name: str | None,
-    rules: dict[str, dict[str, object]],
-    when: tuple[str, ...],
-    rate: float | None,
-    preset_name: str | None,
-) -> list[Restriction]:
-    """Build the restrictions and try them on the message type: mistakes show here, not later."""
-    if not rules and not when and rate is None and preset_name is None:
-        return []
-    if type_name is None:
-        raise ConfigurationError(
-            "restrictions need the message type they are for", "add --type PKG/TYPE"
-        )
-    shape = parse(type_name, message_type(type_name).definition)
-    try:
-        made = [preset(preset_name).restriction(shape)] if preset_name is not None else []
-        if rules or when or rate is not None:
-            made.append(Restriction(type_name, when, filter_rules(rules), rate))
-        for restriction in made:
-            compile_filter(shape, restriction.filters)
-            for text in restriction.conditions:
-                compile_condition(shape, text)
-    except (ConditionRefused, FilterRefused) as error:
-        error.hint = error.hint or _EXAMPLES
-        raise
-    return made
-
-
-def _permissions(
-    publish: tuple[str, ...],
-    subscribe: tuple[str, ...],
-    graph: bool,
-    restrictions: list[Restriction],
-) -> tuple[Permission, ...]:
-    made = [Permission(pattern, Right.PUBLISH) for pattern in publish]
-    for pattern in subscribe:  # all restrictions that cover a topic hold together
-        made += [Permission(pattern, Right.SUBSCRIBE, item) for item in restrictions]
-        if not restrictions:
-            made.append(Permission(pattern, Right.SUBSCRIBE))
-    if graph:
-        made.append(Permission("/**", Right.GRAPH))
-    if not made:
-        raise ConfigurationError(
-            "a grant that allows nothing", "add --publish, --subscribe or --graph"
-        )
-    if restrictions and not subscribe:
-        raise ConfigurationError(
-            "conditions and filters restrict what a subscriber sees", "add --subscribe"
-        )
-    return tuple(made)
-
-
-def _clamping(text: str) -> tuple[str, float, float]:
-    path, _, limits = text.partition("=")
-    low, _, high = limits.partition(":")
-    try:
-        return path, _number(low), _number(high)
-    except ValueError:
-        raise ConfigurationError(
-            f"--clamp {text} has no range", "for example --clamp ranges=0.5:10"
-        ) from None
-
-
-def _number(text: str) -> float:
-    """Whole where it is written so: fields of whole numbers take no other."""
-    try:
-        return int(text)
-    except ValueError:
-        return float(text)
-
-
-def _rounding(text: str) -> tuple[str, float]:
-    path, _, step = text.partition("=")
-    try:
-        return path, float(step)
-    except ValueError:
-        raise ConfigurationError(
-            f"--round {text} has no step", "for example --round pose.position=2.0"
-        ) from None
 
 
 def _check_new(out: Path) -> None:

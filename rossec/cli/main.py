@@ -18,9 +18,11 @@ from rossec.cli.grant import grant
 from rossec.cli.graph import graph
 from rossec.cli.master import master
 from rossec.cli.node import node
+from rossec.cli.param import param
 from rossec.cli.policy import policy
 from rossec.cli.privacy import privacy
 from rossec.cli.request import COMMANDS
+from rossec.cli.service import service
 from rossec.cli.simulate import simulate
 from rossec.cli.topic import topic
 from rossec.cli.voice import INTERRUPTED, REFUSED, UNDELIVERED, USAGE, fail, printable
@@ -37,7 +39,21 @@ def rossec(verbose: bool) -> None:
     logging.basicConfig(level=logging.INFO if verbose else logging.WARNING, handlers=[handler])
 
 
-for command in (ca, node, grant, policy, explain, simulate, privacy, master, graph, topic, demo):
+for command in (
+    ca,
+    node,
+    grant,
+    policy,
+    explain,
+    simulate,
+    privacy,
+    master,
+    graph,
+    topic,
+    service,
+    param,
+    demo,
+):
     rossec.add_command(command)
 for command in COMMANDS:
     grant.add_command(command)

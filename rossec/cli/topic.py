@@ -2,7 +2,6 @@
 
 import asyncio
 from collections.abc import Coroutine
-from dataclasses import fields
 from typing import Any
 
 import click
@@ -14,7 +13,7 @@ from rossec.cli.context import Environment, pass_environment
 from rossec.cli.voice import note, printable, say
 from rossec.errors import ConfigurationError
 from rossec.node import Node, Publisher
-from rossec.node.messages import Message, message_type
+from rossec.node.messages import Message, field_names, message_type
 
 
 @click.group()
@@ -67,7 +66,7 @@ async def _echo(
 ) -> None:
     async with Node(node, environ=environment.variables) as running:
         subscriber = await running.subscriber(name, type_name)
-        await _until(running, _print(subscriber, count))
+        await until(running, _print(subscriber, count))
 
 
 async def _print(subscriber: Any, count: int | None) -> None:
@@ -92,7 +91,7 @@ async def _pub(
     async with Node(node, environ=environment.variables) as running:
         publisher = await running.publisher(name, type_name)
         note(f"waiting for a subscriber of {publisher.topic}")
-        await _until(running, _publish(publisher, message, period, count))
+        await until(running, _publish(publisher, message, period, count))
 
 
 async def _publish(
@@ -106,7 +105,7 @@ async def _publish(
         await asyncio.sleep(period)
 
 
-async def _until(node: Node, work: Coroutine[Any, Any, None]) -> None:
+async def until(node: Node, work: Coroutine[Any, Any, None]) -> None:
     """Work until it is done, or until the node ends by itself: that is an error then."""
     ended = asyncio.ensure_future(node.wait_ended())
     worker = asyncio.ensure_future(work)
@@ -126,20 +125,16 @@ def fill(message: Message, content: object) -> None:
     if not isinstance(content, dict):
         raise ConfigurationError("a message is a mapping of fields", "for example '{data: hello}'")
     for field, value in content.items():
-        if field not in _fields(message):
+        if field not in field_names(message):
             name = message.__msgtype__.replace("/msg/", "/")
             raise ConfigurationError(
-                f"no field {field!r} in {name}", f"it has {', '.join(_fields(message))}"
+                f"no field {field!r} in {name}", f"it has {', '.join(field_names(message))}"
             )
         current = getattr(message, field)
         if hasattr(current, "__msgtype__"):
             fill(current, value)
         else:
             setattr(message, field, _like(field, current, value))
-
-
-def _fields(message: Message) -> list[str]:
-    return [field.name for field in fields(message) if not field.name.startswith("__")]
 
 
 def _like(field: str, current: Any, value: object) -> object:
@@ -164,7 +159,7 @@ def render(message: Message, indent: int = 0) -> str:
     Text was written by a peer: it stays on its line and cannot steer the terminal.
     """
     lines = []
-    for field in _fields(message):
+    for field in field_names(message):
         value = getattr(message, field)
         head = " " * indent + f"{field}:"
         if hasattr(value, "__msgtype__"):
@@ -187,6 +182,15 @@ def _plain(value: Any) -> str:
 
 def _quoted(item: object) -> str:
     return f"'{_plain(item)}'" if isinstance(item, str) else str(item)
+
+
+def plain(value: Any) -> object:
+    """A message, or a value in one, as what JSON has."""
+    if hasattr(value, "__msgtype__"):
+        return {field: plain(getattr(value, field)) for field in field_names(value)}
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    return [plain(item) for item in value] if isinstance(value, list) else value
 
 
 def parse_message(text: str) -> object:

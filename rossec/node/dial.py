@@ -57,6 +57,13 @@ class Dialer:
         self._judge(stream)
         return stream
 
+    async def service(self, uri: str) -> SecureStream[Identity]:
+        """Connect to the provider of a service, at its rosrpc URI; raises as `topic`."""
+        host, port = settings.parse_uri(uri, "a service's URI", scheme="rosrpc")
+        stream = await self._connect(host, port, Flavour.TCPROS)
+        self._judge(stream)
+        return stream
+
     async def _connect(self, host: str, port: int, opening: Flavour) -> SecureStream[Identity]:
         return await connect(
             host,

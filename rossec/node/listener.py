@@ -1,20 +1,19 @@
-"""The two ports of a node: its slave API, and TCPROS for the topics it publishes.
+"""The two ports of a node: its slave API, and TCPROS for its topics and services.
 
-A shell. Every connection is authenticated before it arrives here. What a refused subscriber hears
-is the refusal of its own grants; it says nothing of what this node publishes.
+A shell. Every connection is authenticated before it arrives here. What a refused peer hears is the
+refusal of its own grants; it says nothing of what this node publishes or provides.
 """
 
 import asyncio
 import contextlib
 import logging
 import time
-from collections.abc import Mapping
+from collections.abc import Awaitable, Callable, Mapping
+from functools import partial
 from typing import Final
 
 from ca.certificates import Identity, TrustAnchor
 from ca.errors import HintedError, RevocationsStale
-from grants.decision import Decision
-from grants.guard import Guard
 from rossec.channel.credentials import Credentials
 from rossec.channel.known import KnownCertificates
 from rossec.channel.suites import PRODUCTION
@@ -24,6 +23,7 @@ from rossec.net.server import Handler
 from rossec.net.stream import Flavour, SecureServer, SecureStream, serve
 from rossec.node.access import Access
 from rossec.node.publisher import Publisher
+from rossec.node.servicedesk import Services
 from rossec.node.slave import MASTER, REVOCATION_UPDATE, SlaveApi
 from rossec.node.topics import admit_subscriber, check_type, publisher_header, requested_topic
 from rossec.ros import header
@@ -31,7 +31,7 @@ from rossec.ros.settings import is_loopback
 
 HEADER_DEADLINE: Final = 5.0
 SLAVE_DEADLINE: Final = 30.0
-PEER_CONNECTIONS: Final = 64  # of one identity: one for each topic it subscribes to here
+PEER_CONNECTIONS: Final = 64  # of one identity: one for each topic or service it uses here
 
 _log = logging.getLogger("rossec.node")
 
@@ -46,6 +46,7 @@ class Listener:
         anchor: TrustAnchor,
         access: Access,
         publishers: Mapping[str, Publisher],
+        services: Services,
         slave: SlaveApi,
         *,
         suites: tuple[int, ...] = PRODUCTION,
@@ -56,6 +57,7 @@ class Listener:
         self._anchor = anchor
         self._access = access
         self._publishers = publishers
+        self._services = services
         self._slave = slave
         self._suites = suites
         self._known = known
@@ -77,7 +79,7 @@ class Listener:
         bind = address if is_loopback(address) else None
         for handler, flavour in (
             (self._serve_slave, Flavour.HTTP),
-            (self._serve_topic, Flavour.TCPROS),
+            (self._serve_tcpros, Flavour.TCPROS),
         ):
             server = await serve(
                 self._bounded(handler),
@@ -136,11 +138,11 @@ class Listener:
             return _refused(peer, error)
         return await self._slave(method, params, peer)
 
-    async def _serve_topic(self, stream: SecureStream[Identity]) -> None:
+    async def _serve_tcpros(self, stream: SecureStream[Identity]) -> None:
         try:
             async with asyncio.timeout(HEADER_DEADLINE):
                 fields = header.decode(await first_frame(stream))
-            publisher, decision, guard = self._admit(fields, stream.peer)
+            serve = self._admit(fields, stream)
         except TimeoutError:
             _log.info("%s sent no connection header", stream.peer.name)
             return
@@ -148,24 +150,31 @@ class Listener:
             _log.warning("refused %s: %s (%s)", stream.peer.name, error, error.hint)
             await stream.send(header.error_header(f"rossec: {error}"))
             return
-        answer = publisher_header(
-            self._name,
-            publisher.endpoint,
-            self._access,
-            int(time.time()),
-            latching=publisher.latch,
-        )
-        await publisher.serve(stream, decision, guard, header.encode(answer))
+        await serve()
 
     def _admit(
-        self, fields: Mapping[str, bytes], peer: Identity
-    ) -> tuple[Publisher, Decision, Guard]:
-        decision = admit_subscriber(fields, peer, self._access, int(time.time()))
+        self, fields: Mapping[str, bytes], stream: SecureStream[Identity]
+    ) -> Callable[[], Awaitable[None]]:
+        if "service" not in fields:
+            return self._admit_subscriber(fields, stream)
+        if "topic" in fields:
+            raise TopicRefused("the connection header asks for a topic and for a service")
+        return self._services.admit(fields, stream)
+
+    def _admit_subscriber(
+        self, fields: Mapping[str, bytes], stream: SecureStream[Identity]
+    ) -> Callable[[], Awaitable[None]]:
+        now = int(time.time())
+        decision = admit_subscriber(fields, stream.peer, self._access, now)
         publisher = self._publishers.get(requested_topic(fields))
         if publisher is None:
             raise TopicRefused(f"{self._name} does not publish {requested_topic(fields)}")
         check_type(fields, publisher.endpoint)
-        return publisher, decision, publisher.guard(decision)
+        guard = publisher.guard(decision)
+        answer = publisher_header(
+            self._name, publisher.endpoint, self._access, now, latching=publisher.latch
+        )
+        return partial(publisher.serve, stream, decision, guard, header.encode(answer))
 
 
 def _refused(peer: Identity, error: HintedError) -> list[object]:

@@ -18,6 +18,7 @@ from rosbags.typesys.store import Typestore
 
 from rossec.errors import MessageError
 
+_NO_FIELDS: Final = "structure_needs_at_least_one_member"
 _CHECK_TEXT: Final = "check the text of the .msg file, and register the types it uses first"
 
 Message = Any  # a dataclass made by rosbags; its fields are those of the definition
@@ -99,13 +100,25 @@ def register_type(name: str, definition: str) -> MessageType:
     Raises:
         MessageError: text that is no message definition, or a name already taken by another one.
     """
+    register_types({name: definition})
+    return message_type(name)
+
+
+def register_types(definitions: Mapping[str, str]) -> None:
+    """Add all of these types or none, each under its name; as `register_type`."""
+    types: dict[str, Any] = {}
+    for name, definition in definitions.items():
+        try:
+            found = get_types_from_msg(definition, _inner(name))
+        except TypesysError as error:
+            raise MessageError(f"cannot register {name}: {error}", _CHECK_TEXT) from error
+        _check_nested(name, found)
+        types |= found
     try:
-        types = get_types_from_msg(definition, _inner(name))
-        _check_nested(name, types)
         _store().register(types)
     except TypesysError as error:
-        raise MessageError(f"cannot register {name}: {error}", _CHECK_TEXT) from error
-    return message_type(name)
+        names = " and ".join(definitions)
+        raise MessageError(f"cannot register {names}: {error}", _CHECK_TEXT) from error
 
 
 def _check_nested(name: str, types: Mapping[str, Any]) -> None:
@@ -119,8 +132,14 @@ def _check_nested(name: str, types: Mapping[str, Any]) -> None:
                 raise MessageError(f"cannot register {name}: unknown type {unknown}", _CHECK_TEXT)
 
 
+def field_names(message: Message) -> list[str]:
+    """Names of the fields of `message`, in order of its definition."""
+    return _field_names(message.__msgtype__)
+
+
 def _field_names(inner: str) -> list[str]:
-    return [name for name, _ in _store().fielddefs[inner][1]]
+    # rosbags gives an empty message a field, as ROS 2's IDL must; in ROS 1 there is none
+    return [name for name, _ in _store().fielddefs[inner][1] if name != _NO_FIELDS]
 
 
 @cache

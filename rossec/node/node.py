@@ -1,8 +1,8 @@
-"""A ROS node without ROS: topics over the secure channel, in asyncio.
+"""A ROS node without ROS: topics, services and parameters over the secure channel, in asyncio.
 
 A shell that wires the parts together: the master session, the slave API, the TCPROS server, the
-publishers and subscribers, and the watch over their links. Judgement is elsewhere: `access` says
-who may do what, `topics` checks headers, `links` says what must end.
+desks of topics and services, and the watch over their links. Judgement is elsewhere: `access` says
+who may do what, `topics` and `services` check headers, `links` says what must end.
 """
 
 import asyncio
@@ -17,25 +17,31 @@ from typing import Final, Self
 from ca.certificates import Identity
 from ca.errors import HintedError
 from ca.revocation import Revocations, digest
-from grants import layout
 from rossec.channel.known import KnownCertificates
 from rossec.channel.policy import post_quantum
-from rossec.errors import AnswerRefused, ConfigurationError, NodeShutdown
+from rossec.errors import AnswerRefused, NodeShutdown, ServiceUnavailable
 from rossec.home import NodeHome, rossec_home
 from rossec.net.stream import SecureStream
 from rossec.net.tasks import TaskSet
 from rossec.node.access import Access
+from rossec.node.client import CALL_DEADLINE, ServiceClient
 from rossec.node.dial import Dialer
 from rossec.node.links import Link
 from rossec.node.listener import Listener
 from rossec.node.messages import message_type
+from rossec.node.params import Parameters
 from rossec.node.proofs import prove
+from rossec.node.provider import CONCURRENCY, HANDLER_DEADLINE, Handler, Service
 from rossec.node.publisher import Publisher
 from rossec.node.renewal import Renewals, renew
+from rossec.node.servicedesk import Services
 from rossec.node.session import MasterSession
 from rossec.node.shelf import Shelf
 from rossec.node.slave import SlaveApi
+from rossec.node.srvtypes import service_type
+from rossec.node.standing import Standing
 from rossec.node.subscriber import Subscriber
+from rossec.node.topicdesk import Topics
 from rossec.node.topics import Endpoint
 from rossec.node.watch import Watch
 from rossec.ros import settings
@@ -83,8 +89,6 @@ class Node:
         )
         self._shelf = Shelf(self.home, self.access)
         self._shelf.take_new()
-        self._publishers: dict[str, Publisher] = {}
-        self._subscribers: dict[str, list[Subscriber]] = {}
         self._tasks = TaskSet(on_crash=self._crashed)
         self._session = MasterSession(
             self.name,
@@ -95,12 +99,26 @@ class Node:
             lambda call: prove(call, self.revocations),
         )
         self._renewals = Renewals(self.access)
+        standing = Standing(
+            self.name,
+            self.access,
+            self.revocations,
+            self._session.call,
+            self._dialer,
+            self.home.filter_key,
+            uri=lambda: self.uri,
+            rosrpc=lambda: _uri("rosrpc", *self.topic_endpoint()),
+        )
+        self._topics = Topics(standing)
+        self.services = Services(standing)
+        self.params = Parameters(standing, self.settings.resolve)
         self._listener = Listener(
             self.name,
             self.credentials,
             self.anchor,
             self.access,
-            self._publishers,
+            self._topics.publishers,
+            self.services,
             SlaveApi(self),
             suites=suites,
             known=known,
@@ -135,19 +153,7 @@ class Node:
                 master refuses.
         """
         endpoint = Endpoint(self.settings.resolve(topic), message_type(type_name))
-        if endpoint.topic in self._publishers:
-            raise ConfigurationError(f"{endpoint.topic} is published by this node already")
-        shape = layout.parse(type_name, endpoint.type.definition)
-        publisher = Publisher(
-            endpoint, shape, self.home.filter_key, latch=latch, queue_size=queue_size
-        )
-        self._publishers[endpoint.topic] = publisher
-        try:
-            await self._register_publisher(self._session, publisher)
-        except BaseException:
-            del self._publishers[endpoint.topic]
-            raise
-        return publisher
+        return await self._topics.publish(endpoint, latch=latch, queue_size=queue_size)
 
     async def subscriber(self, topic: str, type_name: str, *, queue_size: int = 10) -> Subscriber:
         """Receive messages of `type_name` on `topic`: `async for message in subscriber`.
@@ -156,30 +162,70 @@ class Node:
             MessageError, RossecError: unknown type, or the master refuses.
         """
         endpoint = Endpoint(self.settings.resolve(topic), message_type(type_name))
-        subscriber = Subscriber(
-            self.name,
-            endpoint,
-            self.access,
-            self._dialer.topic,
-            self._forget,
-            queue_size=queue_size,
-        )
-        self._subscribers.setdefault(endpoint.topic, []).append(subscriber)
-        try:
-            await self._register_subscriber(self._session, subscriber)
-        except BaseException:
-            await subscriber.close()
-            raise
-        return subscriber
+        return await self._topics.subscribe(endpoint, queue_size=queue_size)
 
-    async def _forget(self, subscriber: Subscriber) -> None:
-        """A subscriber was closed; the last one of its topic unregisters."""
-        others = self._subscribers.get(subscriber.topic, [])
-        if subscriber in others:
-            others.remove(subscriber)
-        if not others and self._subscribers.pop(subscriber.topic, None) is not None:
-            with contextlib.suppress(HintedError, OSError):
-                await self._session.call("unregisterSubscriber", subscriber.topic, self.uri)
+    async def service(
+        self,
+        name: str,
+        type_name: str,
+        handler: Handler,
+        *,
+        concurrency: int = CONCURRENCY,
+        deadline: float = HANDLER_DEADLINE,
+    ) -> Service:
+        """Provide the service `name`: `handler(request)` returns the response; see `Service`.
+
+        Raises:
+            MessageError, RossecError: unknown type, a second provider of the service, or the
+                master refuses.
+        """
+        return await self.services.provide(
+            self.settings.resolve(name),
+            service_type(type_name),
+            handler,
+            concurrency=concurrency,
+            deadline=deadline,
+        )
+
+    def client(
+        self,
+        name: str,
+        type_name: str,
+        *,
+        persistent: bool = False,
+        deadline: float = CALL_DEADLINE,
+    ) -> ServiceClient:
+        """Call the service `name`: `response = await client(data=True)`; see `ServiceClient`.
+
+        Raises:
+            MessageError: unknown type.
+        """
+        return self.services.client(
+            self.settings.resolve(name),
+            service_type(type_name),
+            persistent=persistent,
+            deadline=deadline,
+        )
+
+    async def wait_for_service(
+        self,
+        name: str,
+        timeout: float | None = None,  # noqa: ASYNC109 - rospy's name and meaning
+    ) -> None:
+        """Return as soon as a provider of the service `name` answers.
+
+        Raises:
+            ServiceUnavailable: none did within `timeout` seconds.
+            HintedError: this node may not call it, or the provider may not provide it.
+        """
+        resolved = self.settings.resolve(name)
+        try:
+            async with asyncio.timeout(timeout):
+                await self.services.wait_for(resolved)
+        except TimeoutError:
+            raise ServiceUnavailable(
+                f"no node provided {resolved} within {timeout:g} s", "is its provider running?"
+            ) from None
 
     async def wait_ended(self) -> None:
         """Wait until the node ends by itself.
@@ -191,12 +237,13 @@ class Node:
 
     async def close(self) -> None:
         """Unregister, cut every connection, stop every task. Safe to call twice."""
-        for publisher in self._publishers.values():
+        for publisher in self._topics.publishers.values():
             publisher.close()
         await self._listener.close()
-        for subscriber in self._all_subscribers():
-            await subscriber.close()
-        await self._unregister()
+        await self._topics.close_subscribers()
+        await self.services.close()
+        self.params.close()
+        await self._topics.unregister()
         await self._tasks.close()
         await self._session.close()
         self._ended.cancel()
@@ -205,8 +252,11 @@ class Node:
 
     def publishers_changed(self, topic: str, uris: list[str]) -> None:
         """Follow the master's list of publishers."""
-        for subscriber in self._subscribers.get(topic, []):
-            subscriber.update([uri for uri in uris if uri != self.uri])
+        self._topics.publishers_changed(topic, uris)
+
+    def parameter_changed(self, key: str, value: object) -> None:
+        """Tell those who follow the parameter."""
+        self.params.changed(key, value)
 
     def revocations_arrived(self, revocations: bytes, timestamp: bytes, master: Identity) -> None:
         """Take over a newer list and a fresh timestamp, then cut what they end."""
@@ -227,8 +277,10 @@ class Node:
 
     def describe(self) -> dict[str, object]:
         """What the informational slave methods tell the master."""
-        publications = [[item.topic, item.endpoint.type.name] for item in self._publishers.values()]
-        subscriptions = [[item.topic, item.endpoint.type.name] for item in self._all_subscribers()]
+        publications = [
+            [item.topic, item.endpoint.type.name] for item in self._topics.publishers.values()
+        ]
+        subscriptions = [[item.topic, item.endpoint.type.name] for item in self._topics.subscribers]
         return {
             "getMasterUri": self.settings.master_uri,
             "getPid": os.getpid(),
@@ -241,7 +293,7 @@ class Node:
     @property
     def uri(self) -> str:
         """This node's API URI, as registered with the master."""
-        return _uri(self._host, self._listener.slave_port)
+        return _uri("http", self._host, self._listener.slave_port)
 
     # --- start ---
 
@@ -269,41 +321,18 @@ class Node:
             await renew(session.call, self._renewals, int(time.time()))
         current = self.access.current(int(time.time()))
         await session.call("rossec.presentGrants", current[:_PRESENTED])
-        for publisher in self._publishers.values():
-            await self._register_publisher(session, publisher)
-        for subscriber in self._all_subscribers():
-            await self._register_subscriber(session, subscriber)
+        await self._register()
 
-    async def _register_publisher(self, session: MasterSession, publisher: Publisher) -> None:
-        endpoint = publisher.endpoint
-        await session.call("registerPublisher", endpoint.topic, endpoint.type.name, self.uri)
-
-    async def _register_subscriber(self, session: MasterSession, subscriber: Subscriber) -> None:
-        endpoint = subscriber.endpoint
-        before = subscriber.updates
-        uris = await session.call(
-            "registerSubscriber", endpoint.topic, endpoint.type.name, self.uri
-        )
-        if isinstance(uris, list) and subscriber.updates == before:  # a push may have been faster
-            subscriber.update([uri for uri in uris if isinstance(uri, str) and uri != self.uri])
-
-    async def _unregister(self) -> None:
-        try:
-            for topic in self._publishers:
-                await self._session.call("unregisterPublisher", topic, self.uri)
-        except (HintedError, OSError, TimeoutError) as error:
-            _log.info("%s: left without unregistering: %s", self.name, error)
+    async def _register(self) -> None:
+        await self._topics.restore()
+        await self.services.restore()
+        await self.params.restore()
 
     # --- what must end ---
 
     def _links(self) -> Iterator[Link]:
-        for publisher in self._publishers.values():
-            yield from publisher.links
-        for subscriber in self._all_subscribers():
-            yield from subscriber.links
-
-    def _all_subscribers(self) -> list[Subscriber]:
-        return [item for items in self._subscribers.values() for item in items]
+        yield from self._topics.links()
+        yield from self.services.links()
 
     async def _collect_grants(self) -> None:
         """A grant that arrives in the node's directory, or is renewed, counts without a restart."""
@@ -314,7 +343,9 @@ class Node:
                 if new:
                     _log.info("%s: %d new grants", self.name, len(new))
                     await self._session.call("rossec.presentGrants", new)
-                await renew(self._session.call, self._renewals, int(time.time()))
+                renewed = await renew(self._session.call, self._renewals, int(time.time()))
+                if new or renewed:
+                    await self._register()  # what was refused for want of it
                 if await prove(self._session.call, self.revocations):
                     self._watch.cut(int(time.time()))
 
@@ -325,5 +356,5 @@ class Node:
             self._tasks.spawn(self.close(), f"{self.name}: closing after a failure")
 
 
-def _uri(host: str, port: int) -> str:
-    return f"http://[{host}]:{port}/" if ":" in host else f"http://{host}:{port}/"
+def _uri(scheme: str, host: str, port: int) -> str:
+    return f"{scheme}://[{host}]:{port}/" if ":" in host else f"{scheme}://{host}:{port}/"

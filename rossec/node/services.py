@@ -5,6 +5,7 @@ precedes any look at what this node offers. Probes (`probe=1`) need the right as
 """
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 from ca.certificates import Identity
 from grants.decision import Decision
@@ -12,6 +13,53 @@ from grants.model import Right
 from rossec.errors import TopicRefused
 from rossec.node.access import FIELD, Access
 from rossec.node.fields import Fields, check_caller, text
+from rossec.ros.names import ANY_TYPE
+
+
+@dataclass(frozen=True)
+class Expected:
+    """Name and checksum of a service type; `*` expects nothing."""
+
+    type_name: str
+    md5sum: str
+
+
+ANY: Expected = Expected(ANY_TYPE, ANY_TYPE)
+
+
+def client_header(
+    caller: str,
+    service: str,
+    kind: Expected,
+    access: Access,
+    now: int,
+    *,
+    persistent: bool = False,
+    probe: bool = False,
+) -> Fields:
+    """Fields a client sends first; they prove its right to call."""
+    flags = {"persistent": persistent, "probe": probe}
+    return {
+        "callerid": caller.encode(),
+        "service": service.encode(),
+        "type": kind.type_name.encode(),
+        "md5sum": kind.md5sum.encode(),
+        **{key: b"1" for key, wanted in flags.items() if wanted},
+        **caller_proof(service, access, now),
+    }
+
+
+def server_header(caller: str, service: str, kind: Expected, access: Access, now: int) -> Fields:
+    """Fields a server answers with; they prove its right to provide."""
+    return {
+        "callerid": caller.encode(),
+        "service": service.encode(),
+        "type": kind.type_name.encode(),
+        "md5sum": kind.md5sum.encode(),
+        "request_type": f"{kind.type_name}Request".encode(),
+        "response_type": f"{kind.type_name}Response".encode(),
+        **provider_proof(service, access, now),
+    }
 
 
 def caller_proof(service: str, access: Access, now: int) -> Fields:
@@ -60,3 +108,22 @@ def admit_provider(
         raise TopicRefused(f"{peer.name} refuses: {text(fields, 'error')}")
     check_caller(fields, peer)
     return access.authorize(peer, fields.get(FIELD), Right.PROVIDE, service, now)
+
+
+def check_md5(fields: Mapping[str, bytes], service: str, md5sum: str) -> None:
+    """Compare checksums as ROS does, which ignores the type's name; `*` fits everything.
+
+    Raises:
+        TopicRefused: the two sides do not mean the same service.
+    """
+    theirs = text(fields, "md5sum")
+    if theirs != md5sum and ANY_TYPE not in {theirs, md5sum}:
+        raise TopicRefused(
+            f"{service} has the checksum {md5sum} here, {theirs} at the peer",
+            "both sides need the same version of the service's package",
+        )
+
+
+def is_set(fields: Mapping[str, bytes], flag: str) -> bool:
+    """Whether the header sets `persistent` or `probe`; stock clients write 1 or true."""
+    return fields.get(flag, b"").lower() in {b"1", b"true"}

@@ -26,6 +26,9 @@ class SlaveEvents(Protocol):
     def publishers_changed(self, topic: str, uris: list[str]) -> None:
         """The master's list of publishers of a topic this node subscribes to."""
 
+    def parameter_changed(self, key: str, value: object) -> None:
+        """A parameter at, above or below one this node subscribes to."""
+
     def revocations_arrived(self, revocations: bytes, timestamp: bytes, master: Identity) -> None:
         """The list and a fresh timestamp. Raises a `CAError` when either is not acceptable."""
 
@@ -86,7 +89,8 @@ class SlaveApi:
         self._events.publishers_changed(topic, [uri for uri in uris if isinstance(uri, str)])
         return [1, "", 0]
 
-    def _param_update(self, _: Identity, _key: str, _value: object) -> Answer:
+    def _param_update(self, _: Identity, key: str, value: object) -> Answer:
+        self._events.parameter_changed(key, value)
         return [1, "", 0]
 
     def _shutdown(self, _: Identity, reason: str) -> Answer:

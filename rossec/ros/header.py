@@ -115,6 +115,18 @@ class FrameReader:
             frames.append(content)
         return frames
 
+    def feed_one(self, data: bytes) -> bytes | None:
+        """The frame that `data` completes, where none may follow before this one is answered.
+
+        Raises:
+            FrameRefused: it is longer than allowed, or more follows it.
+        """
+        self._buffer += data
+        content = self._next()
+        if content is not None and self._buffer:
+            raise self._refuse("bytes after a frame, before its answer")
+        return content
+
     def _next(self) -> bytes | None:
         if self._refusal is not None:
             raise FrameRefused(self._refusal)
@@ -135,10 +147,13 @@ class FrameReader:
         length: int = _LENGTH.unpack_from(self._buffer, position)[0]
         limit = self._limit if self._first is None else self._first
         if length > limit:
-            self._buffer.clear()
-            self._refusal = f"a frame of {length} bytes, at most {limit} allowed"
-            raise FrameRefused(self._refusal)
+            raise self._refuse(f"a frame of {length} bytes, at most {limit} allowed")
         return length
+
+    def _refuse(self, reason: str) -> FrameRefused:
+        self._buffer.clear()
+        self._refusal = reason
+        return FrameRefused(reason)
 
 
 def _encode_field(key: str, value: str | bytes) -> bytes:

@@ -79,16 +79,16 @@ def read(argv: Sequence[str], environ: Mapping[str, str], *, default_name: str) 
     )
 
 
-def parse_uri(uri: str, what: str = "uri") -> tuple[str, int]:
-    """Host and port of an `http://host:port` URI.
+def parse_uri(uri: str, what: str = "uri", *, scheme: str = "http") -> tuple[str, int]:
+    """Host and port of an `http://host:port` URI; of a service's, `scheme` is `rosrpc`.
 
     Raises:
         SettingsRefused: `what` holds something else.
     """
-    hint = f"it looks like {DEFAULT_MASTER_URI}, with http:// and a port"
+    hint = f"it looks like {scheme}://localhost:{DEFAULT_PORT}, with {scheme}:// and a port"
     parts = urlsplit(uri)
-    if parts.scheme != "http":
-        raise SettingsRefused(f"{what} is {uri!r}, which does not begin with http://", hint)
+    if parts.scheme != scheme:
+        raise SettingsRefused(f"{what} is {uri!r}, which does not begin with {scheme}://", hint)
     try:
         host, port = parts.hostname, parts.port
     except ValueError as error:

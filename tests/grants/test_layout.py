@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from grants.errors import DefinitionRefused
-from grants.layout import MAX_TEXT, Array, Primitive, Struct, Text, parse
+from grants.layout import MAX_TEXT, Array, Primitive, Struct, Text, parse, service_md5
 from tests.grants.messages import EVERYTHING, LAYOUT, SEPARATOR, chance, layout
 
 ROS_PACKAGES = (
@@ -143,3 +143,11 @@ def test_mutated_definitions_give_our_errors() -> None:
             mutated[dice.randrange(len(mutated))] = dice.choice("\n =#/[]A1a\t\x00é")
         with suppress(DefinitionRefused):
             parse("test_msgs/Everything", "".join(mutated))
+
+
+def test_the_checksum_of_a_service_is_over_both_parts() -> None:
+    request = parse("std_srvs/SetBoolRequest", "bool data # comment")
+    response = parse("std_srvs/SetBoolResponse", "bool success\nstring message\n")
+    nothing = parse("std_srvs/TriggerRequest", "")
+    assert service_md5(request, response) == "09fb03525b03e7ea1fd3992bafd87e16"
+    assert service_md5(nothing, response) == "937c9679a518e3a18d831e57125ea522"

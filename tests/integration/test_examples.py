@@ -76,8 +76,14 @@ def test_the_room_but_not_the_position(enrolled: dict[str, str]) -> None:
     assert "frame_id: \n" in done.stdout
 
 
+def test_a_service_and_a_parameter(enrolled: dict[str, str]) -> None:
+    done = run("4_service.py", enrolled)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == "quiet\nthe rate is now 5\n"
+
+
 def test_what_was_given_is_taken_back(enrolled: dict[str, str]) -> None:
-    done = run("4_revoke.sh", enrolled)
+    done = run("5_revoke.sh", enrolled)
     assert done.returncode == 0, done.stderr
     assert done.stdout.count("the master has the new list") == 2
     assert all(line.endswith("revoked") for line in done.stdout.splitlines()[-2:])

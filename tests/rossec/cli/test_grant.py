@@ -38,6 +38,17 @@ def test_restrictions_are_said_in_words(robot: Shell, tmp_path: Path) -> None:
     assert 'only when msg.header.frame_id == "map"' in shown
 
 
+def test_every_right_over_names(robot: Shell, tmp_path: Path) -> None:
+    out = tmp_path / "robot.grant"
+    names = ("publish", "subscribe", "call", "provide", "param-get", "param-set")
+    options = [word for name in names for word in (f"--{name}", f"/{name.replace('-', '_')}")]
+    said = robot.unlocked("grant", "sign", "/robot", *options, "--out", str(out))
+    assert said.code == 0, said.err
+    shown = robot("grant", "show", str(out)).out
+    for name in names:
+        assert f"may {name} /{name.replace('-', '_')}\n" in shown
+
+
 @pytest.mark.parametrize(
     ("options", "error", "hint"),
     [

@@ -4,7 +4,7 @@ import pytest
 
 from grants.errors import FilterRefused
 from grants.model import Restriction, Right, filter_rules
-from rossec.cli.grant import _permissions, _restrictions, _rules
+from rossec.cli.grantoptions import permissions, restrictions, rules
 from rossec.cli.main import run
 from rossec.errors import ConfigurationError
 
@@ -12,8 +12,8 @@ POSE = "geometry_msgs/PoseStamped"
 
 
 def test_options() -> None:
-    rules = _rules(("header.frame_id",), ("pose.position=0.5",), ("pose.orientation=-1:0.5",))
-    [made] = _restrictions(POSE, rules, ("msg.header.seq > 1",), 2.5, None)
+    filters = rules(("header.frame_id",), ("pose.position=0.5",), ("pose.orientation=-1:0.5",))
+    [made] = restrictions(POSE, filters, ("msg.header.seq > 1",), 2.5, None)
     assert made == Restriction(
         POSE,
         ("msg.header.seq > 1",),
@@ -26,31 +26,37 @@ def test_options() -> None:
         ),
         2.5,
     )
-    assert _restrictions(None, {}, (), None, None) == []
+    assert restrictions(None, {}, (), None, None) == []
 
 
 def test_a_preset_and_more_hold_together() -> None:
-    made = _restrictions(
-        POSE, _rules((), (), ()), ("now.getHours() >= 8",), None, "coarse-position"
-    )
+    made = restrictions(POSE, rules((), (), ()), ("now.getHours() >= 8",), None, "coarse-position")
     assert [item.rate for item in made] == [0.2, None]
-    permissions = _permissions(("/out",), ("/pose", "/other"), True, made)
-    assert [permission.restriction for permission in permissions] == [None, *made, *made, None]
-    assert [item.rights for item in _permissions((), ("/a",), False, [])] == [Right.SUBSCRIBE]
+    wanted = {Right.PUBLISH: ("/out",), Right.SUBSCRIBE: ("/pose", "/other"), Right.CALL: ("/go",)}
+    granted = permissions(wanted, graph=True, restricted=made)
+    assert [item.restriction for item in granted] == [None, *made, *made, *made, None]
+    assert [item.rights for item in granted][-3:] == [Right.CALL, Right.CALL, Right.GRAPH]
+    alone = permissions({Right.SUBSCRIBE: ("/a",)}, graph=False, restricted=[])
+    assert [item.rights for item in alone] == [Right.SUBSCRIBE]
+
+
+def test_a_part_of_a_service_may_be_restricted() -> None:
+    [made] = restrictions("std_srvs/SetBoolRequest", {}, ("msg.data == false",), None, None)
+    assert made.type == "std_srvs/SetBoolRequest"
 
 
 def test_mistakes_show_at_once() -> None:
     with pytest.raises(FilterRefused, match="no field 'positon'"):
-        _restrictions(POSE, _rules((), ("pose.positon=1",), ()), (), None, None)
+        restrictions(POSE, rules((), ("pose.positon=1",), ()), (), None, None)
     with pytest.raises(FilterRefused, match="the preset does not exist for std_msgs/String"):
-        _restrictions("std_msgs/String", {}, (), None, "coarse-position")
+        restrictions("std_msgs/String", {}, (), None, "coarse-position")
     with pytest.raises(ConfigurationError, match="need the message type"):
-        _restrictions(None, {}, (), 1.0, None)
+        restrictions(None, {}, (), 1.0, None)
     for text in ("x", "x=1", "x=a:b"):
         with pytest.raises(ConfigurationError, match=f"--clamp {text} has no range"):
-            _rules((), (), (text,))
+            rules((), (), (text,))
     with pytest.raises(ConfigurationError, match="what a subscriber sees"):
-        _permissions(("/a",), (), False, [Restriction(rate=1)])
+        permissions({Right.PUBLISH: ("/a",)}, graph=False, restricted=[Restriction(rate=1)])
 
 
 def test_presets_are_explained(capsys: pytest.CaptureFixture[str]) -> None:

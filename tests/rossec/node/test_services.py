@@ -95,3 +95,43 @@ def test_a_header_without_a_service(pair: Pair) -> None:
     del question["service"]
     with pytest.raises(TopicRefused, match="'service'"):
         pair.admit_hall(question)
+
+
+def test_headers_of_both_sides_fit_each_other(pair: Pair) -> None:
+    kind = services.Expected("std_srvs/SetBool", "09fb03525b03e7ea1fd3992bafd87e16")
+    asked = services.client_header("/hall", SERVICE, kind, pair.hall_access, NOW, persistent=True)
+    pair.admit_hall(asked)
+    assert services.is_set(asked, "persistent")
+    assert not services.is_set(asked, "probe")
+    answer = services.server_header("/door", SERVICE, kind, pair.door_access, NOW)
+    services.admit_provider(answer, pair.door, SERVICE, pair.hall_access, NOW)
+    for fields in (asked, answer):
+        services.check_md5(fields, SERVICE, kind.md5sum)
+        assert fields["type"] == b"std_srvs/SetBool"
+    assert answer["request_type"] == b"std_srvs/SetBoolRequest"
+
+
+def test_a_probe_expects_nothing(pair: Pair) -> None:
+    asked = services.client_header(
+        "/hall", SERVICE, services.ANY, pair.hall_access, NOW, probe=True
+    )
+    assert services.is_set(asked, "probe")
+    assert asked["md5sum"] == b"*"
+    services.check_md5(asked, SERVICE, "0" * 32)
+
+
+@pytest.mark.parametrize(
+    ("value", "means"),
+    [(b"1", True), (b"true", True), (b"True", True), (b"0", False), (b"", False)],
+)
+def test_flags_as_stock_clients_write_them(value: bytes, means: bool) -> None:
+    assert services.is_set({"probe": value}, "probe") is means
+    assert not services.is_set({}, "probe")
+
+
+def test_checksums_must_agree() -> None:
+    services.check_md5({"md5sum": b"a"}, SERVICE, "*")
+    with pytest.raises(TopicRefused, match="/door/open has the checksum b here, a at the peer"):
+        services.check_md5({"md5sum": b"a"}, SERVICE, "b")
+    with pytest.raises(TopicRefused, match="has no 'md5sum'"):
+        services.check_md5({}, SERVICE, "b")

@@ -21,6 +21,9 @@ class Node:
     def publishers_changed(self, topic: str, uris: list[str]) -> None:
         self.heard.append((topic, uris))
 
+    def parameter_changed(self, key: str, value: object) -> None:
+        self.heard.append((key, value))
+
     def revocations_arrived(self, revocations: bytes, timestamp: bytes, master: Identity) -> None:
         if revocations == b"older":
             raise RollbackRefused("older than one seen")

@@ -140,3 +140,13 @@ def test_service_replies_keep_their_ok_byte() -> None:
     stream = header.frame(b"head") + b"\x01" + header.frame(b"yes") + b"\x00" + header.frame(b"no")
     frames = [frame for byte in stream for frame in reader.feed(bytes([byte]))]
     assert frames == [b"head", b"\x01yes", b"\x00no"]
+
+
+def test_one_frame_at_a_time() -> None:
+    reader = header.FrameReader()
+    arrived = [reader.feed_one(bytes([byte])) for byte in header.frame(b"abc")]
+    assert arrived == [None] * 6 + [b"abc"]
+    assert reader.feed_one(header.frame(b"")) == b""
+    for _ in range(2):  # and what was refused once stays refused
+        with pytest.raises(FrameRefused, match="bytes after a frame, before its answer"):
+            reader.feed_one(header.frame(b"abc") + b"x")

@@ -102,3 +102,10 @@ def test_parse_uri_names_what_it_read() -> None:
 )  # fmt: skip
 def test_what_only_this_host_can_reach(address: str, alone: bool) -> None:
     assert is_loopback(address) is alone
+
+
+def test_the_uri_of_a_service() -> None:
+    assert parse_uri("rosrpc://[::1]:4000", scheme="rosrpc") == ("::1", 4000)
+    with pytest.raises(SettingsRefused, match="does not begin with rosrpc://") as refused:
+        parse_uri("http://localhost:1", scheme="rosrpc")
+    assert "rosrpc://localhost" in refused.value.hint

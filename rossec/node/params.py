@@ -1,0 +1,250 @@
+"""Parameters: the master's tree, read and written over the node's session, and its changes.
+
+Values are what XML-RPC carries: bool, int, float, str, bytes, lists, mappings with text as keys.
+A subscription holds the newest value; who iterates slower than it changes misses values in between.
+The master tells a subscriber of an unset parameter with an empty mapping: ROS knows no difference.
+"""
+
+import asyncio
+import contextlib
+from collections.abc import AsyncIterator, Awaitable, Callable
+from copy import deepcopy
+from typing import Any, Final
+
+from ca.errors import HintedError
+from rossec.errors import AnswerMalformed, AnswerRefused, ParameterUnset
+from rossec.node.standing import Standing
+from rossec.ros.names import SEPARATOR
+from rossec.ros.xmlrpc import Fault
+
+_REQUIRED: Final = object()
+_NOT_FOUND: Final = "Cannot find parameter"  # what the master says to a search, as stock
+_REFUSAL: Final = "rossec: "  # begins every refusal of the master; what else has code -1 is absent
+
+Value = Any  # what XML-RPC carries
+
+
+class Parameters:
+    """The parameters as this node may see them: `node.params`.
+
+    Args:
+        resolve: a name as the program writes it, made absolute and remapped.
+    """
+
+    def __init__(self, standing: Standing, resolve: Callable[[str], str]) -> None:
+        self._standing = standing
+        self._resolve = resolve
+        self._subscriptions: dict[str, list[ParameterSubscription]] = {}
+
+    async def get(self, name: str, default: Value = _REQUIRED) -> Value:
+        """The value of `name`, of a namespace as a mapping; `default`, if given, when it is unset.
+
+        Raises:
+            ParameterUnset: it has no value, and there is no default.
+            RossecError: the master refuses, or is out of reach.
+        """
+        key = self._key(name)
+        try:
+            return await self._ask("getParam", key)
+        except AnswerRefused as error:
+            if str(error).startswith(_REFUSAL):
+                raise
+            if default is not _REQUIRED:
+                return default
+            raise _unset(key) from error
+
+    async def set(self, name: str, value: Value) -> None:
+        """Give `name` a value; a mapping sets a namespace and drops what else was in it.
+
+        Raises:
+            RossecError: XML-RPC cannot carry the value, or the master refuses.
+        """
+        key = self._key(name)
+        await self._ask("setParam", key, value)
+        self.changed(key, value)  # the master does not tell the one who set it
+
+    async def has(self, name: str) -> bool:
+        """Whether `name` has a value; raises as `get`."""
+        return bool(await self._ask("hasParam", self._key(name)))
+
+    async def delete(self, name: str) -> None:
+        """Unset `name` and everything below it; raises as `get`."""
+        key = self._key(name)
+        try:
+            await self._ask("deleteParam", key)
+        except AnswerRefused as error:
+            if str(error).startswith(_REFUSAL):
+                raise
+            raise _unset(key) from error
+
+    async def search(self, name: str) -> str | None:
+        """The nearest `name` in this node's namespace and those above; None when there is none.
+
+        Raises:
+            RossecError: no name to search for, or the master is out of reach.
+        """
+        try:
+            return str(await self._ask("searchParam", name))
+        except AnswerRefused as error:
+            if not str(error).startswith(_NOT_FOUND):
+                raise
+            return None
+
+    async def names(self) -> list[str]:
+        """Every parameter this node may read."""
+        found = await self._ask("getParamNames")
+        if not isinstance(found, list) or not all(isinstance(name, str) for name in found):
+            raise AnswerMalformed("names of parameters that are no list of text")
+        return found
+
+    async def subscribe(self, name: str) -> "ParameterSubscription":
+        """Follow `name`: `async for value in subscription` begins with the present value.
+
+        Raises:
+            RossecError: the master refuses, or is out of reach.
+        """
+        subscription = ParameterSubscription(self._key(name), self._unsubscribe)
+        self._subscriptions.setdefault(subscription.name, []).append(subscription)
+        try:
+            await self._register(subscription.name)
+        except BaseException:
+            self._drop(subscription)
+            raise
+        return subscription
+
+    def changed(self, key: str, value: Value) -> None:
+        """Take over what the master (or this node) says `key` is now."""
+        key = key.removesuffix(SEPARATOR) or SEPARATOR
+        for name, subscriptions in self._subscriptions.items():
+            for subscription in subscriptions:
+                if key == name or _is_below(key, name):
+                    subscription.take(_replaced(subscription.value, _path(key, name), value))
+                elif _is_below(name, key):
+                    subscription.take(_found(value, _path(name, key)))
+
+    async def restore(self) -> None:
+        """Subscribe to everything again: the master was restarted, or a grant is new."""
+        for name in tuple(self._subscriptions):
+            with self._standing.restoring(name):
+                await self._register(name)
+
+    def close(self) -> None:
+        """End every iteration over a subscription."""
+        for subscriptions in self._subscriptions.values():
+            for subscription in subscriptions:
+                subscription.end()
+
+    async def _register(self, key: str) -> None:
+        before = [item.updates for item in self._subscriptions[key]]
+        value = await self._ask("subscribeParam", self._standing.uri(), key)
+        for subscription, updates in zip(self._subscriptions.get(key, []), before, strict=False):
+            if subscription.updates == updates:  # a push may have been faster
+                subscription.take(value)
+
+    async def _unsubscribe(self, subscription: "ParameterSubscription") -> None:
+        self._drop(subscription)
+        if subscription.name not in self._subscriptions:
+            with contextlib.suppress(HintedError, OSError, TimeoutError):
+                await self._ask("unsubscribeParam", self._standing.uri(), subscription.name)
+
+    def _drop(self, subscription: "ParameterSubscription") -> None:
+        others = self._subscriptions.get(subscription.name, [])
+        if subscription in others:
+            others.remove(subscription)
+        if not others:
+            self._subscriptions.pop(subscription.name, None)
+
+    async def _ask(self, method: str, *params: object) -> object:
+        """Call the master; that it cannot even read the call is an ordinary refusal here."""
+        try:
+            return await self._standing.call(method, *params)
+        except Fault as fault:
+            raise AnswerRefused(
+                f"the master cannot read this {method}: {fault.faultString}",
+                "XML carries no control characters; send such text as bytes",
+                code=fault.faultCode,
+            ) from fault
+
+    def _key(self, name: str) -> str:
+        return name if name == SEPARATOR else self._resolve(name)
+
+
+class ParameterSubscription:
+    """One parameter, followed. Made by `Parameters.subscribe`.
+
+    Attributes:
+        name: its resolved name.
+        value: its newest value; do not change it in place.
+    """
+
+    def __init__(
+        self, name: str, on_close: Callable[["ParameterSubscription"], Awaitable[None]]
+    ) -> None:
+        self.name = name
+        self.value: Value = {}
+        self.updates = 0
+        self._on_close = on_close
+        self._wake = asyncio.Event()
+        self._ended = False
+
+    def take(self, value: Value) -> None:
+        """A new value; the same one again wakes nobody."""
+        fresh = self.updates == 0 or value != self.value
+        self.updates += 1
+        if fresh:
+            self.value = value
+            self._wake.set()
+
+    async def __aiter__(self) -> AsyncIterator[Value]:
+        """The present value, then the newest one whenever it has changed."""
+        while True:
+            await self._wake.wait()
+            if self._ended:
+                return
+            self._wake.clear()
+            yield self.value
+
+    async def close(self) -> None:
+        """Unsubscribe and end the iteration. Safe to call twice."""
+        if not self._ended:
+            self.end()
+            await self._on_close(self)
+
+    def end(self) -> None:
+        """End the iteration: the node is closed."""
+        self._ended = True
+        self._wake.set()
+
+
+def _unset(key: str) -> ParameterUnset:
+    return ParameterUnset(
+        f"the parameter {key} is not set", "rossec param list shows those that are"
+    )
+
+
+def _is_below(name: str, above: str) -> bool:
+    return name.startswith(above.removesuffix(SEPARATOR) + SEPARATOR) and name != above
+
+
+def _path(name: str, above: str) -> list[str]:
+    return [part for part in name.removeprefix(above).split(SEPARATOR) if part]
+
+
+def _found(tree: Value, path: list[str]) -> Value:
+    for part in path:
+        tree = tree.get(part, {}) if isinstance(tree, dict) else {}
+    return tree
+
+
+def _replaced(tree: Value, path: list[str], value: Value) -> Value:
+    """`tree` with `value` at `path`; an empty mapping there means that nothing is."""
+    if not path:
+        return deepcopy(value)
+    new = dict(tree) if isinstance(tree, dict) else {}
+    head, *rest = path
+    below = _replaced(new.get(head), rest, value)
+    if below == {}:
+        new.pop(head, None)
+    else:
+        new[head] = below
+    return new

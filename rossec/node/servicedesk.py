@@ -1,0 +1,205 @@
+"""The services of one node: those it provides, those it calls, and what the master knows of them.
+
+A shell. Authorization precedes any look at what this node provides: a caller or a probe without the
+right learns nothing (attack N6).
+"""
+
+import asyncio
+import contextlib
+import time
+from collections.abc import Awaitable, Callable, Iterator, Mapping
+from functools import partial
+from typing import Final
+
+from ca.certificates import Identity
+from ca.errors import HintedError
+from rossec.errors import (
+    AnswerMalformed,
+    AnswerRefused,
+    ChannelError,
+    ConfigurationError,
+    ServiceUnavailable,
+    TopicRefused,
+)
+from rossec.net.stream import SecureStream
+from rossec.node.client import CALL_DEADLINE, ServiceClient, probe
+from rossec.node.fields import Fields
+from rossec.node.links import Link
+from rossec.node.provider import CONCURRENCY, HANDLER_DEADLINE, Handler, Service
+from rossec.node.services import (
+    admit_caller,
+    check_md5,
+    is_set,
+    requested_service,
+    server_header,
+)
+from rossec.node.srvtypes import ServiceType
+from rossec.node.standing import Standing
+from rossec.ros import header
+
+_LOOK: Final = 0.3  # seconds between looks for a service, as in rospy
+_ABSENT: Final = "no provider"  # what the master says, as stock; a refusal begins with "rossec: "
+
+
+class Services:
+    """The desk every call of a service goes through, in either direction."""
+
+    def __init__(self, standing: Standing) -> None:
+        self._standing = standing
+        self._provided: dict[str, Service] = {}
+        self._clients: set[ServiceClient] = set()
+
+    async def provide(
+        self,
+        name: str,
+        kind: ServiceType,
+        handler: Handler,
+        *,
+        concurrency: int = CONCURRENCY,
+        deadline: float = HANDLER_DEADLINE,
+    ) -> Service:
+        """Register the service `name`; see `Service`.
+
+        Raises:
+            RossecError: a second provider in this node, or the master refuses.
+        """
+        if name in self._provided:
+            raise ConfigurationError(f"{name} is provided by this node already")
+        service = Service(
+            name, kind, handler, self._standing, self._withdraw,
+            concurrency=concurrency, deadline=deadline,
+        )  # fmt: skip
+        self._provided[name] = service
+        try:
+            await self._register(service)
+        except BaseException:
+            del self._provided[name]
+            raise
+        return service
+
+    def client(
+        self,
+        name: str,
+        kind: ServiceType,
+        *,
+        persistent: bool = False,
+        deadline: float = CALL_DEADLINE,
+    ) -> ServiceClient:
+        """A client of the service `name`; nothing is connected yet."""
+        client = ServiceClient(
+            name, kind, self._standing, self.dial, self._clients.discard,
+            persistent=persistent, deadline=deadline,
+        )  # fmt: skip
+        self._clients.add(client)
+        return client
+
+    async def wait_for(self, name: str) -> None:
+        """Return as soon as a provider of `name` answers.
+
+        Raises:
+            HintedError: this node may not call it, or the provider may not provide it.
+        """
+        while True:
+            with contextlib.suppress(ServiceUnavailable, ChannelError, OSError, TimeoutError):
+                await self.probe(name)
+                return
+            await asyncio.sleep(_LOOK)
+
+    async def probe(self, name: str) -> tuple[Fields, Identity]:
+        """The header of the provider of `name`, and who it is; raises as `client.probe`."""
+        return await probe(self.dial, self._standing.name, name, self._standing.access)
+
+    async def known(self) -> dict[str, list[str]]:
+        """Services this node may see, and who provides each.
+
+        Raises:
+            RossecError: the master is out of reach, or answers nonsense.
+        """
+        match await self._standing.call("getSystemState"):
+            case [_, _, [*services]]:
+                return dict(_provided(item) for item in services)
+            case _:
+                raise AnswerMalformed("a system state that is none")
+
+    async def lookup(self, name: str) -> str:
+        """The rosrpc URI of the provider of `name`.
+
+        Raises:
+            ServiceUnavailable: there is none.
+            RossecError: the master refuses, or is out of reach.
+        """
+        try:
+            uri = await self._standing.call("lookupService", name)
+        except AnswerRefused as error:
+            if str(error) != _ABSENT:
+                raise
+            raise ServiceUnavailable(
+                f"no node provides {name}", "start its provider, or wait for the service"
+            ) from error
+        return str(uri)
+
+    async def dial(self, name: str) -> SecureStream[Identity]:
+        """Connect to the provider of `name`; raises as `lookup` and `Dialer.service`."""
+        return await self._standing.dialer.service(await self.lookup(name))
+
+    def admit(
+        self, fields: Mapping[str, bytes], stream: SecureStream[Identity]
+    ) -> Callable[[], Awaitable[None]]:
+        """Decide on a caller from its header; returns what serves it.
+
+        Raises:
+            HintedError: why not.
+        """
+        own, now = self._standing, int(time.time())
+        decision = admit_caller(fields, stream.peer, own.access, now)
+        name = requested_service(fields)
+        service = self._provided.get(name)
+        if service is None:
+            raise TopicRefused(f"{own.name} does not provide {name}")
+        check_md5(fields, name, service.kind.md5sum)
+        answer = header.encode(server_header(own.name, name, service.expected, own.access, now))
+        if is_set(fields, "probe"):
+            return partial(stream.send, answer)
+        guard = service.guard(decision)
+        persistent = is_set(fields, "persistent")
+        return partial(service.serve, stream, decision, guard, answer, persistent=persistent)
+
+    def links(self) -> Iterator[Link]:
+        """Every live connection of a service."""
+        for service in self._provided.values():
+            yield from service.links
+        for client in self._clients:
+            yield from client.links
+
+    async def restore(self) -> None:
+        """Register everything again: the master was restarted, or a grant is new."""
+        for service in tuple(self._provided.values()):
+            with self._standing.restoring(service.name):
+                await self._register(service)
+
+    async def close(self) -> None:
+        """Drop every client and every caller; unregister."""
+        for client in tuple(self._clients):
+            await client.close()
+        for service in tuple(self._provided.values()):
+            await service.close()
+
+    async def _register(self, service: Service) -> None:
+        own = self._standing
+        await own.call("registerService", service.name, own.rosrpc(), own.uri())
+
+    async def _withdraw(self, service: Service) -> None:
+        if self._provided.get(service.name) is service:
+            del self._provided[service.name]
+            with contextlib.suppress(HintedError, OSError, TimeoutError):
+                await self._standing.call(
+                    "unregisterService", service.name, self._standing.rosrpc()
+                )
+
+
+def _provided(item: object) -> tuple[str, list[str]]:
+    match item:
+        case [str() as name, [*nodes]]:
+            return name, [node for node in nodes if isinstance(node, str)]
+        case _:
+            raise AnswerMalformed("a system state that is none")

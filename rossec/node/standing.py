@@ -1,0 +1,43 @@
+"""What the parts of one node share: who it is, what it may do, and how it reaches others."""
+
+import contextlib
+import logging
+from collections.abc import Awaitable, Callable, Iterator
+from dataclasses import dataclass
+
+from ca.revocation import Revocations
+from rossec.errors import AnswerRefused
+from rossec.node.access import Access
+from rossec.node.dial import Dialer
+
+Call = Callable[..., Awaitable[object]]
+_log = logging.getLogger("rossec.node")
+
+
+@dataclass(frozen=True)
+class Standing:
+    """One running node.
+
+    Attributes:
+        call: calls the master.
+        filter_key: finds a key for pseudonyms by its name.
+        uri: its API URI, as registered.
+        rosrpc: the URI of its services, as registered.
+    """
+
+    name: str
+    access: Access
+    revocations: Revocations
+    call: Call
+    dialer: Dialer
+    filter_key: Callable[[str], bytes]
+    uri: Callable[[], str]
+    rosrpc: Callable[[], str]
+
+    @contextlib.contextmanager
+    def restoring(self, what: str) -> Iterator[None]:
+        """Register `what` again; one right that is gone must not cost the node all the others."""
+        try:
+            yield
+        except AnswerRefused as error:
+            _log.warning("%s: %s is not registered again: %s", self.name, what, error)

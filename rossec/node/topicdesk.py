@@ -1,0 +1,141 @@
+"""The topics of one node: its publishers and subscribers, and their standing with the master.
+
+A shell.
+"""
+
+import contextlib
+import logging
+from collections.abc import Iterator, Mapping
+
+from ca.errors import HintedError
+from grants import layout
+from rossec.errors import ConfigurationError
+from rossec.node.links import Link
+from rossec.node.publisher import Publisher
+from rossec.node.standing import Standing
+from rossec.node.subscriber import Subscriber
+from rossec.node.topics import Endpoint
+
+_log = logging.getLogger("rossec.node")
+
+
+class Topics:
+    """Publishers by topic, and any number of subscribers."""
+
+    def __init__(self, standing: Standing) -> None:
+        self._standing = standing
+        self._publishers: dict[str, Publisher] = {}
+        self._subscribers: dict[str, list[Subscriber]] = {}
+
+    @property
+    def publishers(self) -> Mapping[str, Publisher]:
+        """What this node publishes, by topic."""
+        return self._publishers
+
+    @property
+    def subscribers(self) -> list[Subscriber]:
+        """What this node subscribes to."""
+        return [item for items in self._subscribers.values() for item in items]
+
+    async def publish(self, endpoint: Endpoint, *, latch: bool, queue_size: int) -> Publisher:
+        """Register a publisher.
+
+        Raises:
+            RossecError: a second publisher of the topic, or the master refuses.
+        """
+        if endpoint.topic in self._publishers:
+            raise ConfigurationError(f"{endpoint.topic} is published by this node already")
+        shape = layout.parse(endpoint.type.name, endpoint.type.definition)
+        publisher = Publisher(
+            endpoint, shape, self._standing.filter_key, latch=latch, queue_size=queue_size
+        )
+        self._publishers[endpoint.topic] = publisher
+        try:
+            await self._register_publisher(publisher)
+        except BaseException:
+            del self._publishers[endpoint.topic]
+            raise
+        return publisher
+
+    async def subscribe(self, endpoint: Endpoint, *, queue_size: int) -> Subscriber:
+        """Register a subscriber.
+
+        Raises:
+            RossecError: the master refuses.
+        """
+        own = self._standing
+        subscriber = Subscriber(
+            own.name,
+            endpoint,
+            own.access,
+            own.dialer.topic,
+            self._forget,
+            queue_size=queue_size,
+        )
+        self._subscribers.setdefault(endpoint.topic, []).append(subscriber)
+        try:
+            await self._register_subscriber(subscriber)
+        except BaseException:
+            await subscriber.close()
+            raise
+        return subscriber
+
+    def publishers_changed(self, topic: str, uris: list[str]) -> None:
+        """Follow the master's list of publishers."""
+        for subscriber in self._subscribers.get(topic, []):
+            subscriber.update([uri for uri in uris if uri != self._standing.uri()])
+
+    def links(self) -> Iterator[Link]:
+        """Every live connection of a topic."""
+        for publisher in self._publishers.values():
+            yield from publisher.links
+        for subscriber in self.subscribers:
+            yield from subscriber.links
+
+    async def restore(self) -> None:
+        """Register everything again: the master was restarted, or a grant is new."""
+        for publisher in tuple(self._publishers.values()):
+            with self._standing.restoring(publisher.topic):
+                await self._register_publisher(publisher)
+        for subscriber in self.subscribers:
+            with self._standing.restoring(subscriber.topic):
+                await self._register_subscriber(subscriber)
+
+    async def close_subscribers(self) -> None:
+        """Drop every connection to a publisher."""
+        for subscriber in self.subscribers:
+            await subscriber.close()
+
+    async def unregister(self) -> None:
+        """Tell the master that this node publishes no more."""
+        try:
+            for topic in self._publishers:
+                await self._standing.call("unregisterPublisher", topic, self._standing.uri())
+        except (HintedError, OSError, TimeoutError) as error:
+            _log.info("%s: left without unregistering: %s", self._standing.name, error)
+
+    async def _register_publisher(self, publisher: Publisher) -> None:
+        endpoint = publisher.endpoint
+        await self._standing.call(
+            "registerPublisher", endpoint.topic, endpoint.type.name, self._standing.uri()
+        )
+
+    async def _register_subscriber(self, subscriber: Subscriber) -> None:
+        endpoint, own = subscriber.endpoint, self._standing.uri()
+        before = subscriber.updates
+        uris = await self._standing.call(
+            "registerSubscriber", endpoint.topic, endpoint.type.name, own
+        )
+        if isinstance(uris, list) and subscriber.updates == before:  # a push may have been faster
+            subscriber.update([uri for uri in uris if isinstance(uri, str) and uri != own])
+
+    async def _forget(self, subscriber: Subscriber) -> None:
+        """A subscriber was closed; the last one of its topic unregisters."""
+        others = self._subscribers.get(subscriber.topic, [])
+        if subscriber in others:
+            others.remove(subscriber)
+        if not others and self._subscribers.pop(subscriber.topic, None) is not None:
+            with contextlib.suppress(HintedError, OSError):
+                await self._standing.call(
+                    "unregisterSubscriber", subscriber.topic, self._standing.uri()
+                )

@@ -1,0 +1,30 @@
+"""A site with a master, a lamp that provides a service, and a hall that calls it."""
+
+from collections.abc import AsyncIterator
+from pathlib import Path
+
+import pytest
+
+from grants.model import Right
+from rossec.node import Node
+from tests.support.site import Site
+
+
+@pytest.fixture
+async def site(tmp_path: Path) -> AsyncIterator[Site]:
+    async with Site(tmp_path / "site").running() as site:
+        yield site
+
+
+@pytest.fixture
+async def lamp(site: Site) -> AsyncIterator[Node]:
+    site.grant("/lamp", Right.PROVIDE, "/lamp/*")
+    async with site.node("/lamp") as lamp:
+        yield lamp
+
+
+@pytest.fixture
+async def hall(site: Site) -> AsyncIterator[Node]:
+    site.grant("/hall", Right.CALL, "/lamp/*")
+    async with site.node("/hall") as hall:
+        yield hall
