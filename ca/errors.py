@@ -105,3 +105,27 @@ class KeyChanged(StoreError):
 
 class ProofRefused(CAError):
     """A Merkle proof that does not show what it should."""
+
+
+class LogDamaged(StoreError):
+    """The authority's log is not what was written, or not what was signed."""
+
+
+class RequestClosed(StoreError):
+    """A request that was denied, answered or forgotten cannot be used for this."""
+
+
+class NameContested(StoreError):
+    """Two keys ask for one name, and nobody has said which of them is right."""
+
+
+class RenewalRefused(CAError):
+    """A renewal that the identity it renews does not prove, or that is not due."""
+
+
+class TokenRefused(KeyRefused):
+    """The token that holds the key is missing, locked, or holds no such key."""
+
+
+class BackupRefused(CAError):
+    """A file that is no backup of an authority, or one that must not be restored here."""

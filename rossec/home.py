@@ -80,9 +80,9 @@ class NodeHome:
         Raises:
             CertificateRefused: not a valid identity.
         """
-        leaf, root = _split(bundle)
+        chain, root = _split(bundle)
         anchor = TrustAnchor.load(root)
-        return cls.of(home, anchor.verify([leaf], now).name), anchor
+        return cls.of(home, anchor.verify(chain, now).name), anchor
 
     @property
     def request_path(self) -> Path:
@@ -115,9 +115,9 @@ class NodeHome:
             ConfigurationError: of another node, for another key, or of another authority than
                 this node trusts already.
         """
-        leaf, root = _split(bundle)
+        chain, root = _split(bundle)
         anchor = TrustAnchor.load(root)
-        identity = anchor.verify([leaf], now)
+        identity = anchor.verify(chain, now)
         self._check_is_ours(identity)
         self._check_same_authority(anchor)
         files.replace(self.path / "ca.pem", to_pem(root), 0o644)
@@ -149,14 +149,14 @@ class NodeHome:
         """Whether an identity with a wildcard tail is installed; verified when it is used."""
         if not (self.path / "node.pem").exists():
             return False
-        leaf, _ = _split(self._read("node.pem", ""))
-        return svid.is_wildcard(leaf)
+        chain, _ = _split(self._read("node.pem", ""))
+        return svid.is_wildcard(chain[0])
 
     def credentials(self) -> Credentials:
-        """This node's key and certificate."""
-        leaf, _ = _split(self._read("node.pem", self._enroll))
+        """This node's key and certificate, with the intermediate's if it hangs on one."""
+        chain, _ = _split(self._read("node.pem", self._enroll))
         key = keys.load_private(self.path / "node.key")
-        return Credentials(KeySigner(key), (leaf,), shared=svid.is_wildcard(leaf))
+        return Credentials(KeySigner(key), chain, shared=svid.is_wildcard(chain[0]))
 
     def grants(self) -> list[bytes]:
         """The grants this node holds, as signed; unverified."""
@@ -255,12 +255,15 @@ def _shortened(name: str) -> Iterator[str]:
             yield name[:end]
 
 
-def _split(bundle: bytes) -> tuple[bytes, bytes]:
+def _split(bundle: bytes) -> tuple[tuple[bytes, ...], bytes]:
+    """The chain a node shows, and the root, which it does not."""
     match from_pem(bundle):
         case (leaf, root):
-            return leaf, root
+            return (leaf,), root
+        case (leaf, intermediate, root):
+            return (leaf, intermediate), root
         case found:
             raise ConfigurationError(
-                f"a bundle of {len(found)} certificates where two are expected",
+                f"a bundle of {len(found)} certificates where two or three are expected",
                 "take the file `rossec ca sign` wrote",
             )

@@ -10,7 +10,10 @@ from typing import Any, NoReturn
 import click
 
 from ca.errors import HintedError
+from rossec.cli import ca_backup, ca_identities
 from rossec.cli.ca import ca
+from rossec.cli.ca_intermediate import intermediate
+from rossec.cli.ca_log import log
 from rossec.cli.context import Environment
 from rossec.cli.demo import demo
 from rossec.cli.explain import explain
@@ -39,6 +42,8 @@ def rossec(verbose: bool) -> None:
 
 for command in (ca, node, grant, policy, explain, simulate, privacy, master, graph, topic, demo):
     rossec.add_command(command)
+for command in (*ca_identities.COMMANDS, *ca_backup.COMMANDS, intermediate, log):
+    ca.add_command(command)
 for command in COMMANDS:
     grant.add_command(command)
 

@@ -58,6 +58,10 @@ class Certified(Peer, Protocol):
     def wildcard(self) -> bool:
         """Whether the name has a wildcard tail."""
 
+    @property
+    def keys(self) -> tuple[bytes, ...]:
+        """Thumbprints of every key whose revocation ends this identity, its own first."""
+
     def covers(self, name: str) -> bool:
         """Whether the peer may go by `name`."""
 

@@ -113,6 +113,7 @@ class Trust:
         self._held: dict[bytes, _Held] = {}
         self._ended: dict[bytes, Grant] = {}
         self._lists: dict[tuple[str, bytes], bytes] = {}
+        self._chains: dict[bytes, tuple[bytes, ...]] = {}  # by the first key: all of an identity
         self._stamp: tuple[int, bytes] = (-1, b"")
         self._confirmed_at = -1
 
@@ -120,15 +121,16 @@ class Trust:
         """Who calls and what it may do now.
 
         Raises:
-            Revoked: the key is revoked.
+            Revoked: the key is revoked, or that of the intermediate it hangs on.
         """
-        if peer.thumbprint in self._revocations.entries:
+        self._chains[peer.thumbprint] = peer.keys
+        if self._is_revoked(peer.keys):
             raise Revoked(f"the key of {peer.name} is revoked", "enroll the node with a new key")
         return self._caller(peer, now, wildcard=peer.wildcard)
 
     def caller_of(self, peer: Peer, now: int) -> Caller | None:
         """What a name and key seen before may do now; None: the key is revoked."""
-        if peer.thumbprint in self._revocations.entries:
+        if self._is_revoked(self._chains.get(peer.thumbprint, (peer.thumbprint,))):
             return None
         return self._caller(peer, now)
 
@@ -261,8 +263,12 @@ class Trust:
         """Forget the grants of all other keys, and what has expired of these."""
         self._held = {key: held for key, held in self._held.items() if key in thumbprints}
         self._lists = {key: held for key, held in self._lists.items() if key[1] in thumbprints}
+        self._chains = {key: keys for key, keys in self._chains.items() if key in thumbprints}
         for held in self._held.values():
             held.drop_expired(now)
+
+    def _is_revoked(self, keys: tuple[bytes, ...]) -> bool:
+        return not self._revocations.entries.isdisjoint(keys)
 
     def _caller(self, peer: Peer, now: int, *, wildcard: bool = False) -> Caller:
         self._confirm(now)

@@ -85,7 +85,7 @@ class Listener:
     def cut(self, revoked: frozenset[bytes]) -> None:
         """Cut every connection of a revoked key, whatever it is used for."""
         for stream in tuple(self._streams):
-            if stream.peer.thumbprint in revoked:
+            if not revoked.isdisjoint(stream.peer.keys):
                 stream.abort("the peer's identity is revoked")
 
     async def close(self) -> None:

@@ -1,0 +1,19 @@
+"""The record under kill -9 at every single write (see `tests.support.crashes`)."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+SCENARIOS = {"issue", "deny", "collect", "revoke", "renew", "migrate"}
+
+
+def test_no_death_loses_or_doubles_an_identity(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "tests.support.crashes", str(tmp_path)]
+    done = subprocess.run(command, capture_output=True, check=False, text=True, timeout=110)
+    assert done.returncode == 0, done.stderr
+    deaths = json.loads(done.stdout)
+    assert set(deaths) == SCENARIOS
+    for counted in deaths.values():
+        assert counted["pwrite64"] >= 10
+        assert counted["fdatasync"] >= 4
