@@ -7,10 +7,12 @@ from pathlib import Path
 import click
 
 from ca.revocationtree import is_tree
-from rossec.authority import AuthorityHome
+from rossec.authority import AuthorityHome, OpenAuthority
+from rossec.cli import passphrase
 from rossec.cli.context import Environment, now, pass_environment
 from rossec.cli.delegate import delegate
 from rossec.cli.voice import say, say_json
+from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
 from rossec.master.complaints import Complain, ComplainLog, unheard
 from rossec.master.start import master_of
@@ -31,6 +33,10 @@ from rossec.ros import settings
     type=click.Path(path_type=Path, dir_okay=False),
     help="append what nodes lack the right to, for: rossec policy learn --from-log",
 )
+@click.option(
+    "--renew-identities", is_flag=True, help="with the intermediate of this host: see rossec ca"
+)
+@passphrase.option
 @click.pass_context
 @pass_environment
 def master(
@@ -39,19 +45,26 @@ def master(
     port: int | None,
     as_json: bool,
     complaints: Path | None,
+    renew_identities: bool,
+    passphrase_file: Path | None,
 ) -> None:
     """Run the master, as the node /master. Ends with Ctrl-C."""
     if context.invoked_subcommand is not None:
         return
     log = ComplainLog(complaints) if complaints is not None else unheard
-    asyncio.run(_serve(environment, port, as_json, log))
+    renewer = _intermediate(environment, passphrase_file) if renew_identities else None
+    asyncio.run(_serve(environment, port, as_json, log, renewer))
 
 
 master.add_command(delegate)
 
 
 async def _serve(
-    environment: Environment, port: int | None, as_json: bool, complain: Complain
+    environment: Environment,
+    port: int | None,
+    as_json: bool,
+    complain: Complain,
+    intermediate: OpenAuthority | None,
 ) -> None:
     own = settings.read((), environment.variables, default_name=MASTER)
     stop = asyncio.Event()
@@ -64,6 +77,7 @@ async def _serve(
         port=own.master_port if port is None else port,
         newest=_newest_list(environment),
         entries=_entries(environment),
+        intermediate=intermediate,
         now=now(),
         complain=complain,
     )
@@ -95,3 +109,19 @@ def _entries(environment: Environment) -> bytes | None:
     if newest is None or not is_tree(newest):
         return None
     return AuthorityHome.at(environment.home).entries()
+
+
+def _intermediate(environment: Environment, file: Path | None) -> OpenAuthority:
+    """The intermediate of this host, unlocked.
+
+    Raises:
+        ConfigurationError: there is none, or it is the root, whose key stays offline.
+    """
+    home = AuthorityHome.at(environment.home)
+    authority = home.unlock(passphrase.read(file, environment.variables))
+    if authority.authority.is_root:
+        raise ConfigurationError(
+            f"{home.path} holds the root, which signs no renewals for a master",
+            "make an intermediate: rossec ca intermediate request",
+        )
+    return authority

@@ -167,6 +167,7 @@ RULES: Final[Mapping[str, Rule]] = {
     "rossec.watchGraph": Rule(Scope.MASTER, Right.GRAPH),  # of which it is shown its part
     "rossec.presentGrants": Rule(Scope.OPEN),
     "rossec.renewGrants": Rule(Scope.OPEN),  # what is renewed is the caller's own, or refused
+    "rossec.renewIdentity": Rule(Scope.OPEN),  # the request is signed by the key that is renewed
     "rossec.updateDelegation": Rule(Scope.OPEN),  # as a list, it carries the authority's signature
     "rossec.revocations": Rule(Scope.OPEN),
     "rossec.revocationsSince": Rule(Scope.OPEN),

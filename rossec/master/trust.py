@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from ca.certificates import TrustAnchor
-from ca.errors import HintedError, RevocationRefused, Revoked
+from ca.errors import HintedError, RenewalRefused, RevocationRefused, Revoked
 from ca.revocation import MAX_AGE, Revocations, Timestamp, digest, sign_timestamp
 from ca.revocationtree import Listing, is_tree, open_tree
 from ca.signer import Signer
@@ -30,6 +30,10 @@ MAX_HELD_BYTES: Final = 256 * 1024
 MAX_NAMES: Final = 16 * 1024  # nodes of which is known which list they hold
 MAX_FAILURES: Final = 256  # refused grants of one key in FAILURES_WITHIN; each costs a verification
 FAILURES_WITHIN: Final = 60  # seconds
+
+
+Renewer = Callable[[bytes, int, Check], bytes]
+"""Answers a renewal request (`ca.renewal`) with the node's new bundle."""
 
 
 @dataclass(frozen=True)
@@ -91,6 +95,7 @@ class Trust:
         revocations: loaded with what was persisted, if anything.
         persist: makes a list durable; called before the list takes effect.
         delegate: renews grants; by default the authority has not delegated that.
+        renewer: answers a request to renew an identity, `check` says what is revoked; None: nobody.
         persist_entries: makes the entries of a tree durable, before the tree itself.
     """
 
@@ -102,12 +107,14 @@ class Trust:
         persist: Callable[[bytes], None],
         delegate: Delegate | None = None,
         persist_entries: Callable[[bytes], None] = forget,
+        renewer: Renewer | None = None,
     ) -> None:
         self._anchor = anchor
         self._signer = signer
         self._revocations = revocations
         self._persist = persist
         self._persist_entries = persist_entries
+        self._renewer = renewer
         self._listing: Listing | None = None
         self._delegate = Delegate(anchor, signer) if delegate is None else delegate
         self._held: dict[bytes, _Held] = {}
@@ -184,6 +191,23 @@ class Trust:
                 refused.append(str(error))
                 renewed.append(b"")
         return Renewed(tuple(renewed), tuple(refused))
+
+    def renew_identity(self, caller: Caller, request: bytes, now: int) -> bytes:
+        """The bundle that succeeds an identity, by the intermediate of this host.
+
+        Raises:
+            CAError: not in order, or there is no intermediate here.
+        """
+        if self._renewer is None:
+            raise RenewalRefused("this master renews no identities", "ask the authority's operator")
+        self._confirm(now)
+        held = self._held.setdefault(caller.thumbprint, _Held())
+        self._check_failures(held, now)
+        try:
+            return self._renewer(request, now, self._revocations.check)
+        except HintedError:
+            held.count_failure(now)
+            raise
 
     def delegated(self, data: bytes) -> bool:
         """Take leave of the authority to renew grants; returns whether it is newer.

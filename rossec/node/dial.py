@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable
 
 from ca.certificates import Identity, TrustAnchor
-from rossec.channel.credentials import Credentials
+from rossec.channel.credentials import OwnCredential
 from rossec.errors import TopicRefused
 from rossec.net.rpc import RpcClient
 from rossec.net.stream import Flavour, SecureStream, connect
@@ -22,7 +22,7 @@ class Dialer:
     """Connects as one node."""
 
     def __init__(
-        self, name: str, credentials: Credentials, anchor: TrustAnchor, check_peer: CheckPeer
+        self, name: str, credentials: OwnCredential, anchor: TrustAnchor, check_peer: CheckPeer
     ) -> None:
         self._name = name
         self._credentials = credentials

@@ -15,7 +15,7 @@ from ca.certificates import Identity, TrustAnchor
 from ca.errors import HintedError, RevocationsStale
 from grants.decision import Decision
 from grants.guard import Guard
-from rossec.channel.credentials import Credentials
+from rossec.channel.credentials import OwnCredential
 from rossec.errors import TopicRefused
 from rossec.net.rpc import serve_calls
 from rossec.net.server import Handler
@@ -40,7 +40,7 @@ class Listener:
     def __init__(
         self,
         name: str,
-        credentials: Credentials,
+        credentials: OwnCredential,
         anchor: TrustAnchor,
         access: Access,
         publishers: Mapping[str, Publisher],

@@ -18,12 +18,14 @@ from ca.certificates import Identity
 from ca.errors import HintedError
 from ca.revocation import Revocations, digest
 from grants import layout
+from rossec.channel.credentials import LiveCredentials
 from rossec.errors import AnswerRefused, ConfigurationError, NodeShutdown
 from rossec.home import NodeHome, rossec_home
 from rossec.net.stream import SecureStream
 from rossec.net.tasks import TaskSet
 from rossec.node.access import Access
 from rossec.node.dial import Dialer
+from rossec.node.identity import IdentityRenewal, renew_identity
 from rossec.node.links import Link
 from rossec.node.listener import Listener
 from rossec.node.messages import message_type
@@ -65,7 +67,7 @@ class Node:
         self.name = self.settings.name
         self.home = NodeHome.find(rossec_home(environ), self.name)
         self.anchor = self.home.anchor()
-        self.credentials = self.home.credentials()
+        self.credentials = LiveCredentials(self.home.credentials())
         self.identity = self.home.identity(int(time.time()))
         self.revocations = self._load_revocations()
         self.access = Access(self.anchor, self.revocations)
@@ -84,6 +86,7 @@ class Node:
             lambda call: prove(call, self.revocations),
         )
         self._renewals = Renewals(self.access)
+        self._identity_renewal = IdentityRenewal(self.home, self.credentials, int(time.time()))
         self._listener = Listener(
             self.name, self.credentials, self.anchor, self.access, self._publishers, SlaveApi(self)
         )
@@ -297,6 +300,7 @@ class Node:
                     _log.info("%s: %d new grants", self.name, len(new))
                     await self._session.call("rossec.presentGrants", new)
                 await renew(self._session.call, self._renewals, int(time.time()))
+                await renew_identity(self._session.call, self._identity_renewal, int(time.time()))
                 if await prove(self._session.call, self.revocations):
                     self._watch.cut(int(time.time()))
 

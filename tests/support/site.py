@@ -44,6 +44,7 @@ class Site:
         self.authority.sign_list(now)
         self.master: MasterServer | None = None
         self.complain: Complain = unheard
+        self.intermediate: OpenAuthority | None = None
 
     def now(self) -> int:
         """Seconds since the epoch, by this site's clock."""
@@ -158,7 +159,7 @@ class Site:
         self.master = master_of(
             self.enroll(MASTER), host="127.0.0.1", port=port,
             newest=self.authority.store.newest_list(), now=self.now(), entries=self.entries,
-            complain=self.complain,
+            complain=self.complain, intermediate=self.intermediate,
         )  # fmt: skip
         await self.master.start()
 
