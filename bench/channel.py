@@ -1,150 +1,50 @@
 """Plain TCP, TLS 1.3 (mutual, P-256) and rossec, side by side through the real asyncio drivers.
 
-Two processes on loopback, the variants in turn within every round; a ratio is the median of the
-rounds' ratios, so a disturbance hits both sides of it. `throughput` is a loop of sends, and rossec
-joins what one turn of the loop sends: part of what is measured. `paced` gives the loop a turn after
-every message, so that nothing can be joined. Both close their connections in order.
+Two processes on loopback. The variants take turns in slices of some hundredths of a second, so
+that other load hits all of them; a ratio is the median over pairs of neighbouring slices, `spread`
+its quartiles, and the first round warms up and counts for nothing. `throughput` is a loop of sends;
+rossec joins what one turn of the loop sends, which is part of what is measured. `paced` gives the
+loop a turn after every message, so that nothing can be joined. Both verify the peer's chain in full
+each time, learn its name, and close their connections in order.
 """
 
 import asyncio
-import datetime
 import multiprocessing
 import secrets
-import ssl
 import tempfile
 import time
 from collections import defaultdict
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Mapping
 from contextlib import suppress
 from multiprocessing.queues import Queue
 from pathlib import Path
-from statistics import median
+from statistics import median, quantiles
 from typing import Any, TypeAlias
 
-from cryptography import x509
-from cryptography.hazmat.primitives import hashes, serialization
-from cryptography.hazmat.primitives.asymmetric import ec
-from cryptography.x509.oid import NameOID
-
-from ca.signer import KeySigner
+from bench import _site
+from ca.certificates import Identity
 from rossec.channel.connection import Connection
-from rossec.channel.credentials import Credentials
 from rossec.channel.known import KnownCertificates
 from rossec.channel.suites import HYBRID, POST_QUANTUM
 from rossec.errors import ChannelError
 from rossec.net.stream import SecureStream, connect, serve
 
 SIZES = (64, 1024, 16 * 1024, 256 * 1024, 1024 * 1024, 6 * 1024 * 1024)
-VOLUME = {64: 512 * 1024, 1024: 4 << 20}  # bytes per sample; the others below
-LARGE_VOLUME = 32 << 20
-_ECDSA = ec.ECDSA(hashes.SHA256())
+VOLUME = {64: 256 * 1024, 1024: 2 << 20}  # bytes per slice; the others below
+LARGE_VOLUME = 16 << 20
+LEAST = 3  # messages per slice
+CONNECTIONS = 5  # per slice
+ROUND_TRIPS = 100
+HANDSHAKE_SLICES = 4
 
+Makers: TypeAlias = Mapping[str, "Callable[[], Awaitable[Pipe]]"]
 Samples: TypeAlias = dict[tuple[str, str], list[float]]
-
-
-class Site:
-    """One authority and one certificate, shared by both variants: P-256 throughout."""
-
-    def __init__(self, folder: Path) -> None:
-        self.root_key = ec.generate_private_key(ec.SECP256R1())
-        self.key = ec.generate_private_key(ec.SECP256R1())
-        self.other_key = ec.generate_private_key(ec.SECP256R1())
-        self.root = _certificate("root", self.root_key.public_key(), self.root_key, ca=True)
-        self.server = _certificate("server", self.key.public_key(), self.root_key, ca=False)
-        self.client = _certificate("client", self.other_key.public_key(), self.root_key, ca=False)
-        self._write(folder, "server", self.key, self.server)
-        self._write(folder, "client", self.other_key, self.client)
-        (folder / "root.pem").write_bytes(self.root.public_bytes(serialization.Encoding.PEM))
-
-    @staticmethod
-    def _write(
-        folder: Path, name: str, key: ec.EllipticCurvePrivateKey, certificate: x509.Certificate
-    ) -> None:
-        private = key.private_bytes(
-            serialization.Encoding.PEM,
-            serialization.PrivateFormat.PKCS8,
-            serialization.NoEncryption(),
-        )
-        public = certificate.public_bytes(serialization.Encoding.PEM)
-        (folder / f"{name}.pem").write_bytes(private + public)
-
-
-class Peer:
-    """The least identity the channel needs."""
-
-    def __init__(self, certificate: x509.Certificate) -> None:
-        key = certificate.public_key()
-        assert isinstance(key, ec.EllipticCurvePublicKey)
-        self.public_key = key
-        self.not_after = int(certificate.not_valid_after_utc.timestamp())
-
-
-def _certificate(
-    name: str, key: ec.EllipticCurvePublicKey, issuer: ec.EllipticCurvePrivateKey, *, ca: bool
-) -> x509.Certificate:
-    now = datetime.datetime.now(datetime.UTC)  # noqa: TID251 - a bench is a shell
-    subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)])
-    root = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, "root")])
-    uri = x509.UniformResourceIdentifier(f"spiffe://home/robot1/{name}")
-    builder = (
-        x509.CertificateBuilder()
-        .subject_name(subject)
-        .issuer_name(root)
-        .public_key(key)
-        .serial_number(x509.random_serial_number())
-        .not_valid_before(now - datetime.timedelta(hours=1))
-        .not_valid_after(now + datetime.timedelta(days=30))
-        .add_extension(x509.BasicConstraints(ca=ca, path_length=None), critical=True)
-        .add_extension(x509.SubjectAlternativeName([uri]), critical=False)
-    )
-    return builder.sign(issuer, hashes.SHA256())
-
-
-def verifier(folder: Path) -> Callable[[tuple[bytes, ...], int], Peer]:
-    """Parse and verify each time, as TLS does."""
-    root = x509.load_pem_x509_certificate((folder / "root.pem").read_bytes())
-    key, name = root.public_key(), root.subject
-    assert isinstance(key, ec.EllipticCurvePublicKey)
-
-    def verify(chain: tuple[bytes, ...], now: int) -> Peer:
-        certificate = x509.load_der_x509_certificate(chain[0])
-        peer = Peer(certificate)
-        assert certificate.issuer == name
-        assert now < peer.not_after
-        # As `ca.certificates` does it: the authority's key is parsed once.
-        key.verify(certificate.signature, certificate.tbs_certificate_bytes, _ECDSA)
-        return peer
-
-    return verify
-
-
-def credentials(folder: Path, name: str) -> Credentials:
-    """Load what `Site` wrote."""
-    pem = (folder / f"{name}.pem").read_bytes()
-    key = serialization.load_pem_private_key(pem, None)
-    assert isinstance(key, ec.EllipticCurvePrivateKey)
-    certificate = x509.load_pem_x509_certificate(pem)
-    der = certificate.public_bytes(serialization.Encoding.DER)
-    return Credentials(KeySigner(key), (der,))
-
-
-def tls(folder: Path, name: str, *, server: bool) -> ssl.SSLContext:
-    """TLS 1.3, both sides with certificates, no session tickets."""
-    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER if server else ssl.PROTOCOL_TLS_CLIENT)
-    context.minimum_version = ssl.TLSVersion.TLSv1_3
-    context.check_hostname = False
-    context.verify_mode = ssl.CERT_REQUIRED
-    context.load_cert_chain(folder / f"{name}.pem")
-    context.load_verify_locations(folder / "root.pem")
-    if server:
-        context.num_tickets = 0
-    return context
 
 
 class Pipe:
     """The same few verbs over a `SecureStream` or over asyncio's streams."""
 
-    def __init__(self, stream: SecureStream[Peer] | None, plain: Any = None) -> None:
+    def __init__(self, stream: SecureStream[Identity] | None, plain: Any = None) -> None:
         self._secure = stream
         self._plain = plain
 
@@ -193,10 +93,10 @@ def _server_process(folder: Path, ports: "Queue[tuple[int, int, int]]") -> None:
         async def plain(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
             await sink(Pipe(None, (reader, writer)))
 
-        async def secure(stream: SecureStream[Peer]) -> None:
+        async def secure(stream: SecureStream[Identity]) -> None:
             await sink(Pipe(stream))
 
-        context = tls(folder, "server", server=True)
+        context = _site.tls(folder, "server", server=True)
         limit = 2 << 20
         a = await asyncio.start_server(plain, "127.0.0.1", 0, limit=limit)
         b = await asyncio.start_server(plain, "127.0.0.1", 0, limit=limit, ssl=context)
@@ -204,8 +104,8 @@ def _server_process(folder: Path, ports: "Queue[tuple[int, int, int]]") -> None:
             secure,
             "127.0.0.1",
             0,
-            credentials(folder, "server"),
-            verifier(folder),
+            _site.credentials(folder, "server"),
+            _site.anchor(folder).verify,
             suites=POST_QUANTUM["prefer"],
             known=KnownCertificates(),
         )
@@ -217,7 +117,7 @@ def _server_process(folder: Path, ports: "Queue[tuple[int, int, int]]") -> None:
 
 async def throughput(pipe: Pipe, size: int, *, paced: bool = False) -> float:
     """Seconds per message."""
-    count = max(3, VOLUME.get(size, LARGE_VOLUME) // size)
+    count = max(LEAST, VOLUME.get(size, LARGE_VOLUME) // size)
     data = bytes(size)
     start = time.perf_counter()
     await pipe.send((size * count).to_bytes(8))
@@ -232,26 +132,26 @@ async def throughput(pipe: Pipe, size: int, *, paced: bool = False) -> float:
 async def latency(pipe: Pipe) -> float:
     """Seconds one way for 64 bytes."""
     start = time.perf_counter()
-    for _ in range(200):
+    for _ in range(ROUND_TRIPS):
         await pipe.send((56).to_bytes(8) + bytes(56))
         await pipe.receive()
-    return (time.perf_counter() - start) / 400
+    return (time.perf_counter() - start) / (2 * ROUND_TRIPS)
 
 
 async def handshakes(make: Callable[[], Awaitable[Pipe]]) -> float:
     """Seconds per connection with one message there and back."""
     start = time.perf_counter()
-    for _ in range(20):
+    for _ in range(CONNECTIONS):
         pipe = await make()
         await pipe.send((56).to_bytes(8) + bytes(56))
         await pipe.receive()
         await pipe.close()
-    return (time.perf_counter() - start) / 20
+    return (time.perf_counter() - start) / CONNECTIONS
 
 
 async def _measure(folder: Path, ports: tuple[int, int, int], seconds: float) -> dict[str, object]:
-    context = tls(folder, "client", server=False)
-    own, verify = credentials(folder, "client"), verifier(folder)
+    context = _site.tls(folder, "client", server=False)
+    own, verify = _site.credentials(folder, "client"), _site.anchor(folder).verify
 
     async def plain() -> Pipe:
         return Pipe(None, await asyncio.open_connection("127.0.0.1", ports[0], limit=2 << 20))
@@ -274,35 +174,37 @@ async def _measure(folder: Path, ports: tuple[int, int, int], seconds: float) ->
     async def brief() -> Pipe:
         return Pipe(await connect("127.0.0.1", ports[2], own, verify, known=known))
 
-    makers: dict[str, Callable[[], Awaitable[Pipe]]] = {
+    makers: Makers = {
         "plain": plain,
         "tls": secured,
         "rossec": rossec,
     }
+    pipes = {name: await make() for name, make in makers.items()}
+    others = {"hybrid": hybrid, "x5t": brief}
+    await _round(pipes, makers, others, defaultdict(list))
     samples: Samples = defaultdict(list)
     end = time.monotonic() + seconds
-    pipes = {name: await make() for name, make in makers.items()}
-    while True:
-        await _throughput_round(pipes, samples)
-        for name, make in makers.items():
-            samples[name, "latency"].append(await latency(pipes[name]))
-            samples[name, "handshake"].append(await handshakes(make))
-        samples["rossec", "handshake hybrid"].append(await handshakes(hybrid))
-        samples["rossec", "handshake x5t"].append(await handshakes(brief))
-        if time.monotonic() >= end:
-            break
+    while not samples or time.monotonic() < end:
+        await _round(pipes, makers, others, samples)
     for pipe in pipes.values():
         await pipe.close()
     return _report(samples, _handshake_bytes(folder))
 
 
-async def _throughput_round(pipes: dict[str, Pipe], samples: Samples) -> None:
+async def _round(pipes: dict[str, Pipe], makers: Makers, others: Makers, samples: Samples) -> None:
     for size in SIZES:
         for name, pipe in pipes.items():
             samples[name, str(size)].append(await throughput(pipe, size))
     for size in SIZES[:2]:
         for name, pipe in pipes.items():
             samples[name, f"{size} paced"].append(await throughput(pipe, size, paced=True))
+    for name, pipe in pipes.items():
+        samples[name, "latency"].append(await latency(pipe))
+    for _ in range(HANDSHAKE_SLICES):
+        for name, make in makers.items():
+            samples[name, "handshake"].append(await handshakes(make))
+        for kind, make in others.items():
+            samples["rossec", f"handshake {kind}"].append(await handshakes(make))
 
 
 def _handshake_bytes(folder: Path) -> dict[str, int]:
@@ -323,12 +225,12 @@ def _one_handshake(
     *,
     brief: bool,
 ) -> int:
-    verify, now, random = verifier(folder), int(time.time()), secrets.token_bytes
-    client, server = credentials(folder, "client"), credentials(folder, "server")
-    left = Connection[Peer].initiator(
+    verify, now, random = _site.anchor(folder).verify, int(time.time()), secrets.token_bytes
+    client, server = _site.credentials(folder, "client"), _site.credentials(folder, "server")
+    left = Connection[Identity].initiator(
         client, verify, random=random, now=now, suites=suites, known=ours, brief=brief
     )
-    right = Connection[Peer].responder(
+    right = Connection[Identity].responder(
         server, verify, random=random, now=now, suites=suites, known=theirs
     )
     total = 0
@@ -341,9 +243,14 @@ def _one_handshake(
 
 
 def _report(samples: Samples, sizes_on_the_wire: dict[str, int]) -> dict[str, object]:
+    spread: dict[str, list[float]] = {}
+
     def ratio(other: str, what: str, ours: str = "") -> float:
         pairs = zip(samples[other, what], samples["rossec", ours or what], strict=True)
-        return round(median(a / b for a, b in pairs), 2)
+        ratios = [a / b for a, b in pairs]
+        low, middle, high = quantiles(ratios, n=4) if len(ratios) > 1 else ratios * 3
+        spread[f"{ours or what} vs {other}"] = [round(low, 2), round(high, 2)]
+        return round(middle, 2)
 
     sizes = [str(size) for size in SIZES]
     return {
@@ -356,6 +263,7 @@ def _report(samples: Samples, sizes_on_the_wire: dict[str, int]) -> dict[str, ob
         "handshake_rate_vs_tls_x5t": ratio("tls", "handshake", "handshake x5t"),
         **sizes_on_the_wire,
         "rounds": len(samples["rossec", "latency"]),
+        "spread": spread,
         "median_microseconds": {
             name: {
                 what: round(median(values) * 1e6, 2)
@@ -372,7 +280,7 @@ def measure(seconds: float) -> dict[str, object]:
     context = multiprocessing.get_context("spawn")
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        Site(folder)
+        _site.build(folder)
         ports: Queue[tuple[int, int, int]] = context.Queue()
         process = context.Process(target=_server_process, args=(folder, ports), daemon=True)
         process.start()

@@ -7,6 +7,7 @@ where verifiers break. The signature is checked before anything inside is believ
 parsing.
 """
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final, Self
@@ -163,27 +164,38 @@ class TrustAnchor:
         )
 
     def _identity(self, certificate: x509.Certificate, der: bytes) -> Identity:
-        extensions = svid.extensions(certificate)
-        svid.check_leaf(extensions)
-        wildcard = svid.has_wildcard(extensions)
-        name = self._name(svid.only_uri(extensions), wildcard=wildcard)
-        key = svid.key_of(certificate)
-        start, end = svid.validity(certificate)
-        serial = certificate.serial_number
-        return Identity(self.domain, name, key, thumbprint(key), start, end, serial, der, wildcard)
+        return _read(self.domain, certificate, der)
 
-    def _name(self, uri: str, *, wildcard: bool) -> str:
-        try:
-            domain, name = parse_spiffe_id(uri)
-            if wildcard:
-                check_wildcard(name)
-        except NameRefused as error:
-            raise CertificateRefused(f"the certificate's name is none: {error}") from error
-        if domain != self.domain:
-            raise CertificateRefused(
-                f"the certificate is for trust domain {domain!r}, not {self.domain!r}"
-            )
-        return name
+
+@functools.lru_cache(maxsize=256)
+def _read(domain: str, certificate: x509.Certificate, der: bytes) -> Identity:
+    """What a certificate says; asked only about one whose signature has just been verified.
+
+    A pure function of the bytes, so it is remembered: peers come back for every topic. What is
+    never remembered is a verdict: signature, issuer and times are checked each time.
+    """
+    extensions = svid.extensions(certificate)
+    svid.check_leaf(extensions)
+    wildcard = svid.has_wildcard(extensions)
+    name = _name(domain, svid.only_uri(extensions), wildcard=wildcard)
+    key = svid.key_of(certificate)
+    start, end = svid.validity(certificate)
+    serial = certificate.serial_number
+    return Identity(domain, name, key, thumbprint(key), start, end, serial, der, wildcard)
+
+
+def _name(expected: str, uri: str, *, wildcard: bool) -> str:
+    try:
+        domain, name = parse_spiffe_id(uri)
+        if wildcard:
+            check_wildcard(name)
+    except NameRefused as error:
+        raise CertificateRefused(f"the certificate's name is none: {error}") from error
+    if domain != expected:
+        raise CertificateRefused(
+            f"the certificate is for trust domain {domain!r}, not {expected!r}"
+        )
+    return name
 
 
 def to_pem(*certificates: bytes) -> bytes:

@@ -9,12 +9,15 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final, Protocol, TypeAlias, TypeVar
 
-from ca.encoding import Value
+from ca.encoding import Value, encode
 from ca.signer import Signer
+from rossec.channel.keyschedule import bstr
 from rossec.channel.suites import PublicKey
-from rossec.errors import HandshakeFailed
+from rossec.errors import HandshakeFailed, UnknownCredential
 
-_X5CHAIN: Final = 33  # RFC 9360 section 2
+X5CHAIN: Final = 33  # RFC 9360 section 2
+X5T: Final = 34
+X5CHAIN_HEAD: Final = b"\xa1\x18\x21"  # a map of one entry, its key 33
 MAX_CHAIN: Final = 4
 _MAX_CERTIFICATE: Final = 7 * 1024  # PLAINTEXT_2 cannot carry more than 8160 bytes
 
@@ -82,7 +85,7 @@ class Credentials:
     @property
     def id_cred(self) -> Value:
         """`{33: certificate}`, or `{33: [certificate, ...]}` for a longer chain."""
-        return {_X5CHAIN: self.chain[0] if len(self.chain) == 1 else list(self.chain)}
+        return {X5CHAIN: self.chain[0] if len(self.chain) == 1 else list(self.chain)}
 
     @property
     def certificate(self) -> bytes:
@@ -120,13 +123,22 @@ class LiveCredentials:
         return self.current.sign(message)
 
 
+def encode_id_cred(id_cred: Value) -> bytes:
+    """What `encode` gives, at a third of the price for a chain of one."""
+    certificate = id_cred.get(X5CHAIN) if isinstance(id_cred, dict) and len(id_cred) == 1 else None
+    return X5CHAIN_HEAD + bstr(certificate) if isinstance(certificate, bytes) else encode(id_cred)
+
+
 def x5chain(id_cred: Value) -> tuple[bytes, ...]:
     """Return the chain an x5chain ID_CRED_x carries.
 
     Raises:
+        UnknownCredential: a reference, where nobody keeps what it could refer to.
         HandshakeFailed: another kind of credential, or not a chain of 1 to 4 certificates.
     """
-    named = id_cred.get(_X5CHAIN) if isinstance(id_cred, dict) and len(id_cred) == 1 else None
+    if isinstance(id_cred, dict) and X5T in id_cred:
+        raise UnknownCredential("the peer names a certificate, and this node remembers none")
+    named = id_cred.get(X5CHAIN) if isinstance(id_cred, dict) and len(id_cred) == 1 else None
     match named:
         case bytes():
             return _checked([named])

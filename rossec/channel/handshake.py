@@ -10,6 +10,7 @@ from typing import Final
 
 from rossec.channel.credentials import PeerT
 from rossec.channel.keyschedule import (
+    GONE,
     Label,
     bstr,
     keystream_2,
@@ -95,7 +96,9 @@ class Initiator(Side[PeerT]):
         plaintext = _xor(ciphertext, keystream_2(self._prk, self._th, len(ciphertext)))
         peer = self._check(Label.MAC_2, plaintext, now)
         known = self._party.known
-        self.brief = known is not None and known.is_introduced(self._chain[0])
+        # A responder that sent its whole certificate may have no memory for this side's either.
+        met = known is not None and known.is_introduced(self._chain[0])
+        self.brief = met and self._by_reference
         return self._message_3(), peer
 
     def _message_3(self) -> bytes:
@@ -114,7 +117,7 @@ class Initiator(Side[PeerT]):
             HandshakeFailed: it does not.
         """
         decode_plaintext_4(self._open(Label.K_4, Label.IV_4, decode_bytes(data)))
-        self._prk = b""
+        self._prk = GONE
         if self._party.known is not None:
             self._party.known.introduce(self._chain[0])
 
@@ -168,7 +171,7 @@ class Responder(Side[PeerT]):
         peer = self._check(Label.MAC_3, plaintext, now)
         self._finish()
         message_4 = self._seal(Label.K_4, Label.IV_4, b"")
-        self._prk = b""
+        self._prk = GONE
         return message_4, peer
 
 

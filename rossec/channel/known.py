@@ -10,10 +10,9 @@ from collections import OrderedDict
 from typing import Final, TypeAlias
 
 from ca.encoding import Value
-from rossec.channel.credentials import x5chain
+from rossec.channel.credentials import X5T, x5chain
 from rossec.errors import UnknownCredential
 
-_X5T: Final = 34  # RFC 9360 section 2
 _SHA256_64: Final = -15  # RFC 9054
 _CAPACITY: Final = 256
 
@@ -22,7 +21,7 @@ Chain: TypeAlias = tuple[bytes, ...]
 
 def reference(certificate: bytes) -> Value:
     """The x5t ID_CRED_x of a certificate."""
-    return {_X5T: [_SHA256_64, _short(certificate)]}
+    return {X5T: [_SHA256_64, _short(certificate)]}
 
 
 def _short(certificate: bytes) -> bytes:

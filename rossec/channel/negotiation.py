@@ -6,8 +6,7 @@ rows of `states.TABLE` that concern the handshake.
 """
 
 from collections.abc import Collection
-from dataclasses import dataclass
-from typing import Final, Generic, cast
+from typing import Final, Generic, NamedTuple, cast
 
 from rossec.channel.buffers import ReceiveBuffer
 from rossec.channel.credentials import PeerT
@@ -98,8 +97,7 @@ class Preamble:
         raise PlainPeer(f"a plain {self.flavour.name} peer called and was refused", _HINT_PLAIN)
 
 
-@dataclass(frozen=True)
-class Step(Generic[PeerT]):
+class Step(NamedTuple, Generic[PeerT]):
     """What a message led to; `peer` once it is authenticated."""
 
     state: State

@@ -27,6 +27,8 @@ MAX_PLAINTEXT: Final = 256 * 1024  # the measured optimum, and the bound on what
 _JOIN_BELOW: Final = 16 * 1024
 _INTO_FROM: Final = 4 * 1024  # from here on encrypting in place beats one more copy
 
+_RECORD_AEADS: Final = (AESGCM, ChaCha20Poly1305)
+
 Bytes: TypeAlias = bytes | bytearray | memoryview
 
 
@@ -95,7 +97,7 @@ class Direction:
         # The version and the epoch are the context; the role is in the label.
         context = b"rossec/1" + epoch.to_bytes(8)
         aead = suite.aead(exporter.export(label, context, suite.key_length))
-        if not isinstance(aead, AESGCM | ChaCha20Poly1305):
+        if not isinstance(aead, _RECORD_AEADS):
             raise ProtocolViolation("this cipher suite has no record layer")
         self._aead = aead
         self._iv = int.from_bytes(exporter.export(label + 1, context, suite.nonce_length))
@@ -158,13 +160,22 @@ class Epochs:
     _INITIATOR_SENDS: Final = 32768  # exporter labels for private use, key and IV each
     _RESPONDER_SENDS: Final = 32770
 
+    sender: Direction
+    receiver: Direction
+
     def __init__(self, suite: Suite, exporter: Exporter, *, initiator: bool) -> None:
         labels = (self._INITIATOR_SENDS, self._RESPONDER_SENDS)
         self._labels = labels if initiator else labels[::-1]
         self._suite = suite
         self._exporter = exporter
-        self.sender, self.receiver = self._derive(0)
         self._waiting: Direction | None = None
+
+    def __getattr__(self, name: str) -> Direction:
+        """Derive the first keys when they are asked for: the peer has its message meanwhile."""
+        if name not in {"sender", "receiver"}:
+            raise AttributeError(name)
+        self.sender, self.receiver = self._derive(0)
+        return self.sender if name == "sender" else self.receiver
 
     def _derive(self, epoch: int) -> tuple[Direction, Direction]:
         own, peer = self._labels

@@ -6,16 +6,25 @@ Hashes and MACs are over the bytes that travel. Every check raises.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final, Generic
+from typing import Final, Generic, NamedTuple
 
 from cryptography.exceptions import InvalidTag
 
 from ca.encoding import Value, encode
 from ca.errors import HintedError
-from rossec.channel.credentials import FindChain, OwnCredential, PeerT, Verify, x5chain
+from rossec.channel.credentials import (
+    FindChain,
+    OwnCredential,
+    PeerT,
+    Verify,
+    encode_id_cred,
+    x5chain,
+)
 from rossec.channel.keyschedule import (
+    GONE,
     Exporter,
     Label,
+    Secret,
     bstr,
     extract,
     kdf,
@@ -62,8 +71,7 @@ class Party(Generic[PeerT]):
     c_r: bytes = C_R
 
 
-@dataclass(frozen=True)
-class _Statement:
+class _Statement(NamedTuple):
     """What one side claims in message_2 or message_3, in the form that is MACed and signed."""
 
     label: Label
@@ -73,7 +81,7 @@ class _Statement:
     cred: bytes
     ead: bytes
 
-    def to_be_signed(self, prk: bytes) -> bytes:
+    def to_be_signed(self, prk: Secret) -> bytes:
         external = bstr(self.th) + self.cred + self.ead
         mac = kdf(prk, self.label, self.prefix + self.id_cred + external, HASH_LENGTH)
         return _SIGNATURE1 + bstr(self.id_cred) + bstr(external) + bstr(mac)
@@ -85,10 +93,11 @@ class Side(Generic[PeerT]):
     def __init__(self, party: Party[PeerT]) -> None:
         self._party = party
         self._suite = SUITES[party.suites[0]]
-        self._prk = b""
+        self._prk = GONE
         self._th = b""
         self._exporter: Exporter | None = None
         self._chain: tuple[bytes, ...] = ()
+        self._by_reference = False  # how the peer named its certificate
         self.brief = False  # this side names its certificate by a hash
 
     @property
@@ -105,7 +114,7 @@ class Side(Generic[PeerT]):
 
     def forget(self) -> None:
         """Drop the secrets; Python cannot wipe them."""
-        self._prk = b""
+        self._prk = GONE
         self._exporter = None
 
     def _agree(self, shared: bytes, g_y: bytes, message_1: bytes) -> None:
@@ -117,10 +126,11 @@ class Side(Generic[PeerT]):
         own = self._party.credential
         prefix = b"" if c_r is None else encode_identifier(c_r)
         cred, ead = bstr(own.certificate), self._party.ead
-        id_cred = reference(own.certificate) if self.brief else own.id_cred
-        statement = _Statement(label, prefix, encode(id_cred), self._th, cred, ead)
+        named = reference(own.certificate) if self.brief else own.id_cred
+        id_cred = encode_id_cred(named)
+        statement = _Statement(label, prefix, id_cred, self._th, cred, ead)
         signature = own.sign(statement.to_be_signed(self._prk))
-        plaintext = Plaintext(c_r, id_cred, signature, ead).encode()
+        plaintext = Plaintext(c_r, named, signature, ead).encode()
         self._th = transcript_next(self._th, plaintext, cred)
         return plaintext
 
@@ -129,7 +139,7 @@ class Side(Generic[PeerT]):
         parsed = decode_plaintext(plaintext, with_c_r=label is Label.MAC_2)
         certificate, peer = self._identify(parsed.id_cred, now)
         prefix = b"" if parsed.c_r is None else encode_identifier(parsed.c_r)
-        id_cred, cred = encode(parsed.id_cred), bstr(certificate)
+        id_cred, cred = encode_id_cred(parsed.id_cred), bstr(certificate)
         statement = _Statement(label, prefix, id_cred, self._th, cred, parsed.ead)
         message = statement.to_be_signed(self._prk)
         self._suite.verify(peer.public_key, parsed.signature, message)
@@ -140,6 +150,7 @@ class Side(Generic[PeerT]):
         known = self._party.known
         chain = self._party.find_chain(id_cred) if known is None else known.find(id_cred)
         self._chain = chain
+        self._by_reference = known is not None and id_cred == reference(chain[0])
         own = self._party.credential
         if chain[0] == own.certificate and not own.shared:
             # Reflection: nobody else can hold this certificate's key (notes: selfie attack).

@@ -26,6 +26,8 @@ class State(Enum):
     CLOSING = "closing"
     CLOSED = "closed"
 
+    __hash__ = object.__hash__  # members are unique; Enum's own hash is Python, for every look-up
+
 
 TABLE: Final[dict[tuple[State, Frame], tuple[str, tuple[State, ...]]]] = {
     (State.WAIT_1, Frame.HANDSHAKE): ("on_message_1", (State.WAIT_3, State.WAIT_1)),

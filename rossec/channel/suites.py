@@ -26,6 +26,7 @@ Finish: TypeAlias = Callable[[bytes], bytes]
 
 HASH_LENGTH: Final = 32  # SHA-256 in every suite of the table
 HYBRID: Final = -24
+_ECDSA: Final = ec.ECDSA(hashes.SHA256())
 _P256_ORDER: Final = 0xFFFFFFFF00000000FFFFFFFFFFFFFFFFBCE6FAADA7179E84F3B9CAC2FC632551
 SIGNATURE_LENGTH: Final = 64  # EdDSA and ES256 alike
 
@@ -141,7 +142,7 @@ def verify_es256(key: PublicKey, signature: bytes, message: bytes) -> None:
         raise HandshakeFailed("the peer's key is not a P-256 key")
     r, s = int.from_bytes(signature[:32]), int.from_bytes(signature[32:])
     try:
-        key.verify(encode_dss_signature(r, s), message, ec.ECDSA(hashes.SHA256()))
+        key.verify(encode_dss_signature(r, s), message, _ECDSA)
     except InvalidSignature:
         raise HandshakeFailed("the peer's signature does not verify") from None
 

@@ -29,12 +29,16 @@ def graph(environment: Environment, node: str, watch: bool, as_json: bool) -> No
     """
     home = NodeHome.of(environment.home, node)
     uri = master_at(environment)
-    asyncio.run(_follow(home, uri, as_json) if watch else _look(home, uri, as_json))
+    asyncio.run(
+        _follow(environment, home, uri, as_json)
+        if watch
+        else _look(environment, home, uri, as_json)
+    )
 
 
-async def _look(home: NodeHome, uri: str, as_json: bool) -> None:
+async def _look(environment: Environment, home: NodeHome, uri: str, as_json: bool) -> None:
     view = GraphView()
-    await _listen(home, uri, view, once=True)
+    await _listen(environment, home, uri, view, once=True)
     if as_json:
         say_json(_json(view, Change(tuple(sorted(view.facts)), (), False, False)))
         return
@@ -42,11 +46,11 @@ async def _look(home: NodeHome, uri: str, as_json: bool) -> None:
         say(line)
 
 
-async def _follow(home: NodeHome, uri: str, as_json: bool) -> None:
+async def _follow(environment: Environment, home: NodeHome, uri: str, as_json: bool) -> None:
     view = GraphView()
     while True:
         try:
-            await _listen(home, uri, view, as_json=as_json)
+            await _listen(environment, home, uri, view, as_json=as_json)
         except (HintedError, OSError, TimeoutError) as error:
             if view.version < 0:
                 raise
@@ -55,10 +59,16 @@ async def _follow(home: NodeHome, uri: str, as_json: bool) -> None:
 
 
 async def _listen(
-    home: NodeHome, uri: str, view: GraphView, *, as_json: bool = False, once: bool = False
+    environment: Environment,
+    home: NodeHome,
+    uri: str,
+    view: GraphView,
+    *,
+    as_json: bool = False,
+    once: bool = False,
 ) -> None:
     """Ask for news until the connection ends; with `once`, until all is told."""
-    async with master_as(home, uri) as client:
+    async with master_as(environment, home, uri) as client:
         await client.ask("rossec.presentGrants", home.name, home.grants())
         while True:
             change = view.take(await client.ask(METHOD, home.name, *view.question))

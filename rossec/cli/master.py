@@ -8,6 +8,7 @@ import click
 
 from ca.revocationtree import is_tree
 from rossec.authority import AuthorityHome, OpenAuthority
+from rossec.channel import policy
 from rossec.cli import passphrase
 from rossec.cli.context import Environment, now, pass_environment
 from rossec.cli.delegate import delegate
@@ -37,6 +38,11 @@ from rossec.ros import settings
     "--renew-identities", is_flag=True, help="with the intermediate of this host: see rossec ca"
 )
 @passphrase.option
+@click.option(
+    "--post-quantum",
+    metavar="POLICY",
+    help="off, prefer or require; instead of ROSSEC_POST_QUANTUM",
+)
 @click.pass_context
 @pass_environment
 def master(
@@ -47,13 +53,15 @@ def master(
     complaints: Path | None,
     renew_identities: bool,
     passphrase_file: Path | None,
+    post_quantum: str | None,
 ) -> None:
     """Run the master, as the node /master. Ends with Ctrl-C."""
     if context.invoked_subcommand is not None:
         return
     log = ComplainLog(complaints) if complaints is not None else unheard
     renewer = _intermediate(environment, passphrase_file) if renew_identities else None
-    asyncio.run(_serve(environment, port, as_json, log, renewer))
+    suites = policy.post_quantum(environment.variables, post_quantum)
+    asyncio.run(_serve(environment, port, as_json, log, suites, renewer))
 
 
 master.add_command(delegate)
@@ -64,6 +72,7 @@ async def _serve(
     port: int | None,
     as_json: bool,
     complain: Complain,
+    suites: tuple[int, ...],
     intermediate: OpenAuthority | None,
 ) -> None:
     own = settings.read((), environment.variables, default_name=MASTER)
@@ -80,6 +89,7 @@ async def _serve(
         intermediate=intermediate,
         now=now(),
         complain=complain,
+        suites=suites,
     )
     await server.start()
     try:

@@ -162,7 +162,7 @@ def _read_log(path: Path) -> list[Seen]:
 async def _look(environment: Environment, node: str) -> list[Seen]:
     """The graph, as `node` may see it."""
     home = NodeHome.of(environment.home, node)
-    async with master_as(home, master_at(environment)) as client:
+    async with master_as(environment, home, master_at(environment)) as client:
         await client.ask("rossec.presentGrants", home.name, home.grants())
         state = await client.ask("getSystemState", home.name)
         types = await client.ask("getTopicTypes", home.name)

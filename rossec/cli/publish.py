@@ -61,7 +61,7 @@ async def carry(
             f"renew it: rossec ca renew {node.name}",
         ) from error
     try:
-        async with master_as(node, uri) as client:
+        async with master_as(environment, node, uri) as client:
             await client.ask(method, node.name, *statement)
     except (HintedError, OSError, TimeoutError) as error:
         raise NotDelivered(f"the master at {uri} did not take {what}: {error}", hint) from error

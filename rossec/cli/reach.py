@@ -3,6 +3,7 @@
 import contextlib
 from collections.abc import AsyncIterator
 
+from rossec.channel.policy import post_quantum
 from rossec.cli.context import Environment
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
@@ -19,7 +20,7 @@ def master_at(environment: Environment, master_uri: str | None = None) -> str:
 
 
 @contextlib.asynccontextmanager
-async def master_as(home: NodeHome, uri: str) -> AsyncIterator[RpcClient]:
+async def master_as(environment: Environment, home: NodeHome, uri: str) -> AsyncIterator[RpcClient]:
     """A connection to the master at `uri`, with the identity in `home`.
 
     Raises:
@@ -28,7 +29,12 @@ async def master_as(home: NodeHome, uri: str) -> AsyncIterator[RpcClient]:
     """
     host, port = settings.parse_uri(uri, "the master's URI")
     stream = await connect(
-        host, port, home.credentials(), home.anchor().verify, opening=Flavour.HTTP
+        host,
+        port,
+        home.credentials(),
+        home.anchor().verify,
+        opening=Flavour.HTTP,
+        suites=post_quantum(environment.variables),
     )
     try:
         if stream.peer.name != MASTER:

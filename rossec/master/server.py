@@ -17,6 +17,8 @@ from typing import Final, Protocol
 
 from ca.errors import HintedError
 from rossec.channel.credentials import OwnCredential, PeerIdentity, Verify
+from rossec.channel.known import KnownCertificates
+from rossec.channel.suites import PRODUCTION
 from rossec.errors import CallerMismatch
 from rossec.master.api import MasterApi
 from rossec.master.calls import (
@@ -75,6 +77,7 @@ class MasterServer:
         host: address to listen on (None: all). port: 0 for any free one.
         advertise: host name in `uri`; what nodes are told.
         clock: seconds since the epoch.
+        suites: the post-quantum policy (`rossec.channel.policy`).
     """
 
     def __init__(
@@ -90,6 +93,7 @@ class MasterServer:
         clock: Callable[[], float] = time.time,
         timestamp_every: float = TIMESTAMP_EVERY,
         complain: Complain = unheard,
+        suites: tuple[int, ...] = PRODUCTION,
     ) -> None:
         self._credentials = credentials
         self._verify = verify
@@ -100,6 +104,8 @@ class MasterServer:
         self._clock = clock
         self._timestamp_every = timestamp_every
         self._complain = complain
+        self._suites = suites
+        self._known = KnownCertificates()
         self._registry = Registry()
         self._api: MasterApi | None = None
         self._server: SecureServer[ChannelPeer] | None = None
@@ -129,7 +135,14 @@ class MasterServer:
         """
         host, port = self._listen
         self._server = await serve(
-            self._handle, host, port, self._credentials, self._verify, accept={Flavour.HTTP}
+            self._handle,
+            host,
+            port,
+            self._credentials,
+            self._verify,
+            accept={Flavour.HTTP},
+            suites=self._suites,
+            known=self._known,
         )
         self._api = MasterApi(
             self._registry,
@@ -281,7 +294,15 @@ class MasterServer:
     async def _dial(self, node: NodeRef) -> RpcClient:
         """Connect to a slave API; whoever answers must be the node that registered."""
         host, port = parse_uri(node.uri, "the slave API")
-        stream = await connect(host, port, self._credentials, self._verify, opening=Flavour.HTTP)
+        stream = await connect(
+            host,
+            port,
+            self._credentials,
+            self._verify,
+            opening=Flavour.HTTP,
+            suites=self._suites,
+            known=self._known,
+        )
         if not stream.peer.covers(node.name) or stream.peer.thumbprint != node.thumbprint:
             stream.abort("not the node that was registered")
             self._evict(node, stream.peer)

@@ -10,6 +10,7 @@ from ca.errors import HintedError, RevocationRefused
 from ca.revocation import Revocations
 from ca.revocationtree import is_tree
 from rossec.authority import OpenAuthority
+from rossec.channel.suites import PRODUCTION
 from rossec.home import NodeHome
 from rossec.master.complaints import Complain, unheard
 from rossec.master.renewal import Delegate
@@ -31,6 +32,7 @@ def master_of(
     entries: bytes | None = None,
     intermediate: OpenAuthority | None = None,
     complain: Complain = unheard,
+    suites: tuple[int, ...] = PRODUCTION,
 ) -> MasterServer:
     """The master whose identity is in `home`, not yet started.
 
@@ -42,6 +44,7 @@ def master_of(
         intermediate: renews identities; never the root, whose key does not belong here.
         entries: where `newest` is a tree, all it was made of.
         complain: hears of every right that somebody lacks.
+        suites: the post-quantum policy (`rossec.channel.policy`).
 
     Raises:
         ConfigurationError: the node is not enrolled.
@@ -77,6 +80,7 @@ def master_of(
         port=port,
         advertise=host or socket.gethostname(),
         complain=complain,
+        suites=suites,
     )
 
 

@@ -3,6 +3,8 @@
 import asyncio
 import secrets
 import socket
+from collections.abc import Callable
+from functools import partial
 from typing import Final
 
 from rossec.channel.connection import Connection
@@ -65,19 +67,22 @@ async def connect(
             brief=brief,
         )
 
-    sock = await _reach(host, port, timeout)
     if known is None:
-        return await _introduce(sock, core(brief=False))
+        return await _introduce(await _reach(host, port, timeout), partial(core, brief=False))
+    brief = partial(core, brief=known.was_at((host, port)))
     try:
-        stream = await _introduce(sock, core(brief=known.was_at((host, port))))
+        stream = await _introduce(await _reach(host, port, timeout), brief)
     except (UnknownCredential, CredentialUnknown):
         known.forget_introductions()
-        stream = await _introduce(await _reach(host, port, timeout), core(brief=False))
+        at_length = partial(core, brief=False)
+        stream = await _introduce(await _reach(host, port, timeout), at_length)
     known.visit((host, port))
     return stream
 
 
-async def _introduce(sock: socket.socket, core: Connection[PeerT]) -> SecureStream[PeerT]:
+async def _introduce(
+    sock: socket.socket, core: Callable[[], Connection[PeerT]]
+) -> SecureStream[PeerT]:
     ready: asyncio.Future[SecureStream[PeerT]] = asyncio.get_running_loop().create_future()
 
     def on_authenticated(driver: Driver[PeerT], peer: PeerT) -> None:
@@ -88,7 +93,17 @@ async def _introduce(sock: socket.socket, core: Connection[PeerT]) -> SecureStre
         if not ready.done():
             ready.set_exception(error)
 
-    driver = Driver(core, sock, sock.getpeername()[0], on_authenticated, on_end)
+    try:
+        driver = Driver(core(), sock, sock.getpeername()[0], on_authenticated, on_end)
+    except OSError as error:
+        sock.close()
+        text = f"the connection was reset at once: {error}"
+        raise PeerUnreachable(
+            text, "the peer is overloaded, or something between cuts it"
+        ) from error
+    except BaseException:
+        sock.close()
+        raise
     try:
         return await ready
     except BaseException:
@@ -98,8 +113,7 @@ async def _introduce(sock: socket.socket, core: Connection[PeerT]) -> SecureStre
 
 async def _reach(host: str, port: int, timeout: float) -> socket.socket:  # noqa: ASYNC109 - passed on by `connect`
     try:
-        async with asyncio.timeout(timeout):
-            return await dial(host, port)
+        return await dial(host, port, timeout)
     except (OSError, TimeoutError, ValueError, IndexError, OverflowError) as error:
         # A host or port that cannot be one: UnicodeError, IndexError and so on, by Python version.
         reason = "it does not answer" if isinstance(error, TimeoutError) else str(error)

@@ -9,25 +9,37 @@ _STAGGER: Final = 0.25  # seconds; RFC 8305 section 5
 _Address: TypeAlias = tuple[int, tuple[str, int]]
 
 
-async def dial(host: str, port: int) -> socket.socket:
-    """Return a connected, non-blocking socket.
+async def dial(host: str, port: int, within: float) -> socket.socket:
+    """Return a connected, non-blocking socket, in so many seconds.
 
     Raises:
+        TimeoutError: nobody answers.
         OSError: no address of the host can be reached.
     """
-    first, *others = await _addresses(host, port)
-    if not others:
-        return await _attempt(*first)
-    return await _race([first, *others])
+    family = _family(host)
+    if family is not None:  # no thread, no resolver, and on loopback no waiting
+        sock, connected = _begin(family, (host, port))
+        if connected:
+            return sock
+        async with asyncio.timeout(within):
+            return await _complete(sock, (host, port))
+    async with asyncio.timeout(within):
+        first, *others = await _addresses(host, port)
+        return await (_race([first, *others]) if others else _attempt(*first))
 
 
-async def _addresses(host: str, port: int) -> list[_Address]:
+def _family(host: str) -> int | None:
+    """That of a numeric address."""
     for family in (socket.AF_INET, socket.AF_INET6):
         try:
             socket.inet_pton(family, host)
         except OSError:
             continue
-        return [(family, (host, port))]  # no thread, no resolver
+        return family
+    return None
+
+
+async def _addresses(host: str, port: int) -> list[_Address]:
     found = await asyncio.get_running_loop().getaddrinfo(host, port, type=socket.SOCK_STREAM)
     if not found:
         raise OSError(f"no address for {host}")
@@ -35,11 +47,24 @@ async def _addresses(host: str, port: int) -> list[_Address]:
 
 
 async def _attempt(family: int, where: tuple[str, int]) -> socket.socket:
+    sock, connected = _begin(family, where)
+    return sock if connected else await _complete(sock, where)
+
+
+def _begin(family: int, where: tuple[str, int]) -> tuple[socket.socket, bool]:
+    """A socket on its way, and whether it is there already."""
     sock = socket.socket(family, socket.SOCK_STREAM)
     try:
         sock.setblocking(False)
-        if sock.connect_ex(where) != errno.EINPROGRESS or not _connected(sock):
-            await asyncio.get_running_loop().sock_connect(sock, where)
+        return sock, sock.connect_ex(where) == errno.EINPROGRESS and _connected(sock)
+    except BaseException:
+        sock.close()
+        raise
+
+
+async def _complete(sock: socket.socket, where: tuple[str, int]) -> socket.socket:
+    try:
+        await asyncio.get_running_loop().sock_connect(sock, where)
     except BaseException:
         sock.close()
         raise
@@ -77,12 +102,16 @@ async def _race(addresses: list[_Address]) -> socket.socket:
                 failure = error if isinstance(error, OSError) else failure
         raise failure
     finally:
-        await _abandon(running)
+        _abandon(running)
 
 
-async def _abandon(tasks: set[asyncio.Task[socket.socket]]) -> None:
+def _abandon(tasks: set[asyncio.Task[socket.socket]]) -> None:
+    """Cancel without waiting: a caller cancelled just then would lose the socket that won."""
     for task in tasks:
+        task.add_done_callback(_drop)
         task.cancel()
-    for result in await asyncio.gather(*tasks, return_exceptions=True):
-        if isinstance(result, socket.socket):
-            result.close()
+
+
+def _drop(task: asyncio.Task[socket.socket]) -> None:
+    if not task.cancelled() and task.exception() is None:
+        task.result().close()

@@ -9,7 +9,6 @@ import socket
 import time
 from collections import deque
 from collections.abc import Callable
-from contextlib import suppress
 from typing import Final, Generic
 
 from rossec.channel.connection import Connection
@@ -52,6 +51,7 @@ class Driver(Generic[PeerT]):
         self._on_end = on_end
         self._loop = asyncio.get_running_loop()
         self._timer: asyncio.TimerHandle | None = None
+        self._cut_at = 0.0
         self._units: deque[bytes] = deque()
         self._unread = 0
         self._waiting: list[asyncio.Future[None]] = []
@@ -87,6 +87,7 @@ class Driver(Generic[PeerT]):
                 self._arm()
             else:
                 self._end(ChannelClosed("the peer closed the connection"))
+                self.transport.finish()  # both sides have said their last word
         if self._units:
             self._wake()
             if self._unread > _PAUSE_ABOVE and self.error is None:
@@ -196,10 +197,7 @@ class Driver(Generic[PeerT]):
             self.connection.close()
             self.flush()
             self._end(ChannelClosed("the connection was closed"))
-        with suppress(TimeoutError):
-            async with asyncio.timeout(_LINGER):
-                await self._lost.wait()
-        self.transport.abort()
+        await self._lost.wait()
 
     def abort(self, error: ChannelError) -> None:
         """Cut the connection; the peer sees a truncation."""
@@ -217,7 +215,6 @@ class Driver(Generic[PeerT]):
             return
         self.error = error
         self.ended.set()
-        self._cancel_timer()
         self._wake()
         self._linger()
         self._on_end(self, error)
@@ -227,17 +224,32 @@ class Driver(Generic[PeerT]):
         if not self.transport.closed:
             self.transport.write_eof()
             self.transport.resume_reading()
-            self._timer = self._loop.call_later(_LINGER, self.transport.abort)
+            self._cut_at = self._loop.time() + _LINGER
+            self._look_within(_LINGER)
 
     # -- time
 
     def _arm(self) -> None:
-        self._cancel_timer()
         deadline = self.connection.deadline()
         if deadline is not None:
-            delay = max(0.0, deadline - time.time())
             # A day at most: the host's clock may be set while we wait.
-            self._timer = self._loop.call_later(min(delay, 86400.0), self._tick)
+            self._look_within(min(max(0.0, deadline - time.time()), 86400.0))
+
+    def _look_within(self, delay: float) -> None:
+        """One timer does: when it fires too early for anything, it is set again."""
+        at = self._loop.time() + delay
+        if self._timer is None or at < self._timer.when():
+            self._cancel_timer()
+            self._timer = self._loop.call_at(at, self._look)
+
+    def _look(self) -> None:
+        self._timer = None
+        if self.error is None:
+            self._tick()
+        elif self._loop.time() >= self._cut_at:
+            self.transport.abort()
+        else:
+            self._look_within(self._cut_at - self._loop.time())
 
     def _tick(self) -> None:
         try:

@@ -93,21 +93,26 @@ class Transport:
             self._loop.remove_reader(self._fd)
 
     def _readable(self) -> None:
+        if self._read() and self._eof_due and not self.closed:
+            self._read()  # the peer's answer and its end mostly arrive together
+
+    def _read(self) -> bool:
         try:
             count = self._socket.recv_into(self._owner.get_buffer())
         except (BlockingIOError, InterruptedError):
-            return
+            return False
         except OSError:
             self.abort()
-            return
+            return False
         if count > 0:
             self._owner.received(count)
-            return
+            return True
         self.pause_reading()
         self._closing = True
         self._owner.eof()
         if not self._pending:
             self.abort()
+        return False
 
     # -- writing
 
@@ -160,6 +165,13 @@ class Transport:
         if not self._pending and not self.closed:
             self._shut()
 
+    def finish(self) -> None:
+        """Close the socket once what was written has left: both sides have said everything."""
+        self.pause_reading()
+        self._closing = True
+        if not self._pending:
+            self.abort()
+
     def _shut(self) -> None:
         with suppress(OSError):  # the peer may have reset the connection already
             self._socket.shutdown(socket.SHUT_WR)
@@ -170,8 +182,9 @@ class Transport:
             return
         self.closed = True
         self.pause_reading()
-        self._loop.remove_writer(self._fd)
-        self._pending.clear()
-        self.backlog = 0
+        if self._pending:
+            self._loop.remove_writer(self._fd)
+            self._pending.clear()
+            self.backlog = 0
         self._socket.close()
         self._loop.call_soon(self._owner.lost)

@@ -81,6 +81,12 @@ class Access:
         revoked = self._revocations.entries
         return [held for held in self._held.values() if held.grant.id not in revoked]
 
+    @property
+    def epoch(self) -> int:
+        """The epoch of the list held: tickets of an earlier one know numbers this one has not."""
+        held = self._revocations.held
+        return 0 if held is None else held.epoch
+
     def take_news(
         self,
         revocations: bytes,

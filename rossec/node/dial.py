@@ -10,6 +10,8 @@ from collections.abc import Callable
 
 from ca.certificates import Identity, TrustAnchor
 from rossec.channel.credentials import OwnCredential
+from rossec.channel.known import KnownCertificates
+from rossec.channel.suites import PRODUCTION
 from rossec.errors import TopicRefused
 from rossec.net.rpc import RpcClient
 from rossec.net.stream import Flavour, SecureStream, connect
@@ -22,18 +24,25 @@ class Dialer:
     """Connects as one node."""
 
     def __init__(
-        self, name: str, credentials: OwnCredential, anchor: TrustAnchor, check_peer: CheckPeer
+        self,
+        name: str,
+        credentials: OwnCredential,
+        anchor: TrustAnchor,
+        check_peer: CheckPeer,
+        *,
+        suites: tuple[int, ...] = PRODUCTION,
+        known: KnownCertificates | None = None,
     ) -> None:
         self._name = name
         self._credentials = credentials
         self._anchor = anchor
         self._check_peer = check_peer
+        self._suites = suites
+        self._known = known
 
     async def rpc(self, host: str, port: int) -> SecureStream[Identity]:
         """Connect to a master or slave API; the caller checks who it is."""
-        return await connect(
-            host, port, self._credentials, self._anchor.verify, opening=Flavour.HTTP
-        )
+        return await self._connect(host, port, Flavour.HTTP)
 
     async def topic(self, uri: str, topic: str) -> SecureStream[Identity]:
         """Ask the node at `uri` where its topics are, then connect there.
@@ -44,9 +53,20 @@ class Dialer:
         """
         host, port = settings.parse_uri(uri, "a publisher's URI")
         host, port = await self._request_topic(await self.rpc(host, port), topic)
-        stream = await connect(host, port, self._credentials, self._anchor.verify)
+        stream = await self._connect(host, port, Flavour.TCPROS)
         self._judge(stream)
         return stream
+
+    async def _connect(self, host: str, port: int, opening: Flavour) -> SecureStream[Identity]:
+        return await connect(
+            host,
+            port,
+            self._credentials,
+            self._anchor.verify,
+            opening=opening,
+            suites=self._suites,
+            known=self._known,
+        )
 
     async def _request_topic(self, stream: SecureStream[Identity], topic: str) -> tuple[str, int]:
         self._judge(stream)

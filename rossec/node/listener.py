@@ -16,6 +16,8 @@ from ca.errors import HintedError, RevocationsStale
 from grants.decision import Decision
 from grants.guard import Guard
 from rossec.channel.credentials import OwnCredential
+from rossec.channel.known import KnownCertificates
+from rossec.channel.suites import PRODUCTION
 from rossec.errors import TopicRefused
 from rossec.net.rpc import serve_calls
 from rossec.net.server import Handler
@@ -45,6 +47,9 @@ class Listener:
         access: Access,
         publishers: Mapping[str, Publisher],
         slave: SlaveApi,
+        *,
+        suites: tuple[int, ...] = PRODUCTION,
+        known: KnownCertificates | None = None,
     ) -> None:
         self._name = name
         self._credentials = credentials
@@ -52,6 +57,8 @@ class Listener:
         self._access = access
         self._publishers = publishers
         self._slave = slave
+        self._suites = suites
+        self._known = known
         self._servers: list[SecureServer[Identity]] = []
         self._streams: set[SecureStream[Identity]] = set()
 
@@ -79,6 +86,8 @@ class Listener:
                 self._credentials,
                 self._anchor.verify,
                 accept={flavour},
+                suites=self._suites,
+                known=self._known,
             )
             self._servers.append(server)
 

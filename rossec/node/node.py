@@ -19,6 +19,8 @@ from ca.errors import HintedError
 from ca.revocation import Revocations, digest
 from grants import layout
 from rossec.channel.credentials import LiveCredentials
+from rossec.channel.known import KnownCertificates
+from rossec.channel.policy import post_quantum
 from rossec.errors import AnswerRefused, ConfigurationError, NodeShutdown
 from rossec.home import NodeHome, rossec_home
 from rossec.net.stream import SecureStream
@@ -53,7 +55,8 @@ class Node:
         name: the node's name; `__name:=` and `__ns:=` in `argv` change it as in ROS. For
             `/rviz_17` an identity of `/rviz` for anonymous nodes will do.
         argv: ROS arguments of the program (remappings and the like), without its path.
-        environ: where ROS_MASTER_URI, ROS_IP and so on, and ROSSEC_HOME are read from.
+        environ: where ROS_MASTER_URI, ROS_IP and so on, ROSSEC_HOME and ROSSEC_POST_QUANTUM are
+            read from.
     """
 
     def __init__(
@@ -71,7 +74,15 @@ class Node:
         self.identity = self.home.identity(int(time.time()))
         self.revocations = self._load_revocations()
         self.access = Access(self.anchor, self.revocations)
-        self._dialer = Dialer(self.name, self.credentials, self.anchor, self.access.check_peer)
+        suites, known = post_quantum(environ), KnownCertificates()
+        self._dialer = Dialer(
+            self.name,
+            self.credentials,
+            self.anchor,
+            self.access.check_peer,
+            suites=suites,
+            known=known,
+        )
         self._shelf = Shelf(self.home, self.access)
         self._shelf.take_new()
         self._publishers: dict[str, Publisher] = {}
@@ -88,7 +99,14 @@ class Node:
         self._renewals = Renewals(self.access)
         self._identity_renewal = IdentityRenewal(self.home, self.credentials, int(time.time()))
         self._listener = Listener(
-            self.name, self.credentials, self.anchor, self.access, self._publishers, SlaveApi(self)
+            self.name,
+            self.credentials,
+            self.anchor,
+            self.access,
+            self._publishers,
+            SlaveApi(self),
+            suites=suites,
+            known=known,
         )
         self._watch = Watch(self.revocations, self._links, self._listener)
         self._host = ""

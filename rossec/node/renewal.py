@@ -27,13 +27,24 @@ class Renewals:
     def __init__(self, access: Access) -> None:
         self._access = access
         self._retry_at: dict[bytes, int] = {}
+        self._epoch = access.epoch
+        self._outdated: set[bytes] = set()
 
     def due(self, now: int) -> list[Holding]:
-        """Grants to be renewed now, the most urgent first; none is due twice within `RETRY`."""
+        """Grants to be renewed now, the most urgent first; none is due twice within `RETRY`.
+
+        In a new epoch of the list numbers begin again: tickets made before it are of no use.
+        """
+        began = self._access.epoch > self._epoch
+        self._epoch = self._access.epoch
+        if began:
+            self._retry_at.clear()
+            self._outdated = {held.token for held in self._access.holdings() if held.grant.via}
         due = [
             held
             for held in self._access.holdings()
-            if due_at(held) <= now < held.grant.cap
+            if (due_at(held) <= now or held.token in self._outdated)
+            and now < held.grant.cap
             and held.grant.expires < held.grant.cap
             and self._retry_at.get(held.grant.id, 0) <= now
         ]

@@ -235,3 +235,12 @@ def test_an_identity_without_one_covers_its_name() -> None:
 def test_no_tail_for_the_master_and_the_authority(name: str) -> None:
     with pytest.raises(CertificateRefused, match=f"{name} is one node"):
         SITE.anchor.verify([with_tail(f"spiffe://home{name}")], NOW)
+
+
+def test_what_a_certificate_says_is_remembered_but_no_verdict() -> None:
+    leaf = SITE.leaf()
+    assert SITE.anchor.verify([leaf], NOW) is SITE.anchor.verify([leaf], NOW)
+    with pytest.raises(ForeignCertificate):  # another authority of the same trust domain
+        Site.create().anchor.verify([leaf], NOW)
+    with pytest.raises(CertificateExpired):
+        SITE.anchor.verify([leaf], NOW + 31 * DAY)

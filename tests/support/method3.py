@@ -11,8 +11,10 @@ from cryptography.hazmat.primitives.asymmetric import ec
 
 from ca.encoding import decode_sequence, encode
 from rossec.channel.keyschedule import (
+    GONE,
     Exporter,
     Label,
+    Secret,
     bstr,
     extract,
     kdf,
@@ -66,7 +68,7 @@ class Method3:
         self.own, self.peer, self.random = own, peer, random
         self.finish: Finish = lambda _: b""
         self.message, self.g_x, self.g_y, self.c_r = b"", b"", b"", b""
-        self.th, self.prk = b"", b""
+        self.th, self.prk = b"", GONE
 
     @property
     def exporter(self) -> Exporter:
@@ -147,7 +149,7 @@ class Method3:
         return kdf(self.prk, label, context, MAC_LENGTH)
 
 
-def _aead(prk: bytes, th: bytes, key: Label, iv: Label, operation: str, data: bytes) -> bytes:
+def _aead(prk: Secret, th: bytes, key: Label, iv: Label, operation: str, data: bytes) -> bytes:
     aead = SUITE.aead(kdf(prk, key, th, SUITE.key_length))
     run = partial(getattr(aead, operation), kdf(prk, iv, th, SUITE.nonce_length))
     result: bytes = run(data, encode(["Encrypt0", b"", th]))

@@ -14,6 +14,7 @@ from ca.store import Store
 from grants import document
 from grants.model import Draft, Permission, Restriction, Right, filter_rules
 from rossec.authority import OpenAuthority
+from rossec.channel.policy import post_quantum
 from rossec.home import NodeHome
 from rossec.master.complaints import Complain, unheard
 from rossec.master.server import MasterServer
@@ -45,6 +46,7 @@ class Site:
         self.master: MasterServer | None = None
         self.complain: Complain = unheard
         self.intermediate: OpenAuthority | None = None
+        self.variables: dict[str, str] = {}  # more of the environment
 
     def now(self) -> int:
         """Seconds since the epoch, by this site's clock."""
@@ -65,7 +67,7 @@ class Site:
     def environ(self) -> Mapping[str, str]:
         """The environment a node of this site runs in."""
         uri = {"ROS_MASTER_URI": self.master.uri} if self.master is not None else {}
-        return {"ROSSEC_HOME": str(self.root), "ROS_IP": "127.0.0.1", **uri}
+        return {"ROSSEC_HOME": str(self.root), "ROS_IP": "127.0.0.1", **uri, **self.variables}
 
     def enroll(self, name: str, lifetime: int = DAY, *, wildcard: bool = False) -> NodeHome:
         """Give the node `name` a key and an identity; with `wildcard`, for anonymous nodes too."""
@@ -160,6 +162,7 @@ class Site:
             self.enroll(MASTER), host="127.0.0.1", port=port,
             newest=self.authority.store.newest_list(), now=self.now(), entries=self.entries,
             complain=self.complain, intermediate=self.intermediate,
+            suites=post_quantum(self.environ),
         )  # fmt: skip
         await self.master.start()
 

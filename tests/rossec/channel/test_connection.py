@@ -518,9 +518,9 @@ def test_an_initiator_that_does_not_know_the_name_says_so() -> None:
     assert names(w.left) == []
 
 
-def test_a_responder_without_a_memory_sends_its_certificate() -> None:
+def test_a_responder_without_a_memory_gets_the_certificate() -> None:
+    """Alice was introduced to it, but it answers by value: it may not know references at all."""
     left, _ = met()
-    left.forget_introductions()
     assert names(wire(alice(known=left, brief=True)).pump().right) == ["/alice"]
 
 
@@ -547,3 +547,15 @@ def test_who_requires_the_hybrid_suite_talks_to_nobody_else() -> None:
     assert names(w.right) == []
     assert names(wire(alice(suites=(-24, 6)), bob(suites=(6,))).pump().right) == ["/alice"]
     assert names(wire(alice(suites=(6,)), bob(suites=(-24, 6))).pump().right) == ["/alice"]
+
+
+def test_the_socket_writes_into_the_buffer_of_the_connection() -> None:
+    left, right = alice(), bob()
+    queued = [left.has_data_to_send]
+    flight = left.data_to_send()
+    queued.append(left.has_data_to_send)
+    assert queued == [True, False]
+    right.get_buffer()[: len(flight)] = flight
+    assert right.buffer_updated(len(flight), NOW) == []
+    assert right.has_data_to_send
+    assert left.unit_limit == Limits().unit

@@ -1,8 +1,8 @@
 import pytest
 
-from ca.encoding import Value
-from rossec.channel.credentials import MAX_CHAIN, Credentials, x5chain
-from rossec.errors import HandshakeFailed
+from ca.encoding import Value, encode
+from rossec.channel.credentials import MAX_CHAIN, Credentials, encode_id_cred, x5chain
+from rossec.errors import HandshakeFailed, UnknownCredential
 from tests.support.wire import ALICE
 
 
@@ -19,7 +19,6 @@ def test_a_chain_there_and_back(length: int) -> None:
     [
         {},
         {4: b"kid"},
-        {34: [-15, b"12345678"]},
         {33: b"a", 4: b"kid"},
         {33: []},
         {33: [b"a"]},  # one alone is a byte string
@@ -36,3 +35,16 @@ def test_a_chain_there_and_back(length: int) -> None:
 def test_what_is_no_chain(id_cred: Value) -> None:
     with pytest.raises(HandshakeFailed):
         x5chain(id_cred)
+
+
+@pytest.mark.parametrize(
+    "id_cred",
+    [{33: b"a"}, {33: bytes(300)}, {33: [b"a", b"b"]}, {33: b"a", 4: b"kid"}, {4: b"kid"}, {}, 7],
+)
+def test_the_short_way_to_id_cred(id_cred: Value) -> None:
+    assert encode_id_cred(id_cred) == encode(id_cred)
+
+
+def test_a_reference_is_unknown_where_none_is_kept() -> None:
+    with pytest.raises(UnknownCredential):
+        x5chain({34: [-15, b"12345678"]})

@@ -104,6 +104,15 @@ def test_lengths_are_checked_before_anything_is_buffered(
 # -- epochs
 
 
+def test_keys_come_when_they_are_asked_for_and_nothing_else_does() -> None:
+    left, right = sides()
+    assert "sender" not in vars(left)
+    assert right.receiver.epoch == left.sender.epoch == 0
+    assert "receiver" in vars(left)
+    with pytest.raises(AttributeError, match="keys"):
+        left.keys  # noqa: B018 - asking is the test
+
+
 def sides() -> tuple[Epochs, Epochs]:
     suite = SUITES[6]
     return Epochs(suite, EXPORTER, initiator=True), Epochs(suite, EXPORTER, initiator=False)

@@ -80,7 +80,7 @@ class TwoConnections(RuleBasedStateMachine):
             flying[0], flying[1] = flying[1], flying[0]
         elif what == "cut":
             flying[0] = first[:place]
-        else:
+        elif first:  # a cut may have left nothing
             flying[0] = first[:place] + bytes([first[place] ^ 1]) + first[place + 1 :]
         self.lied.add(side)
 

@@ -10,6 +10,7 @@ import pytest
 from ca.errors import HintedError
 from grants.model import Right
 from rossec.cli import graph as module
+from rossec.cli.context import Environment
 from rossec.cli.graph import describe
 from rossec.cli.main import run
 from rossec.home import NodeHome
@@ -79,7 +80,9 @@ async def test_following_a_master_through_its_restart(
     async with site.running():
         assert site.master is not None
         following = asyncio.ensure_future(
-            module._follow(NodeHome.of(site.root, "/desk"), site.master.uri, as_json)
+            module._follow(
+                Environment(site.environ), NodeHome.of(site.root, "/desk"), site.master.uri, as_json
+            )
         )
         async with site.node("/robot") as robot:
             await robot.publisher("/robot/pose", POSE)
@@ -96,4 +99,6 @@ async def test_following_a_master_through_its_restart(
 
 async def test_nobody_to_follow(site: Site) -> None:
     with pytest.raises(HintedError):
-        await module._follow(site.enroll("/desk"), "http://127.0.0.1:1/", as_json=False)
+        await module._follow(
+            Environment(site.environ), site.enroll("/desk"), "http://127.0.0.1:1/", as_json=False
+        )

@@ -28,6 +28,11 @@ def test_wrong_usage_says_where_help_is(empty: Shell) -> None:
     refused(empty("ca", "init", "home", "--nope"), "no such option", code=2)
 
 
+def test_a_policy_that_is_none_keeps_the_master_from_starting(empty: Shell) -> None:
+    said = empty("master", "--post-quantum", "requre")
+    refused(said, "the post-quantum policy is 'requre'", "did you mean require?")
+
+
 @pytest.mark.parametrize(
     ("error", "code"),
     [

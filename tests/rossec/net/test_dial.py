@@ -1,6 +1,7 @@
 """Several addresses of one host: the first that answers."""
 
 import asyncio
+import contextlib
 import socket
 from typing import Any
 
@@ -25,6 +26,46 @@ def resolve(monkeypatch: pytest.MonkeyPatch, *addresses: tuple[int, str, int]) -
     monkeypatch.setattr(asyncio.get_running_loop(), "getaddrinfo", getaddrinfo)
 
 
+async def test_a_numeric_address_that_does_not_answer_at_once(
+    port: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "_connected", lambda _: False)
+    with await dial("127.0.0.1", port, 5) as sock:
+        assert sock.getpeername() == ("127.0.0.1", port)
+
+
+async def test_a_numeric_address_where_nobody_is() -> None:
+    with pytest.raises(ConnectionRefusedError):
+        await dial("127.0.0.1", closed_port(), 5)
+    with pytest.raises(OverflowError):
+        await dial("127.0.0.1", 1 << 20, 5)
+
+
+async def test_a_failure_while_another_is_under_way(
+    port: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "_STAGGER", 0.01)
+    resolve(monkeypatch, *[(socket.AF_INET, "127.0.0.1", n) for n in (1, 2)])
+    real, failed = module._attempt, asyncio.Event()
+
+    async def attempt(family: int, where: tuple[str, int]) -> socket.socket:
+        if where[1] == 2:
+            failed.set()
+            raise OSError("no")
+        await failed.wait()
+        return await real(family, ("127.0.0.1", port))
+
+    monkeypatch.setattr(module, "_attempt", attempt)
+    with await dial("host", 1, 5) as sock:
+        assert sock.getpeername() == ("127.0.0.1", port)
+
+
+async def the_others() -> None:
+    """Wait for every task but this one."""
+    me = asyncio.current_task()
+    await asyncio.gather(*asyncio.all_tasks() - {me}, return_exceptions=True)
+
+
 def closed_port() -> int:
     with socket.socket() as sock:
         sock.bind(("127.0.0.1", 0))
@@ -34,11 +75,11 @@ def closed_port() -> int:
 
 async def test_an_address_needs_no_resolver(port: int, monkeypatch: pytest.MonkeyPatch) -> None:
     resolve(monkeypatch)
-    with await dial("127.0.0.1", port) as sock:
+    with await dial("127.0.0.1", port, 5) as sock:
         assert sock.getpeername() == ("127.0.0.1", port)
         assert not sock.getblocking()
     with pytest.raises(OSError, match="no address"):
-        await dial("somewhere", port)
+        await dial("somewhere", port, 5)
 
 
 async def test_a_failure_goes_on_to_the_next(port: int, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -47,14 +88,14 @@ async def test_a_failure_goes_on_to_the_next(port: int, monkeypatch: pytest.Monk
         (socket.AF_INET, "127.0.0.1", closed_port()),
         (socket.AF_INET, "127.0.0.1", port),
     )
-    with await dial("host", port) as sock:
+    with await dial("host", port, 5) as sock:
         assert sock.getpeername() == ("127.0.0.1", port)
 
 
 async def test_all_fail(monkeypatch: pytest.MonkeyPatch) -> None:
     resolve(monkeypatch, *[(socket.AF_INET, "127.0.0.1", closed_port())] * 2)
     with pytest.raises(ConnectionRefusedError):
-        await dial("host", 1)
+        await dial("host", 1, 5)
 
 
 async def test_a_silent_address_does_not_hold_up_the_next(
@@ -78,6 +119,31 @@ async def test_a_silent_address_does_not_hold_up_the_next(
         return await real(family, ("127.0.0.1", port))
 
     monkeypatch.setattr(module, "_attempt", attempt)
-    with await dial("host", port) as sock:
+    with await dial("host", port, 5) as sock:
         assert sock.getpeername() == ("127.0.0.1", port)
+    await the_others()
     assert ended == [1]
+
+
+async def test_the_winner_does_not_wait_for_a_loser_that_will_not_go(
+    port: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whoever is cancelled while it waits for the losers would lose the socket it has."""
+    resolve(monkeypatch, *[(socket.AF_INET, "127.0.0.1", n) for n in (1, 2)])
+    monkeypatch.setattr(module, "_STAGGER", 0.01)
+    real, late, stubborn = module._attempt, [], asyncio.Event()
+
+    async def attempt(family: int, where: tuple[str, int]) -> socket.socket:
+        sock = await real(family, ("127.0.0.1", port))
+        while where[1] == 1 and not stubborn.is_set():
+            late.append(sock)
+            with contextlib.suppress(asyncio.CancelledError):
+                await stubborn.wait()
+        return sock
+
+    monkeypatch.setattr(module, "_attempt", attempt)
+    with await dial("host", port, 5) as sock:
+        assert sock.getpeername() == ("127.0.0.1", port)
+    stubborn.set()
+    await the_others()
+    assert [sock.fileno() for sock in late] == [-1]

@@ -26,6 +26,7 @@ from rossec.errors import (
     PlainPeer,
     SendQueueFull,
 )
+from rossec.net import driver as driver_module
 from rossec.net import server as server_module
 from rossec.net.halfopen import source_of
 from rossec.net.server import bind
@@ -357,6 +358,24 @@ async def test_a_task_set_cancels_what_still_runs() -> None:
     await tasks.close()
     assert running.cancelled()
     assert len(tasks) == 0
+
+
+async def test_a_peer_that_does_not_answer_the_close_is_cut_off(
+    server: SecureServer[FakeIdentity], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(driver_module, "_LINGER", 0.1)
+    stream = await call(server)
+    await stream.send(b"x")
+    await stream.receive()
+    (there,) = server._drivers
+    there.transport.pause_reading()
+    closing = asyncio.get_running_loop().create_task(stream.close())
+    await asyncio.sleep(0)
+    stream._driver._look()  # a timer that was set for something earlier
+    assert not stream._driver.transport.closed
+    async with asyncio.timeout(10):
+        await closing
+    assert stream._driver.transport.closed
 
 
 # -- references to certificates, and the hybrid suite

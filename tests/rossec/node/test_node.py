@@ -1,6 +1,7 @@
 """Nodes against a real master over real sockets: what arrives, what does not, what is cut."""
 
 import asyncio
+import contextlib
 import time
 from collections.abc import AsyncIterator, Callable
 from pathlib import Path
@@ -8,11 +9,19 @@ from typing import Any
 
 import pytest
 
+from ca.encoding import Value
 from ca.errors import CAError, CertificateExpired
 from ca.revocationtree import is_tree
 from grants.model import Restriction, Right, filter_rules
 from grants.renewal import open_delegation
-from rossec.errors import ConfigurationError, MessageError, NodeShutdown, RossecError
+from rossec.channel.known import KnownCertificates
+from rossec.errors import (
+    ConfigurationError,
+    HandshakeFailed,
+    MessageError,
+    NodeShutdown,
+    RossecError,
+)
 from rossec.node import Node, Publisher, Subscriber
 from tests.support.site import DAY, HOUR, Site, coarse
 
@@ -53,6 +62,54 @@ async def test_a_message_arrives_as_it_was_sent(site: Site) -> None:
         publisher.publish(pose(publisher))
         message = await first(subscriber)
     assert (message.pose.position.x, message.header.frame_id) == (3.3, "map")
+
+
+@pytest.mark.parametrize("policy", ["prefer", "require"])
+async def test_topics_by_post_quantum_policy(tmp_path: Path, policy: str) -> None:
+    site = Site(tmp_path / "site")
+    site.variables["ROSSEC_POST_QUANTUM"] = policy
+    site.publish("/robot", "/robot/pose")
+    site.subscribe("/viewer", "/robot/pose")
+    async with site.running(), site.node("/robot") as robot, site.node("/viewer") as viewer:
+        publisher = await robot.publisher("/robot/pose", POSE)
+        subscriber = await viewer.subscriber("/robot/pose", POSE)
+        publisher.publish(pose(publisher))
+        await publisher.wait_for_subscribers()
+        publisher.publish(pose(publisher))
+        assert (await first(subscriber)).pose.position.x == 3.3
+        site.variables["ROSSEC_POST_QUANTUM"] = "off"
+        with contextlib.ExitStack() as stack:
+            if policy == "require":
+                stack.enter_context(pytest.raises(HandshakeFailed, match="suite"))
+            async with site.node("/late"):
+                pass
+        site.variables["ROSSEC_POST_QUANTUM"] = "required"
+        with pytest.raises(ConfigurationError) as caught:
+            site.node("/later")
+        assert caught.value.hint.startswith("did you mean require?")
+
+
+async def test_who_met_before_names_certificates_by_their_hashes(
+    site: Site, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    site.publish("/robot", "/robot/pose")
+    site.subscribe("/viewer", "/robot/pose")
+    found: list[Value] = []
+    real = KnownCertificates.find
+
+    def find(own: KnownCertificates, named: Value) -> tuple[bytes, ...]:
+        found.append(named)
+        return real(own, named)
+
+    monkeypatch.setattr(KnownCertificates, "find", find)
+    async with site.node("/robot") as robot, site.node("/viewer") as viewer:
+        publisher = await robot.publisher("/robot/pose", POSE)
+        for _ in range(2):
+            subscriber = await viewer.subscriber("/robot/pose", POSE)
+            await publisher.wait_for_subscribers()
+            await subscriber.close()
+            await until(lambda: not publisher.links)
+    assert any(isinstance(named, dict) and 34 in named for named in found)
 
 
 async def test_the_order_of_starting_does_not_matter(site: Site) -> None:

@@ -7,7 +7,14 @@ from typing import Any
 import pytest
 
 from ca.errors import RevocationRefused
-from ca.revocation import Revocations, Timestamp, digest, sign_timestamp
+from ca.revocation import (
+    RevocationList,
+    Revocations,
+    Timestamp,
+    digest,
+    sign_list,
+    sign_timestamp,
+)
 from ca.signer import KeySigner
 from grants.errors import GrantError, GrantMissing
 from grants.model import Right
@@ -92,6 +99,19 @@ def test_never_beyond_the_cap_and_never_when_revoked(world: World) -> None:
     assert world.renewals.due(world.now + 2 * HOUR) == []
     world.hold(cap=0)
     assert world.renewals.due(world.now + 2 * HOUR) == []
+
+
+def test_a_new_epoch_makes_all_that_was_renewed_due(world: World) -> None:
+    world.hold()
+    assert renew_blocking(world.answer, world.renewals, world.at(HOUR)) == 1
+    assert world.renewals.due(world.now + HOUR + 1) == []
+    listed = RevocationList(2, 1, world.now + HOUR, world.now + DAY, frozenset())
+    data = sign_list(world.site.signer, listed)
+    stamp = Timestamp(1, digest(data), world.now + HOUR, 30)
+    world.revocations.update(data, world.now + HOUR)
+    world.revocations.confirm(stamp, world.now + HOUR)
+    assert renew_blocking(world.answer, world.renewals, world.now + HOUR + 2) == 1
+    assert world.renewals.due(world.now + HOUR + 3 * RETRY) == []
 
 
 def test_so_many_at_once_the_most_urgent_first(world: World) -> None:
