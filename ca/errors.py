@@ -91,6 +91,46 @@ class CodeExpired(CodeRefused):
     """An enrollment code whose time is over."""
 
 
+class EnrollmentRefused(CAError):
+    """An enrollment that may not go on."""
+
+
+class EnrollmentMessageRefused(EnrollmentRefused):
+    """A message that is malformed, or that nobody waits for now."""
+
+
+class RequestSwapped(EnrollmentRefused):
+    """The request that came over the network is not the one the code was made for."""
+
+
+class OfferRefused(EnrollmentRefused):
+    """An offer that is not for this node, or made by somebody who has not seen its code."""
+
+
+class RivalOffer(EnrollmentRefused):
+    """A second, different offer that is valid too: somebody else has the code."""
+
+
+class EnrollmentLocked(EnrollmentRefused):
+    """Too many offers by somebody who has not seen the code."""
+
+
+class EnrollmentExpired(EnrollmentRefused):
+    """Nobody finished the enrollment in time."""
+
+
+class EnrollmentOver(EnrollmentRefused):
+    """The enrollment has ended already, or the other side ended it."""
+
+
+class AcknowledgementRefused(EnrollmentRefused):
+    """The node's answer is not signed by its key, or not about this offer."""
+
+
+class DigitsRefused(EnrollmentRefused):
+    """The two sides do not show the same six digits."""
+
+
 class StoreError(CAError):
     """The authority's database is missing, foreign, damaged, or refuses the entry."""
 

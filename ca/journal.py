@@ -95,7 +95,7 @@ class Journal:
     def _check_requests(self, entries: list[Entry]) -> None:
         """Every request went the way the table allows, and is where the log says."""
         states = _replay(entries)
-        rows = self._database.rows("SELECT digest, state, der FROM request")
+        rows = self._database.rows("SELECT digest, state, der FROM csr")
         found = {bytes(digest): State(state) for digest, state, _ in rows}
         if found != states:
             raise LogDamaged("the requests are not where the log says", _HINT)

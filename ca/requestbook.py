@@ -49,7 +49,7 @@ class RequestBook:
                 request.digest, request.name, request.thumbprint, der, source, now,
                 State.PENDING, "", now,
             )  # fmt: skip
-            db.execute("INSERT INTO request VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)", row)
+            db.execute("INSERT INTO csr VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)", row)
             record(db, now, State.PENDING, row.name, source, row.digest)
         return row
 
@@ -116,7 +116,7 @@ class RequestBook:
         if over:
             with self._database.changing() as db:
                 for row in over:
-                    db.execute("DELETE FROM request WHERE digest = ?", (row.digest,))
+                    db.execute("DELETE FROM csr WHERE digest = ?", (row.digest,))
                     record(db, now, COLLECTED, row.name, row.state, row.digest)
         return over
 
@@ -156,7 +156,7 @@ class RequestBook:
         return self._rows(f"WHERE state IN ({_OPEN})")
 
     def _rows(self, clause: str, *values: object) -> list[RequestRow]:
-        rows = self._database.rows(f"SELECT {_COLUMNS} FROM request {clause}", *values)  # noqa: S608  (constants)
+        rows = self._database.rows(f"SELECT {_COLUMNS} FROM csr {clause}", *values)  # noqa: S608  (constants)
         return [
             RequestRow(*row)._replace(
                 state=State(row[6]), replaces=row[9] != 0, wildcard=row[10] != 0
@@ -168,7 +168,7 @@ class RequestBook:
 def _move(db: sqlite3.Connection, row: RequestRow) -> None:
     """The triggers of the record refuse a way that is not in the table, whoever was faster."""
     db.execute(
-        "UPDATE request SET state = ?, reason = ?, changed = ?, replaces = ?, wildcard = ?"
+        "UPDATE csr SET state = ?, reason = ?, changed = ?, replaces = ?, wildcard = ?"
         " WHERE digest = ?",
         (row.state, row.reason, row.changed, row.replaces, row.wildcard, row.digest),
     )

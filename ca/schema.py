@@ -9,6 +9,7 @@ import sqlite3
 from collections.abc import Iterator
 from typing import Final
 
+from ca.errors import LogDamaged
 from ca.lifecycle import TRANSITIONS, State
 from ca.log import Entry, digest_of, grow
 
@@ -46,7 +47,7 @@ _SINCE_2: Final = (
         detail TEXT NOT NULL, digest BLOB NOT NULL, peaks BLOB NOT NULL
     ) STRICT""",
     "CREATE TABLE head (data BLOB PRIMARY KEY, at INTEGER NOT NULL) STRICT",
-    """CREATE TABLE request (
+    """CREATE TABLE csr (
         digest BLOB PRIMARY KEY, name TEXT NOT NULL, thumbprint BLOB NOT NULL, der BLOB NOT NULL,
         source TEXT NOT NULL, arrived INTEGER NOT NULL,
         state TEXT NOT NULL, reason TEXT NOT NULL, changed INTEGER NOT NULL,
@@ -62,16 +63,16 @@ CREATE TRIGGER {table}_no_{verb} BEFORE {verb} ON {table}
 BEGIN SELECT RAISE(ABORT, 'the record is append-only'); END;
 """
 _NEW_REQUEST: Final = f"""
-CREATE TRIGGER request_begins BEFORE INSERT ON request WHEN NEW.state <> '{State.PENDING}'
+CREATE TRIGGER csr_begins BEFORE INSERT ON csr WHEN NEW.state <> '{State.PENDING}'
 BEGIN SELECT RAISE(ABORT, 'a request begins pending'); END;
 """
 _REQUEST_FIXED: Final = """
-CREATE TRIGGER request_fixed
-BEFORE UPDATE OF digest, name, thumbprint, der, source, arrived ON request
+CREATE TRIGGER csr_fixed
+BEFORE UPDATE OF digest, name, thumbprint, der, source, arrived ON csr
 BEGIN SELECT RAISE(ABORT, 'a request does not change'); END;
 """
 _REQUEST_MOVES: Final = """
-CREATE TRIGGER request_moves BEFORE UPDATE OF state, reason, changed, replaces, wildcard ON request
+CREATE TRIGGER csr_moves BEFORE UPDATE OF state, reason, changed, replaces, wildcard ON csr
 WHEN (OLD.state || '>' || NEW.state) NOT IN ({allowed})
 BEGIN SELECT RAISE(ABORT, 'a request does not go this way'); END;
 """
@@ -97,11 +98,20 @@ def migrate(db: sqlite3.Connection) -> None:
         return
     old = db.execute("SELECT at, what, subject, detail FROM log ORDER BY number").fetchall()
     db.execute("DROP TABLE log")  # and its triggers with it
+    if db.execute("SELECT 1 FROM sqlite_master WHERE name = 'request'").fetchone():
+        # What the inbox for grants called its table in version 1; see rossec.inbox.
+        db.execute("ALTER TABLE request RENAME TO grant_request")
     for statement in (*_SINCE_2, *_triggers(("log", "head", "answer"))):
         db.execute(statement)
     rows = {what: _rows_of(db, what) for what in RECORDED}
-    for at, what, subject, detail in old:
-        append(db, at, what, subject, detail, digest_of(next(rows[what])))
+    for number, (at, what, subject, detail) in enumerate(old):
+        row = next(rows.get(what, iter(())), None)
+        if row is None:
+            raise LogDamaged(
+                f"line {number} of the log tells of a {what} that is not recorded",
+                "restore a backup, and find out who changed the record",
+            )
+        append(db, at, what, subject, detail, digest_of(row))
     (at,) = db.execute("SELECT coalesce(max(at), 0) FROM log").fetchone()
     append(db, at, "migrated", "record", f"1 to {VERSION}", b"")
     db.execute(f"PRAGMA user_version = {VERSION}")

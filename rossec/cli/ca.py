@@ -110,7 +110,7 @@ def sign(
     for path, _, request in checked:
         _introduce(path, request, home, vouched=bool(codes))
         if anonymous:
-            _warn_of_tail(request)
+            warn_of_tail(request.name)
     confirm(f"sign {_count(len(checked))}?", yes=yes)
     authority = home.unlock(passphrase.read(passphrase_file, environment.variables))
     revoked, number = authority.store.revoked_entries(), authority.store.next_number()
@@ -207,8 +207,13 @@ def _introduce(path: Path, request: Request, home: AuthorityHome, *, vouched: bo
     say(f"  {how}")
 
 
-def _warn_of_tail(request: Request) -> None:
-    name = check_wildcard(request.name)
+def warn_of_tail(name: str) -> None:
+    """Say what a wildcard tail means.
+
+    Raises:
+        NameRefused: a name that cannot have one.
+    """
+    check_wildcard(name)
     say(f"  it may run as any number of nodes, under every name that begins with {name}_")
     say("  all of them have one key and the same grants, and are revoked together")
 

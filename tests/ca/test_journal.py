@@ -92,8 +92,8 @@ def test_a_record_in_order(store: Store) -> None:
         ("UPDATE list SET data = x'00' WHERE seq = 2", "the list of log entry"),
         ("INSERT INTO revocation VALUES (x'01', '', 0)", "a revocation is recorded that is not"),
         ("INSERT INTO grant_ VALUES (x'01', '/m', x'', 0, 0, 0)", "a grant is recorded that is"),
-        ("UPDATE request SET state = 'approved' WHERE name = '/c'", "not where the log says"),
-        ("DELETE FROM request WHERE name = '/c'", "the requests are not where the log says"),
+        ("UPDATE csr SET state = 'approved' WHERE name = '/c'", "not where the log says"),
+        ("DELETE FROM csr WHERE name = '/c'", "the requests are not where the log says"),
         ("UPDATE head SET data = x'00'", "no signed head"),
     ],
 )

@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from ca import schema
+from ca.errors import LogDamaged
 from ca.lifecycle import TRANSITIONS, State
 from ca.store import Store
 from tests.support import oldstore
@@ -69,6 +70,17 @@ def test_once_is_enough(old: Path) -> None:
     Store.open(old).close()
 
 
+def test_requests_for_grants_keep_their_rows(old: Path) -> None:
+    """In version 1 the inbox had a table with the name that requests for identities have now."""
+    with closing(sqlite3.connect(old)) as db, db:
+        db.execute("CREATE TABLE request (id BLOB PRIMARY KEY, data BLOB NOT NULL) STRICT")
+        db.execute("INSERT INTO request VALUES (x'01', x'02')")
+    with closing(Store.open(old)) as store:
+        assert store.requests.all() == []
+    with closing(sqlite3.connect(old)) as db:
+        assert db.execute("SELECT * FROM grant_request").fetchall() == [(b"\x01", b"\x02")]
+
+
 def test_an_empty_old_record(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(oldstore, "KEYS", [])
     oldstore.write_version_1(tmp_path / "old.db")
@@ -76,9 +88,27 @@ def test_an_empty_old_record(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
         assert [entry.at for entry in store.journal.entries()] == [0]
 
 
+@pytest.mark.parametrize(
+    ("change", "what"),
+    [
+        ("INSERT INTO log (at, what, subject, detail) VALUES (0, 'grant', '', '')", "grant"),
+        ("INSERT INTO log (at, what, subject, detail) VALUES (0, 'party', '', '')", "party"),
+    ],
+)
+def test_an_old_log_that_does_not_fit_is_not_brought_up(old: Path, change: str, what: str) -> None:
+    with closing(sqlite3.connect(old, isolation_level=None)) as db:
+        db.execute(change)
+        before = shape(db)
+    with pytest.raises(LogDamaged, match=f"line 20 of the log tells of a {what} that is not"):
+        Store.open(old)
+    with closing(sqlite3.connect(old)) as db:
+        assert shape(db) == before
+        assert schema.version(db) == 1
+
+
 def insert(db: sqlite3.Connection, state: str) -> None:
     db.execute(
-        "INSERT INTO request VALUES (x'01', '/a', x'02', x'03', '', 0, ?, '', 0, 0, 0)", (state,)
+        "INSERT INTO csr VALUES (x'01', '/a', x'02', x'03', '', 0, ?, '', 0, 0, 0)", (state,)
     )
 
 
@@ -89,10 +119,10 @@ def test_the_record_knows_the_ways_of_a_request(
 ) -> None:
     insert(new, "pending")
     if old_state is State.ISSUED:
-        new.execute("UPDATE request SET state = 'approved'")
+        new.execute("UPDATE csr SET state = 'approved'")
     if old_state is not State.PENDING:
-        new.execute("UPDATE request SET state = ?", (old_state,))
-    move = ("UPDATE request SET state = ?", (new_state,))
+        new.execute("UPDATE csr SET state = ?", (old_state,))
+    move = ("UPDATE csr SET state = ?", (new_state,))
     if new_state in TRANSITIONS[old_state]:
         new.execute(*move)
     else:
@@ -105,6 +135,6 @@ def test_a_request_begins_pending_and_does_not_change(new: sqlite3.Connection) -
         insert(new, "approved")
     insert(new, "pending")
     with pytest.raises(sqlite3.IntegrityError, match="a request does not change"):
-        new.execute("UPDATE request SET name = '/b'")
+        new.execute("UPDATE csr SET name = '/b'")
     with pytest.raises(sqlite3.IntegrityError, match="a request does not go this way"):
-        new.execute("UPDATE request SET replaces = 1")
+        new.execute("UPDATE csr SET replaces = 1")

@@ -47,6 +47,18 @@ def test_a_host_enrolls_below_the_root(shell: Shell, host: Shell) -> None:
     assert '"intermediate": true' in host("ca", "show", "--json").out
 
 
+def test_a_host_signs_no_lists_and_comes_back_from_a_backup(
+    shell: Shell, host: Shell, tmp_path: Path
+) -> None:
+    installed(shell, host)
+    refused(host("ca", "publish", *NOBODY), "no revocation list was signed yet")
+    refused(host.unlocked("ca", "refresh", *NOBODY), "an intermediate cannot revoke")
+    backup = str(tmp_path / "backup")
+    assert host.unlocked("ca", "backup", backup).code == 0
+    assert host.unlocked("ca", "restore", backup, "--over", "home").code == 0
+    assert AuthorityHome.at(host.root).is_intermediate
+
+
 def test_a_host_that_may_only_renew(shell: Shell, host: Shell) -> None:
     installed(shell, host, "renew")
     host("node", "request", "/robot")
