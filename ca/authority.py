@@ -15,13 +15,15 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.serialization import Encoding
 from cryptography.x509.oid import NameOID
 
-from ca.certificates import TrustAnchor
+from ca.certificates import Identity, TrustAnchor
 from ca.errors import IssueRefused
+from ca.intermediates import Intermediate, check_intermediate_request, policy
 from ca.names import check_domain, check_wildcard, spiffe_id
 from ca.publickey import require_p256, thumbprint
+from ca.renewal import Renewal
 from ca.requests import check_request
 from ca.signer import Signer
-from ca.svid import WILDCARD, WILDCARD_VALUE
+from ca.svid import SCHEME, WILDCARD, WILDCARD_VALUE
 from ca.x509signer import X509Signer
 
 DAY: Final = 86_400
@@ -34,22 +36,42 @@ _SERIAL_LIMIT: Final = 1 << 128
 
 
 class Authority:
-    """A trust domain's root in action: the signer of its key and its certificate."""
+    """A trust domain's root or intermediate in action: the signer of its key, and certificates.
 
-    def __init__(self, signer: Signer, certificate: bytes) -> None:
-        """Join key and certificate (DER).
+    `anchor` is what nodes trust, `chain` what follows each leaf (nothing, or the intermediate).
+    """
+
+    def __init__(
+        self, signer: Signer, certificate: bytes, intermediate: bytes | None = None
+    ) -> None:
+        """Join the key with the root's certificate (DER), or with an intermediate's under it.
 
         Raises:
             CertificateRefused: not an authority's certificate.
             IssueRefused: it belongs to another key.
         """
         self.anchor = TrustAnchor.load(certificate)
-        if thumbprint(signer.public_key) != self.anchor.thumbprint:
+        self.issuer: TrustAnchor | Intermediate = self.anchor
+        self.chain: tuple[bytes, ...] = ()
+        self.may_enroll = True
+        if intermediate is not None:
+            self._descend(intermediate)
+        if thumbprint(signer.public_key) != self.issuer.thumbprint:
             raise IssueRefused(
                 "the authority's certificate belongs to another key",
                 "restore ca.key and ca.pem from the same backup",
             )
         self.signer = signer
+
+    def _descend(self, der: bytes) -> None:
+        # Its time is judged at each use, by `_period`.
+        found = self.anchor.read_intermediate(der)
+        self.issuer, self.chain, self.may_enroll = found, (der,), found.may_enroll
+
+    @property
+    def is_root(self) -> bool:
+        """Whether this is the trust domain's root, which alone can revoke."""
+        return self.issuer is self.anchor
 
     def issue(
         self,
@@ -71,22 +93,91 @@ class Authority:
             NameRefused: this name cannot have a wildcard tail.
             IssueRefused: serial or lifetime out of range, or the authority's own time is over.
         """
+        if not self.may_enroll:
+            raise IssueRefused(
+                "this intermediate may renew identities, not enroll nodes",
+                "enroll at the root, or have the root make an intermediate that may",
+            )
         request = check_request(csr, self.anchor.domain, wildcard=wildcard)
+        return self._issue(
+            request.name, request.public_key, now, serial, lifetime, wildcard=wildcard
+        )
+
+    def renew(self, renewal: Renewal, *, now: int, serial: int, lifetime: int = LIFETIME) -> bytes:
+        """Return the successor (DER) of an identity, never living longer than that one did.
+
+        Raises:
+            IssueRefused: as `issue`, but an intermediate needs no leave to enroll.
+        """
+        key, longest = renewal.request.public_key, min(lifetime, renewal.longest)
+        return self.certify_again(renewal.identity, key, now=now, serial=serial, lifetime=longest)
+
+    def certify_again(
+        self,
+        identity: Identity,
+        key: ec.EllipticCurvePublicKey,
+        *,
+        now: int,
+        serial: int,
+        lifetime: int = LIFETIME,
+    ) -> bytes:
+        """Return a successor (DER) of `identity` for `key`; whether it may be, the caller knows.
+
+        Raises:
+            IssueRefused: as `issue`, but an intermediate needs no leave to enroll.
+        """
+        return self._issue(identity.name, key, now, serial, lifetime, wildcard=identity.wildcard)
+
+    def issue_intermediate(
+        self, csr: bytes, *, now: int, serial: int, may_enroll: bool, lifetime: int
+    ) -> bytes:
+        """Return the certificate (DER) of an intermediate, whose powers are said here.
+
+        Raises:
+            RequestRefused: the request is not in order.
+            IssueRefused: this is no root, or of a form without intermediates, or as `issue`.
+        """
+        key = check_intermediate_request(csr, self.anchor.domain)
+        if not self.is_root or self.anchor.path_length == 0:
+            raise IssueRefused(
+                "this authority may have no intermediates",
+                "only a root can make one, and roots of older versions cannot",
+            )
         _check_serial(serial)
         start, end = self._period(now, lifetime)
-        uri = spiffe_id(self.anchor.domain, request.name)
+        builder = _authority(key, serial, start, end, self.anchor.domain, below=0)
+        return _sign(
+            builder.issuer_name(self.anchor.subject)
+            .add_extension(policy(may_enroll=may_enroll), critical=False)
+            .add_extension(_issuer_key(self.anchor.public_key), critical=False),
+            self.signer,
+        )
+
+    def _issue(
+        self,
+        name: str,
+        key: ec.EllipticCurvePublicKey,
+        now: int,
+        serial: int,
+        lifetime: int,
+        *,
+        wildcard: bool,
+    ) -> bytes:
+        _check_serial(serial)
+        start, end = self._period(now, lifetime)
+        uri = spiffe_id(self.anchor.domain, name)
         builder = (
-            _builder(request.public_key, serial, start, end)
+            _builder(key, serial, start, end)
             .subject_name(x509.Name([]))
-            .issuer_name(self.anchor.subject)
+            .issuer_name(self.issuer.subject)
             .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
             .add_extension(_usage(authority=False), critical=True)
             # Critical because the subject is empty (RFC 5280 section 4.1.2.6).
             .add_extension(_name(uri), critical=True)
-            .add_extension(_issuer_key(self.anchor.public_key), critical=False)
+            .add_extension(_issuer_key(self.issuer.public_key), critical=False)
         )
         if wildcard:
-            check_wildcard(request.name)
+            check_wildcard(name)
             tail = x509.UnrecognizedExtension(WILDCARD, WILDCARD_VALUE)
             builder = builder.add_extension(tail, critical=False)
         return _sign(builder, self.signer)
@@ -97,13 +188,14 @@ class Authority:
                 f"a lifetime of {lifetime} s where 1 to {MAX_LIFETIME} are allowed",
                 "certificates are renewed, not made to last: the default is 30 days",
             )
-        if not self.anchor.not_before <= now <= self.anchor.not_after:
+        first = max(self.issuer.not_before, self.anchor.not_before)
+        last = min(self.issuer.not_after, self.anchor.not_after)
+        if not first <= now <= last:
             raise IssueRefused(
                 "the authority's own certificate is not valid now",
                 "check this computer's clock; an expired authority must be made anew",
             )
-        start = max(now - BACKDATE, self.anchor.not_before)
-        return start, min(now + lifetime, self.anchor.not_after)
+        return max(now - BACKDATE, first), min(now + lifetime, last)
 
 
 def create_root(signer: Signer, domain: str, *, now: int, serial: int) -> bytes:
@@ -116,18 +208,27 @@ def create_root(signer: Signer, domain: str, *, now: int, serial: int) -> bytes:
     check_domain(domain)
     _check_serial(serial)
     key = require_p256(signer.public_key)
-    # The name differs for every key, so that a stranger's certificate shows itself as such.
-    title = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, f"rossec {_short(key)}")])
-    builder = (
-        _builder(key, serial, now - BACKDATE, now + ROOT_LIFETIME)
-        .subject_name(title)
-        .issuer_name(title)
-        .add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
+    builder = _authority(key, serial, now - BACKDATE, now + ROOT_LIFETIME, domain, below=1)
+    return _sign(builder.issuer_name(_title(key)), signer)
+
+
+def _authority(
+    key: ec.EllipticCurvePublicKey, serial: int, start: int, end: int, domain: str, *, below: int
+) -> x509.CertificateBuilder:
+    """What a root and an intermediate have in common."""
+    return (
+        _builder(key, serial, start, end)
+        .subject_name(_title(key))
+        .add_extension(x509.BasicConstraints(ca=True, path_length=below), critical=True)
         .add_extension(_usage(authority=True), critical=True)
-        .add_extension(_name(f"spiffe://{domain}"), critical=False)
+        .add_extension(_name(f"{SCHEME}{domain}"), critical=False)
         .add_extension(x509.SubjectKeyIdentifier(_key_identifier(key)), critical=False)
     )
-    return _sign(builder, signer)
+
+
+def _title(key: ec.EllipticCurvePublicKey) -> x509.Name:
+    """The name differs for every key, so that a stranger's certificate shows itself as such."""
+    return x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, f"rossec {_short(key)}")])
 
 
 def _short(key: ec.EllipticCurvePublicKey) -> str:

@@ -1,14 +1,15 @@
 """Certificates: from bytes a stranger sent to the identity of a peer, or a refusal.
 
-The form is the X.509-SVID of SPIFFE with every freedom removed: P-256 and SHA-256 only, issued
-directly by the one trust anchor, exactly one URI name, no authority, one key usage. A chain is a
-sequence of one: intermediates are refused until they are needed, because path building is where
-verifiers break. The signature is checked before anything inside is believed; size before parsing.
+The form is the X.509-SVID of SPIFFE with every freedom removed: P-256 and SHA-256 only, exactly one
+URI name, no authority, one key usage, issued by the one trust anchor or by one intermediate of it.
+A chain is a sequence of one or two in this order: nothing is searched, because path building is
+where verifiers break. The signature is checked before anything inside is believed; size before
+parsing.
 """
 
 import functools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, Self
 
 from cryptography import x509
@@ -23,7 +24,8 @@ from ca.errors import (
     ForeignCertificate,
     NameRefused,
 )
-from ca.names import check_domain, check_wildcard, covers, parse_spiffe_id
+from ca.intermediates import Intermediate, read_intermediate
+from ca.names import check_wildcard, covers, parse_spiffe_id
 from ca.publickey import thumbprint
 from ca.requests import MAX_REQUEST, Request, build_request, check_request
 from ca.svid import MAX_CERTIFICATE
@@ -34,14 +36,15 @@ __all__ = [
 ]  # fmt: skip
 
 _MAX_PEM: Final = 16 * 1024
-_SCHEME: Final = "spiffe://"
 
 
 @dataclass(frozen=True)
 class Identity:
     """Who a verified certificate says its holder is. Times are inclusive, in seconds.
 
-    `thumbprint` names the key (32 bytes, RFC 9679), `certificate` is the DER as received.
+    `thumbprint` names the key (32 bytes, RFC 9679), `certificate` is the DER as received, `issuers`
+    are the thumbprints of the intermediates it hangs on: when one is revoked, so is this identity.
+    `not_after` is the end of the whole chain below the anchor.
     Grants and rules are for `name`; with `wildcard` it also stands for anonymous nodes (`covers`).
     """
 
@@ -54,10 +57,16 @@ class Identity:
     serial: int
     certificate: bytes
     wildcard: bool = False
+    issuers: tuple[bytes, ...] = ()
 
     def covers(self, name: str) -> bool:
         """Whether the holder may go by `name`: the certified one, or one with a certified tail."""
         return covers(self.name, name, wildcard=self.wildcard)
+
+    @property
+    def keys(self) -> tuple[bytes, ...]:
+        """Every key whose revocation ends this identity: its own first."""
+        return (self.thumbprint, *self.issuers)
 
 
 @dataclass(frozen=True)
@@ -71,6 +80,7 @@ class TrustAnchor:
     not_after: int
     certificate: bytes
     subject: x509.Name
+    path_length: int | None = 0
 
     @classmethod
     def load(cls, der: bytes) -> Self:
@@ -88,33 +98,70 @@ class TrustAnchor:
             )
         extensions = svid.extensions(certificate)
         svid.check_authority(extensions)
-        domain = _domain_of(svid.only_uri(extensions))
+        domain, below = svid.trust_domain(extensions), svid.path_length(extensions)
         start, end = svid.validity(certificate)
-        return cls(domain, key, thumbprint(key), start, end, der, subject)
+        return cls(domain, key, thumbprint(key), start, end, der, subject, below)
 
     def verify(self, chain: Sequence[bytes], now: int) -> Identity:
-        """Return the identity of the one certificate in `chain`, a sequence of DER.
+        """Return the identity of `chain`: a leaf, or a leaf and its intermediate, as DER.
 
         Raises:
             ForeignCertificate: signed by somebody else.
-            CertificateExpired, CertificateNotYetValid: at `now`, this one or the authority's own.
+            CertificateExpired, CertificateNotYetValid: one of them or the authority's, at `now`.
             CertificateRefused: anything else that is wrong; the message says what.
         """
-        if len(chain) != 1:
-            raise CertificateRefused(
-                f"a chain of {len(chain)} certificates where exactly one is expected",
-                "send the node's certificate alone: the authority signs nodes directly",
-            )
-        certificate = svid.parse(chain[0])
-        if not svid.is_signed_by(certificate, self.subject, self.public_key):
-            raise ForeignCertificate(
-                f"the certificate is not signed by the authority of trust domain {self.domain!r}",
-                "enroll the node with this authority, or use the ca.pem that fits",
-            )
-        identity = self._identity(certificate, chain[0])
+        match chain:
+            case [leaf]:
+                issuer: TrustAnchor | Intermediate = self
+            case [leaf, second]:
+                issuer = self.check_intermediate(second, now)
+            case _:
+                raise CertificateRefused(
+                    f"a chain of {len(chain)} certificates where one or two are expected",
+                    "send the node's certificate and its intermediate's, if it has one",
+                )
+        certificate = svid.parse(leaf)
+        if not svid.is_signed_by(certificate, issuer.subject, issuer.public_key):
+            raise self._foreign("certificate")
+        identity = self._identity(certificate, leaf)
         _check_time("authority's certificate", self.not_before, self.not_after, now)
         _check_time(f"certificate of {identity.name}", identity.not_before, identity.not_after, now)
-        return identity
+        if issuer is self:
+            return identity
+        end = min(identity.not_after, issuer.not_after)
+        return replace(identity, issuers=(issuer.thumbprint,), not_after=end)
+
+    def read_intermediate(self, der: bytes) -> Intermediate:
+        """Return the intermediate in `der`. Its time is not judged here.
+
+        Raises:
+            CertificateRefused: as `verify`, or this authority may have none.
+        """
+        if self.path_length == 0:
+            raise CertificateRefused(
+                "this authority may have no intermediates", "its root is of an older form"
+            )
+        certificate = svid.parse(der)
+        if not svid.is_signed_by(certificate, self.subject, self.public_key):
+            raise self._foreign("intermediate")
+        return read_intermediate(certificate, der, self.domain)
+
+    def check_intermediate(self, der: bytes, now: int) -> Intermediate:
+        """Return the intermediate in `der`, if it is valid at `now`.
+
+        Raises:
+            CertificateExpired, CertificateNotYetValid: it is not.
+            CertificateRefused: as `read_intermediate`.
+        """
+        found = self.read_intermediate(der)
+        _check_time("intermediate's certificate", found.not_before, found.not_after, now)
+        return found
+
+    def _foreign(self, what: str) -> ForeignCertificate:
+        return ForeignCertificate(
+            f"the {what} is not signed by the authority of trust domain {self.domain!r}",
+            "enroll the node with this authority, or use the ca.pem that fits",
+        )
 
     def _identity(self, certificate: x509.Certificate, der: bytes) -> Identity:
         return _read(self.domain, certificate, der)
@@ -178,15 +225,6 @@ def from_pem(data: bytes) -> tuple[bytes, ...]:
             "this is not a PEM certificate", "name the file that `rossec ca sign` wrote"
         ) from error
     return tuple(certificate.public_bytes(Encoding.DER) for certificate in certificates)
-
-
-def _domain_of(uri: str) -> str:
-    try:
-        if uri.startswith(_SCHEME):
-            return check_domain(uri.removeprefix(_SCHEME))
-    except NameRefused as error:
-        raise CertificateRefused(f"the authority's name is none: {error}") from error
-    raise CertificateRefused("the authority's name is not a SPIFFE trust domain")
 
 
 def _check_time(what: str, start: int, end: int, now: int) -> None:

@@ -91,6 +91,46 @@ class CodeExpired(CodeRefused):
     """An enrollment code whose time is over."""
 
 
+class EnrollmentRefused(CAError):
+    """An enrollment that may not go on."""
+
+
+class EnrollmentMessageRefused(EnrollmentRefused):
+    """A message that is malformed, or that nobody waits for now."""
+
+
+class RequestSwapped(EnrollmentRefused):
+    """The request that came over the network is not the one the code was made for."""
+
+
+class OfferRefused(EnrollmentRefused):
+    """An offer that is not for this node, or made by somebody who has not seen its code."""
+
+
+class RivalOffer(EnrollmentRefused):
+    """A second, different offer that is valid too: somebody else has the code."""
+
+
+class EnrollmentLocked(EnrollmentRefused):
+    """Too many offers by somebody who has not seen the code."""
+
+
+class EnrollmentExpired(EnrollmentRefused):
+    """Nobody finished the enrollment in time."""
+
+
+class EnrollmentOver(EnrollmentRefused):
+    """The enrollment has ended already, or the other side ended it."""
+
+
+class AcknowledgementRefused(EnrollmentRefused):
+    """The node's answer is not signed by its key, or not about this offer."""
+
+
+class DigitsRefused(EnrollmentRefused):
+    """The two sides do not show the same six digits."""
+
+
 class StoreError(CAError):
     """The authority's database is missing, foreign, damaged, or refuses the entry."""
 
@@ -105,3 +145,27 @@ class KeyChanged(StoreError):
 
 class ProofRefused(CAError):
     """A Merkle proof that does not show what it should."""
+
+
+class LogDamaged(StoreError):
+    """The authority's log is not what was written, or not what was signed."""
+
+
+class RequestClosed(StoreError):
+    """A request that was denied, answered or forgotten cannot be used for this."""
+
+
+class NameContested(StoreError):
+    """Two keys ask for one name, and nobody has said which of them is right."""
+
+
+class RenewalRefused(CAError):
+    """A renewal that the identity it renews does not prove, or that is not due."""
+
+
+class TokenRefused(KeyRefused):
+    """The token that holds the key is missing, locked, or holds no such key."""
+
+
+class BackupRefused(CAError):
+    """A file that is no backup of an authority, or one that must not be restored here."""

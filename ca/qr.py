@@ -33,6 +33,7 @@ _COLOURS: Final = "\x1b[38;5;16;48;5;231m"
 _RESET: Final = "\x1b[0m"
 _HALF_BLOCKS: Final = {(0, 0): " ", (1, 0): "\u2580", (0, 1): "\u2584", (1, 1): "\u2588"}
 _BORDER: Final = 2
+_PRINTED_BORDER: Final = 4
 
 
 @dataclass(frozen=True)
@@ -117,8 +118,21 @@ def terminal(text: str) -> str:
 def svg(text: str) -> bytes:
     """The code as an SVG image, for printing."""
     out = BytesIO()
-    segno.make_qr(text, error="m", boost_error=False).save(out, kind="svg", scale=4, border=4)
+    _printed(text).save(out, kind="svg", scale=4, border=_PRINTED_BORDER)
     return out.getvalue()
+
+
+def png(text: str) -> bytes:
+    """The code as a PNG image, for a screen that shows pictures."""
+    out = BytesIO()
+    _printed(text).save(out, kind="png", scale=8, border=_PRINTED_BORDER)
+    return out.getvalue()
+
+
+def inline_svg(text: str) -> str:
+    """The code as an SVG element that fills the viewport it is put into."""
+    element: str = _printed(text).svg_inline(border=_PRINTED_BORDER, omitsize=True, light="white")
+    return element
 
 
 def base45(data: bytes) -> str:
@@ -148,6 +162,11 @@ def unbase45(text: str) -> bytes:
             raise CodeRefused("the text holds characters no rossec code has", _HINT)
         out += value.to_bytes(size)
     return bytes(out)
+
+
+def _printed(text: str) -> segno.QRCode:
+    """Level M: paper gets dirty; a screen does not (docs/spec/enrollment.md)."""
+    return segno.make_qr(text, error="m", boost_error=False)
 
 
 def _text(data: bytes) -> str:

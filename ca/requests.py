@@ -79,8 +79,8 @@ def check_request(csr: bytes, domain: str, *, wildcard: bool = False) -> Request
         request = x509.load_der_x509_csr(csr)
         if not ends_with_whole_octets(csr, request.signature):
             raise RequestRefused("the request's signature is not in whole octets", _HINT)
-        key = _check_key(request)
-        uri, asks = _asked(request)
+        key = proven_key(request)
+        uri, asks = asked_for(request)
         name = _check_name(uri, domain)
     except PARSE_ERRORS as error:
         raise RequestRefused("this is not a certificate request", _HINT) from error
@@ -92,7 +92,12 @@ def check_request(csr: bytes, domain: str, *, wildcard: bool = False) -> Request
     return Request(domain, name, key, thumbprint(key), hashlib.sha256(csr).digest(), asks)
 
 
-def _check_key(request: x509.CertificateSigningRequest) -> ec.EllipticCurvePublicKey:
+def proven_key(request: x509.CertificateSigningRequest) -> ec.EllipticCurvePublicKey:
+    """The P-256 key of a request that proves to have it.
+
+    Raises:
+        RequestRefused: another kind of key or signature, or no proof.
+    """
     try:
         key = require_p256(request.public_key())
     except KeyRefused as error:
@@ -106,8 +111,12 @@ def _check_key(request: x509.CertificateSigningRequest) -> ec.EllipticCurvePubli
     return key
 
 
-def _asked(request: x509.CertificateSigningRequest) -> tuple[str, bool]:
-    """What a request may contain besides its key: one URI, and whether it asks for a wildcard."""
+def asked_for(request: x509.CertificateSigningRequest) -> tuple[str, bool]:
+    """What a request may contain besides its key: one URI, and whether it asks for a wildcard.
+
+    Raises:
+        RequestRefused: it contains anything else.
+    """
     if len(request.subject.rdns) > 0:
         raise RequestRefused("the request asks for a subject", _HINT)
     if [attribute.oid for attribute in request.attributes] != [_EXTENSION_REQUEST]:

@@ -1,93 +1,35 @@
-"""The authority's record: what was signed, for whom, and what was taken back. SQLite, append-only.
+"""The authority's record: what was asked, signed and taken back. SQLite, append-only.
 
-A shell. Nothing is ever changed or deleted (triggers refuse it): a certificate that was handed out
-exists, and a revocation cannot be undone. Every change appends its line to the log in the same
-transaction, and is on the disk when the call returns.
+A shell, and the one door to it. What was handed out exists and a revocation cannot be undone:
+nothing is ever changed or deleted (triggers refuse it) but requests, which end. Every change
+appends its entry to the log in the same transaction, and is on the disk when the call returns.
 """
 
-import os
-import sqlite3
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Final, NamedTuple, Self
+from typing import Any, Self
 
-from ca import names, svid
-from ca.errors import KeyChanged, NameCovered, StoreError
+from ca.database import Database
+from ca.errors import RequestClosed, StoreError
+from ca.identitybook import IdentityBook
+from ca.journal import Journal, record
+from ca.log import digest_of
+from ca.requestbook import RequestBook
+from ca.rows import CertificateRow, GrantRow, RevocationRow
 
-APPLICATION_ID: Final = 0x524F5343  # "ROSC"
-VERSION: Final = 1
-_TABLES: Final = ("certificate", "grant_", "revocation", "list", "log")
-_SCHEMA: Final = (
-    """CREATE TABLE certificate (
-        serial BLOB PRIMARY KEY, name TEXT NOT NULL, thumbprint BLOB NOT NULL, der BLOB NOT NULL,
-        not_before INTEGER NOT NULL, not_after INTEGER NOT NULL, at INTEGER NOT NULL
-    ) STRICT""",
-    "CREATE INDEX certificate_name ON certificate (name, not_after)",
-    """CREATE TABLE grant_ (
-        id BLOB PRIMARY KEY, name TEXT NOT NULL, data BLOB NOT NULL,
-        not_before INTEGER NOT NULL, expires INTEGER NOT NULL, at INTEGER NOT NULL
-    ) STRICT""",
-    """CREATE TABLE revocation (entry BLOB PRIMARY KEY, reason TEXT NOT NULL, at INTEGER NOT NULL)
-        STRICT""",
-    """CREATE TABLE list (
-        epoch INTEGER NOT NULL, seq INTEGER NOT NULL, data BLOB NOT NULL, at INTEGER NOT NULL,
-        PRIMARY KEY (epoch, seq)
-    ) STRICT""",
-    """CREATE TABLE log (number INTEGER PRIMARY KEY, at INTEGER NOT NULL, what TEXT NOT NULL,
-        subject TEXT NOT NULL, detail TEXT NOT NULL) STRICT""",
-)
-_APPEND_ONLY: Final = """
-CREATE TRIGGER {table}_no_{verb} BEFORE {verb} ON {table}
-BEGIN SELECT RAISE(ABORT, 'the record is append-only'); END;
-"""
-
-
-class CertificateRow(NamedTuple):
-    """One identity that was signed."""
-
-    serial: int
-    name: str
-    thumbprint: bytes
-    der: bytes
-    not_before: int
-    not_after: int
-
-    @property
-    def wildcard(self) -> bool:
-        """Whether it also stands for anonymous nodes."""
-        return svid.is_wildcard(self.der)
-
-    def covers(self, name: str) -> bool:
-        """Whether its holder may go by `name`."""
-        related = names.covers(self.name, name, wildcard=True)
-        return related and (self.name == name or self.wildcard)
-
-
-class GrantRow(NamedTuple):
-    """One grant that was signed."""
-
-    id: bytes
-    name: str
-    data: bytes
-    not_before: int
-    expires: int
-
-
-class LogRow(NamedTuple):
-    """One thing that was done."""
-
-    at: int
-    what: str
-    subject: str
-    detail: str
+__all__ = ["CertificateRow", "GrantRow", "RevocationRow", "Store"]
 
 
 class Store:
-    """An open record. Make one with `create` or `open`."""
+    """An open record. Make one with `create` or `open`.
 
-    def __init__(self, connection: sqlite3.Connection) -> None:
-        self._db = connection
+    `requests` are those for identities, `identities` what came of them, `journal` is the log.
+    """
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+        self.identities = IdentityBook(database)
+        self.requests = RequestBook(database, self.identities)
+        self.journal = Journal(database)
 
     @classmethod
     def create(cls, path: Path) -> Self:
@@ -96,97 +38,74 @@ class Store:
         Raises:
             StoreError: the file exists, or its directory does not.
         """
-        try:
-            os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_RDWR | os.O_CLOEXEC, 0o600))
-        except OSError as error:
-            raise StoreError(f"cannot create {path}: {error.strerror}") from error
-        store = cls(_connect(path))
-        _configure(store._db)
-        with store._changing() as db:
-            for statement in (*_SCHEMA, *_triggers()):
-                db.execute(statement)
-            db.execute(f"PRAGMA application_id = {APPLICATION_ID}")
-            db.execute(f"PRAGMA user_version = {VERSION}")
-        return store
+        return cls(Database.create(path))
 
     @classmethod
     def open(cls, path: Path) -> Self:
-        """Open an existing record.
+        """Open an existing record; one of an older version is brought up first.
 
         Raises:
             StoreError: no file, not a record of rossec, damaged, or of a newer version.
         """
-        _check_file(path)
-        db = _connect(path)
-        try:
-            _check_kind(db, path)
-            _configure(db)
-        except (sqlite3.Error, StoreError) as error:
-            db.close()
-            if isinstance(error, StoreError):
-                raise
-            raise StoreError(f"{path} is damaged: {error}", "restore it from a backup") from error
-        return cls(db)
+        return cls(Database.open(path))
 
     def close(self) -> None:
         """Close the file."""
-        self._db.close()
+        self._database.close()
+
+    def snapshot(self) -> bytes:
+        """The whole record at this moment, as the content of a file."""
+        return self._database.snapshot()
 
     def add_certificate(
-        self, row: CertificateRow, now: int, *, allow_new_key: bool = False
+        self,
+        row: CertificateRow,
+        now: int,
+        *,
+        request: bytes | None = None,
+        replace_key: str | None = None,
+        renews: bytes | None = None,
     ) -> None:
         """Record an identity before it is handed out.
 
+        `request` is the digest of the approved request it answers, or of the renewal; `replace_key`
+        and `renews` allow another key (`ca.identitybook`).
+
         Raises:
-            KeyChanged: the name is alive with another key, and that was not explicitly allowed.
+            KeyChanged, RenewalRefused: the name lives with another key.
             NameCovered: another living identity has a wildcard tail that covers the name, or the
                 other way round.
+            RequestClosed: the request is not approved, or has its certificate already.
             StoreError: the key is revoked, or the serial is taken.
         """
-        with self._changing() as db:
-            if row.thumbprint in self.revoked_entries():
-                raise StoreError(
-                    f"the key of {row.name} is revoked", "have the node make a new key and request"
-                )
-            self._check_names(row, now)
-            if not allow_new_key:
-                self._check_key(row, now)
-            serial = row.serial.to_bytes(20)
-            db.execute(
-                "INSERT INTO certificate VALUES (?, ?, ?, ?, ?, ?, ?)",
-                (serial, row.name, row.thumbprint, row.der, row.not_before, row.not_after, now),
+        with self._database.changing() as db:
+            self.identities.check_names(row.name, row.thumbprint, now, row.covers)
+            self.identities.check_key(
+                row.name, row.thumbprint, now, replace_key=replace_key, renews=renews
             )
-            _log(db, now, "certificate", row.name, row.thumbprint.hex())
+            if request is not None and self.identities.answer(request) is not None:
+                raise RequestClosed(
+                    f"this request of {row.name} has its certificate already",
+                    f"see: rossec ca show {row.name}",
+                )
+            if request is not None and renews is None:
+                self.requests.settle(db, request, now)
+            self.identities.add(db, row, now, request)
 
     def certificates(self) -> list[CertificateRow]:
         """Every identity signed, oldest first."""
-        rows = self._rows(
-            "SELECT serial, name, thumbprint, der, not_before, not_after FROM certificate"
-            " ORDER BY rowid"
-        )
-        return [CertificateRow(int.from_bytes(serial), *rest) for serial, *rest in rows]
+        return self.identities.all()
 
     def live_keys(self, name: str, now: int) -> frozenset[bytes]:
         """Thumbprints of the keys with which `name` can still prove itself."""
-        alive = {
-            row.thumbprint
-            for row in self.certificates()
-            if row.name == name and now <= row.not_after
-        }
-        return frozenset(alive) - self.revoked_entries()
+        return frozenset(row.thumbprint for row in self.identities.alive(name, now))
 
     def certified(self, name: str, now: int) -> str:
         """The name under which grants, rules and revocations are for the node called `name`.
 
         Its own, unless it is an anonymous one: then that of the living identity that covers it.
         """
-        revoked = self.revoked_entries()
-        covering = (
-            row.name
-            for row in self.certificates()
-            if now <= row.not_after and row.thumbprint not in revoked and row.covers(name)
-        )
-        return max(covering, key=len, default=name)
+        return self.identities.certified(name, now)
 
     def live_certificate(self, name: str, now: int) -> CertificateRow:
         """The newest identity of `name` that is still valid and not revoked.
@@ -194,12 +113,7 @@ class Store:
         Raises:
             StoreError: there is none.
         """
-        keys = self.live_keys(name, now)
-        alive = [
-            row
-            for row in self.certificates()
-            if row.name == name and row.thumbprint in keys and now <= row.not_after
-        ]
+        alive = self.identities.alive(name, now)
         if not alive:
             certified = self.certified(name, now)
             raise StoreError(
@@ -216,33 +130,40 @@ class Store:
         Raises:
             StoreError: the id is taken.
         """
-        with self._changing() as db:
+        with self._database.changing() as db:
             db.execute("INSERT INTO grant_ VALUES (?, ?, ?, ?, ?, ?)", (*row, now))
-            _log(db, now, "grant", row.name, row.id.hex())
+            record(db, now, "grant", row.name, row.id.hex(), digest_of(row))
 
     def grants(self) -> list[GrantRow]:
         """Every grant signed, oldest first."""
-        rows = self._rows("SELECT id, name, data, not_before, expires FROM grant_ ORDER BY rowid")
+        rows = self._database.rows(
+            "SELECT id, name, data, not_before, expires FROM grant_ ORDER BY rowid"
+        )
         return [GrantRow(*row) for row in rows]
 
     def revoke(self, entry: bytes, reason: str, now: int) -> None:
         """Record that a grant id or key thumbprint is revoked; twice is once."""
-        with self._changing() as db:
+        with self._database.changing() as db:
             done = db.execute(
                 "INSERT INTO revocation VALUES (?, ?, ?) ON CONFLICT DO NOTHING",
                 (entry, reason, now),
             )
             if done.rowcount:
-                _log(db, now, "revocation", entry.hex(), reason)
+                record(db, now, "revocation", entry.hex(), reason, digest_of((entry, reason)))
+
+    def revocations(self) -> list[RevocationRow]:
+        """Everything revoked, oldest first."""
+        rows = self._database.rows("SELECT entry, reason, at FROM revocation ORDER BY rowid")
+        return [RevocationRow(*row) for row in rows]
 
     def revoked_entries(self) -> frozenset[bytes]:
         """Everything revoked."""
-        return frozenset(entry for (entry,) in self._rows("SELECT entry FROM revocation"))
+        return frozenset(row.entry for row in self.revocations())
 
     def next_number(self) -> tuple[int, int]:
         """Epoch and sequence number for the next revocation list."""
-        rows = self._rows("SELECT epoch, seq FROM list ORDER BY epoch DESC, seq DESC LIMIT 1")
-        return (rows[0][0], rows[0][1] + 1) if rows else (1, 1)
+        number = self._newest("epoch, seq")
+        return (1, 1) if number is None else (number[0], number[1] + 1)
 
     def save_list(self, number: tuple[int, int], data: bytes, now: int) -> None:
         """Record a signed revocation list.
@@ -250,107 +171,22 @@ class Store:
         Raises:
             StoreError: its number is taken.
         """
-        with self._changing() as db:
+        with self._database.changing() as db:
             db.execute("INSERT INTO list VALUES (?, ?, ?, ?)", (*number, data, now))
-            _log(db, now, "list", f"{number[0]}.{number[1]}", "")
+            record(db, now, "list", f"{number[0]}.{number[1]}", "", digest_of((*number, data)))
 
     def newest_list(self) -> bytes | None:
         """The signed revocation list with the highest number, if there is one."""
-        rows = self._rows("SELECT data FROM list ORDER BY epoch DESC, seq DESC LIMIT 1")
-        return bytes(rows[0][0]) if rows else None
+        found = self._newest("data")
+        return None if found is None else bytes(found[0])
 
-    def log(self) -> list[LogRow]:
-        """Everything that was done, oldest first."""
-        rows = self._rows("SELECT at, what, subject, detail FROM log ORDER BY number")
-        return [LogRow(*row) for row in rows]
+    def note(self, what: str, subject: str, detail: str, now: int) -> None:
+        """Write into the log what changes nothing else in the record, such as a restoration."""
+        with self._database.changing() as db:
+            record(db, now, what, subject, detail, b"")
 
-    def _check_key(self, row: CertificateRow, now: int) -> None:
-        """A name changes its key only when the operator says so, or the old key is revoked."""
-        revoked = self.revoked_entries()
-        for known in self.certificates():
-            alive = known.name == row.name and now <= known.not_after
-            if alive and known.thumbprint not in {row.thumbprint, *revoked}:
-                raise KeyChanged(
-                    f"{row.name} has an identity with another key until it expires",
-                    "was the node set up anew? then say so with --new-key; if not, refuse",
-                )
-
-    def _check_names(self, row: CertificateRow, now: int) -> None:
-        """No two keys may go by one name, also not through a wildcard tail."""
-        revoked = self.revoked_entries()
-        for known in self.certificates():
-            alive = now <= known.not_after and known.thumbprint not in {row.thumbprint, *revoked}
-            one = known.covers(row.name) or row.covers(known.name)
-            if alive and known.name != row.name and one:
-                raise NameCovered(
-                    f"{row.name} and {known.name}: one is for anonymous nodes and covers the other",
-                    f"choose another name, or revoke {known.name} first",
-                )
-
-    def _rows(self, query: str) -> list[Any]:
-        try:
-            return self._db.execute(query).fetchall()
-        except sqlite3.Error as error:
-            raise StoreError(f"the record cannot be read: {error}", _RESTORE) from error
-
-    @contextmanager
-    def _changing(self) -> Iterator[sqlite3.Connection]:
-        """One transaction: all of it, durably, or nothing."""
-        try:
-            self._db.execute("BEGIN IMMEDIATE")
-            with self._db:
-                yield self._db
-        except sqlite3.IntegrityError as error:
-            raise StoreError(f"the record refuses the entry: {error}") from error
-        except sqlite3.Error as error:
-            raise StoreError(f"the record cannot be written: {error}", _RESTORE) from error
-
-
-_RESTORE: Final = "is the disk full, or another command at work? else restore a backup"
-
-
-def _check_file(path: Path) -> None:
-    if not path.is_file():
-        raise StoreError(f"there is no record at {path}", "restore it from a backup")
-    if path.stat().st_mode & 0o077:
-        raise StoreError(
-            f"{path} can be read or written by others",
-            f"it tells who may see what: chmod 600 {path}",
+    def _newest(self, columns: str) -> tuple[Any, ...] | None:
+        rows = self._database.rows(
+            f"SELECT {columns} FROM list ORDER BY epoch DESC, seq DESC LIMIT 1"  # noqa: S608  (constants)
         )
-
-
-def _connect(path: Path) -> sqlite3.Connection:
-    try:
-        return sqlite3.connect(
-            f"{path.absolute().as_uri()}?mode=rw", timeout=10, isolation_level=None, uri=True
-        )
-    except sqlite3.Error as error:
-        raise StoreError(f"{path} cannot be opened: {error}", _RESTORE) from error
-
-
-def _check_kind(db: sqlite3.Connection, path: Path) -> None:
-    """Before anything is set: another program's database must be left as it is."""
-    (application,) = db.execute("PRAGMA application_id").fetchone()
-    (version,) = db.execute("PRAGMA user_version").fetchone()
-    if application != APPLICATION_ID or version != VERSION:
-        raise StoreError(
-            f"{path} is not a record of this version of rossec", "restore it, or update rossec"
-        )
-
-
-def _configure(db: sqlite3.Connection) -> None:
-    for pragma in ("journal_mode = WAL", "synchronous = FULL", "trusted_schema = OFF"):
-        db.execute(f"PRAGMA {pragma}")
-
-
-def _log(db: sqlite3.Connection, now: int, what: str, subject: str, detail: str) -> None:
-    db.execute(
-        "INSERT INTO log (at, what, subject, detail) VALUES (?, ?, ?, ?)",
-        (now, what, subject, detail),
-    )
-
-
-def _triggers() -> Iterator[str]:
-    for table in _TABLES:
-        for verb in ("UPDATE", "DELETE"):
-            yield _APPEND_ONLY.format(table=table, verb=verb)
+        return rows[0] if rows else None

@@ -14,9 +14,11 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.utils import CryptographyDeprecationWarning
 from cryptography.x509.oid import ExtensionOID, SignatureAlgorithmOID
 
-from ca.errors import CertificateRefused, KeyRefused
+from ca.errors import CertificateRefused, KeyRefused, NameRefused
+from ca.names import check_domain
 from ca.publickey import require_p256
 
+SCHEME: Final = "spiffe://"
 MAX_CERTIFICATE: Final = 2048  # a leaf with the longest name has about 900 bytes
 # All that `cryptography` raises for hostile DER; some of these are no ValueError.
 PARSE_ERRORS: Final = (
@@ -150,6 +152,42 @@ def check_authority(extensions: x509.Extensions) -> None:
             )
     if "key_cert_sign" not in _usages(extensions):
         raise CertificateRefused("the authority's certificate may not sign certificates")
+
+
+def check_intermediate(extensions: x509.Extensions) -> None:
+    """An authority below the root: as `check_authority`, and with no other authority below it."""
+    check_authority(extensions)
+    if path_length(extensions) != 0:
+        raise CertificateRefused("the intermediate may have other authorities below it")
+    if _usages(extensions) != {"key_cert_sign", "crl_sign"}:
+        raise CertificateRefused("the intermediate's key usage is not signing alone")
+
+
+def path_length(extensions: x509.Extensions) -> int | None:
+    """How many authorities may stand below this one; None: any number."""
+    constraints = _critical(extensions, x509.BasicConstraints)
+    return constraints.path_length if isinstance(constraints, x509.BasicConstraints) else 0
+
+
+def policies(extensions: x509.Extensions) -> frozenset[x509.ObjectIdentifier]:
+    """The policies the certificate names."""
+    return frozenset(
+        information.policy_identifier
+        for extension in extensions
+        if isinstance(extension.value, x509.CertificatePolicies)
+        for information in extension.value
+    )
+
+
+def trust_domain(extensions: x509.Extensions) -> str:
+    """The domain of an authority: its one name, a SPIFFE ID without a path."""
+    uri = only_uri(extensions)
+    try:
+        if uri.startswith(SCHEME):
+            return check_domain(uri.removeprefix(SCHEME))
+    except NameRefused as error:
+        raise CertificateRefused(f"the authority's name is none: {error}") from error
+    raise CertificateRefused("the authority's name is not a SPIFFE trust domain")
 
 
 def _usages(extensions: x509.Extensions) -> set[str]:

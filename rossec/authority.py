@@ -11,10 +11,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Self
 
+from cryptography.hazmat.primitives.asymmetric import ec
+
 from ca import keys
 from ca.authority import LIFETIME, Authority, create_root
-from ca.certificates import TrustAnchor, from_pem, to_pem
-from ca.names import check_name
+from ca.certificates import Identity, TrustAnchor, check_request, from_pem, to_pem
+from ca.errors import ForeignCertificate, RequestClosed
+from ca.hsm import KeyUri, TokenSigner
+from ca.lifecycle import RequestRow, State
+from ca.log import sign_head
+from ca.names import check_domain, check_name
 from ca.revocation import MAX_ENTRIES, RevocationList, open_statement, sign_list
 from ca.revocationtree import MAX_LISTING, Listing, RevocationTree, sign_tree
 from ca.signer import KeySigner, Signer
@@ -30,10 +36,13 @@ SKEW: Final = 60  # seconds another host's clock may be behind: what is signed h
 _DELEGATIONS: Final = "delegations"
 _ENTRIES: Final = "revocations.entries"  # of the newest tree
 OWN_NODE: Final = "/ca"  # as which the authority's tools speak to the master
+INTERMEDIATE: Final = "intermediate/"  # before the key: no node's name begins like this
+KEY_URI: Final = "ca.uri"  # names the key of an authority that has it in a token
+_MAX_URI: Final = 4096
 _SIZE_LIMIT: Final = 256 * 1024
 _LIST_LIFETIME: Final = 90 * 86400
 _LIST_REFRESH: Final = 7 * 86400
-_OWN_LIFETIME: Final = 366 * 86400
+OWN_LIFETIME: Final = 366 * 86400
 
 
 @dataclass
@@ -60,32 +69,74 @@ class OpenAuthority:
         now: int,
         lifetime: int = LIFETIME,
         *,
-        allow_new_key: bool = False,
+        replace_key: str | None = None,
         wildcard: bool = False,
+        source: str = "file",
     ) -> bytes:
-        """Sign and record an identity; returns the node's bundle (PEM, leaf and authority).
+        """Approve a request, sign and record its identity; returns the node's bundle (PEM).
 
-        With `wildcard` it is for anonymous nodes as well. A new key that takes a name over revokes
-        the key it replaces: the list is to be delivered.
+        One request has one answer: asked again, it gets the same. With `wildcard` the identity is
+        for anonymous nodes as well. `replace_key` is the request's name once more, if it may take
+        over from another key; that one is revoked, and the list is to be delivered.
+
+        Raises:
+            KeyChanged, NameContested, NameCovered: the name is somebody else's.
+            RequestClosed: it was denied, or its identity is not valid any more.
         """
-        der = self.authority.issue(
-            request,
-            now=now,
-            serial=secrets.randbits(127) + 1,
-            lifetime=lifetime,
-            wildcard=wildcard,
-        )
-        identity = self.authority.anchor.verify([der], now)
+        asked = check_request(request, self.domain, wildcard=wildcard)
+        if replace_key is not None:
+            self._check_root()
         self._refresh_list(now)
-        row = CertificateRow(
-            identity.serial, identity.name, identity.thumbprint, der,
-            identity.not_before, identity.not_after,
-        )  # fmt: skip
-        self.store.add_certificate(row, now, allow_new_key=allow_new_key)
+        answered = self.store.identities.answer(asked.digest)
+        if answered is not None:
+            self.store.identities.check_not_revoked(asked.name, asked.thumbprint)
+            return self.again(answered, now, wildcard=wildcard)
+        row = self.store.requests.add(asked, request, source, now)
+        if row.state is State.PENDING:
+            row = self.store.requests.approve(
+                row.digest, now, replace_key=replace_key, wildcard=wildcard
+            )
+        return self.answer(row, now, lifetime)
+
+    def answer(self, row: RequestRow, now: int, lifetime: int = LIFETIME) -> bytes:
+        """Sign and record the identity an approved request asks for; returns the node's bundle.
+
+        Raises:
+            RequestClosed: it is not approved.
+        """
+        serial = secrets.randbits(127) + 1
+        der = self.authority.issue(
+            row.der, now=now, serial=serial, lifetime=lifetime, wildcard=row.wildcard
+        )
+        identity = self.verify(der, now)
+        replace_key = row.name if row.replaces else None
+        self.store.add_certificate(
+            certificate_row(identity), now, request=row.digest, replace_key=replace_key
+        )
         replaced = self.store.live_keys(identity.name, now) - {identity.thumbprint}
         if replaced:
             self._revoke(replaced, f"{identity.name} has a new key", now)
-        return to_pem(der, self.authority.anchor.certificate)
+        return self.bundle(der)
+
+    def verify(self, der: bytes, now: int) -> Identity:
+        """The identity in a leaf that this authority signed, now or as the root before."""
+        try:
+            return self.authority.anchor.verify([der, *self.authority.chain], now)
+        except ForeignCertificate:
+            return self.authority.anchor.verify([der], now)
+
+    def bundle(self, der: bytes) -> bytes:
+        """What a node installs: its leaf, the intermediate if there is one, the root (PEM)."""
+        return to_pem(der, *self.authority.chain, self.authority.anchor.certificate)
+
+    def again(self, row: CertificateRow, now: int, *, wildcard: bool) -> bytes:
+        """Hand out once more what was issued for a request: the first answer may be lost."""
+        if row not in self.store.identities.alive(row.name, now) or row.wildcard is not wildcard:
+            raise RequestClosed(
+                f"this request of {row.name} was answered, and that is not valid or meant any more",
+                "have the node make a new request",
+            )
+        return self.bundle(row.der)
 
     def grant(self, draft: Draft, now: int) -> bytes:
         """Sign and record a grant."""
@@ -132,6 +183,7 @@ class OpenAuthority:
 
     def revoke(self, entry: bytes, reason: str, now: int) -> RevocationList:
         """Add a grant id or key thumbprint to the list of revocations, and sign that anew."""
+        self._check_root()
         self.store.revoke(entry, reason, now)
         return self.sign_list(now)
 
@@ -146,7 +198,9 @@ class OpenAuthority:
                 f"{name} is the authority's own node: without it no list reaches the master",
                 "a stolen authority must be made anew, in another ROSSEC_HOME",
             )
-        found = self.store.live_keys(check_name(name), now)
+        found = self.store.live_keys(
+            name if name.startswith(INTERMEDIATE) else check_name(name), now
+        )
         if not found:
             certified = self.store.certified(name, now)
             raise ConfigurationError(
@@ -155,6 +209,7 @@ class OpenAuthority:
                 if certified == name
                 else f"it is one of the anonymous nodes of {certified}: revoking that ends all",
             )
+        self._check_root()
         return self._revoke(found, reason, now), len(found)
 
     def _revoke(self, entries: frozenset[bytes], reason: str, now: int) -> RevocationList:
@@ -185,18 +240,42 @@ class OpenAuthority:
 
     def _refresh_list(self, now: int) -> None:
         """Sign the list anew while the key is at hand, long before it expires."""
+        if not self.authority.is_root:
+            return
         held = self.store.newest_list()
         issued = 0 if held is None else open_statement(held, self.signer.public_key).issued
         if now - issued > _LIST_REFRESH:
             self.sign_list(now)
 
-    def sign_list(self, now: int) -> RevocationList:
-        """Sign the list of everything revoked that could still hold, with the next number."""
+    def sign_list(self, now: int, *, new_epoch: bool = False) -> RevocationList:
+        """Sign the list of everything revoked that could still hold, with the next number.
+
+        With `new_epoch` it beats every list of before, also those this record does not know.
+
+        Raises:
+            ConfigurationError: this is an intermediate.
+        """
+        self._check_root()
         epoch, seq = self.store.next_number()
+        if new_epoch:
+            epoch, seq = epoch + 1, 1
         entries = self.store.revoked_entries() - self._ended(now)
         listed = RevocationList(epoch, seq, now, now + _LIST_LIFETIME, entries)
         self.store.save_list(listed.number, self._signed(listed), now)
+        self.sign_head(now)
         return listed
+
+    def _check_root(self) -> None:
+        if not self.authority.is_root:
+            raise ConfigurationError(
+                "an intermediate cannot revoke", "that is for the root: do it there"
+            )
+
+    def sign_head(self, now: int) -> bytes:
+        """Sign the state of the log: whoever keeps it can tell whether the past was rewritten."""
+        head = sign_head(self.signer, self.store.journal.head(now))
+        self.store.journal.add_head(head, now)
+        return head
 
 
 class AuthorityHome:
@@ -220,10 +299,16 @@ class AuthorityHome:
         return cls(path)
 
     @classmethod
-    def create(cls, home: Path, domain: str, passphrase: str, now: int) -> Self:
+    def create(
+        cls, home: Path, domain: str, passphrase: str, now: int, uri: KeyUri | None = None
+    ) -> Self:
         """Make a new authority with its own node `/ca` and an empty revocation list.
 
+        Its key is in a file encrypted under `passphrase`; with `uri` it is made in that token, and
+        `passphrase` is the PIN.
+
         Raises:
+            TokenRefused: the token does not make the key.
             ConfigurationError: there is one already; it is not touched.
         """
         path = home / "ca"
@@ -231,13 +316,18 @@ class AuthorityHome:
             raise ConfigurationError(
                 f"there is an authority in {path}", "give another ROSSEC_HOME for a second one"
             )
+        check_domain(domain)
         key = keys.generate()
-        root = create_root(KeySigner(key), domain, now=now, serial=secrets.randbits(127) + 1)
+        signer = KeySigner(key) if uri is None else TokenSigner.create(uri, passphrase)
+        root = create_root(signer, domain, now=now, serial=secrets.randbits(127) + 1)
         # Beside its place: an interrupted beginning is no authority, and is not in the way of one.
         begun = path.with_name(f".{path.name}.{secrets.token_hex(8)}")
         try:
-            _build(begun, KeySigner(key), root, now)
-            keys.write_private(begun / "ca.key", key, passphrase)
+            _build(begun, signer, root, now)
+            if uri is None:
+                keys.write_private(begun / "ca.key", key, passphrase)
+            else:
+                files.create(begun / KEY_URI, f"{uri}\n".encode())
             files.settle(begun, path)
         except BaseException:
             shutil.rmtree(begun, ignore_errors=True)
@@ -269,9 +359,36 @@ class AuthorityHome:
         Raises:
             PassphraseRefused: the passphrase is wrong.
         """
-        key = keys.load_private(self.path / "ca.key", passphrase)
-        authority = Authority(KeySigner(key), self.anchor().certificate)
+        authority = Authority(
+            self._signer(passphrase), self.anchor().certificate, self.intermediate()
+        )
         return OpenAuthority(authority, self.store(), self.path)
+
+    def _signer(self, secret: str) -> Signer:
+        """The key: in a file that `secret` decrypts, or in the token for which it is the PIN."""
+        path = self.path / KEY_URI
+        if not path.exists():
+            return KeySigner(keys.load_private(self.path / "ca.key", secret))
+        uri = files.read(path, _MAX_URI, ConfigurationError(f"no {KEY_URI}")).decode().strip()
+        return TokenSigner.open(KeyUri.parse(uri), secret)
+
+    @property
+    def is_intermediate(self) -> bool:
+        """Whether it signs below a root that is elsewhere."""
+        return self.intermediate() is not None
+
+    def own_key(self) -> ec.EllipticCurvePublicKey:
+        """The key it signs with itself: the root's, or its own as an intermediate."""
+        anchor, der = self.anchor(), self.intermediate()
+        return anchor.public_key if der is None else anchor.read_intermediate(der).public_key
+
+    def intermediate(self) -> bytes | None:
+        """Its own certificate, if it is an intermediate below the root in ca.pem."""
+        path = self.path / "intermediate.pem"
+        if not path.exists():
+            return None
+        (der,) = from_pem(files.read(path, _SIZE_LIMIT, ConfigurationError(f"no {path.name}")))
+        return der
 
     def revocation_list(self) -> bytes:
         """The newest signed list.
@@ -294,7 +411,15 @@ class AuthorityHome:
         return files.read(self.path / _ENTRIES, MAX_LISTING, missing)
 
 
-def _build(path: Path, signer: KeySigner, root: bytes, now: int) -> None:
+def certificate_row(identity: Identity) -> CertificateRow:
+    """How an identity is recorded."""
+    return CertificateRow(
+        identity.serial, identity.name, identity.thumbprint, identity.certificate,
+        identity.not_before, identity.not_after,
+    )  # fmt: skip
+
+
+def _build(path: Path, signer: Signer, root: bytes, now: int) -> None:
     """Everything of a new authority but its key."""
     files.make_private_directory(path)
     with contextlib.closing(Store.create(path / "ca.db")) as store:
@@ -302,7 +427,7 @@ def _build(path: Path, signer: KeySigner, root: bytes, now: int) -> None:
         unlocked.sign_list(now)
         own = NodeHome(path / "node", OWN_NODE)
         own.create_request(unlocked.domain)
-        own.install(unlocked.issue(own.request(), now, _OWN_LIFETIME), now)
+        own.install(unlocked.issue(own.request(), now, OWN_LIFETIME), now)
     files.create(path / "ca.pem", to_pem(root), 0o644)
 
 

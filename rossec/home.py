@@ -80,9 +80,9 @@ class NodeHome:
         Raises:
             CertificateRefused: not a valid identity.
         """
-        leaf, root = _split(bundle)
+        chain, root = _split(bundle)
         anchor = TrustAnchor.load(root)
-        return cls.of(home, anchor.verify([leaf], now).name), anchor
+        return cls.of(home, anchor.verify(chain, now).name), anchor
 
     @property
     def request_path(self) -> Path:
@@ -103,6 +103,38 @@ class NodeHome:
         files.replace(self.request_path, request, 0o644)
         return check_request(request, domain, wildcard=wildcard)
 
+    def screen_request(self, domain: str, *, wildcard: bool = False) -> bytes:
+        """A new request (DER) with this node's key, made if there is none; it is not written.
+
+        One request gets one answer, so every code on a screen has its own. The request on disk, and
+        a label that was printed of it, stay as they are.
+        """
+        if not (self.path / "node.key").exists():
+            self.create_request(domain, wildcard=wildcard)
+        return build_request(self.signer(), domain, self.name, wildcard=wildcard)
+
+    def label_request(self, domain: str, *, wildcard: bool = False) -> bytes:
+        """The request (DER) on disk, made if there is none: what a printed label vouches for.
+
+        Raises:
+            RequestRefused: it is for another domain, or not in order.
+            ConfigurationError: it is for another key than the one here.
+        """
+        if not (self.path / "node.key").exists():
+            self.create_request(domain, wildcard=wildcard)
+        request = self.request()
+        own = keys.thumbprint(self.signer().public_key)
+        if check_request(request, domain, wildcard=wildcard).thumbprint != own:
+            raise ConfigurationError(
+                f"{self.request_path} is for another key than {self.name} has here",
+                f"move {self.path} away and begin anew",
+            )
+        return request
+
+    def signer(self) -> KeySigner:
+        """This node's key."""
+        return KeySigner(keys.load_private(self.path / "node.key"))
+
     def request(self) -> bytes:
         """The request (DER)."""
         return self._read("node.csr", f"rossec node request {self.name}")
@@ -115,9 +147,9 @@ class NodeHome:
             ConfigurationError: of another node, for another key, or of another authority than
                 this node trusts already.
         """
-        leaf, root = _split(bundle)
+        chain, root = _split(bundle)
         anchor = TrustAnchor.load(root)
-        identity = anchor.verify([leaf], now)
+        identity = anchor.verify(chain, now)
         self._check_is_ours(identity)
         self._check_same_authority(anchor)
         files.replace(self.path / "ca.pem", to_pem(root), 0o644)
@@ -149,14 +181,13 @@ class NodeHome:
         """Whether an identity with a wildcard tail is installed; verified when it is used."""
         if not (self.path / "node.pem").exists():
             return False
-        leaf, _ = _split(self._read("node.pem", ""))
-        return svid.is_wildcard(leaf)
+        chain, _ = _split(self._read("node.pem", ""))
+        return svid.is_wildcard(chain[0])
 
     def credentials(self) -> Credentials:
-        """This node's key and certificate."""
-        leaf, _ = _split(self._read("node.pem", self._enroll))
-        key = keys.load_private(self.path / "node.key")
-        return Credentials(KeySigner(key), (leaf,), shared=svid.is_wildcard(leaf))
+        """This node's key and certificate, with the intermediate's if it hangs on one."""
+        chain, _ = _split(self._read("node.pem", self._enroll))
+        return Credentials(self.signer(), chain, shared=svid.is_wildcard(chain[0]))
 
     def grants(self) -> list[bytes]:
         """The grants this node holds, as signed; unverified."""
@@ -233,7 +264,7 @@ class NodeHome:
         return ConfigurationError(f"{self.name} has no {path.name} in {path.parent}", hint)
 
     def _check_is_ours(self, identity: Identity) -> None:
-        own = keys.thumbprint(keys.load_private(self.path / "node.key").public_key())
+        own = keys.thumbprint(self.signer().public_key)
         if identity.name != self.name or identity.thumbprint != own:
             raise ConfigurationError(
                 f"this identity is for {identity.name} with another key than {self.name} has here",
@@ -255,12 +286,15 @@ def _shortened(name: str) -> Iterator[str]:
             yield name[:end]
 
 
-def _split(bundle: bytes) -> tuple[bytes, bytes]:
+def _split(bundle: bytes) -> tuple[tuple[bytes, ...], bytes]:
+    """The chain a node shows, and the root, which it does not."""
     match from_pem(bundle):
         case (leaf, root):
-            return leaf, root
+            return (leaf,), root
+        case (leaf, intermediate, root):
+            return (leaf, intermediate), root
         case found:
             raise ConfigurationError(
-                f"a bundle of {len(found)} certificates where two are expected",
+                f"a bundle of {len(found)} certificates where two or three are expected",
                 "take the file `rossec ca sign` wrote",
             )

@@ -20,7 +20,7 @@ from rossec.errors import ConfigurationError
 MAX_FILE: Final = 16 * 1024
 MAX_INBOX: Final = 256  # files looked at in one go
 _SCHEMA: Final = (
-    """CREATE TABLE IF NOT EXISTS request (
+    """CREATE TABLE IF NOT EXISTS grant_request (
         id BLOB PRIMARY KEY, name TEXT NOT NULL, data BLOB NOT NULL, at INTEGER NOT NULL
     ) STRICT""",
     """CREATE TABLE IF NOT EXISTS decision (
@@ -31,7 +31,7 @@ _SCHEMA: Final = (
     *(
         f"""CREATE TRIGGER IF NOT EXISTS {table}_no_{verb} BEFORE {verb} ON {table}
         BEGIN SELECT RAISE(ABORT, 'the record is append-only'); END"""
-        for table in ("request", "decision")
+        for table in ("grant_request", "decision")
         for verb in ("UPDATE", "DELETE")
     ),
 )
@@ -79,7 +79,7 @@ class Inbox:
         """
         with self._changing() as db:
             row = (request.id, request.node, data, now)
-            db.execute("INSERT INTO request VALUES (?, ?, ?, ?)", row)
+            db.execute("INSERT INTO grant_request VALUES (?, ?, ?, ?)", row)
 
     def answer(self, asked: Asked, answer: str, reason: str, now: int) -> None:
         """Record the answer to one wish.
@@ -95,7 +95,7 @@ class Inbox:
     def unanswered(self) -> list[Asked]:
         """Every wish without an answer, oldest first."""
         answered = set(self._db.execute("SELECT request, right, pattern FROM decision"))
-        rows = self._db.execute("SELECT data, at FROM request ORDER BY rowid").fetchall()
+        rows = self._db.execute("SELECT data, at FROM grant_request ORDER BY rowid").fetchall()
         requests = [(peek_request(data), at) for data, at in rows]
         return [
             Asked(request, at, wish)

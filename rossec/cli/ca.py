@@ -8,13 +8,15 @@ import click
 from ca import qr
 from ca.authority import DAY, MAX_LIFETIME
 from ca.certificates import Request, check_request
+from ca.hsm import KeyUri
 from ca.names import check_wildcard, spiffe_id
-from rossec.authority import AuthorityHome, fingerprint, grouped
+from rossec.authority import OWN_NODE, AuthorityHome, fingerprint, grouped
 from rossec.cli import passphrase
 from rossec.cli.context import Duration, Environment, confirm, moment, now, pass_environment
 from rossec.cli.publish import deliver, remind
-from rossec.cli.voice import printable, say, say_json
+from rossec.cli.voice import printable, say
 from rossec.errors import ConfigurationError
+from rossec.succession import own_is_due, renew_own
 
 _MAX_REQUEST = 16 * 1024
 
@@ -26,12 +28,24 @@ def ca() -> None:
 
 @ca.command()
 @click.argument("domain")
+@click.option(
+    "--key", "uri", metavar="URI", help="make the key in a token: pkcs11:token=T;object=O"
+)
 @passphrase.option
 @pass_environment
-def init(environment: Environment, domain: str, passphrase_file: Path | None) -> None:
-    """Create the authority of the trust domain DOMAIN, for example home."""
-    secret = passphrase.choose(passphrase_file, environment.variables)
-    home = AuthorityHome.create(environment.home, domain, secret, now())
+def init(
+    environment: Environment, domain: str, uri: str | None, passphrase_file: Path | None
+) -> None:
+    """Create the authority of the trust domain DOMAIN, for example home.
+
+    With --key its key is made in a PKCS#11 token and never leaves it; the passphrase is its PIN.
+    """
+    token = None if uri is None else KeyUri.parse(uri)
+    if token is None:
+        secret = passphrase.choose(passphrase_file, environment.variables)
+    else:
+        secret = passphrase.read(passphrase_file, environment.variables)
+    home = AuthorityHome.create(environment.home, domain, secret, now(), token)
     say(f"authority of {domain} in {home.path}")
     say(f"fingerprint {fingerprint(home.anchor())}")
 
@@ -55,7 +69,11 @@ def init(environment: Environment, domain: str, passphrase_file: Path | None) ->
     help="how long the identity lasts",
 )
 @click.option(
-    "--new-key", is_flag=True, help="let a known name come with another key; revokes the old one"
+    "--replace-key",
+    "replaced",
+    multiple=True,
+    metavar="NAME",
+    help="let the known name NAME come with another key; revokes the old one",
 )
 @click.option(
     "--anonymous",
@@ -71,7 +89,7 @@ def sign(
     requests: tuple[Path, ...],
     codes: tuple[str, ...],
     lifetime: int,
-    new_key: bool,
+    replaced: tuple[str, ...],
     anonymous: bool,
     master_uri: str | None,
     yes: bool,
@@ -92,12 +110,13 @@ def sign(
     for path, _, request in checked:
         _introduce(path, request, home, vouched=bool(codes))
         if anonymous:
-            _warn_of_tail(request)
+            warn_of_tail(request.name)
     confirm(f"sign {_count(len(checked))}?", yes=yes)
     authority = home.unlock(passphrase.read(passphrase_file, environment.variables))
     revoked, number = authority.store.revoked_entries(), authority.store.next_number()
     for path, data, request in checked:
-        bundle = authority.issue(data, now(), lifetime, allow_new_key=new_key, wildcard=anonymous)
+        replace_key = request.name if request.name in replaced else None
+        bundle = authority.issue(data, now(), lifetime, replace_key=replace_key, wildcard=anonymous)
         target = path.with_name("node.pem" if path.name == "node.csr" else f"{path.stem}.pem")
         target.write_bytes(bundle)
         say(f"signed {request.name}: {target}")
@@ -106,34 +125,6 @@ def sign(
         _tell(environment, master_uri)
     else:
         remind(authority.store, number)
-
-
-@ca.command()
-@click.option("--json", "as_json", is_flag=True, help="one line of JSON")
-@pass_environment
-def show(environment: Environment, as_json: bool) -> None:
-    """Show the authority and the identities it signed."""
-    home = AuthorityHome.at(environment.home)
-    rows = home.store().certificates()
-    if as_json:
-        nodes = [
-            {
-                "name": row.name,
-                "anonymous": row.wildcard,
-                "expires": row.not_after,
-                "key": row.thumbprint.hex(),
-            }
-            for row in rows
-        ]
-        say_json(
-            {"domain": home.domain, "fingerprint": fingerprint(home.anchor()), "identities": nodes}
-        )
-        return
-    say(f"authority of {home.domain} in {home.path}")
-    say(f"fingerprint {fingerprint(home.anchor())}")
-    for row in rows:
-        name = f"{row.name} and {row.name}_*" if row.wildcard else row.name
-        say(f"{name}  until {moment(row.not_after)}  fingerprint {grouped(row.thumbprint)}")
 
 
 @ca.command()
@@ -150,9 +141,14 @@ def publish(environment: Environment, master_uri: str | None) -> None:
 @passphrase.option
 @pass_environment
 def refresh(environment: Environment, master_uri: str | None, passphrase_file: Path | None) -> None:
-    """Sign the revocation list anew, before it expires, and give it to the master."""
+    """Sign the revocation list anew, before it expires, and give it to the master.
+
+    The authority's own node is renewed as well when two thirds of its life are over.
+    """
     home = AuthorityHome.at(environment.home)
     authority = home.unlock(passphrase.read(passphrase_file, environment.variables))
+    if own_is_due(authority, now()):
+        say(f"renewed {OWN_NODE} until {moment(renew_own(authority, now()))}")
     listed = authority.sign_list(now())
     say(f"list {listed.seq} holds until {moment(listed.expires)}")
     _tell(environment, master_uri)
@@ -211,8 +207,13 @@ def _introduce(path: Path, request: Request, home: AuthorityHome, *, vouched: bo
     say(f"  {how}")
 
 
-def _warn_of_tail(request: Request) -> None:
-    name = check_wildcard(request.name)
+def warn_of_tail(name: str) -> None:
+    """Say what a wildcard tail means.
+
+    Raises:
+        NameRefused: a name that cannot have one.
+    """
+    check_wildcard(name)
     say(f"  it may run as any number of nodes, under every name that begins with {name}_")
     say("  all of them have one key and the same grants, and are revoked together")
 

@@ -83,12 +83,21 @@ def confirm(question: str, *, yes: bool) -> None:
         ConfigurationError: the answer was no, or there is nobody to ask.
         KeyboardInterrupt: Ctrl-C.
     """
+    if not agrees(question, yes=yes):
+        raise ConfigurationError("nothing was done", _ANSWER)
+
+
+def agrees(question: str, *, yes: bool) -> bool:
+    """As `confirm`, where a no is an answer that means something.
+
+    Raises:
+        ConfigurationError: there is nobody to ask.
+        KeyboardInterrupt: Ctrl-C.
+    """
     if yes:
-        return
+        return True
     try:
-        agreed = click.confirm(question, default=False, err=True)
+        return click.confirm(question, default=False, err=True)
     except click.Abort as abort:
         reraise_interrupt(abort)
         raise ConfigurationError("there was no answer, nothing was done", _ANSWER) from None
-    if not agreed:
-        raise ConfigurationError("nothing was done", _ANSWER)

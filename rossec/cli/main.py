@@ -10,7 +10,11 @@ from typing import Any, NoReturn
 import click
 
 from ca.errors import HintedError
+from rossec.cli import ca_backup, ca_identities, ca_requests, node_enroll
 from rossec.cli.ca import ca
+from rossec.cli.ca_enroll import enroll
+from rossec.cli.ca_intermediate import intermediate
+from rossec.cli.ca_log import log
 from rossec.cli.context import Environment
 from rossec.cli.demo import demo
 from rossec.cli.explain import explain
@@ -55,8 +59,14 @@ for command in (
     demo,
 ):
     rossec.add_command(command)
+for command in (*ca_identities.COMMANDS, *ca_backup.COMMANDS, intermediate, log):
+    ca.add_command(command)
 for command in COMMANDS:
     grant.add_command(command)
+for command in (enroll, *ca_requests.COMMANDS):
+    ca.add_command(command)
+for command in node_enroll.COMMANDS:
+    node.add_command(command)
 
 
 class OneLine(logging.Formatter):

@@ -7,11 +7,13 @@ from pathlib import Path
 import click
 
 from ca.revocationtree import is_tree
-from rossec.authority import AuthorityHome
+from rossec.authority import AuthorityHome, OpenAuthority
 from rossec.channel import policy
+from rossec.cli import passphrase
 from rossec.cli.context import Environment, now, pass_environment
 from rossec.cli.delegate import delegate
 from rossec.cli.voice import say, say_json
+from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
 from rossec.master.complaints import Complain, ComplainLog, unheard
 from rossec.master.start import master_of
@@ -33,6 +35,10 @@ from rossec.ros import settings
     help="append what nodes lack the right to, for: rossec policy learn --from-log",
 )
 @click.option(
+    "--renew-identities", is_flag=True, help="with the intermediate of this host: see rossec ca"
+)
+@passphrase.option
+@click.option(
     "--post-quantum",
     metavar="POLICY",
     help="off, prefer or require; instead of ROSSEC_POST_QUANTUM",
@@ -45,14 +51,17 @@ def master(
     port: int | None,
     as_json: bool,
     complaints: Path | None,
+    renew_identities: bool,
+    passphrase_file: Path | None,
     post_quantum: str | None,
 ) -> None:
     """Run the master, as the node /master. Ends with Ctrl-C."""
     if context.invoked_subcommand is not None:
         return
     log = ComplainLog(complaints) if complaints is not None else unheard
+    renewer = _intermediate(environment, passphrase_file) if renew_identities else None
     suites = policy.post_quantum(environment.variables, post_quantum)
-    asyncio.run(_serve(environment, port, as_json, log, suites))
+    asyncio.run(_serve(environment, port, as_json, log, suites, renewer))
 
 
 master.add_command(delegate)
@@ -64,6 +73,7 @@ async def _serve(
     as_json: bool,
     complain: Complain,
     suites: tuple[int, ...],
+    intermediate: OpenAuthority | None,
 ) -> None:
     own = settings.read((), environment.variables, default_name=MASTER)
     stop = asyncio.Event()
@@ -76,6 +86,7 @@ async def _serve(
         port=own.master_port if port is None else port,
         newest=_newest_list(environment),
         entries=_entries(environment),
+        intermediate=intermediate,
         now=now(),
         complain=complain,
         suites=suites,
@@ -108,3 +119,19 @@ def _entries(environment: Environment) -> bytes | None:
     if newest is None or not is_tree(newest):
         return None
     return AuthorityHome.at(environment.home).entries()
+
+
+def _intermediate(environment: Environment, file: Path | None) -> OpenAuthority:
+    """The intermediate of this host, unlocked.
+
+    Raises:
+        ConfigurationError: there is none, or it is the root, whose key stays offline.
+    """
+    home = AuthorityHome.at(environment.home)
+    authority = home.unlock(passphrase.read(file, environment.variables))
+    if authority.authority.is_root:
+        raise ConfigurationError(
+            f"{home.path} holds the root, which signs no renewals for a master",
+            "make an intermediate: rossec ca intermediate request",
+        )
+    return authority

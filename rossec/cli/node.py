@@ -37,12 +37,17 @@ def request(environment: Environment, name: str, domain: str, anonymous: bool) -
 @click.argument("name")
 @click.option("--text", is_flag=True, help="only the text in the code, to paste")
 @click.option("--svg", type=click.Path(path_type=Path), help="write the code to this SVG file")
+@click.option("--png", type=click.Path(path_type=Path), help="write the code to this PNG file")
 @pass_environment
-def code(environment: Environment, name: str, text: bool, svg: Path | None) -> None:
+def code(
+    environment: Environment, name: str, text: bool, svg: Path | None, png: Path | None
+) -> None:
     """Show the QR code of NAME's request, for the authority to scan."""
     payload = qr.label_code(NodeHome.of(environment.home, name).request())
     if svg is not None:
         svg.write_bytes(qr.svg(payload))
+    if png is not None:
+        png.write_bytes(qr.png(payload))
     if not text:
         say(qr.terminal(payload))
     say(payload)

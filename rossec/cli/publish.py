@@ -2,7 +2,7 @@
 
 from typing import Final
 
-from ca.errors import HintedError
+from ca.errors import CertificateExpired, HintedError
 from ca.revocation import open_statement
 from ca.revocationtree import is_tree
 from ca.store import Store
@@ -53,6 +53,13 @@ async def carry(
     uri = master_at(environment, master_uri)
     settings.parse_uri(uri, "the master's URI")
     node = AuthorityHome.at(environment.home).node()
+    try:
+        node.identity(now())
+    except CertificateExpired as error:
+        raise ConfigurationError(
+            f"the identity of {node.name} has expired, no master listens to it",
+            f"renew it: rossec ca renew {node.name}",
+        ) from error
     try:
         async with master_as(environment, node, uri) as client:
             await client.ask(method, node.name, *statement)

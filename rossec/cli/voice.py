@@ -1,7 +1,7 @@
 """The one voice of the command line: lower case, no full stop, an error and then its hint.
 
 Results go to stdout, everything else to stderr. Exit codes: 0 done, 1 refused, 2 wrong usage,
-3 done here but not delivered (the master was out of reach), 130 interrupted.
+3 done here but not delivered (the master or the node was out of reach), 130 interrupted.
 """
 
 import json

@@ -39,6 +39,7 @@ MULTICALL_ONCE: Final = frozenset(  # each of these costs signatures or carries 
         "rossec.presentGrants", "rossec.renewGrants", "rossec.updateDelegation", WATCH,
         "rossec.revocations", "rossec.revocationsSince", "rossec.updateRevocations", "rossec.trl",
         "rossec.updateRevocationTree", "rossec.revocationProofs",
+        "rossec.renewIdentity",
     }
 )  # fmt: skip
 

@@ -58,6 +58,10 @@ class Certified(Peer, Protocol):
     def wildcard(self) -> bool:
         """Whether the name has a wildcard tail."""
 
+    @property
+    def keys(self) -> tuple[bytes, ...]:
+        """Thumbprints of every key whose revocation ends this identity, its own first."""
+
     def covers(self, name: str) -> bool:
         """Whether the peer may go by `name`."""
 
@@ -163,6 +167,7 @@ RULES: Final[Mapping[str, Rule]] = {
     "rossec.watchGraph": Rule(Scope.MASTER, Right.GRAPH),  # of which it is shown its part
     "rossec.presentGrants": Rule(Scope.OPEN),
     "rossec.renewGrants": Rule(Scope.OPEN),  # what is renewed is the caller's own, or refused
+    "rossec.renewIdentity": Rule(Scope.OPEN),  # the request is signed by the key that is renewed
     "rossec.updateDelegation": Rule(Scope.OPEN),  # as a list, it carries the authority's signature
     "rossec.revocations": Rule(Scope.OPEN),
     "rossec.revocationsSince": Rule(Scope.OPEN),

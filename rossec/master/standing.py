@@ -38,6 +38,9 @@ class Statements(Protocol):
     def renew(self, caller: Caller, tokens: Sequence[bytes], now: int) -> Renewed:
         """Renew a caller's grants."""
 
+    def renew_identity(self, caller: Caller, request: bytes, now: int) -> bytes:
+        """The bundle that succeeds an identity. Raises `HintedError`."""
+
     def delegated(self, data: bytes) -> bool:
         """Take leave to renew grants; returns whether it is newer. Raises `HintedError`."""
 

@@ -3,10 +3,13 @@
 import contextlib
 import logging
 import socket
+from collections.abc import Callable
+from functools import partial
 
 from ca.errors import HintedError, RevocationRefused
 from ca.revocation import Revocations
 from ca.revocationtree import is_tree
+from rossec.authority import OpenAuthority
 from rossec.channel.suites import PRODUCTION
 from rossec.home import NodeHome
 from rossec.master.complaints import Complain, unheard
@@ -14,6 +17,7 @@ from rossec.master.renewal import Delegate
 from rossec.master.server import MasterServer
 from rossec.master.trust import Trust
 from rossec.ros.settings import is_loopback
+from rossec.succession import renew
 
 _log = logging.getLogger(__name__)
 
@@ -26,6 +30,7 @@ def master_of(
     newest: bytes | None,
     now: int,
     entries: bytes | None = None,
+    intermediate: OpenAuthority | None = None,
     complain: Complain = unheard,
     suites: tuple[int, ...] = PRODUCTION,
 ) -> MasterServer:
@@ -36,6 +41,7 @@ def master_of(
             loopback, as in ROS; None: this machine's name, and any address.
         newest: a revocation list that may be newer than the one saved, when the authority lives on
             this host; otherwise the master waits until one is published.
+        intermediate: renews identities; never the root, whose key does not belong here.
         entries: where `newest` is a tree, all it was made of.
         complain: hears of every right that somebody lacks.
         suites: the post-quantum policy (`rossec.channel.policy`).
@@ -62,6 +68,7 @@ def master_of(
         home.save_revocations,
         delegate,
         home.save_entries,
+        None if intermediate is None else partial(renew_identity, intermediate),
     )
     _complete(trust, revocations, (entries, home.load_entries()), now)
     return MasterServer(
@@ -75,6 +82,13 @@ def master_of(
         complain=complain,
         suites=suites,
     )
+
+
+def renew_identity(
+    intermediate: OpenAuthority, request: bytes, now: int, check: Callable[[bytes, int], None]
+) -> bytes:
+    """Answer a node's renewal with its new bundle."""
+    return renew(intermediate, request, now, check)
 
 
 def _take(delegate: Delegate, data: bytes) -> None:

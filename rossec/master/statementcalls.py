@@ -45,6 +45,7 @@ class StatementCalls:
         return {
             "rossec.presentGrants": Method((grants,), 0, self._present),
             "rossec.renewGrants": Method((renewed,), [], self._renew),
+            "rossec.renewIdentity": Method((arg.binary("request"),), b"", self._renew_identity),
             "rossec.updateDelegation": Method((arg.binary("delegation"),), 0, self._delegated),
             "rossec.revocations": Method((), [], self._revocations),
             "rossec.revocationsSince": Method((arg.binary("digest"),), [], self._since),
@@ -77,6 +78,14 @@ class StatementCalls:
         status = f"grants renewed, but refused: {refused}" if refused else "grants renewed"
         event = GrantsPresented(request.caller.name, renewed.refused)
         return Reply(list(renewed.tokens), status, events=(event,))
+
+    def _renew_identity(self, request: Request) -> Reply:
+        asked = request.binary(1)
+        try:
+            bundle = self._statements.renew_identity(request.caller, asked, request.now)
+        except HintedError as error:
+            raise _refusal(error) from error
+        return Reply(bundle, "identity renewed")
 
     def _delegated(self, request: Request) -> Reply:
         try:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from ca.certificates import TrustAnchor
-from ca.errors import HintedError, RevocationRefused, Revoked
+from ca.errors import HintedError, RenewalRefused, RevocationRefused, Revoked
 from ca.revocation import MAX_AGE, Revocations, Timestamp, digest, sign_timestamp
 from ca.revocationtree import Listing, is_tree, open_tree
 from ca.signer import Signer
@@ -30,6 +30,10 @@ MAX_HELD_BYTES: Final = 256 * 1024
 MAX_NAMES: Final = 16 * 1024  # nodes of which is known which list they hold
 MAX_FAILURES: Final = 256  # refused grants of one key in FAILURES_WITHIN; each costs a verification
 FAILURES_WITHIN: Final = 60  # seconds
+
+
+Renewer = Callable[[bytes, int, Check], bytes]
+"""Answers a renewal request (`ca.renewal`) with the node's new bundle."""
 
 
 @dataclass(frozen=True)
@@ -91,6 +95,7 @@ class Trust:
         revocations: loaded with what was persisted, if anything.
         persist: makes a list durable; called before the list takes effect.
         delegate: renews grants; by default the authority has not delegated that.
+        renewer: answers a request to renew an identity, `check` says what is revoked; None: nobody.
         persist_entries: makes the entries of a tree durable, before the tree itself.
     """
 
@@ -102,17 +107,20 @@ class Trust:
         persist: Callable[[bytes], None],
         delegate: Delegate | None = None,
         persist_entries: Callable[[bytes], None] = forget,
+        renewer: Renewer | None = None,
     ) -> None:
         self._anchor = anchor
         self._signer = signer
         self._revocations = revocations
         self._persist = persist
         self._persist_entries = persist_entries
+        self._renewer = renewer
         self._listing: Listing | None = None
         self._delegate = Delegate(anchor, signer) if delegate is None else delegate
         self._held: dict[bytes, _Held] = {}
         self._ended: dict[bytes, Grant] = {}
         self._lists: dict[tuple[str, bytes], bytes] = {}
+        self._chains: dict[bytes, tuple[bytes, ...]] = {}  # by the first key: all of an identity
         self._stamp: tuple[int, bytes] = (-1, b"")
         self._confirmed_at = -1
 
@@ -120,15 +128,16 @@ class Trust:
         """Who calls and what it may do now.
 
         Raises:
-            Revoked: the key is revoked.
+            Revoked: the key is revoked, or that of the intermediate it hangs on.
         """
-        if peer.thumbprint in self._revocations.entries:
+        self._chains[peer.thumbprint] = peer.keys
+        if self._is_revoked(peer.keys):
             raise Revoked(f"the key of {peer.name} is revoked", "enroll the node with a new key")
         return self._caller(peer, now, wildcard=peer.wildcard)
 
     def caller_of(self, peer: Peer, now: int) -> Caller | None:
         """What a name and key seen before may do now; None: the key is revoked."""
-        if peer.thumbprint in self._revocations.entries:
+        if self._is_revoked(self._chains.get(peer.thumbprint, (peer.thumbprint,))):
             return None
         return self._caller(peer, now)
 
@@ -182,6 +191,23 @@ class Trust:
                 refused.append(str(error))
                 renewed.append(b"")
         return Renewed(tuple(renewed), tuple(refused))
+
+    def renew_identity(self, caller: Caller, request: bytes, now: int) -> bytes:
+        """The bundle that succeeds an identity, by the intermediate of this host.
+
+        Raises:
+            CAError: not in order, or there is no intermediate here.
+        """
+        if self._renewer is None:
+            raise RenewalRefused("this master renews no identities", "ask the authority's operator")
+        self._confirm(now)
+        held = self._held.setdefault(caller.thumbprint, _Held())
+        self._check_failures(held, now)
+        try:
+            return self._renewer(request, now, self._revocations.check)
+        except HintedError:
+            held.count_failure(now)
+            raise
 
     def delegated(self, data: bytes) -> bool:
         """Take leave of the authority to renew grants; returns whether it is newer.
@@ -261,8 +287,12 @@ class Trust:
         """Forget the grants of all other keys, and what has expired of these."""
         self._held = {key: held for key, held in self._held.items() if key in thumbprints}
         self._lists = {key: held for key, held in self._lists.items() if key[1] in thumbprints}
+        self._chains = {key: keys for key, keys in self._chains.items() if key in thumbprints}
         for held in self._held.values():
             held.drop_expired(now)
+
+    def _is_revoked(self, keys: tuple[bytes, ...]) -> bool:
+        return not self._revocations.entries.isdisjoint(keys)
 
     def _caller(self, peer: Peer, now: int, *, wildcard: bool = False) -> Caller:
         self._confirm(now)

@@ -105,7 +105,7 @@ class Access:
         if revocations:
             self._revocations.update(revocations, now, persist)
         self._revocations.confirm(open_timestamp(timestamp, master.public_key), now)
-        self._revocations.check(master.thumbprint, now)
+        self.check_peer(master, now)
         self._delegate = master.public_key
 
     def current(self, now: int) -> list[bytes]:
@@ -128,7 +128,8 @@ class Access:
 
     def check_peer(self, peer: Identity, now: int) -> None:
         """Raise a `CAError` when the identity of `peer` is revoked, or that is not known."""
-        self._revocations.check(peer.thumbprint, now)
+        for key in peer.keys:
+            self._revocations.check(key, now)
 
     def authorize(
         self, peer: Identity, presented: bytes | None, right: Right, name: str, now: int

@@ -44,7 +44,7 @@ def why_cut(link: Link, revocations: Revocations, now: int) -> str | None:
 
 
 def _entries(link: Link) -> tuple[bytes, ...]:
-    return (link.stream.peer.thumbprint, *link.decision.grant_ids)
+    return (*link.stream.peer.keys, *link.decision.grant_ids)
 
 
 def _trouble(entry: bytes, revocations: Revocations, now: int) -> Revoked | RevocationsStale | None:

@@ -14,7 +14,7 @@ from typing import Final
 
 from ca.certificates import Identity, TrustAnchor
 from ca.errors import HintedError, RevocationsStale
-from rossec.channel.credentials import Credentials
+from rossec.channel.credentials import OwnCredential
 from rossec.channel.known import KnownCertificates
 from rossec.channel.suites import PRODUCTION
 from rossec.errors import TopicRefused
@@ -42,7 +42,7 @@ class Listener:
     def __init__(
         self,
         name: str,
-        credentials: Credentials,
+        credentials: OwnCredential,
         anchor: TrustAnchor,
         access: Access,
         publishers: Mapping[str, Publisher],
@@ -96,7 +96,7 @@ class Listener:
     def cut(self, revoked: frozenset[bytes]) -> None:
         """Cut every connection of a revoked key, whatever it is used for."""
         for stream in tuple(self._streams):
-            if stream.peer.thumbprint in revoked:
+            if not revoked.isdisjoint(stream.peer.keys):
                 stream.abort("the peer's identity is revoked")
 
     async def close(self) -> None:

@@ -17,6 +17,7 @@ from typing import Final, Self
 from ca.certificates import Identity
 from ca.errors import HintedError
 from ca.revocation import Revocations, digest
+from rossec.channel.credentials import LiveCredentials
 from rossec.channel.known import KnownCertificates
 from rossec.channel.policy import post_quantum
 from rossec.errors import AnswerRefused, NodeShutdown, ServiceUnavailable
@@ -26,6 +27,7 @@ from rossec.net.tasks import TaskSet
 from rossec.node.access import Access
 from rossec.node.client import CALL_DEADLINE, ServiceClient
 from rossec.node.dial import Dialer
+from rossec.node.identity import IdentityRenewal, renew_identity
 from rossec.node.links import Link
 from rossec.node.listener import Listener
 from rossec.node.messages import message_type
@@ -74,7 +76,7 @@ class Node:
         self.name = self.settings.name
         self.home = NodeHome.find(rossec_home(environ), self.name)
         self.anchor = self.home.anchor()
-        self.credentials = self.home.credentials()
+        self.credentials = LiveCredentials(self.home.credentials())
         self.identity = self.home.identity(int(time.time()))
         self.revocations = self._load_revocations()
         self.access = Access(self.anchor, self.revocations)
@@ -112,6 +114,7 @@ class Node:
         self._topics = Topics(standing)
         self.services = Services(standing)
         self.params = Parameters(standing, self.settings.resolve)
+        self._identity_renewal = IdentityRenewal(self.home, self.credentials, int(time.time()))
         self._listener = Listener(
             self.name,
             self.credentials,
@@ -346,6 +349,7 @@ class Node:
                 renewed = await renew(self._session.call, self._renewals, int(time.time()))
                 if new or renewed:
                     await self._register()  # what was refused for want of it
+                await renew_identity(self._session.call, self._identity_renewal, int(time.time()))
                 if await prove(self._session.call, self.revocations):
                     self._watch.cut(int(time.time()))
 

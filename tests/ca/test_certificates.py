@@ -53,9 +53,9 @@ def test_an_anchor_in_full() -> None:
     assert (anchor.not_before, anchor.not_after) == (NOW - 3600, NOW + 3650 * DAY)
 
 
-@pytest.mark.parametrize("count", [0, 2, 3])
-def test_a_chain_is_one_certificate(count: int) -> None:
-    message = f"a chain of {count} certificates where exactly one is expected"
+@pytest.mark.parametrize("count", [0, 3])
+def test_a_chain_is_one_certificate_or_two(count: int) -> None:
+    message = f"a chain of {count} certificates where one or two are expected"
     with pytest.raises(CertificateRefused, match=message):
         SITE.anchor.verify([LEAF] * count, NOW)
 

@@ -1,5 +1,6 @@
 import re
 from hashlib import sha256
+from io import BytesIO
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ import segno
 import zxingcpp
 from hypothesis import given
 from hypothesis import strategies as st
+from PIL import Image
 
 from ca import qr
 from ca.errors import CodeExpired, CodeRefused
@@ -125,6 +127,12 @@ def test_an_independent_encoder_agrees() -> None:
     assert other.version == segno.make_qr(text, error="l", boost_error=False).version
     image = np.array(other.get_matrix(), dtype=np.uint8)
     assert zxingcpp.read_barcodes(enlarge(image))[0].text == text
+
+
+def test_the_png_scans() -> None:
+    text = qr.screen_code(REQUEST, b"s" * 16, 1000, "robot:1")
+    image = Image.open(BytesIO(qr.png(text)))
+    assert [code.text for code in zxingcpp.read_barcodes(image)] == [text]
 
 
 def test_the_svg_is_one() -> None:

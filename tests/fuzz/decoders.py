@@ -10,7 +10,10 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final, TypeAlias
 
+from ca import qr
 from ca.encoding import decode, encode
+from ca.enrollment.authority import AuthorityEnrollment, State
+from ca.enrollment.messages import Delivery, write
 from ca.errors import HintedError
 from rossec.channel.known import KnownCertificates, reference
 from rossec.channel.messages import (
@@ -28,6 +31,9 @@ from rossec.channel.opening import (
     judge_caller,
     refusal,
 )
+from tests.support.enrolling import ADDRESS, Robot, offered
+from tests.support.pki import NOW as SOME_TIME
+from tests.support.pki import Site
 from tests.support.wire import ALICE, NOW, joined, wire
 
 Target: TypeAlias = Callable[[bytes], object]
@@ -96,6 +102,47 @@ def _credentials() -> list[bytes]:
     return [encode(ALICE.id_cred), encode(reference(certificate)), encode({33: [b"a", b"b"]})]
 
 
+ROBOT: Final = Robot()
+HOME: Final = Site.create()
+LABEL: Final = qr.parse(qr.label_code(ROBOT.csr))
+LEAF: Final = HOME.authority.issue(ROBOT.csr, now=SOME_TIME, serial=1)
+
+
+def enrollments() -> list[bytes]:
+    """Every message of an enrollment, and the text of a code."""
+    node = ROBOT.enrollment()
+    authority, offer = offered(node, HOME)
+    answers = node.receive(offer, SOME_TIME)
+    node.confirm(node.pending.digits, SOME_TIME)
+    delivery = ROBOT.enrollment().receive(authority.fetch(), SOME_TIME)
+    return [authority.fetch(), *delivery, offer, *answers, *node.activated()]
+
+
+def _waiting_authority() -> AuthorityEnrollment:
+    authority = AuthorityEnrollment(LABEL, "home")
+    authority.receive(write(Delivery(ROBOT.csr)), SOME_TIME)
+    authority.approve(SOME_TIME)
+    authority.offer([LEAF], HOME.root, bytes(16), SOME_TIME)
+    return authority
+
+
+WAITING: Final = [_waiting_authority()]  # made anew only when it gave up: that takes a while
+
+
+def _enrolling_node(data: bytes) -> None:
+    ROBOT.enrollment(label=True).receive(data, SOME_TIME)
+
+
+def _enrolling_authority(data: bytes) -> None:
+    fetching = AuthorityEnrollment(LABEL, "home")
+    if WAITING[-1].state is not State.OFFERED:
+        WAITING.append(_waiting_authority())
+    for authority in (fetching, WAITING[-1]):
+        with suppress(HintedError):
+            authority.receive(data, SOME_TIME)
+        assert authority.digits == ""
+
+
 DECODERS: Final[dict[str, tuple[Target, Callable[[], list[bytes]]]]] = {
     "message_1": (decode_message_1, rfc9529),
     "message_2_3_4": (decode_bytes, rfc9529),
@@ -110,6 +157,12 @@ DECODERS: Final[dict[str, tuple[Target, Callable[[], list[bytes]]]]] = {
     "responder": (_responder, flights),
     "initiator": (_initiator, flights),
     "records": (_records, flights),
+    "code": (
+        lambda data: qr.parse(data.decode("latin-1")),
+        lambda: [ROBOT.enrollment(label=label).code(ADDRESS).encode() for label in (True, False)],
+    ),
+    "enrolling_node": (_enrolling_node, enrollments),
+    "enrolling_authority": (_enrolling_authority, enrollments),
 }
 
 

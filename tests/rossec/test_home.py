@@ -12,6 +12,7 @@ from ca.errors import (
     ForeignCertificate,
     KeyRefused,
     NameRefused,
+    RequestRefused,
 )
 from grants.errors import FilterRefused
 from rossec.errors import ConfigurationError
@@ -248,3 +249,31 @@ def test_an_anonymous_node_without_an_identity_is_told_how(tmp_path: Path, name:
     assert caught.value.hint == (
         f"next: rossec node request {name}, or for all such nodes /rviz --anonymous"
     )
+
+
+def test_a_screen_gets_a_new_request_and_a_label_keeps_its_own(tmp_path: Path) -> None:
+    home = NodeHome.of(tmp_path, NAME)
+    label = home.label_request("home")
+    assert home.label_request("home") == label == home.request()
+    screens = {home.screen_request("home") for _ in range(2)}
+    assert len(screens | {label}) == 3
+    assert {check_request(csr, "home").thumbprint for csr in (label, *screens)} == {
+        keys.thumbprint(home.signer().public_key)
+    }
+    assert home.request() == label
+    other = NodeHome.of(tmp_path, "/rviz")
+    asked = other.screen_request("home", wildcard=True)
+    assert check_request(asked, "home", wildcard=True).wildcard
+    assert check_request(other.label_request("home", wildcard=True), "home", wildcard=True).wildcard
+    with pytest.raises(RequestRefused, match="for trust domain 'home'"):
+        home.label_request("lab")
+
+
+def test_a_label_for_another_key(tmp_path: Path) -> None:
+    home, other = NodeHome.of(tmp_path, NAME), NodeHome.of(tmp_path, "/other")
+    home.label_request("home")
+    other.label_request("home")
+    home.request_path.write_bytes(other.request())
+    with pytest.raises(ConfigurationError, match="is for another key than") as caught:
+        home.label_request("home")
+    assert "begin anew" in caught.value.hint

@@ -15,6 +15,7 @@ from grants.request import GrantRequest, sign_request
 from rossec import inbox
 from rossec.errors import ConfigurationError
 from rossec.inbox import Inbox
+from tests.support.oldstore import write_version_1
 
 NOW = 1_800_000_000
 NODE = KeySigner(ec.generate_private_key(ec.SECP256R1()))
@@ -53,7 +54,7 @@ def test_once(path: Path) -> None:
         box.add(ASKED, DATA, NOW)
 
 
-@pytest.mark.parametrize("table", ["request", "decision"])
+@pytest.mark.parametrize("table", ["grant_request", "decision"])
 @pytest.mark.parametrize("change", ["DELETE FROM {}", "UPDATE {} SET at = 0"])
 def test_nothing_is_changed_or_deleted(path: Path, table: str, change: str) -> None:
     box = Inbox.of(path)
@@ -80,3 +81,12 @@ def test_files_are_laid_and_found(path: Path) -> None:
         inbox.read(laid)
     with pytest.raises(ConfigurationError, match="there is no"):
         inbox.read(path / "absent")
+
+
+def test_an_inbox_in_an_older_record_stays(tmp_path: Path) -> None:
+    write_version_1(tmp_path / "ca.db")
+    box = Inbox.of(tmp_path)
+    box.add(ASKED, DATA, NOW)
+    box.close()
+    Store.open(tmp_path / "ca.db").close()
+    assert [asked.wish for asked in Inbox.of(tmp_path).unanswered()] == list(WISHES)

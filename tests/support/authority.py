@@ -35,6 +35,10 @@ class Member:
         return self.identity.thumbprint
 
     @property
+    def keys(self) -> tuple[bytes, ...]:
+        return self.identity.keys
+
+    @property
     def wildcard(self) -> bool:
         return self.identity.wildcard
 

@@ -45,6 +45,7 @@ class Site:
         self.authority.sign_list(now)
         self.master: MasterServer | None = None
         self.complain: Complain = unheard
+        self.intermediate: OpenAuthority | None = None
         self.variables: dict[str, str] = {}  # more of the environment
 
     def now(self) -> int:
@@ -160,7 +161,8 @@ class Site:
         self.master = master_of(
             self.enroll(MASTER), host="127.0.0.1", port=port,
             newest=self.authority.store.newest_list(), now=self.now(), entries=self.entries,
-            complain=self.complain, suites=post_quantum(self.environ),
+            complain=self.complain, intermediate=self.intermediate,
+            suites=post_quantum(self.environ),
         )  # fmt: skip
         await self.master.start()
 

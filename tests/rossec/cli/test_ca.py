@@ -57,9 +57,18 @@ def test_another_key_for_a_known_name_must_be_said(shell: Shell) -> None:
     shell.node("/robot").rename(shell.root / "lost")
     shell("node", "request", "/robot")
     request = str(shell.node("/robot") / "node.csr")
-    refused(shell.unlocked("ca", "sign", request, "--yes"), "another key", "--new-key")
+    refused(shell.unlocked("ca", "sign", request, "--yes"), "another key", "--replace-key /robot")
     old = key_of(shell, "/robot")
-    sign = ("ca", "sign", request, "--yes", "--new-key", "--master", "http://127.0.0.1:1")
+    sign = (
+        "ca",
+        "sign",
+        request,
+        "--yes",
+        "--replace-key",
+        "/robot",
+        "--master",
+        "http://127.0.0.1:1",
+    )
     said = shell.unlocked(*sign)
     assert said.out.endswith("node.pem\nthe replaced key is revoked\n")
     refused(said, "did not take the list", "rossec ca publish", code=3)

@@ -4,6 +4,7 @@ from pathlib import Path
 import pytest
 
 from ca import qr
+from rossec.scan import code_in
 from tests.support.commands import Shell, refused
 
 
@@ -24,6 +25,8 @@ def test_the_code_is_shown_as_picture_and_text(shell: Shell, tmp_path: Path) -> 
     assert shown.splitlines()[-1] == text
     assert len(shown.splitlines()) > 15
     assert b"<svg" in (tmp_path / "code.svg").read_bytes()
+    shell("node", "code", "/robot", "--png", str(tmp_path / "code.png"))
+    assert code_in((tmp_path / "code.png").read_bytes()) == text
     refused(shell("node", "code", "/nobody"), "has no node.csr", "rossec node request /nobody")
 
 

@@ -67,6 +67,11 @@ class FakeStatements:
         good = [b"" if token == b"forged" else b"renewed " + token for token in tokens]
         return Renewed(tuple(good), ("forged",) * good.count(b""))
 
+    def renew_identity(self, caller: Caller, request: bytes, now: int) -> bytes:
+        if request == b"forged":
+            raise GrantError("not signed by the old key")
+        return b"bundle of " + request
+
     def delegated(self, data: bytes) -> bool:
         if data == b"forged":
             raise GrantError("the signature is not the authority's")

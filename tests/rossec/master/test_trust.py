@@ -1,9 +1,11 @@
 """Grants presented and revocations held: real statements of a real authority."""
 
+import dataclasses
+
 import pytest
 
 from ca.errors import RevocationRefused, Revoked
-from ca.revocation import digest, open_timestamp
+from ca.revocation import RevocationList, digest, open_timestamp, sign_list
 from ca.revocationtree import Listing, RevocationTree, is_revoked, open_tree, sign_tree
 from ca.signer import KeySigner
 from grants.document import grant_id
@@ -123,6 +125,22 @@ def test_a_revoked_key_is_nobody(world: World) -> None:
     with pytest.raises(Revoked, match="the key of /node is revoked"):
         world.trust.caller(world.node, world.now)
     assert world.trust.caller_of(world.node, world.now) is None
+
+
+def test_a_key_below_a_revoked_intermediate_is_nobody(world: World) -> None:
+    above = b"i" * 32
+    member = dataclasses.replace(
+        world.node, identity=dataclasses.replace(world.node.identity, issuers=(above,))
+    )
+    assert world.trust.caller(member, world.now).name == "/node"
+    assert world.trust.caller_of(member, world.now) is not None
+    listed = RevocationList(1, 7, world.now, world.now + 1000, frozenset({above}))
+    world.trust.update(sign_list(world.site.signer, listed), world.now)
+    with pytest.raises(Revoked, match="the key of /node is revoked"):
+        world.trust.caller(member, world.now)
+    assert world.trust.caller_of(member, world.now) is None
+    world.trust.keep_only(frozenset(), world.now)
+    assert world.trust._chains == {}
 
 
 def test_two_keys_of_one_name_are_two_callers(world: World) -> None:

@@ -11,12 +11,12 @@ from tests.support.site import Site
 
 NOW = int(time.time())
 GRANT = b"g" * 16
-KEY = b"k" * 32
+KEY, ABOVE = b"k" * 32, b"i" * 32
 
 
 class Linked:
     def __init__(self, ends: int = NOW + 1000, keep: bool = False) -> None:
-        self.stream: Any = SimpleNamespace(peer=SimpleNamespace(thumbprint=KEY))
+        self.stream: Any = SimpleNamespace(peer=SimpleNamespace(keys=(KEY, ABOVE)))
         self.decision: Any = SimpleNamespace(grant_ids=(GRANT,), keep_when_stale=keep)
         self.ends = ends
 
@@ -47,7 +47,7 @@ def test_an_expired_one_is_cut_to_the_second(site: Site, late: int) -> None:
     assert reason == "its grant or its certificate has expired"
 
 
-@pytest.mark.parametrize("entry", [GRANT, KEY])
+@pytest.mark.parametrize("entry", [GRANT, KEY, ABOVE])
 def test_a_revoked_grant_or_key_cuts(site: Site, entry: bytes) -> None:
     site.authority.revoke(entry, "", NOW)
     assert why_cut(Linked(), revocations(site), NOW) == f"{entry.hex()} is revoked"

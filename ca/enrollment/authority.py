@@ -1,0 +1,236 @@
+"""The authority's side of an enrollment, sans-IO.
+
+The code comes from the node itself, through the eyes of a person or a camera; everything else comes
+over the network and is compared with it. The node is enrolled when it says so, signed, about this
+very transcript; until then nobody is told that it is.
+"""
+
+from collections.abc import Callable, Sequence
+from enum import Enum
+from typing import Final
+
+from ca.certificates import TrustAnchor
+from ca.enrollment import NONCE_SIZE, WINDOW, transcript
+from ca.enrollment.messages import (
+    Abort,
+    Acknowledgement,
+    Delivery,
+    Done,
+    Fetch,
+    Message,
+    Offer,
+    Reason,
+    read,
+    write,
+)
+from ca.errors import (
+    AcknowledgementRefused,
+    EnrollmentExpired,
+    EnrollmentMessageRefused,
+    EnrollmentOver,
+    EnrollmentRefused,
+    RequestSwapped,
+    RivalOffer,
+)
+from ca.qr import Code
+from ca.requests import Request, check_request
+
+_SAID: Final[dict[Reason, tuple[type[EnrollmentRefused], str, str]]] = {
+    Reason.REFUSED: (
+        EnrollmentOver, "the node refused the offer",
+        "does it show another code by now, or is its clock wrong? `rossec node enroll` says why",
+    ),
+    Reason.OVER: (
+        EnrollmentOver, "the node has ended the enrollment", "have it show a new code",
+    ),
+    Reason.RIVAL: (
+        RivalOffer, "the node got two different offers: somebody else has its code",
+        "nothing was accepted there; find out who, then have it show a new code",
+    ),
+}  # fmt: skip
+
+
+class State(Enum):
+    """Where the authority is with one node."""
+
+    FETCHING = "asks for the request"
+    COMPARED = "the request fits the code"
+    APPROVED = "approved"
+    OFFERED = "waits for the node's answer"
+    ACKNOWLEDGED = "waits for the person at the node"
+    ENROLLED = "enrolled"
+    OVER = "over"
+
+
+TABLE: Final[dict[tuple[State, type[Message]], tuple[str, tuple[State, ...]]]] = {
+    (State.FETCHING, Delivery): ("_compare", (State.COMPARED, State.OVER)),
+    (State.FETCHING, Abort): ("_aborted", (State.OVER,)),
+    (State.OFFERED, Acknowledgement): ("_acknowledged", (State.ACKNOWLEDGED, State.OVER)),
+    (State.OFFERED, Abort): ("_aborted", (State.OVER,)),
+    (State.ACKNOWLEDGED, Acknowledgement): ("_acknowledged_again", (State.ACKNOWLEDGED,)),
+    (State.ACKNOWLEDGED, Done): ("_done", (State.ENROLLED, State.OVER)),
+    (State.ACKNOWLEDGED, Abort): ("_aborted", (State.OVER,)),
+    (State.ENROLLED, Acknowledgement): ("_acknowledged_again", (State.ENROLLED,)),
+    (State.ENROLLED, Done): ("_done", (State.ENROLLED,)),
+}
+WITHOUT_MESSAGE: Final = (
+    (State.COMPARED, State.APPROVED, "approve()"),
+    (State.APPROVED, State.OFFERED, "offer()"),
+    (State.FETCHING, State.OVER, "too late"),
+    (State.COMPARED, State.OVER, "too late, or denied"),
+    (State.APPROVED, State.OVER, "too late"),
+    (State.OFFERED, State.OVER, "too late"),
+    (State.ACKNOWLEDGED, State.OVER, "too late"),
+)
+"""What moves the authority besides messages."""
+
+
+class AuthorityEnrollment:
+    """One enrollment of the node whose code was read; never used twice."""
+
+    def __init__(self, code: Code, domain: str, *, wildcard: bool = False) -> None:
+        """Enroll the node with this `code`; `wildcard`: it may ask for a wildcard tail."""
+        self.state = State.FETCHING
+        self.digits = ""
+        self._code = code
+        self._domain = domain
+        self._wildcard = wildcard
+        self._request: Request | None = None
+        self._csr = b""
+        self._agreed = b""
+        self._statement = b""
+        self._deadline = code.expires if code.secret else 0
+
+    def fetch(self) -> bytes:
+        """The first message."""
+        return write(Fetch())
+
+    @property
+    def request(self) -> Request:
+        """Who asks: compared with the code, the key proven.
+
+        Raises:
+            EnrollmentOver: there is no request yet.
+        """
+        if self._request is None:
+            raise EnrollmentOver("there is no request yet")
+        return self._request
+
+    @property
+    def csr(self) -> bytes:
+        """The request as it came (DER)."""
+        return self._csr
+
+    def receive(self, data: bytes, now: int) -> None:
+        """Take one message of the node.
+
+        Raises:
+            EnrollmentRefused, RequestRefused: each flaw with its own leaf; a message that nobody
+                waits for changes nothing, everything else ends the enrollment.
+        """
+        self.tick(now)
+        message = read(data)
+        entry = TABLE.get((self.state, type(message)))
+        if entry is None:
+            raise EnrollmentMessageRefused(f"no {type(message).__name__} while {self.state.value}")
+        method, followers = entry
+        action: Callable[[Message, int], None] = getattr(self, method)
+        before = self.state
+        action(message, now)
+        assert self.state in {before, *followers}  # noqa: S101 - the table is the truth
+
+    def approve(self, now: int) -> None:
+        """A person, or whoever speaks for one, has seen `request` and said yes."""
+        self.tick(now)
+        self._move(State.COMPARED, State.APPROVED)
+
+    def deny(self) -> None:
+        """A person said no."""
+        self._move(State.COMPARED, State.OVER)
+
+    def offer(self, chain: Sequence[bytes], root: bytes, nonce: bytes, now: int) -> bytes:
+        """What to send now, and again, to the letter, when the connection breaks.
+
+        `chain` is the certificate issued for `csr`, and an intermediate if there is one; `nonce`
+        are 16 fresh random octets.
+
+        Raises:
+            CertificateRefused: the chain does not hold.
+            EnrollmentRefused: not approved, too late, or the chain is for another request.
+        """
+        self.tick(now)
+        identity = TrustAnchor.load(root).verify(chain, now)
+        request = self.request
+        ours = (request.domain, request.name, request.wildcard, request.thumbprint)
+        offered = (identity.domain, identity.name, identity.wildcard, identity.thumbprint)
+        if offered != ours:
+            raise EnrollmentRefused("the certificate is not the one that was asked for")
+        if len(nonce) != NONCE_SIZE:
+            raise EnrollmentRefused(f"a nonce has {NONCE_SIZE} octets")
+        self._move(State.APPROVED, State.OFFERED)
+        self._deadline = now + WINDOW
+        self._agreed = transcript.transcript(self._csr, chain, root, nonce)
+        secret = self._code.secret
+        proof = transcript.tag(secret, self._agreed) if secret else b""
+        return write(Offer(tuple(chain), root, nonce, proof))
+
+    @property
+    def deadline(self) -> int:
+        """The last second for the next step; 0 for none."""
+        return self._deadline
+
+    def tick(self, now: int) -> None:
+        """Time has passed.
+
+        Raises:
+            EnrollmentExpired: too much of it.
+        """
+        if self.state in {State.ENROLLED, State.OVER}:
+            return
+        if self._deadline and now > self._deadline:
+            self.state = State.OVER
+            raise EnrollmentExpired(
+                "the enrollment was not finished in time", "have the node show a new code"
+            )
+
+    def _move(self, begin: State, end: State) -> None:
+        if self.state is not begin:
+            raise EnrollmentOver(f"not while the authority {self.state.value}")
+        self.state = end
+
+    def _compare(self, message: Delivery, _: int) -> None:
+        """The hash first: nothing is parsed that the code does not vouch for."""
+        self.state = State.OVER
+        if not self._code.matches(message.csr):
+            raise RequestSwapped(
+                "the request is not the one the code was made for",
+                "it was swapped on its way, or this is another node: scan the code again",
+            )
+        self._request = check_request(message.csr, self._domain, wildcard=self._wildcard)
+        self._csr = message.csr
+        self.state = State.COMPARED
+
+    def _acknowledged(self, message: Acknowledgement, now: int) -> None:
+        self.state = State.OVER
+        contribution = transcript.open_acknowledgement(
+            message.statement, self.request.public_key, self._agreed
+        )
+        self.digits = transcript.digits(self._agreed, contribution)
+        self._statement = message.statement
+        self._deadline = now + WINDOW
+        self.state = State.ACKNOWLEDGED
+
+    def _acknowledged_again(self, message: Acknowledgement, _: int) -> None:
+        if message.statement != self._statement:
+            raise AcknowledgementRefused("a second, different answer of the node", "start again")
+
+    def _done(self, message: Done, _: int) -> None:
+        if self.state is State.ACKNOWLEDGED:  # a false word takes nothing back later
+            self.state = State.OVER
+        transcript.check_done(message.statement, self.request.public_key, self._agreed)
+        self.state = State.ENROLLED
+
+    def _aborted(self, message: Abort, _: int) -> None:
+        self.state = State.OVER
+        error, text, hint = _SAID[message.reason]
+        raise error(text, hint)

@@ -1,0 +1,162 @@
+"""What travels during an enrollment: deterministic CBOR arrays, each in a frame of its own.
+
+A frame is four octets of length and one message. Nothing here is believed: the messages come over
+a network nobody trusts, and only the state machines know what they are worth.
+"""
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Final, TypeAlias
+
+from ca.encoding import Value, decode, encode
+from ca.enrollment import NONCE_SIZE
+from ca.errors import EncodingError, EnrollmentMessageRefused
+
+VERSION: Final = 1
+MAX_MESSAGE: Final = 8192  # a chain of two, a root, a nonce and a tag have at most 6300 octets
+HEADER_SIZE: Final = 4
+TAG_SIZE: Final = 32
+MAX_CHAIN: Final = 2
+
+
+class Reason(IntEnum):
+    """Why a side gave up, told to the other one. Unauthenticated, so only a hint."""
+
+    REFUSED = 1
+    OVER = 2
+    RIVAL = 3
+
+
+_REASONS: Final = frozenset(Reason)
+
+
+@dataclass(frozen=True)
+class Fetch:
+    """Authority to node: give me your request."""
+
+
+@dataclass(frozen=True)
+class Delivery:
+    """Node to authority: my request, a CSR in DER."""
+
+    csr: bytes
+
+
+@dataclass(frozen=True)
+class Offer:
+    """Authority to node: your identity, and whom to trust.
+
+    `chain` is the node's certificate and at most one intermediate (DER), `root` the trust anchor.
+    `tag` proves that the sender has seen the code; for label codes it is empty.
+    """
+
+    chain: tuple[bytes, ...]
+    root: bytes
+    nonce: bytes
+    tag: bytes
+
+
+@dataclass(frozen=True)
+class Acknowledgement:
+    """Node to authority: this is what I got, signed (`transcript.ACKNOWLEDGEMENT`)."""
+
+    statement: bytes
+
+
+@dataclass(frozen=True)
+class Done:
+    """Node to authority: a person confirmed, I am enrolled, signed (`transcript.DONE`)."""
+
+    statement: bytes
+
+
+@dataclass(frozen=True)
+class Abort:
+    """Either side: I end this."""
+
+    reason: Reason
+
+
+Message: TypeAlias = Fetch | Delivery | Offer | Acknowledgement | Done | Abort
+
+
+def write(message: Message) -> bytes:
+    """Encode one message."""
+    return encode([VERSION, *_fields(message)])
+
+
+def read(data: bytes) -> Message:
+    """Decode one message, strictly.
+
+    Raises:
+        EnrollmentMessageRefused: too long, malformed, or of another version.
+    """
+    try:
+        message = _message(decode(data, limit=MAX_MESSAGE))
+    except EncodingError as error:
+        raise EnrollmentMessageRefused(f"a message that is none: {error}") from error
+    if message is None or write(message) != data:  # True == 1, but it is not written so
+        raise EnrollmentMessageRefused("a message that is none of the enrollment's")
+    return message
+
+
+def frame(message: bytes) -> bytes:
+    """A message as it travels: its length, then itself."""
+    return len(message).to_bytes(HEADER_SIZE) + message
+
+
+def length(header: bytes) -> int:
+    """The length in a frame's first four octets.
+
+    Raises:
+        EnrollmentMessageRefused: longer than any message is.
+    """
+    size = int.from_bytes(header)
+    if not 0 < size <= MAX_MESSAGE:
+        raise EnrollmentMessageRefused(f"a message of {size} octets, which no side sends")
+    return size
+
+
+def _fields(message: Message) -> list[Value]:
+    match message:
+        case Fetch():
+            return [1]
+        case Delivery(csr):
+            return [2, csr]
+        case Offer(chain, root, nonce, tag):
+            return [3, list(chain), root, nonce, tag]
+        case Acknowledgement(statement):
+            return [4, statement]
+        case Done(statement):
+            return [5, statement]
+        case _:
+            return [6, int(message.reason)]
+
+
+def _message(fields: Value) -> Message | None:
+    match fields:
+        case [1, 1]:
+            return Fetch()
+        case [1, 2, bytes() as csr]:
+            return Delivery(csr)
+        case [1, 3, [*chain], bytes() as root, bytes() as nonce, bytes() as tag]:
+            return _offer(chain, root, nonce, tag)
+        case [1, 4 | 5 as kind, bytes() as statement]:
+            return Acknowledgement(statement) if kind == 4 else Done(statement)
+        case [1, 6, int() as reason] if reason in _REASONS:
+            return Abort(Reason(reason))
+        case [int() as version, *_] if version != VERSION:
+            raise EnrollmentMessageRefused(
+                f"the other side speaks version {version} of the enrollment",
+                "update the older of the two sides",
+            )
+    return None
+
+
+def _offer(chain: list[Value], root: bytes, nonce: bytes, tag: bytes) -> Offer | None:
+    certificates = tuple(item for item in chain if isinstance(item, bytes))
+    if not 0 < len(certificates) == len(chain) <= MAX_CHAIN:
+        return None
+    if len(nonce) != NONCE_SIZE or len(tag) not in {0, TAG_SIZE}:
+        return None
+    return Offer(certificates, root, nonce, tag)

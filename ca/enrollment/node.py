@@ -1,0 +1,292 @@
+"""The node's side of an enrollment, sans-IO.
+
+It shows a code, hands out its request to anybody, and answers *one* valid offer. What was offered
+counts for nothing until a person has confirmed it here. A second valid offer means that somebody
+else has the code, or is in the middle: both are dropped. Whoever has not seen a screen code gets
+five tries; everything ends by itself. `TABLE` is what may happen; anything else changes nothing.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+from typing import Final
+
+from ca import qr
+from ca.certificates import TrustAnchor
+from ca.enrollment import NONCE_SIZE, WINDOW, transcript
+from ca.enrollment.messages import (
+    Acknowledgement,
+    Delivery,
+    Done,
+    Fetch,
+    Message,
+    Offer,
+    read,
+    write,
+)
+from ca.errors import (
+    CAError,
+    DigitsRefused,
+    EnrollmentExpired,
+    EnrollmentLocked,
+    EnrollmentMessageRefused,
+    EnrollmentOver,
+    EnrollmentRefused,
+    OfferRefused,
+    RivalOffer,
+)
+from ca.requests import check_request
+from ca.signer import Signer
+
+MAX_BAD_TAGS: Final = 5
+MAX_BAD_DIGITS: Final = 3
+_AGAIN: Final = "start again: rossec node enroll"
+
+
+class State(Enum):
+    """Where the node is."""
+
+    SHOWING = "shows its code"
+    PENDING = "has an offer, waits for a person"
+    CONFIRMED = "confirmed, not yet written"
+    ENROLLED = "enrolled"
+    OVER = "over"
+
+
+TABLE: Final[dict[tuple[State, type[Message]], tuple[str, tuple[State, ...]]]] = {
+    (State.SHOWING, Fetch): ("_deliver", (State.SHOWING,)),
+    (State.SHOWING, Offer): ("_consider", (State.SHOWING, State.PENDING, State.OVER)),
+    (State.PENDING, Fetch): ("_deliver", (State.PENDING,)),
+    (State.PENDING, Offer): ("_compare", (State.PENDING, State.OVER)),
+    (State.CONFIRMED, Offer): ("_compare", (State.CONFIRMED, State.OVER)),
+    (State.ENROLLED, Offer): ("_repeat", (State.ENROLLED,)),
+}
+WITHOUT_MESSAGE: Final = (
+    (State.PENDING, State.CONFIRMED, "confirm()"),
+    (State.CONFIRMED, State.ENROLLED, "activated()"),
+    (State.PENDING, State.OVER, "third wrong digits"),
+    (State.SHOWING, State.OVER, "stop(), or too late"),
+    (State.PENDING, State.OVER, "stop(), or too late"),
+    (State.CONFIRMED, State.OVER, "stop()"),
+)
+"""What moves the node besides messages."""
+
+
+@dataclass(frozen=True)
+class Pending:
+    """A valid offer that waits for a person.
+
+    `chain` and `root` are DER; `anchor` is the root as it will be trusted; `digits` what the
+    authority must show too.
+    """
+
+    chain: tuple[bytes, ...]
+    root: bytes
+    anchor: TrustAnchor
+    digits: str
+    transcript: bytes
+    acknowledgement: bytes
+
+
+class NodeEnrollment:
+    """One enrollment of one node; never used twice."""
+
+    def __init__(
+        self,
+        signer: Signer,
+        csr: bytes,
+        domain: str,
+        *,
+        secret: bytes,
+        contribution: bytes,
+        expires: int,
+        wildcard: bool = False,
+    ) -> None:
+        """Offer `csr`, this node's own request.
+
+        `secret` is that of the screen code, 16 fresh random octets, or empty for a label;
+        `contribution` are 16 fresh random octets, kept to itself until there is an offer; `expires`
+        is the last second for an offer; `wildcard`: the request is for anonymous nodes too.
+
+        Raises:
+            RequestRefused: `csr` is not in order.
+            EnrollmentRefused: wrong sizes.
+        """
+        if len(secret) not in {0, qr.SECRET_SIZE} or len(contribution) != NONCE_SIZE:
+            raise EnrollmentRefused("an enrollment needs 16 octets of each random value")
+        self.request = check_request(csr, domain, wildcard=wildcard)
+        self.state = State.SHOWING
+        self.why_over: EnrollmentRefused | None = None
+        self.expires = expires
+        self._signer = signer
+        self._csr = csr
+        self._secret = secret
+        self._contribution = contribution
+        self._pending: Pending | None = None
+        self._bad_tags = 0
+        self._bad_digits = 0
+
+    def code(self, address: str = "") -> str:
+        """The text to show; `address` is where this node listens, for screen codes."""
+        if not self._secret:
+            return qr.label_code(self._csr)
+        return qr.screen_code(self._csr, self._secret, self.expires, address)
+
+    @property
+    def pending(self) -> Pending:
+        """The offer that was acknowledged.
+
+        Raises:
+            EnrollmentOver: there is none, or it was dropped.
+        """
+        if self._pending is None:
+            raise EnrollmentOver("there is no offer to confirm", "first, at the authority: enroll")
+        return self._pending
+
+    def receive(self, data: bytes, now: int) -> list[bytes]:
+        """Take one message; returns the answers. After a refusal the connection is to be closed.
+
+        Raises:
+            EnrollmentRefused: each flaw with its own leaf; `state` tells whether all is over.
+        """
+        self.tick(now)
+        self._check_not_over()
+        message = read(data)
+        entry = TABLE.get((self.state, type(message)))
+        if entry is None:
+            raise EnrollmentMessageRefused(f"no {type(message).__name__} while {self.state.value}")
+        method, followers = entry
+        action: Callable[[Message, int], list[bytes]] = getattr(self, method)
+        before = self.state
+        answers = action(message, now)
+        assert self.state in {before, *followers}  # noqa: S101 - the table is the truth
+        return answers
+
+    def confirm(self, digits: str, now: int) -> Pending:
+        """A person read `digits` at the authority: returns what is to be written to disk now.
+
+        Raises:
+            DigitsRefused: they are not ours; after the third time all is over.
+            EnrollmentRefused: there is no offer, or it is too late.
+        """
+        self.tick(now)
+        self._check_not_over()
+        pending = self.pending
+        if self.state is not State.PENDING:
+            raise EnrollmentOver("this was confirmed already")
+        if digits != pending.digits:  # no secret: they can be computed from what travelled
+            self._count_bad_digits()
+        self.state = State.CONFIRMED
+        return pending
+
+    def activated(self) -> list[bytes]:
+        """What was confirmed is on the disk; returns what to tell the authority."""
+        if self.state is not State.CONFIRMED:
+            raise EnrollmentOver("nothing was confirmed")
+        self.state = State.ENROLLED
+        return [self._done()]
+
+    def stop(self, why: EnrollmentRefused) -> None:
+        """Drop everything; an enrolled node stays enrolled."""
+        if self.state not in {State.ENROLLED, State.OVER}:
+            self.state, self.why_over, self._pending = State.OVER, why, None
+
+    def tick(self, now: int) -> None:
+        """Time has passed."""
+        if self.state in {State.SHOWING, State.PENDING} and now > self.expires:
+            self.stop(EnrollmentExpired("nobody finished the enrollment in time", _AGAIN))
+
+    def _check_not_over(self) -> None:
+        if self.state is State.OVER:
+            raise EnrollmentOver(f"the enrollment is over: {self.why_over}", _AGAIN)
+
+    def _count_bad_digits(self) -> None:
+        self._bad_digits += 1
+        error = DigitsRefused(
+            "these are not the digits of the offer this node has",
+            "if the authority really shows them, somebody is between you: do not go on",
+        )
+        if self._bad_digits >= MAX_BAD_DIGITS:
+            self.stop(error)
+        raise error
+
+    def _deliver(self, _: Fetch, __: int) -> list[bytes]:
+        return [write(Delivery(self._csr))]
+
+    def _consider(self, offer: Offer, now: int) -> list[bytes]:
+        """The first valid offer; nothing is kept of one that is not."""
+        agreed = self._check_tag(offer)
+        anchor = self._check_certificates(offer, now)
+        self._pending = Pending(
+            offer.chain,
+            offer.root,
+            anchor,
+            transcript.digits(agreed, self._contribution),
+            agreed,
+            transcript.acknowledge(self._signer, agreed, self._contribution),
+        )
+        self.state, self.expires = State.PENDING, now + WINDOW
+        return [self._acknowledged()]
+
+    def _compare(self, offer: Offer, now: int) -> list[bytes]:
+        """The offer again, because the answer was lost; or a rival's."""
+        if self._is_ours(offer):
+            return [self._acknowledged()]
+        self._check_tag(offer)
+        self._check_certificates(offer, now)
+        error = RivalOffer(
+            "two different offers were made to this node: somebody else has its code",
+            f"nothing was accepted; find out who, then {_AGAIN}",
+        )
+        self.stop(error)
+        raise error
+
+    def _repeat(self, offer: Offer, _: int) -> list[bytes]:
+        if not self._is_ours(offer):
+            raise EnrollmentOver("the node is enrolled already", _AGAIN)
+        return [self._acknowledged(), self._done()]
+
+    def _agreed(self, offer: Offer) -> bytes:
+        return transcript.transcript(self._csr, offer.chain, offer.root, offer.nonce)
+
+    def _is_ours(self, offer: Offer) -> bool:
+        return self._agreed(offer) == self.pending.transcript
+
+    def _acknowledged(self) -> bytes:
+        return write(Acknowledgement(self.pending.acknowledgement))
+
+    def _done(self) -> bytes:
+        return write(Done(transcript.finish(self._signer, self.pending.transcript)))
+
+    def _check_tag(self, offer: Offer) -> bytes:
+        agreed = self._agreed(offer)
+        if not self._secret:
+            if offer.tag:
+                raise OfferRefused("an offer for a screen code, where a label is enough")
+        elif not transcript.is_tag(self._secret, agreed, offer.tag):
+            self._count_bad_tag()
+        return agreed
+
+    def _count_bad_tag(self) -> None:
+        if self.state is State.SHOWING:  # an offer that waits for a person is not to be disturbed
+            self._bad_tags += 1
+        if self._bad_tags >= MAX_BAD_TAGS:
+            error = EnrollmentLocked(f"{MAX_BAD_TAGS} offers without the code's secret", _AGAIN)
+            self.stop(error)
+            raise error
+        raise OfferRefused("an offer by somebody who has not seen the code")
+
+    def _check_certificates(self, offer: Offer, now: int) -> TrustAnchor:
+        """The offer is exactly for this node's name and key."""
+        try:
+            anchor = TrustAnchor.load(offer.root)
+            identity = anchor.verify(offer.chain, now)
+        except CAError as error:
+            raise OfferRefused(f"an offer that does not hold: {error}", error.hint) from error
+        own = self.request
+        if identity.thumbprint != own.thumbprint:
+            raise OfferRefused("an identity for another key")
+        offered = (identity.domain, identity.name, identity.wildcard)
+        if offered != (own.domain, own.name, own.wildcard):
+            raise OfferRefused("an identity for another name than the one asked for")
+        return anchor

@@ -1,0 +1,92 @@
+"""The life of a request for an identity: pending, then approved or denied, then issued.
+
+The states of Kubernetes' certificate signing requests: to approve is a person's word, to issue is
+the authority's act, and both are recorded apart. The table is the whole truth; the record enforces
+it a second time, by triggers made from it. Everything ends: a request has a date after which it
+can no longer be used and is collected. What was issued stays in the record for good, so that one
+request never gets two certificates.
+"""
+
+from enum import StrEnum
+from typing import Final, NamedTuple
+
+from ca.errors import RequestClosed
+
+HOUR: Final = 3600
+DAY: Final = 24 * HOUR
+MAX_OPEN: Final = 256  # strangers can ask: what they leave here is bounded
+
+
+class State(StrEnum):
+    """Where a request stands."""
+
+    PENDING = "pending"
+    APPROVED = "approved"
+    DENIED = "denied"
+    ISSUED = "issued"
+
+
+TRANSITIONS: Final[dict[State, frozenset[State]]] = {
+    State.PENDING: frozenset({State.APPROVED, State.DENIED}),
+    State.APPROVED: frozenset({State.ISSUED, State.DENIED}),
+    State.DENIED: frozenset(),
+    State.ISSUED: frozenset(),
+}
+OPEN: Final = frozenset(state for state, following in TRANSITIONS.items() if following)
+# Seconds after its last change. A day is a person's evening and morning; an answer is kept for a
+# week, so that who asked can still be told.
+KEEP: Final[dict[State, int]] = {
+    State.PENDING: DAY,
+    State.APPROVED: DAY,
+    State.DENIED: 7 * DAY,
+    State.ISSUED: 7 * DAY,
+}
+_HINTS: Final = {
+    State.PENDING: "first approve it: rossec ca approve",
+    State.APPROVED: "",
+    State.DENIED: "if that was a mistake, have the node make a new request",
+    State.ISSUED: "one request gets one certificate; to have another: rossec ca renew NAME",
+}
+
+
+class RequestRow(NamedTuple):
+    """One request, as recorded; `digest` is the SHA-256 of `der`, `source` is where it came from.
+
+    `changed` is when it came into its `state`, `reason` what was said then; `replaces`: approved in
+    words although the name lives with another key; `wildcard`: for anonymous nodes too.
+    """
+
+    digest: bytes
+    name: str
+    thumbprint: bytes
+    der: bytes
+    source: str
+    arrived: int
+    state: State
+    reason: str
+    changed: int
+    replaces: bool = False
+    wildcard: bool = False
+
+    @property
+    def until(self) -> int:
+        """The last second at which it may be used; after it, it is collected."""
+        return self.changed + KEEP[self.state]
+
+
+def advance(row: RequestRow, state: State, now: int, reason: str = "") -> RequestRow:
+    """Return the request in its next state.
+
+    Raises:
+        RequestClosed: the table does not lead there, or the request's time is over.
+    """
+    if state not in TRANSITIONS[row.state]:
+        raise RequestClosed(
+            f"the request of {row.name} is {row.state} and cannot be {state}", _HINTS[row.state]
+        )
+    if now > row.until:
+        raise RequestClosed(
+            f"the request of {row.name} was {row.state} for too long and is void",
+            "have the node make a new request",
+        )
+    return row._replace(state=state, reason=reason, changed=now)

@@ -1,0 +1,44 @@
+"""The rows of the authority's record, as values."""
+
+from typing import NamedTuple
+
+from ca import names, svid
+
+
+class CertificateRow(NamedTuple):
+    """One identity that was signed; times in seconds, inclusive."""
+
+    serial: int
+    name: str
+    thumbprint: bytes
+    der: bytes
+    not_before: int
+    not_after: int
+
+    @property
+    def wildcard(self) -> bool:
+        """Whether it also stands for anonymous nodes."""
+        return svid.is_wildcard(self.der)
+
+    def covers(self, name: str) -> bool:
+        """Whether its holder may go by `name`."""
+        related = names.covers(self.name, name, wildcard=True)
+        return related and (self.name == name or self.wildcard)
+
+
+class GrantRow(NamedTuple):
+    """One grant that was signed."""
+
+    id: bytes
+    name: str
+    data: bytes
+    not_before: int
+    expires: int
+
+
+class RevocationRow(NamedTuple):
+    """One grant id or key thumbprint that was revoked, why and when."""
+
+    entry: bytes
+    reason: str
+    at: int

@@ -1,0 +1,143 @@
+"""The tables of the authority's record, what may happen to their rows, and older versions of them.
+
+Certificates, grants, revocations, lists, heads and the log are append-only: triggers refuse every
+change. A request moves along `ca.lifecycle.TRANSITIONS` and is deleted at its end; triggers made
+from that table refuse every other way. Everything here runs inside the caller's transaction.
+"""
+
+import sqlite3
+from collections.abc import Iterator
+from typing import Final
+
+from ca.errors import LogDamaged
+from ca.lifecycle import TRANSITIONS, State
+from ca.log import Entry, digest_of, grow
+
+APPLICATION_ID: Final = 0x524F5343  # "ROSC"
+VERSION: Final = 2
+APPEND_ONLY: Final = ("certificate", "grant_", "revocation", "list", "head", "log")
+# What the log says of a table, and the columns its digest is over, in this order.
+RECORDED: Final = {
+    "certificate": ("certificate", "serial, name, thumbprint, der, not_before, not_after"),
+    "grant": ("grant_", "id, name, data, not_before, expires"),
+    "revocation": ("revocation", "entry, reason"),
+    "list": ("list", "epoch, seq, data"),
+}
+
+_KEPT: Final = (  # unchanged since version 1
+    """CREATE TABLE certificate (
+        serial BLOB PRIMARY KEY, name TEXT NOT NULL, thumbprint BLOB NOT NULL, der BLOB NOT NULL,
+        not_before INTEGER NOT NULL, not_after INTEGER NOT NULL, at INTEGER NOT NULL
+    ) STRICT""",
+    "CREATE INDEX certificate_name ON certificate (name, not_after)",
+    """CREATE TABLE grant_ (
+        id BLOB PRIMARY KEY, name TEXT NOT NULL, data BLOB NOT NULL,
+        not_before INTEGER NOT NULL, expires INTEGER NOT NULL, at INTEGER NOT NULL
+    ) STRICT""",
+    """CREATE TABLE revocation (entry BLOB PRIMARY KEY, reason TEXT NOT NULL, at INTEGER NOT NULL)
+        STRICT""",
+    """CREATE TABLE list (
+        epoch INTEGER NOT NULL, seq INTEGER NOT NULL, data BLOB NOT NULL, at INTEGER NOT NULL,
+        PRIMARY KEY (epoch, seq)
+    ) STRICT""",
+)
+_SINCE_2: Final = (
+    """CREATE TABLE log (
+        number INTEGER PRIMARY KEY, at INTEGER NOT NULL, what TEXT NOT NULL, subject TEXT NOT NULL,
+        detail TEXT NOT NULL, digest BLOB NOT NULL, peaks BLOB NOT NULL
+    ) STRICT""",
+    "CREATE TABLE head (data BLOB PRIMARY KEY, at INTEGER NOT NULL) STRICT",
+    """CREATE TABLE csr (
+        digest BLOB PRIMARY KEY, name TEXT NOT NULL, thumbprint BLOB NOT NULL, der BLOB NOT NULL,
+        source TEXT NOT NULL, arrived INTEGER NOT NULL,
+        state TEXT NOT NULL, reason TEXT NOT NULL, changed INTEGER NOT NULL,
+        replaces INTEGER NOT NULL, wildcard INTEGER NOT NULL
+    ) STRICT""",
+    # One request, one certificate: also when two commands run at once, or one was killed.
+    """CREATE TABLE answer (
+        request BLOB PRIMARY KEY, serial BLOB NOT NULL UNIQUE, at INTEGER NOT NULL
+    ) STRICT""",
+)
+_NO_CHANGE: Final = """
+CREATE TRIGGER {table}_no_{verb} BEFORE {verb} ON {table}
+BEGIN SELECT RAISE(ABORT, 'the record is append-only'); END;
+"""
+_NEW_REQUEST: Final = f"""
+CREATE TRIGGER csr_begins BEFORE INSERT ON csr WHEN NEW.state <> '{State.PENDING}'
+BEGIN SELECT RAISE(ABORT, 'a request begins pending'); END;
+"""
+_REQUEST_FIXED: Final = """
+CREATE TRIGGER csr_fixed
+BEFORE UPDATE OF digest, name, thumbprint, der, source, arrived ON csr
+BEGIN SELECT RAISE(ABORT, 'a request does not change'); END;
+"""
+_REQUEST_MOVES: Final = """
+CREATE TRIGGER csr_moves BEFORE UPDATE OF state, reason, changed, replaces, wildcard ON csr
+WHEN (OLD.state || '>' || NEW.state) NOT IN ({allowed})
+BEGIN SELECT RAISE(ABORT, 'a request does not go this way'); END;
+"""
+
+
+def create(db: sqlite3.Connection) -> None:
+    """Make the tables of a new record."""
+    for statement in (*_KEPT, *_SINCE_2, *_triggers((*APPEND_ONLY, "answer"))):
+        db.execute(statement)
+    db.execute(f"PRAGMA application_id = {APPLICATION_ID}")
+    db.execute(f"PRAGMA user_version = {VERSION}")
+
+
+def version(db: sqlite3.Connection) -> int:
+    """The version of the tables in this file; 0 in a file that is no record."""
+    (number,) = db.execute("PRAGMA user_version").fetchone()
+    return int(number)
+
+
+def migrate(db: sqlite3.Connection) -> None:
+    """Bring a record of version 1 up: its log becomes a tree, and nothing is lost."""
+    if version(db) == VERSION:  # another command was faster
+        return
+    old = db.execute("SELECT at, what, subject, detail FROM log ORDER BY number").fetchall()
+    db.execute("DROP TABLE log")  # and its triggers with it
+    if db.execute("SELECT 1 FROM sqlite_master WHERE name = 'request'").fetchone():
+        # What the inbox for grants called its table in version 1; see rossec.inbox.
+        db.execute("ALTER TABLE request RENAME TO grant_request")
+    for statement in (*_SINCE_2, *_triggers(("log", "head", "answer"))):
+        db.execute(statement)
+    rows = {what: _rows_of(db, what) for what in RECORDED}
+    for number, (at, what, subject, detail) in enumerate(old):
+        row = next(rows.get(what, iter(())), None)
+        if row is None:
+            raise LogDamaged(
+                f"line {number} of the log tells of a {what} that is not recorded",
+                "restore a backup, and find out who changed the record",
+            )
+        append(db, at, what, subject, detail, digest_of(row))
+    (at,) = db.execute("SELECT coalesce(max(at), 0) FROM log").fetchone()
+    append(db, at, "migrated", "record", f"1 to {VERSION}", b"")
+    db.execute(f"PRAGMA user_version = {VERSION}")
+
+
+def append(
+    db: sqlite3.Connection, at: int, what: str, subject: str, detail: str, digest: bytes
+) -> None:
+    """Add an entry to the log."""
+    last = db.execute("SELECT number, peaks FROM log ORDER BY number DESC LIMIT 1").fetchone()
+    number, peaks = (0, b"") if last is None else (last[0] + 1, last[1])
+    entry = Entry(number, at, what, subject, detail, digest)
+    db.execute("INSERT INTO log VALUES (?, ?, ?, ?, ?, ?, ?)", (*entry, grow(peaks, entry)))
+
+
+def _rows_of(db: sqlite3.Connection, what: str) -> Iterator[tuple[int | str | bytes, ...]]:
+    """The rows the log calls `what`, oldest first."""
+    table, columns = RECORDED[what]
+    return iter(db.execute(f"SELECT {columns} FROM {table} ORDER BY rowid").fetchall())  # noqa: S608  (constants)
+
+
+def _triggers(tables: tuple[str, ...]) -> Iterator[str]:
+    for table in tables:
+        for verb in ("UPDATE", "DELETE"):
+            yield _NO_CHANGE.format(table=table, verb=verb)
+    ways = ", ".join(
+        f"'{old}>{new}'" for old, following in TRANSITIONS.items() for new in following
+    )
+    yield from (_NEW_REQUEST, _REQUEST_FIXED, _REQUEST_MOVES.format(allowed=ways))

@@ -1,0 +1,16 @@
+"""What a policy holds ready for a name: shown to the person who is about to give it to a key."""
+
+from collections.abc import Iterator
+
+from grants.policy.model import Policy, Rule, Subject
+
+
+def prospects(policy: Policy, subject: Subject) -> list[str]:
+    """What `subject` gets, may get or never gets, a line each, in the order of the rules."""
+    return [line for rule in policy.rules if rule.is_for(subject) for line in _lines(rule)]
+
+
+def _lines(rule: Rule) -> Iterator[str]:
+    for clause in rule.clauses:
+        yield f"{rule.effect} {clause.right.label} {clause.pattern} ({rule.reason})"
+        yield from (f"  {line}" for line in clause.lines())

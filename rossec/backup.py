@@ -1,0 +1,142 @@
+"""Back an authority up into one file, and restore it where that loses nothing by accident.
+
+A shell. Restoring proves the backup first, beside its place: the key opens and fits its
+certificate, the log verifies. An authority that is there already is replaced only if the operator
+names its trust domain, and newer entries are given up only if the operator says how many. What was
+signed after the backup is unknown to it, so a new epoch of revocation lists begins, and a signed
+list kept by the master or a node brings back the revocations that are missing.
+"""
+
+import contextlib
+import secrets
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from ca import backup
+from ca.errors import BackupRefused
+from ca.revocation import open_list
+from rossec import files
+from rossec.authority import AuthorityHome, OpenAuthority
+
+_SKIPPED: Final = ("ca.db", "ca.db-wal", "ca.db-shm")  # the record goes in as a snapshot
+_PUBLIC: Final = ".pem"
+
+
+@dataclass(frozen=True)
+class Restored:
+    """What was restored: how many log entries, of which state of the authority."""
+
+    home: AuthorityHome
+    entries: int
+    revived: int  # revocations brought back from a list
+
+
+def back_up(home: AuthorityHome, passphrase: str) -> bytes:
+    """The backup of an authority, of this moment, under `passphrase`."""
+    content = {
+        str(path.relative_to(home.path)): path.read_bytes()
+        for path in sorted(home.path.rglob("*"))
+        if path.is_file() and path.name not in _SKIPPED and not path.name.startswith(".")
+        and "grants" not in path.parts
+    }  # fmt: skip
+    with contextlib.closing(home.store()) as store:
+        content["ca.db"] = store.snapshot()
+    salt, nonce = secrets.token_bytes(backup.SALT_SIZE), secrets.token_bytes(backup.NONCE_SIZE)
+    return backup.seal(content, passphrase, salt=salt, nonce=nonce)
+
+
+def restore(
+    home: Path,
+    data: bytes,
+    passphrase: str,
+    now: int,
+    *,
+    secret: str | None = None,
+    over: str | None = None,
+    forget: int = 0,
+    newest_list: bytes | None = None,
+) -> Restored:
+    """Put an authority back into ROSSEC_HOME `home`.
+
+    Args:
+        home: ROSSEC_HOME.
+        data: the backup.
+        passphrase: of the backup.
+        now: the time.
+        secret: what opens the key, if that is not the same passphrase (a token's PIN).
+        over: the trust domain of the authority that may be replaced.
+        forget: how many log entries of it the backup lacks, and may be lost.
+        newest_list: a signed revocation list that may be newer than the backup.
+
+    Raises:
+        BackupRefused: no backup, not whole, or not in these words.
+        PassphraseRefused: the passphrase is wrong.
+        LogDamaged: the backup's own log does not verify.
+    """
+    place = home / "ca"
+    begun = place.with_name(f".ca.{secrets.token_hex(8)}")
+    try:
+        _write(begun, backup.unseal(data, passphrase))
+        authority = AuthorityHome(begun).unlock(secret or passphrase)
+        authority.store.journal.audit(authority.signer.public_key)
+        entries = authority.store.journal.head(now).size
+        if place.exists():
+            _check_over(AuthorityHome(place), authority, over, forget)
+        revived = _bring_up_to_date(authority, newest_list, entries, now)
+        authority.store.close()
+        if place.exists():
+            place.rename(place.with_name(f"ca.replaced.{now}"))
+        files.settle(begun, place)
+    except BaseException:
+        shutil.rmtree(begun, ignore_errors=True)
+        raise
+    return Restored(AuthorityHome(place), entries, revived)
+
+
+def _write(directory: Path, content: dict[str, bytes]) -> None:
+    for name, data in content.items():
+        path = directory / name
+        files.make_private_directory(path.parent)
+        files.create(path, data, 0o644 if name.endswith(_PUBLIC) else 0o600)
+
+
+def _check_over(there: AuthorityHome, found: OpenAuthority, over: str | None, forget: int) -> None:
+    """The one that is there gives way to the backup only knowingly."""
+    if over != there.domain:
+        raise BackupRefused(
+            f"there is an authority in {there.path}",
+            f"to replace it with the backup say --over {there.domain}",
+        )
+    if there.anchor().thumbprint != found.authority.anchor.thumbprint:
+        raise BackupRefused(
+            f"the authority in {there.path} is another one than that of the backup",
+            "restore it into another ROSSEC_HOME",
+        )
+    with contextlib.closing(there.store()) as store:
+        held, backed = store.journal.entries(), found.store.journal.entries()
+    shared = sum(1 for ours, theirs in zip(held, backed, strict=False) if ours == theirs)
+    lost = len(held) - shared
+    if lost != forget:
+        raise BackupRefused(
+            f"the backup lacks {lost} entries of the log in {there.path}",
+            f"it is older; to lose them for good say --forget {lost}",
+        )
+
+
+def _bring_up_to_date(
+    authority: OpenAuthority, newest_list: bytes | None, entries: int, now: int
+) -> int:
+    """A new epoch, and what was revoked since; an intermediate has neither."""
+    authority.store.note("restored", "record", f"from {entries} entries", now)
+    if not authority.authority.is_root:
+        return 0
+    missing: frozenset[bytes] = frozenset()
+    if newest_list is not None:
+        listed = open_list(newest_list, authority.signer.public_key)
+        missing = listed.entries - authority.store.revoked_entries()
+    for entry in sorted(missing):
+        authority.store.revoke(entry, "from a list newer than the backup", now)
+    authority.sign_list(now, new_epoch=True)
+    return len(missing)

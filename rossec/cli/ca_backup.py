@@ -1,0 +1,79 @@
+"""`rossec ca backup | restore`: the whole authority in one encrypted file, and back."""
+
+from pathlib import Path
+
+import click
+
+from ca.backup import MAX_BACKUP
+from ca.statements import MAX_LIST
+from rossec import backup as backups
+from rossec import files
+from rossec.authority import AuthorityHome, fingerprint
+from rossec.cli import passphrase
+from rossec.cli.context import Environment, now, pass_environment
+from rossec.cli.voice import note, say
+from rossec.errors import ConfigurationError
+
+_FILE = click.Path(path_type=Path, exists=True, dir_okay=False)
+
+
+@click.command()
+@click.argument("file", type=click.Path(path_type=Path, dir_okay=False))
+@passphrase.option
+@pass_environment
+def backup(environment: Environment, file: Path, passphrase_file: Path | None) -> None:
+    """Write the authority into the new file FILE, encrypted under its passphrase.
+
+    A key in a token stays there: its backup is the token's business, and the PIN seals this file.
+    """
+    home = AuthorityHome.at(environment.home)
+    secret = passphrase.read(passphrase_file, environment.variables)
+    home.unlock(secret).store.close()  # a backup that the key does not fit is none
+    files.create(file, backups.back_up(home, secret))
+    say(f"backup of {home.domain}: {file}")
+    say(f"fingerprint {fingerprint(home.anchor())}")
+
+
+@click.command()
+@click.argument("file", type=_FILE)
+@click.option("--over", metavar="DOMAIN", help="replace the authority of DOMAIN that is here")
+@click.option(
+    "--forget", type=click.IntRange(0), default=0, metavar="N",
+    help="lose the N newest log entries, which the backup does not have",
+)  # fmt: skip
+@click.option(
+    "--list", "newest", type=_FILE,
+    help="a newer revocation list, for example a node's revocations.cose",
+)  # fmt: skip
+@passphrase.option
+@pass_environment
+def restore(
+    environment: Environment,
+    file: Path,
+    over: str | None,
+    forget: int,
+    newest: Path | None,
+    passphrase_file: Path | None,
+) -> None:
+    """Prove the backup FILE and put its authority back.
+
+    Nothing is overwritten, and nothing newer is lost, unless it is said: --over, --forget.
+    """
+    data = files.read(file, MAX_BACKUP, ConfigurationError(f"there is no {file}"))
+    listed = None
+    if newest is not None:
+        listed = files.read(newest, MAX_LIST, ConfigurationError(f"there is no {newest}"))
+    secret = passphrase.read(passphrase_file, environment.variables)
+    found = backups.restore(
+        environment.home, data, secret, now(), over=over, forget=forget, newest_list=listed
+    )
+    say(f"restored {found.home.domain} in {found.home.path}, {found.entries} log entries")
+    say(f"fingerprint {fingerprint(found.home.anchor())}")
+    if newest is None:
+        note("what was revoked after the backup is valid again: restore with --list if you can")
+    elif found.revived:
+        say(f"{found.revived} revocations are newer than the backup and were taken over")
+    note("a new revocation list was signed; deliver it with: rossec ca publish")
+
+
+COMMANDS = (backup, restore)

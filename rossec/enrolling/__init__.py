@@ -1,0 +1,1 @@
+"""Enrollment on real sockets: thin shells around the state machines of `ca.enrollment`."""

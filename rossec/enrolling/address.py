@@ -1,0 +1,54 @@
+"""Where a node can be reached: what its code says, and what a person types."""
+
+import socket
+from typing import Final
+
+from rossec.errors import ConfigurationError
+from rossec.ros.settings import is_loopback
+
+DEFAULT_PORT: Final = 11317
+_EXAMPLE: Final = f"write it as 192.168.1.7:{DEFAULT_PORT}, [fd00::7]:{DEFAULT_PORT} or robot.local"
+# Documentation addresses (RFC 5737, RFC 3849): connecting a UDP socket sends nothing, it only
+# asks the routing table which of our addresses would be used.
+_ELSEWHERE: Final = (
+    (socket.AF_INET, "192.0.2.1", "127.0.0.1"),
+    (socket.AF_INET6, "2001:db8::1", "::1"),
+)
+
+
+def join(host: str, port: int) -> str:
+    """`host:port`, with brackets around an IPv6 address."""
+    return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
+
+
+def split(text: str) -> tuple[str, int]:
+    """Host and port of `text`; without a port the default one.
+
+    Raises:
+        ConfigurationError: this is no address.
+    """
+    host, port = text, str(DEFAULT_PORT)
+    if text.startswith("["):
+        host, _, rest = text[1:].partition("]")
+        port = rest.removeprefix(":") if rest else port
+    elif text.count(":") == 1:
+        host, _, port = text.partition(":")
+    if not host or not port.isascii() or not port.isdigit() or not 0 < int(port[:6]) < 1 << 16:
+        raise ConfigurationError(f"{text!a} is no address of a node", _EXAMPLE)
+    return host, int(port)
+
+
+def own_addresses() -> list[str]:
+    """The addresses others probably reach this host at, IPv4 first; loopback if there is none."""
+    found = [_towards(family, where) for family, where, _ in _ELSEWHERE]
+    usable = [address for address in found if address and not is_loopback(address)]
+    return usable or [loopback for _, _, loopback in _ELSEWHERE]
+
+
+def _towards(family: int, where: str) -> str:
+    try:
+        with socket.socket(family, socket.SOCK_DGRAM) as sock:
+            sock.connect((where, 9))
+            return str(sock.getsockname()[0])
+    except OSError:  # no route, or no such family
+        return ""

@@ -1,0 +1,164 @@
+import shutil
+import sqlite3
+import time
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+
+from ca.errors import BackupRefused, LogDamaged, PassphraseRefused
+from ca.revocation import open_list
+from rossec import files
+from rossec.authority import AuthorityHome
+from rossec.backup import back_up, restore
+from tests.support.commands import PASSPHRASE, Shell, refused
+
+NOW = int(time.time())
+NOBODY = ("--master", "http://127.0.0.1:1")
+
+
+@pytest.fixture
+def home(tmp_path: Path, authority: Path) -> AuthorityHome:
+    """An authority with some extra files."""
+    place = tmp_path / "home" / "ca"
+    shutil.copytree(authority, place)
+    (place / "inbox").mkdir()
+    (place / "inbox" / "1.request").write_bytes(b"asked")
+    (place / "policy.yaml").write_bytes(b"rules: []\n")
+    return AuthorityHome(place)
+
+
+def content(home: AuthorityHome) -> dict[str, bytes]:
+    return {
+        str(path.relative_to(home.path)): path.read_bytes()
+        for path in home.path.rglob("*")
+        if path.is_file() and not path.name.startswith("ca.db")
+    }
+
+
+def revoked(home: AuthorityHome) -> frozenset[bytes]:
+    return open_list(home.revocation_list(), home.own_key()).entries
+
+
+def test_everything_comes_back(home: AuthorityHome, tmp_path: Path) -> None:
+    done = restore(tmp_path / "new", back_up(home, PASSPHRASE), PASSPHRASE, NOW)
+    assert done.home.path == tmp_path / "new" / "ca"
+    assert content(done.home) == content(home)
+    assert done.home.anchor() == home.anchor()
+    for path in done.home.path.rglob("*"):
+        public = path.is_dir() or path.name.endswith(".pem")
+        assert path.stat().st_mode & 0o077 == 0 or public, path
+    unlocked = done.home.unlock(PASSPHRASE)
+    unlocked.store.journal.audit(unlocked.signer.public_key)
+    assert [entry.what for entry in unlocked.store.journal.entries()[-2:]] == ["restored", "list"]
+
+
+def test_a_new_epoch_beats_what_was_signed_since(home: AuthorityHome, tmp_path: Path) -> None:
+    data = back_up(home, PASSPHRASE)
+    before = home.unlock(PASSPHRASE).sign_list(NOW)
+    restored = restore(tmp_path / "new", data, PASSPHRASE, NOW).home
+    after = open_list(restored.revocation_list(), home.own_key())
+    assert after.number == (before.epoch + 1, 1)
+
+
+def test_revocations_since_then_come_back_from_a_list(home: AuthorityHome, tmp_path: Path) -> None:
+    data = back_up(home, PASSPHRASE)
+    home.unlock(PASSPHRASE).revoke(b"k" * 32, "stolen", NOW)
+    newest = home.revocation_list()
+    assert revoked(restore(tmp_path / "a", data, PASSPHRASE, NOW).home) == frozenset()
+    done = restore(tmp_path / "b", data, PASSPHRASE, NOW, newest_list=newest)
+    assert done.revived == 1
+    assert revoked(done.home) == {b"k" * 32}
+
+
+def test_a_wrong_passphrase(home: AuthorityHome, tmp_path: Path) -> None:
+    data = back_up(home, PASSPHRASE)
+    with pytest.raises(PassphraseRefused):
+        restore(tmp_path / "new", data, "another four words", NOW)
+    with pytest.raises(PassphraseRefused):  # opens the backup, not the key in it
+        restore(tmp_path / "new", data, PASSPHRASE, NOW, secret="another four words")
+    assert not list((tmp_path / "new").glob("*"))
+    assert not list((tmp_path / "new").glob(".ca*"))
+
+
+def test_a_backup_of_a_changed_record_is_refused(home: AuthorityHome, tmp_path: Path) -> None:
+    with closing(sqlite3.connect(home.path / "ca.db")) as db:
+        db.execute("DROP TRIGGER log_no_UPDATE")
+        db.execute("UPDATE log SET detail = 'x' WHERE number = 0")
+        db.commit()
+    with pytest.raises(LogDamaged, match="log entry 0"):
+        restore(tmp_path / "new", back_up(home, PASSPHRASE), PASSPHRASE, NOW)
+    assert not (tmp_path / "new" / "ca").exists()
+
+
+def test_nothing_is_overwritten_unless_it_is_said(home: AuthorityHome) -> None:
+    data, root = back_up(home, PASSPHRASE), home.path.parent
+    before = content(home)
+    for over in (None, "lab"):
+        with pytest.raises(BackupRefused, match="there is an authority in") as caught:
+            restore(root, data, PASSPHRASE, NOW, over=over)
+        assert "--over home" in caught.value.hint
+    assert content(home) == before
+    restore(root, data, PASSPHRASE, NOW, over="home")
+    assert (root / f"ca.replaced.{NOW}" / "ca.key").read_bytes() == before["ca.key"]
+
+
+def test_an_older_state_is_refused_unless_it_is_said(home: AuthorityHome) -> None:
+    data, root = back_up(home, PASSPHRASE), home.path.parent
+    home.unlock(PASSPHRASE).revoke(b"k" * 32, "stolen", NOW)
+    with pytest.raises(BackupRefused, match="the backup lacks 2 entries of the log") as caught:
+        restore(root, data, PASSPHRASE, NOW, over="home")
+    assert "--forget 2" in caught.value.hint
+    with pytest.raises(BackupRefused, match="lacks 2 entries"):
+        restore(root, data, PASSPHRASE, NOW, over="home", forget=1)
+    assert revoked(home) == {b"k" * 32}
+    restore(root, data, PASSPHRASE, NOW, over="home", forget=2)
+    assert revoked(home) == frozenset()
+
+
+def test_another_authority_is_never_replaced(home: AuthorityHome, tmp_path: Path) -> None:
+    other = AuthorityHome.create(tmp_path / "other", "home", PASSPHRASE, NOW)
+    data = back_up(other, PASSPHRASE)
+    with pytest.raises(BackupRefused, match="is another one than that of the backup"):
+        restore(home.path.parent, data, PASSPHRASE, NOW, over="home")
+
+
+def test_an_interrupted_restoration_changes_nothing(
+    home: AuthorityHome, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    data = back_up(home, PASSPHRASE)
+    monkeypatch.setattr(files, "settle", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        restore(tmp_path / "new", data, PASSPHRASE, NOW)
+    assert not list((tmp_path / "new").iterdir())
+
+
+def test_at_the_command_line(shell: Shell, tmp_path: Path) -> None:
+    target = str(tmp_path / "backup")
+    said = shell.unlocked("ca", "backup", target)
+    assert said.out.startswith(f"backup of home: {target}\nfingerprint ")
+    refused(shell.unlocked("ca", "backup", target), "exists and is not overwritten")
+    assert Path(target).stat().st_mode & 0o777 == 0o600
+    refused(shell.unlocked("ca", "restore", target), "there is an authority", "--over home")
+    shell.unlocked("ca", "revoke", "/ca", *NOBODY)
+    shell.enroll("/robot")
+    refused(shell.unlocked("ca", "restore", target, "--over", "home"), "lacks 4", "--forget 4")
+    newest = shell.root / "newest"
+    shell.unlocked("ca", "revoke", "/robot", *NOBODY)
+    newest.write_bytes(AuthorityHome.at(shell.root).revocation_list())
+    over = ("ca", "restore", target, "--over", "home", "--forget", "6")
+    done = shell.unlocked(*over, "--list", str(newest))
+    assert "1 revocations are newer than the backup and were taken over" in done.out
+    assert "was revoked after the backup" not in done.err
+    again = shell.unlocked("ca", "restore", target, "--over", "home", "--forget", "3")
+    assert "what was revoked after the backup is valid again" in again.err
+    newest.write_bytes(AuthorityHome.at(shell.root).revocation_list())
+    empty = shell.unlocked(
+        "ca", "restore", target, "--over", "home", "--forget", "2", "--list", str(newest)
+    )
+    assert empty.code == 0
+    assert "taken over" not in empty.out
+    assert shell("ca", "log", "verify").code == 0

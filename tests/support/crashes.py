@@ -1,0 +1,151 @@
+"""`python -m tests.support.crashes DIRECTORY`: the authority's record under kill -9, at each write.
+
+Each scenario changes a real record. It is killed at its first write, its second, and so on until
+it ends by itself. After each death another process must find: every identity that was handed out,
+at most one for the request, a log that verifies; and doing it again must complete it. Prints how
+often each was killed, as JSON.
+"""
+
+import json
+import shutil
+import sqlite3
+import sys
+from collections import Counter
+from collections.abc import Callable
+from contextlib import closing
+from functools import partial
+from pathlib import Path
+
+from ca.authority import Authority, create_root
+from ca.certificates import build_request, check_request, from_pem
+from ca.keys import generate
+from ca.lifecycle import DAY, State
+from ca.renewal import sign_renewal
+from ca.signer import KeySigner
+from ca.store import Store
+from rossec.authority import OpenAuthority
+from rossec.succession import renew
+from tests.support.killing import run_killed
+from tests.support.oldstore import write_version_1
+
+NOW = 1_800_000_000
+ROOT, NODE, NEW = (KeySigner(generate()) for _ in range(3))
+CERTIFICATE = create_root(ROOT, "home", now=NOW, serial=1)
+HELD, ASKED = build_request(NODE, "home", "/held"), build_request(NEW, "home", "/robot")
+DUE = NOW + 20 * DAY
+Scenario = Callable[[OpenAuthority, Path], None]
+
+
+def opened(directory: Path) -> OpenAuthority:
+    return OpenAuthority(Authority(ROOT, CERTIFICATE), Store.open(directory / "ca.db"), directory)
+
+
+def prepare(directory: Path) -> None:
+    """A record with an identity, and a request that waits."""
+    directory.mkdir()
+    Store.create(directory / "ca.db").close()
+    authority = opened(directory)
+    authority.sign_list(NOW)
+    (directory / "held.pem").write_bytes(authority.issue(HELD, NOW))
+    authority.store.requests.add(check_request(ASKED, "home"), ASKED, "test", NOW)
+    authority.store.close()
+
+
+def issue(authority: OpenAuthority, directory: Path) -> None:
+    bundle = authority.issue(ASKED, NOW)
+    (directory / "out.pem").write_bytes(bundle)
+
+
+def deny(authority: OpenAuthority, _: Path) -> None:
+    digest = check_request(ASKED, "home").digest
+    if authority.store.requests.get(digest).state is State.PENDING:
+        authority.store.requests.deny(digest, NOW, "unknown")
+
+
+def collect(authority: OpenAuthority, _: Path) -> None:
+    authority.store.requests.collect(NOW + 30 * DAY)
+
+
+def revoke(authority: OpenAuthority, _: Path) -> None:
+    authority.revoke(b"k" * 32, "stolen", NOW)
+
+
+RENEWAL = build_request(NEW, "home", "/held")
+
+
+def succeed(authority: OpenAuthority, directory: Path) -> None:
+    leaf, _ = from_pem((directory / "held.pem").read_bytes())
+    bundle = renew(authority, sign_renewal(NODE, (leaf,), RENEWAL, DUE), DUE)
+    (directory / "out.pem").write_bytes(bundle)
+
+
+def migrate(authority: OpenAuthority, _: Path) -> None:
+    assert authority.store.journal.entries()[-1].what == "migrated"
+
+
+SCENARIOS: dict[str, Scenario] = {
+    "issue": issue, "deny": deny, "collect": collect, "revoke": revoke, "renew": succeed,
+    "migrate": migrate,
+}  # fmt: skip
+
+
+def act(scenario: Scenario, directory: Path) -> None:
+    authority = opened(directory)
+    scenario(authority, directory)
+    authority.store.close()
+
+
+def check(directory: Path, before: int) -> None:
+    """What must hold, however the process before died."""
+    with closing(opened(directory).store) as store:
+        store.journal.audit(ROOT.public_key)
+        ders = [row.der for row in store.certificates()]
+        assert before <= len(ders) <= before + 1, "an identity was lost, or there are two"
+        for out in directory.glob("*.pem"):
+            data = out.read_bytes()
+            if data.count(b"END CERTIFICATE") == 2:  # else the hand-out itself was cut
+                assert from_pem(data)[0] in ders, f"{out.name} was handed out and is not recorded"
+
+
+def run(name: str, base: Path, work: Path) -> Counter[str]:
+    """Kill one scenario everywhere; how often it died at which system call."""
+    scenario, deaths = SCENARIOS[name], Counter[str]()
+    total = _count(base) + (name in {"issue", "renew"})
+    while True:
+        directory = work / f"{name}{deaths.total()}"
+        shutil.copytree(base, directory)
+        died = run_killed(partial(act, scenario, directory), deaths.total() + 1)
+        check(directory, _count(base))
+        recorded = _newest(directory) if _count(directory) == total else None
+        act(scenario, directory)
+        check(directory, _count(base))
+        assert _count(directory) == total, "doing it again did not complete it"
+        assert recorded in {None, _newest(directory)}, "a second identity for one request"
+        shutil.rmtree(directory)
+        if died is None:
+            return deaths
+        deaths[died] += 1
+
+
+def _count(directory: Path) -> int:
+    with closing(sqlite3.connect(directory / "ca.db")) as db:
+        return int(db.execute("SELECT count(*) FROM certificate").fetchone()[0])
+
+
+def _newest(directory: Path) -> bytes:
+    with closing(sqlite3.connect(directory / "ca.db")) as db:
+        rows = db.execute("SELECT der FROM certificate ORDER BY rowid DESC LIMIT 1").fetchall()
+        return bytes(rows[0][0])
+
+
+def main(work: Path) -> None:
+    base, old = work / "base", work / "old"
+    prepare(base)
+    old.mkdir()
+    write_version_1(old / "ca.db")
+    deaths = {name: run(name, old if name == "migrate" else base, work) for name in SCENARIOS}
+    print(json.dumps(deaths))  # noqa: T201
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))
