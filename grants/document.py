@@ -33,7 +33,6 @@ from grants.model import (
     Right,
     filter_rules,
 )
-from grants.operators import treatment
 from grants.validity import check_time
 
 GRANT: Final = Profile("rossec-grant+cwt")
@@ -316,8 +315,12 @@ def _restriction(value: Value) -> Restriction:
     for treated in filters.values():
         _typed(treated, dict, "a filter")
     rules = filter_rules(filters)
-    for rule in rules:
-        treatment(rule)
+    if rules:
+        # The operators carry numpy, which a process that never meets a filter need not.
+        from grants.operators import treatment  # noqa: PLC0415
+
+        for rule in rules:
+            treatment(rule)
     texts = tuple(_typed(text, str, "a condition") for text in conditions)
     if claims.get(_ON_STALE, _KEEP) != _KEEP:
         raise GrantMalformed("on_stale of a grant is not keep")

@@ -94,6 +94,10 @@ class QueryRefused(RossecError):
     """A query of the revocation list that is none, or cannot be answered."""
 
 
+class PeerUserRefused(RossecError):
+    """A program of another user of this host, or of nobody who can be named."""
+
+
 class SettingsRefused(RossecError):
     """The command line or the environment of this program says something that cannot be meant."""
 

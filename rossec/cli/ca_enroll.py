@@ -217,3 +217,6 @@ def _write(csr_file: Path | None, bundle: bytes) -> None:
 def _read(path: Path) -> bytes:
     with path.open("rb") as stream:
         return stream.read(MAX_REQUEST + 1)
+
+
+COMMANDS = (enroll,)

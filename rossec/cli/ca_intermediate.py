@@ -88,3 +88,6 @@ def install(environment: Environment, bundle: Path, passphrase_file: Path | None
     found = intermediatehome.install(environment.home, data, secret, now())
     powers = "renew and enroll" if found.may_enroll else "renew"
     say(f"this host may {powers} until {moment(found.not_after)}")
+
+
+COMMANDS = (intermediate,)

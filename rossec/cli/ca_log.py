@@ -112,3 +112,6 @@ def _as_json(entry: Entry) -> dict[str, Any]:
 def _read(path: Path) -> bytes:
     missing = ConfigurationError(f"there is no {path}")
     return files.read(path, _MAX_HEAD, missing)
+
+
+COMMANDS = (log,)

@@ -6,12 +6,9 @@ from typing import Final
 
 import click
 
-from ca.store import Store
 from grants.renewal import MAX_DELEGATION, MAX_TICKET, open_delegation
-from rossec.authority import AuthorityHome
 from rossec.cli import passphrase
 from rossec.cli.context import Duration, Environment, moment, now, pass_environment
-from rossec.cli.publish import carry, deliver
 from rossec.cli.voice import say
 from rossec.node.slave import MASTER
 
@@ -51,6 +48,10 @@ def delegate(
 
     A revoked grant is not renewed. With --withdraw, what the master has renewed ends at once.
     """
+    # Not carried by a running master, which has this command beside it.
+    from rossec.authority import AuthorityHome  # noqa: PLC0415
+    from rossec.cli.publish import carry, deliver  # noqa: PLC0415
+
     home = AuthorityHome.at(environment.home)
     store = home.store()
     authority = home.unlock(passphrase.read(passphrase_file, environment.variables))
@@ -60,7 +61,9 @@ def delegate(
         asyncio.run(deliver(environment, master_uri))
         say("the master has the new list")
         return
-    data = authority.delegate(_master_key(store), lifetime, ticket, now())
+    data = authority.delegate(
+        store.live_certificate(MASTER, now()).thumbprint, lifetime, ticket, now()
+    )
     opened = open_delegation(data, authority.signer.public_key)
     say(f"{MASTER} may renew grants until {moment(opened.expires)} (delegation {opened.id.hex()})")
     hint = _HINT.format(home.path / "delegations")
@@ -69,5 +72,4 @@ def delegate(
     say("the master has the delegation")
 
 
-def _master_key(store: Store) -> bytes:
-    return store.live_certificate(MASTER, now()).thumbprint
+COMMANDS: Final = (delegate,)

@@ -1,39 +1,55 @@
 """The `rossec` command: nouns with verbs. A refusal leaves as error and hint, never a traceback."""
 
+import importlib
 import logging
 import os
 import sys
 from collections.abc import Mapping, Sequence
 from importlib.metadata import version
-from typing import Any, NoReturn
+from typing import Any, Final, NoReturn
 
 import click
 
 from ca.errors import HintedError
-from rossec.cli import ca_backup, ca_identities, ca_requests, node_enroll
-from rossec.cli.ca import ca
-from rossec.cli.ca_enroll import enroll
-from rossec.cli.ca_intermediate import intermediate
-from rossec.cli.ca_log import log
 from rossec.cli.context import Environment
-from rossec.cli.demo import demo
-from rossec.cli.explain import explain
-from rossec.cli.grant import grant
-from rossec.cli.graph import graph
-from rossec.cli.master import master
-from rossec.cli.node import node
-from rossec.cli.param import param
-from rossec.cli.policy import policy
-from rossec.cli.privacy import privacy
-from rossec.cli.request import COMMANDS
-from rossec.cli.service import service
-from rossec.cli.simulate import simulate
-from rossec.cli.topic import topic
 from rossec.cli.voice import INTERRUPTED, REFUSED, UNDELIVERED, USAGE, fail, printable
 from rossec.errors import NotDelivered
 
+_NOUNS: Final = {  # a noun, and the modules whose COMMANDS are more of its verbs
+    "audit": (), "demo": (), "explain": (), "grant": ("request",), "graph": (),
+    "master": ("delegate",),
+    "ca": ("ca_identities", "ca_backup", "ca_enroll", "ca_requests", "ca_intermediate", "ca_log"),
+    "node": ("node_enroll",), "param": (), "policy": (), "privacy": (), "service": (),
+    "simulate": (), "topic": (),
+}  # fmt: skip
 
-@click.group(context_settings={"help_option_names": ["-h", "--help"]})
+
+class Nouns(click.Group):
+    """Each noun is a command of the same name in a module of `rossec.cli`.
+
+    It is imported when it is called for: a master that runs for months carries nothing of the rest.
+    """
+
+    def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002 - the base's shape
+        """Every noun."""
+        return sorted({*_NOUNS, *self.commands})
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """The command of a noun."""
+        if cmd_name in _NOUNS and cmd_name not in self.commands:
+            self.add_command(_complete(cmd_name))
+        return super().get_command(ctx, cmd_name)
+
+
+def _complete(noun: str) -> click.Command:
+    command: click.Command = getattr(importlib.import_module(f"rossec.cli.{noun}"), noun)
+    for name in _NOUNS[noun]:
+        for verb in importlib.import_module(f"rossec.cli.{name}").COMMANDS:
+            command.add_command(verb)  # type: ignore[attr-defined]
+    return command
+
+
+@click.group(cls=Nouns, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(version("rossec"), prog_name="rossec", message="%(prog)s %(version)s")
 @click.option("--verbose", "-v", is_flag=True, help="log what happens")
 def rossec(verbose: bool) -> None:
@@ -41,32 +57,6 @@ def rossec(verbose: bool) -> None:
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(OneLine("rossec: %(levelname)s: %(message)s"))
     logging.basicConfig(level=logging.INFO if verbose else logging.WARNING, handlers=[handler])
-
-
-for command in (
-    ca,
-    node,
-    grant,
-    policy,
-    explain,
-    simulate,
-    privacy,
-    master,
-    graph,
-    topic,
-    service,
-    param,
-    demo,
-):
-    rossec.add_command(command)
-for command in (*ca_identities.COMMANDS, *ca_backup.COMMANDS, intermediate, log):
-    ca.add_command(command)
-for command in COMMANDS:
-    grant.add_command(command)
-for command in (enroll, *ca_requests.COMMANDS):
-    ca.add_command(command)
-for command in node_enroll.COMMANDS:
-    node.add_command(command)
 
 
 class OneLine(logging.Formatter):

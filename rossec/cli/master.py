@@ -1,24 +1,41 @@
-"""`rossec master`: run the ROS master of a trust domain."""
+"""`rossec master`: run the ROS master of a trust domain, and ask how it is."""
 
 import asyncio
+import json
+import logging
 import signal
+import sys
+from collections.abc import Mapping
+from contextlib import ExitStack
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import click
 
 from ca.revocationtree import is_tree
-from rossec.authority import AuthorityHome, OpenAuthority
 from rossec.channel import policy
 from rossec.cli import passphrase
+from rossec.cli.audit import AUDIT
 from rossec.cli.context import Environment, now, pass_environment
-from rossec.cli.delegate import delegate
-from rossec.cli.voice import say, say_json
+from rossec.cli.voice import printable, say, say_json
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
-from rossec.master.complaints import Complain, ComplainLog, unheard
+from rossec.master import config as configs
+from rossec.master.admin import AdminPort, ask
+from rossec.master.audit import AuditFile
+from rossec.master.complaints import ComplainLog, unheard
+from rossec.master.config import Config
+from rossec.master.metrics import Exporter
+from rossec.master.notify import READY, STOPPING, notify
+from rossec.master.server import MasterServer
 from rossec.master.start import master_of
-from rossec.node.slave import MASTER
+from rossec.master.trust import Renewer
 from rossec.ros import settings
+from rossec.ros.names import MASTER
+
+_ADMIN = "admin.sock"
 
 
 @click.group(invoke_without_command=True)
@@ -39,18 +56,33 @@ from rossec.ros import settings
 )
 @passphrase.option
 @click.option(
+    "--config",
+    "config_file",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="a configuration file; the other options prevail over it",
+)
+@click.option("--log", type=click.Choice(["text", "json"]), help="form of the log on stderr")
+@click.option("--admin", is_flag=True, help="open the local port of an administrator")
+@click.option(
+    "--metrics", type=click.IntRange(0, 65535), help="serve Prometheus on this port of loopback"
+)
+@click.option(
     "--post-quantum",
     metavar="POLICY",
     help="off, prefer or require; instead of ROSSEC_POST_QUANTUM",
 )
-@click.pass_context
 @pass_environment
+@click.pass_context
 def master(
-    environment: Environment,
     context: click.Context,
+    environment: Environment,
     port: int | None,
     as_json: bool,
     complaints: Path | None,
+    config_file: Path | None,
+    log: str | None,
+    admin: bool,
+    metrics: int | None,
     renew_identities: bool,
     passphrase_file: Path | None,
     post_quantum: str | None,
@@ -58,58 +90,160 @@ def master(
     """Run the master, as the node /master. Ends with Ctrl-C."""
     if context.invoked_subcommand is not None:
         return
-    log = ComplainLog(complaints) if complaints is not None else unheard
-    renewer = _intermediate(environment, passphrase_file) if renew_identities else None
     suites = policy.post_quantum(environment.variables, post_quantum)
-    asyncio.run(_serve(environment, port, as_json, log, suites, renewer))
+    config = Config() if config_file is None else configs.load(config_file)
+    given: dict[str, Any] = {"port": port, "log": log, "complaints": complaints, "metrics": metrics}
+    config = replace(config, **{key: value for key, value in given.items() if value is not None})
+    config = replace(config, admin=config.admin or admin)
+    with ExitStack() as stack:
+        _log_as(config.log)
+        home = NodeHome.of(environment.home, MASTER)
+        home.anchor()  # before anything is written there
+        if config.audit:
+            _keep_audit(home.path / AUDIT, stack)
+        renewer = _renewer(environment, passphrase_file) if renew_identities else None
+        asyncio.run(_serve(environment, home, config, suites, renewer, as_json=as_json))
 
 
-master.add_command(delegate)
+@master.command()
+@click.option("--json", "as_json", is_flag=True, help="a line of JSON")
+@pass_environment
+def status(environment: Environment, as_json: bool) -> None:
+    """Say how the running master is; it must have been started with --admin."""
+    answer = ask(_home(environment).path / _ADMIN, "status")
+    if as_json:
+        say_json(answer)
+        return
+    for key, value in answer.items():
+        say(f"{key.replace('_', ' '):<20} {printable(str(value))}")
+
+
+@master.command()
+@pass_environment
+def stop(environment: Environment) -> None:
+    """End the running master in order; it must have been started with --admin."""
+    ask(_home(environment).path / _ADMIN, "stop")
+    say("the master ends")
+
+
+def _home(environment: Environment) -> NodeHome:
+    return NodeHome.of(environment.home, MASTER)
+
+
+class JsonLines(logging.Formatter):
+    """One JSON object a line, for machines that read logs."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        """Time, level, logger and text; a traceback, if there is one."""
+        entry: dict[str, Any] = {
+            "at": round(record.created, 3),
+            "level": record.levelname.lower(),
+            "logger": record.name,
+            "text": printable(record.getMessage()),
+        }
+        if record.exc_info:
+            entry["traceback"] = self.formatException(record.exc_info)
+        return json.dumps(entry, sort_keys=True)
+
+
+def _log_as(form: str) -> None:
+    if form == "json":
+        handler = logging.StreamHandler(sys.stderr)
+        handler.setFormatter(JsonLines())
+        logging.basicConfig(level=logging.INFO, handlers=[handler], force=True)
+
+
+def _keep_audit(path: Path, stack: ExitStack) -> None:
+    handler, log = AuditFile(path), logging.getLogger("rossec.audit")
+    before, root = log.level, logging.getLogger()
+    log.setLevel(logging.INFO)
+    for other in root.handlers:  # who reads along need not hear more than without an audit
+        other.setLevel(max(other.level, root.level))
+    log.addHandler(handler)
+    stack.callback(handler.close)
+    stack.callback(log.removeHandler, handler)
+    stack.callback(log.setLevel, before)
 
 
 async def _serve(
     environment: Environment,
-    port: int | None,
-    as_json: bool,
-    complain: Complain,
+    home: NodeHome,
+    config: Config,
     suites: tuple[int, ...],
-    intermediate: OpenAuthority | None,
+    renewer: Renewer | None,
+    *,
+    as_json: bool,
 ) -> None:
     own = settings.read((), environment.variables, default_name=MASTER)
     stop = asyncio.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         asyncio.get_running_loop().add_signal_handler(number, stop.set)
-    home = NodeHome.of(environment.home, MASTER)
     server = master_of(
         home,
         host=own.address,
-        port=own.master_port if port is None else port,
+        port=own.master_port if config.port is None else config.port,
         newest=_newest_list(environment),
         entries=_entries(environment),
-        intermediate=intermediate,
+        renewer=renewer,
         now=now(),
-        complain=complain,
+        complain=ComplainLog(config.complaints) if config.complaints is not None else unheard,
+        limits=config.limits,
         suites=suites,
     )
     await server.start()
+    admin = AdminPort(home.path / _ADMIN, _commands(server))
+    exporter = None if config.metrics is None else Exporter(server.status, config.metrics)
     try:
-        if as_json:
-            say_json({"ready": server.uri})
-        else:
-            say(f"master of {home.anchor().domain} at {server.uri}")
-        asked = asyncio.ensure_future(server.stopped())
-        signalled = asyncio.ensure_future(stop.wait())
-        await asyncio.wait({asked, signalled}, return_when=asyncio.FIRST_COMPLETED)
-        asked.cancel()
-        signalled.cancel()
+        if config.admin:
+            await admin.start()
+        _greet(server, home, exporter, as_json=as_json)
+        logging.getLogger("rossec.audit").info("the master began at %s", server.uri)
+        notify(READY, environment.variables)
+        await _until_stopped(server, stop)
+        notify(STOPPING, environment.variables)
     finally:
+        await admin.close()
+        if exporter is not None:
+            await asyncio.to_thread(exporter.close)
         await server.close()
+        logging.getLogger("rossec.audit").info("the master ended")
+
+
+def _greet(
+    server: MasterServer, home: NodeHome, exporter: Exporter | None, *, as_json: bool
+) -> None:
+    metrics = {} if exporter is None else {"metrics": f"http://127.0.0.1:{exporter.port}/metrics"}
+    if as_json:
+        say_json({"ready": server.uri, **metrics})
+        return
+    say(f"master of {home.anchor().domain} at {server.uri}")
+    for uri in metrics.values():
+        say(f"metrics at {uri}")
+
+
+async def _until_stopped(server: MasterServer, stop: asyncio.Event) -> None:
+    asked = asyncio.ensure_future(server.stopped())
+    signalled = asyncio.ensure_future(stop.wait())
+    await asyncio.wait({asked, signalled}, return_when=asyncio.FIRST_COMPLETED)
+    asked.cancel()
+    signalled.cancel()
+
+
+def _commands(server: MasterServer) -> Mapping[str, Any]:
+    def stop() -> Mapping[str, Any]:
+        server.stop("the administrator of this host")
+        return {"stopping": True}
+
+    return {"status": server.status, "stop": stop}
 
 
 def _newest_list(environment: Environment) -> bytes | None:
     """The authority's own record, when it lives on this host."""
     if not (environment.home / "ca" / "ca.pem").exists():
         return None
+    # Not carried by a master elsewhere: a database, and the policy's reader.
+    from rossec.authority import AuthorityHome  # noqa: PLC0415
+
     return AuthorityHome.at(environment.home).revocation_list()
 
 
@@ -118,15 +252,20 @@ def _entries(environment: Environment) -> bytes | None:
     newest = _newest_list(environment)
     if newest is None or not is_tree(newest):
         return None
+    from rossec.authority import AuthorityHome  # noqa: PLC0415 - as above
+
     return AuthorityHome.at(environment.home).entries()
 
 
-def _intermediate(environment: Environment, file: Path | None) -> OpenAuthority:
-    """The intermediate of this host, unlocked.
+def _renewer(environment: Environment, file: Path | None) -> Renewer:
+    """Renews identities with the intermediate of this host, which is unlocked here.
 
     Raises:
         ConfigurationError: there is none, or it is the root, whose key stays offline.
     """
+    from rossec.authority import AuthorityHome  # noqa: PLC0415 - as above
+    from rossec.succession import renew  # noqa: PLC0415
+
     home = AuthorityHome.at(environment.home)
     authority = home.unlock(passphrase.read(file, environment.variables))
     if authority.authority.is_root:
@@ -134,4 +273,4 @@ def _intermediate(environment: Environment, file: Path | None) -> OpenAuthority:
             f"{home.path} holds the root, which signs no renewals for a master",
             "make an intermediate: rossec ca intermediate request",
         )
-    return authority
+    return partial(renew, authority)

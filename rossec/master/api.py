@@ -59,6 +59,7 @@ class MasterApi:
         uri, pid: what `getUri` and `getPid` answer.
         instance: names this run of the master.
         started: when it began, seconds since the epoch.
+        parameters: what is set already.
     """
 
     def __init__(
@@ -71,12 +72,14 @@ class MasterApi:
         pid: int,
         instance: str = "",
         started: int = 0,
+        parameters: Parameters | None = None,
     ) -> None:
         self._uri = uri
         self._pid = pid
         self._gatekeeper = Gatekeeper(registry, name)
         self.watching = WatchCalls(registry, self._gatekeeper, instance)
-        self.parameters = ParameterCalls(Parameters(), registry, statements.caller_of)
+        tree = Parameters() if parameters is None else parameters
+        self.parameters = ParameterCalls(tree, registry, statements.caller_of)
         self.methods: Methods = {
             **GraphCalls(registry, self._gatekeeper).methods(),
             **self.parameters.methods(),

@@ -7,6 +7,7 @@ from typing import NamedTuple
 from grants.model import Right
 from rossec.master.arguments import Check
 from rossec.master.gatekeeper import Caller
+from rossec.master.journal import Change
 from rossec.master.registry import Event, NodeRef
 
 
@@ -57,9 +58,17 @@ class CallRefused:
     status: str
 
 
+@dataclass(frozen=True)
+class ParameterKept:
+    """A change to write down, so that it survives the master."""
+
+    change: Change
+
+
 MasterEvent = (
     Event
     | ParameterChanged
+    | ParameterKept
     | StopMaster
     | GrantsPresented
     | RevocationsChanged

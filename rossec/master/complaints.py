@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Final, TypeAlias
 
 from grants.model import Right
-from grants.policy.learn import log_line
 
 MAX_LINES: Final = 10_000
 
@@ -27,6 +26,10 @@ class ComplainLog:
     """Appends to the file `path`, which is made for its owner alone."""
 
     def __init__(self, path: Path) -> None:
+        # Only here: learning a policy takes its reader, which a master without this log need not.
+        from grants.policy.learn import log_line  # noqa: PLC0415
+
+        self._line = log_line
         flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW
         self._file = os.fdopen(os.open(path, flags, 0o600), "a", encoding="utf-8")
         self._seen: set[tuple[str, Right, str]] = set()
@@ -37,7 +40,7 @@ class ComplainLog:
         if complaint in self._seen or len(self._seen) >= MAX_LINES:
             return
         self._seen.add(complaint)
-        self._file.write(log_line(now, node, right, name) + "\n")
+        self._file.write(self._line(now, node, right, name) + "\n")
         self._file.flush()
 
     def close(self) -> None:

@@ -9,8 +9,16 @@ from collections.abc import Callable
 from grants.model import Right
 from rossec.master import arguments as arg
 from rossec.master import params
-from rossec.master.calls import Method, Methods, ParameterChanged, Reply, Request
+from rossec.master.calls import (
+    Method,
+    Methods,
+    ParameterChanged,
+    ParameterKept,
+    Reply,
+    Request,
+)
 from rossec.master.gatekeeper import Caller, require_room, require_tree
+from rossec.master.journal import Change
 from rossec.master.params import ParameterMissing, Parameters
 from rossec.master.registry import Kind, NodeRef, Registry
 
@@ -71,8 +79,9 @@ class ParameterCalls:
             self._parameters.set(key, value)
         except (TypeError, ValueError) as error:
             return Reply(0, f"Error: invalid arguments: {error}", -1)
+        kept = ParameterKept(Change(key, value))
         events = self._updates(key, value, request, setter=request.caller.name)
-        return Reply(0, f"parameter {key} set", events=events)
+        return Reply(0, f"parameter {key} set", events=(kept, *events))
 
     def _delete(self, request: Request) -> Reply:
         key = request.text(1)
@@ -81,8 +90,9 @@ class ParameterCalls:
             self._parameters.delete(key)
         except ParameterMissing:
             return Reply(0, f"parameter [{key}] is not set", -1)
+        kept = ParameterKept(Change(key, deleted=True))
         events = self._updates(key, {}, request, setter=None)
-        return Reply(0, f"parameter {key} deleted", events=events)
+        return Reply(0, f"parameter {key} deleted", events=(kept, *events))
 
     def _search(self, request: Request) -> Reply:
         key = request.text(1)

@@ -18,6 +18,7 @@ from typing import Final, Protocol
 from ca.errors import HintedError
 from rossec.channel.credentials import OwnCredential, PeerIdentity, Verify
 from rossec.channel.known import KnownCertificates
+from rossec.channel.records import Limits as ChannelLimits
 from rossec.channel.suites import PRODUCTION
 from rossec.errors import CallerMismatch
 from rossec.master.api import MasterApi
@@ -27,27 +28,34 @@ from rossec.master.calls import (
     GrantsPresented,
     MasterEvent,
     ParameterChanged,
+    ParameterKept,
     RevocationsChanged,
     StopMaster,
 )
 from rossec.master.complaints import Complain, unheard
 from rossec.master.enforce import enforce, steps
 from rossec.master.gatekeeper import Caller, Certified, Peer
+from rossec.master.limits import Limits
+from rossec.master.memory import ParameterFile
 from rossec.master.news import WATCH_WAIT, News
-from rossec.master.registry import NodeRef, PublishersChanged, Registry, ShutdownNode
+from rossec.master.params import Parameters
+from rossec.master.registry import Kind, NodeRef, PublishersChanged, Registry, ShutdownNode
 from rossec.master.standing import Statements
 from rossec.master.updates import Updates
 from rossec.master.watching import WATCH, no_news
+from rossec.net.halfopen import HalfOpen
 from rossec.net.rpc import RpcClient, serve_calls
 from rossec.net.stream import Flavour, SecureServer, SecureStream, connect, serve
 from rossec.net.tasks import TaskSet
+from rossec.ros.http import HEADERS_LIMIT
 from rossec.ros.settings import parse_uri
 from rossec.ros.text import printable
 from rossec.ros.xmlrpc import Fault
 
 DEFAULT_NAME: Final = "/master"
 TIMESTAMP_EVERY: Final = 10.0  # seconds; a timestamp holds for 30
-PEER_CONNECTIONS: Final = 16  # open connections of one identity
+_LIMITS: Final = Limits()
+PEER_CONNECTIONS: Final = _LIMITS.connections_per_identity
 
 _log = logging.getLogger(__name__)
 _audit = logging.getLogger("rossec.audit")
@@ -63,6 +71,10 @@ class Standing(Statements, Protocol):
     def caller(self, peer: Certified, now: int) -> Caller:
         """Who calls and what it may do now; remembers the peer. Raises `HintedError`: revoked."""
 
+    @property
+    def number(self) -> int:
+        """Sequence number of the revocation list in force; 0: none."""
+
     def keep_only(self, thumbprints: frozenset[bytes], now: int) -> None:
         """Forget what identities presented that are neither connected nor registered."""
 
@@ -77,6 +89,8 @@ class MasterServer:
         host: address to listen on (None: all). port: 0 for any free one.
         advertise: host name in `uri`; what nodes are told.
         clock: seconds since the epoch.
+        memory: where parameters survive a restart.
+        limits: what one peer may cost.
         suites: the post-quantum policy (`rossec.channel.policy`).
     """
 
@@ -93,6 +107,8 @@ class MasterServer:
         clock: Callable[[], float] = time.time,
         timestamp_every: float = TIMESTAMP_EVERY,
         complain: Complain = unheard,
+        memory: ParameterFile | None = None,
+        limits: Limits = _LIMITS,
         suites: tuple[int, ...] = PRODUCTION,
     ) -> None:
         self._credentials = credentials
@@ -104,6 +120,8 @@ class MasterServer:
         self._clock = clock
         self._timestamp_every = timestamp_every
         self._complain = complain
+        self._memory = memory
+        self._limits = limits
         self._suites = suites
         self._known = KnownCertificates()
         self._registry = Registry()
@@ -114,6 +132,7 @@ class MasterServer:
         self._tasks = TaskSet()
         self._stopping = asyncio.Event()
         self._news = News()
+        self._calls = self._denials = 0
         self._changed = asyncio.Event()  # revocations: what follows must not wait for the beat
 
     @property
@@ -133,7 +152,7 @@ class MasterServer:
         Raises:
             OSError: the address is not ours or the port is taken.
         """
-        host, port = self._listen
+        (host, port), limits = self._listen, self._limits
         self._server = await serve(
             self._handle,
             host,
@@ -141,6 +160,10 @@ class MasterServer:
             self._credentials,
             self._verify,
             accept={Flavour.HTTP},
+            limits=ChannelLimits(
+                unit=limits.body + HEADERS_LIMIT, handshake_seconds=limits.handshake_seconds
+            ),
+            half_open=HalfOpen(limits.unfinished_per_address, limits.unfinished),
             suites=self._suites,
             known=self._known,
         )
@@ -152,8 +175,35 @@ class MasterServer:
             pid=os.getpid(),
             instance=secrets.token_hex(8),
             started=self._now(),
+            parameters=self._remember(),
         )
         self._tasks.spawn(self._beat(), name="rossec master timestamps")
+
+    def _remember(self) -> Parameters | None:
+        if self._memory is None:
+            return None
+        self._memory.open()
+        return self._memory.parameters
+
+    def status(self) -> dict[str, str | int]:
+        """What an administrator may ask at any time: figures only."""
+        kinds = {
+            kind: sum(len(names) for _, names in self._registry.entries(kind)) for kind in Kind
+        }
+        return {
+            "uri": self.uri,
+            "pid": os.getpid(),
+            "calls": self._calls,
+            "denials": self._denials,
+            "nodes": len(tuple(self._registry.nodes())),
+            "registrations": sum(kinds.values()),
+            "connections": 0 if self._server is None else self._server.connections,
+            "revocation_number": self._standing.number,
+        }
+
+    def stop(self, reason: str) -> None:
+        """End, as an administrator asked."""
+        self._deliver(StopMaster(reason))
 
     async def stopped(self) -> None:
         """Wait until an administrator asks the master to end."""
@@ -165,17 +215,25 @@ class MasterServer:
         await self._updates.close()
         if self._server is not None:
             await self._server.close()
+        if self._memory is not None:
+            self._memory.close()
 
     async def _handle(self, stream: SecureStream[ChannelPeer]) -> None:
         held = Counter(other.peer.thumbprint for other in self._streams)
-        if held[stream.peer.thumbprint] >= PEER_CONNECTIONS:
+        if held[stream.peer.thumbprint] >= self._limits.connections_per_identity:
             _audit.warning("%s has too many connections", stream.peer.name)
             stream.abort("too many connections of one identity")
             return
         self._streams.add(stream)
         try:
             self._standing.caller(stream.peer, self._now())
-            await serve_calls(stream, self._dispatch)
+            await serve_calls(
+                stream,
+                self._dispatch,
+                limit=self._limits.body,
+                request_deadline=self._limits.request_seconds,
+                idle_deadline=self._limits.idle_seconds,
+            )
         except HintedError as error:
             _audit.warning("%s is cut off: %s", stream.peer.name, printable(error))
             stream.abort(str(error))
@@ -198,6 +256,7 @@ class MasterServer:
         except HintedError as error:  # revoked a moment ago: the connection is being cut
             raise Fault(1, f"rossec: {error}") from error
         outcome = self._api.call(method, params, caller, now)
+        self._calls += 1
         for event in outcome.events:
             self._deliver(event)
         self._news.tell(self._registry.version)
@@ -216,23 +275,27 @@ class MasterServer:
                 self._cut_revoked()
                 self._push_revocations()
                 self._changed.set()
+            case ParameterKept() | Denied() | GrantsPresented() | CallRefused():
+                self._record(event)
+            case StopMaster(reason):
+                _audit.warning("stopping: %s", printable(reason))
+                self._stopping.set()
+
+    def _record(self, event: ParameterKept | Denied | GrantsPresented | CallRefused) -> None:
+        match event:
+            case ParameterKept(change):
+                if self._memory is not None:
+                    self._memory.write(change)
+            case CallRefused(node, method, status):
+                self._denials += 1
+                _audit.warning("%s may not %s: %s", node, method, printable(status))
+            case Denied(node, right, name):
+                self._complain(self._now(), node, right, name)
             case GrantsPresented(name, refused):
                 self._news.tell()  # it may see other things now
                 if refused:
                     text = printable("; ".join(refused))
                     _audit.warning("%s presents grants that are refused: %s", name, text)
-            case StopMaster(reason):
-                _audit.warning("stopping: %s", printable(reason))
-                self._stopping.set()
-            case CallRefused() | Denied():
-                self._record(event)
-
-    def _record(self, refusal: CallRefused | Denied) -> None:
-        match refusal:
-            case CallRefused(node, method, status):
-                _audit.warning("%s may not %s: %s", node, method, printable(status))
-            case Denied(node, right, name):
-                self._complain(self._now(), node, right, name)
 
     def _tell(self, node: NodeRef, method: str, subject: object, *rest: object) -> None:
         about = subject if isinstance(subject, str) and rest else ""
@@ -245,6 +308,8 @@ class MasterServer:
             await self._enforce()
             self._push_revocations()
             self._forget_the_gone()
+            if self._memory is not None:
+                self._memory.sync()
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(self._timestamp_every):
                     await self._changed.wait()

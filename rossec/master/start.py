@@ -3,23 +3,24 @@
 import contextlib
 import logging
 import socket
-from collections.abc import Callable
-from functools import partial
+from typing import Final
 
 from ca.errors import HintedError, RevocationRefused
 from ca.revocation import Revocations
 from ca.revocationtree import is_tree
-from rossec.authority import OpenAuthority
 from rossec.channel.suites import PRODUCTION
 from rossec.home import NodeHome
 from rossec.master.complaints import Complain, unheard
+from rossec.master.limits import Limits
+from rossec.master.memory import ParameterFile
 from rossec.master.renewal import Delegate
 from rossec.master.server import MasterServer
-from rossec.master.trust import Trust
+from rossec.master.trust import Renewer, Trust
 from rossec.ros.settings import is_loopback
-from rossec.succession import renew
 
 _log = logging.getLogger(__name__)
+
+_LIMITS: Final = Limits()
 
 
 def master_of(
@@ -30,8 +31,9 @@ def master_of(
     newest: bytes | None,
     now: int,
     entries: bytes | None = None,
-    intermediate: OpenAuthority | None = None,
+    renewer: Renewer | None = None,
     complain: Complain = unheard,
+    limits: Limits = _LIMITS,
     suites: tuple[int, ...] = PRODUCTION,
 ) -> MasterServer:
     """The master whose identity is in `home`, not yet started.
@@ -41,9 +43,10 @@ def master_of(
             loopback, as in ROS; None: this machine's name, and any address.
         newest: a revocation list that may be newer than the one saved, when the authority lives on
             this host; otherwise the master waits until one is published.
-        intermediate: renews identities; never the root, whose key does not belong here.
+        renewer: renews identities with an intermediate; never the root, whose key stays offline.
         entries: where `newest` is a tree, all it was made of.
         complain: hears of every right that somebody lacks.
+        limits: what one peer may cost.
         suites: the post-quantum policy (`rossec.channel.policy`).
 
     Raises:
@@ -68,7 +71,7 @@ def master_of(
         home.save_revocations,
         delegate,
         home.save_entries,
-        None if intermediate is None else partial(renew_identity, intermediate),
+        renewer,
     )
     _complete(trust, revocations, (entries, home.load_entries()), now)
     return MasterServer(
@@ -80,15 +83,10 @@ def master_of(
         port=port,
         advertise=host or socket.gethostname(),
         complain=complain,
+        memory=ParameterFile(home.path / "parameters.journal"),
+        limits=limits,
         suites=suites,
     )
-
-
-def renew_identity(
-    intermediate: OpenAuthority, request: bytes, now: int, check: Callable[[bytes, int], None]
-) -> bytes:
-    """Answer a node's renewal with its new bundle."""
-    return renew(intermediate, request, now, check)
 
 
 def _take(delegate: Delegate, data: bytes) -> None:

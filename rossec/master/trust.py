@@ -7,7 +7,7 @@ holds. Grants are kept per key, verified once, bounded in number and size.
 """
 
 import hashlib
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -19,7 +19,9 @@ from ca.signer import Signer
 from grants.decision import Check, authorize
 from grants.errors import GrantError, GrantNotHeld
 from grants.model import Grant, Right
+from grants.reach import Reach
 from grants.token import Verifier
+from grants.validity import check_time
 from rossec.master.gatekeeper import Caller, Certified, Peer
 from rossec.master.renewal import Delegate, forget
 from rossec.master.standing import Presented, Renewed
@@ -34,23 +36,30 @@ FAILURES_WITHIN: Final = 60  # seconds
 
 Renewer = Callable[[bytes, int, Check], bytes]
 """Answers a renewal request (`ca.renewal`) with the node's new bundle."""
+_NOTHING: Final = Reach(())
 
 
 @dataclass(frozen=True)
 class GrantAccess:
-    """What one key may do at one moment."""
+    """What one key may do at one moment: `reach` is of those `grants` that hold at `now`."""
 
-    grants: tuple[Grant, ...]
+    grants: Collection[Grant]
+    reach: Reach
     holder: bytes
     now: int
     check: Check
 
+    def covers(self, right: Right, name: str) -> bool:
+        """Whether a grant that holds covers `right` on `name`."""
+        return self.reach.covers(right, name)
+
     def require(self, right: Right, name: str) -> None:
         """Raise the `GrantError` that says what is missing."""
-        authorize(self.grants, right, name, holder=self.holder, now=self.now, check=self.check)
+        if not self.reach.covers(right, name):
+            authorize(self.grants, right, name, holder=self.holder, now=self.now, check=self.check)
 
 
-@dataclass
+@dataclass(slots=True)
 class _Held:
     """Verified grants of one key by the digest of their bytes, and their size."""
 
@@ -58,10 +67,28 @@ class _Held:
     sizes: dict[bytes, int] = field(default_factory=dict)
     failures: int = 0
     failing_since: int = 0
+    version: int = 0
+    _reach: Reach = _NOTHING
+    _reach_at: tuple[object, ...] = ()
+    _holding: tuple[bytes, ...] = ()
+
+    def reach(self, now: int, revocations: Revocations) -> Reach:
+        """What the grants that hold now reach; worked out anew when the answer may differ."""
+        at = now, revocations.data, revocations.fresh_until, self.version
+        if self._reach_at != at:
+            held = [grant for grant in self.grants.values() if _holds(grant, now, revocations)]
+            holding = tuple(grant.id for grant in held)
+            if holding != self._holding:
+                self._reach = Reach(
+                    permission for grant in held for permission in grant.permissions
+                )
+            self._reach_at, self._holding = at, holding
+        return self._reach
 
     def drop_expired(self, now: int) -> None:
         for key in [key for key, grant in self.grants.items() if grant.expires <= now]:
             del self.grants[key], self.sizes[key]
+            self.version += 1
 
     def count_failure(self, now: int) -> None:
         self.failures += 1
@@ -81,9 +108,21 @@ class _Held:
             del self.grants[key], self.sizes[key]
         key = hashlib.sha256(token).digest()
         self.grants[key], self.sizes[key] = grant, len(token)
+        self.version += 1
 
     def is_full_for(self, size: int) -> bool:
         return len(self.grants) >= MAX_HELD or sum(self.sizes.values()) + size > MAX_HELD_BYTES
+
+
+def _holds(grant: Grant, now: int, revocations: Revocations) -> bool:
+    """Whether `grants.decision` would take the grant now; it is bound to its holder already."""
+    try:
+        check_time(grant, now)
+        for entry in (grant.id, *grant.via):
+            revocations.check(entry, now)
+    except HintedError:
+        return False
+    return True
 
 
 class Trust:
@@ -239,6 +278,11 @@ class Trust:
             b"" if self._lists.get((peer.name, peer.thumbprint)) == digest(data) else data
         ), stamp
 
+    @property
+    def number(self) -> int:
+        """Sequence number of the list in force; 0: none."""
+        return 0 if self._revocations.held is None else self._revocations.held.seq
+
     def update(self, data: bytes, now: int) -> bool:
         """Take a list signed by the authority; returns whether it differs from the one held.
 
@@ -297,8 +341,9 @@ class Trust:
     def _caller(self, peer: Peer, now: int, *, wildcard: bool = False) -> Caller:
         self._confirm(now)
         held = self._held.get(peer.thumbprint)
-        grants = () if held is None else tuple(held.grants.values())
-        access = GrantAccess(grants, peer.thumbprint, now, self._revocations.check)
+        grants = () if held is None else held.grants.values()
+        reach = _NOTHING if held is None else held.reach(now, self._revocations)
+        access = GrantAccess(grants, reach, peer.thumbprint, now, self._revocations.check)
         return Caller(peer.name, peer.thumbprint, access, wildcard)
 
     def _known(self) -> Iterator[Grant]:
@@ -323,7 +368,7 @@ class Trust:
         self._check_failures(held, now)
         check = self._revocations.check
         grant, renewed = self._delegate.renew(
-            token, caller.thumbprint, now, seq=self._seq, check=check
+            token, caller.thumbprint, now, seq=self.number, check=check
         )
         if not held.is_full_for(len(renewed)):  # else its holder presents it when it has room
             held.put(renewed, grant)
@@ -339,14 +384,9 @@ class Trust:
     def _verifier(self) -> Verifier:
         anchor = self._anchor
         return Verifier(
-            anchor.public_key, anchor.domain, self._signer.public_key, self._seq,
+            anchor.public_key, anchor.domain, self._signer.public_key, self.number,
             self._revocations.check,
         )  # fmt: skip
-
-    @property
-    def _seq(self) -> int:
-        held = self._revocations.held
-        return 0 if held is None else held.seq
 
     def _confirm(self, now: int) -> None:
         if self._revocations.held is not None and self._confirmed_at != now:
@@ -354,7 +394,7 @@ class Trust:
             self._confirmed_at = now
 
     def _timestamp(self, now: int) -> Timestamp:
-        return Timestamp(self._seq, digest(self._revocations.data), now, MAX_AGE)
+        return Timestamp(self.number, digest(self._revocations.data), now, MAX_AGE)
 
 
 def _reaches(grant: Grant, names: frozenset[str]) -> bool:

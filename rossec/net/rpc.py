@@ -62,9 +62,15 @@ async def serve_calls(
     *,
     limit: int = xmlrpc.BODY_LIMIT,
     request_deadline: float = REQUEST_DEADLINE,
+    idle_deadline: float | None = None,
 ) -> None:
-    """Answer the calls on `stream` until the peer closes it or breaks the protocol."""
-    connection = _ServerLoop(stream, dispatch, HttpServer(limit=limit), request_deadline)
+    """Answer the calls on `stream` until the peer closes it or breaks the protocol.
+
+    `idle_deadline` is how long it may take from one answer to the next, reading it included.
+    """
+    connection = _ServerLoop(
+        stream, dispatch, HttpServer(limit=limit), request_deadline, idle_deadline
+    )
     try:
         await connection.run()
     finally:
@@ -75,29 +81,47 @@ class _ServerLoop(Generic[PeerT]):
     """One connection being served."""
 
     def __init__(
-        self, stream: Stream[PeerT], dispatch: Dispatch[PeerT], http: HttpServer, deadline: float
+        self,
+        stream: Stream[PeerT],
+        dispatch: Dispatch[PeerT],
+        http: HttpServer,
+        deadline: float,
+        idle: float | None,
     ) -> None:
         self._stream = stream
         self._dispatch = dispatch
         self._http = http
         self._deadline = deadline
+        self._idle = idle
 
     async def run(self) -> None:
-        while not self._http.closing:
-            try:
-                body = await self._next_request()
-                response = await self._answer(body)
-            except HttpRefused as error:
-                await self._stream.send(self._http.refuse(error.status))
-                return
-            except (RossecError, TimeoutError):  # closed by the peer, or too slow: no answer
-                return
-            await self._stream.send(self._http.respond(response))
+        now, set_at = asyncio.get_running_loop().time, 0.0
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(self._idle) as idle:
+                while not self._http.closing and await self._serve_one():
+                    if self._idle is not None and now() > set_at + self._idle / 64:
+                        set_at = now()  # not for each call: a timer costs more than many a call
+                        idle.reschedule(set_at + self._idle)
+
+    async def _serve_one(self) -> bool:
+        """Answer one call; whether there may be another one."""
+        try:
+            body = await self._next_request()
+            response = await self._answer(body)
+        except HttpRefused as error:
+            await self._stream.send(self._http.refuse(error.status))
+            return False
+        except RossecError:  # closed by the peer: no answer
+            return False
+        await self._stream.send(self._http.respond(response))
+        return True
 
     async def _next_request(self) -> bytes:
         if (body := self._http.next_request()) is not None:
             return body
         self._http.feed(await self._stream.receive())
+        if (body := self._http.next_request()) is not None:  # nearly always
+            return body
         async with asyncio.timeout(self._deadline):
             while (body := self._http.next_request()) is None:
                 self._http.feed(await self._stream.receive())

@@ -13,9 +13,10 @@ from typing import Final, Protocol
 
 from ca.certificates import Identity
 from ca.errors import HintedError
+from rossec.ros import names
 
 Answer = list[object]
-MASTER: Final = "/master"
+MASTER: Final = names.MASTER
 REVOCATION_UPDATE: Final = "rossec.revocationUpdate"
 _ERROR: Final = -1
 

@@ -13,6 +13,7 @@ from ca.names import check_name
 SEPARATOR: Final = "/"
 PRIVATE: Final = "~"
 ANY_TYPE: Final = "*"
+MASTER: Final = "/master"  # the name a master is certified for
 
 
 def canonical(name: str) -> str:

@@ -13,6 +13,7 @@ from xml.parsers import expat
 
 from rossec.errors import AnswerMalformed, AnswerRefused, XmlRpcRefused
 from rossec.ros.text import printable
+from rossec.ros.xmlscan import Body, scan
 
 Fault = xmlrpc.client.Fault
 """What a server answers when there is no value: `Fault(faultCode, faultString)`."""
@@ -57,8 +58,10 @@ def load_call(data: bytes, *, limit: int = BODY_LIMIT) -> Call:
     Raises:
         XmlRpcRefused: too long, too deep, malformed, or not a call.
     """
+    _check_size(data, limit)
+    plain = scan(data, DEPTH_LIMIT)
     try:
-        params, method, root = _load(data, limit)
+        params, method, root = _parse(data) if plain is None else plain
     except Fault as fault:
         raise XmlRpcRefused("XML that is not an XML-RPC call") from fault
     if root != "methodCall" or not isinstance(method, str) or not method:
@@ -75,8 +78,10 @@ def load_response(data: bytes, *, limit: int = BODY_LIMIT) -> object:
         Fault: the server answered with a fault, whose text is made printable.
         XmlRpcRefused: too long, too deep, malformed, or not a response.
     """
+    _check_size(data, limit)
+    plain = scan(data, DEPTH_LIMIT)
     try:
-        params, _, root = _load(data, limit)
+        params, _, root = _parse(data) if plain is None else plain
     except Fault as fault:
         code: object = fault.faultCode  # whatever the peer put there
         raise Fault(code if isinstance(code, int) else 0, printable(fault.faultString)) from None
@@ -112,15 +117,18 @@ def _dump(
         raise XmlRpcRefused(f"a value that XML-RPC cannot carry: {error}") from error
 
 
-def _load(data: bytes, limit: int) -> tuple[tuple[object, ...], str | None, str | None]:
+def _check_size(data: bytes, limit: int) -> None:
     if len(data) > limit:
         raise XmlRpcRefused(f"{len(data)} bytes of XML where at most {limit} are allowed")
+
+
+def _parse(data: bytes) -> Body:
     if data.startswith((b"\xff", b"\xfe")):  # expat obeys a UTF-16 mark whatever it was told
         raise XmlRpcRefused("malformed XML-RPC: not UTF-8")
     target = _Target()
     try:
         _parser(target).Parse(data, True)
-        return target.close(), target.getmethodname(), target.root
+        return Body(target.close(), target.getmethodname(), target.root)
     except (XmlRpcRefused, Fault):
         raise
     except (expat.ExpatError, xmlrpc.client.Error, ValueError, TypeError, LookupError) as error:

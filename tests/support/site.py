@@ -4,6 +4,7 @@ import contextlib
 import secrets
 import time
 from collections.abc import AsyncIterator, Callable, Mapping
+from functools import partial
 from pathlib import Path
 
 from ca import keys
@@ -17,11 +18,13 @@ from rossec.authority import OpenAuthority
 from rossec.channel.policy import post_quantum
 from rossec.home import NodeHome
 from rossec.master.complaints import Complain, unheard
+from rossec.master.limits import Limits
 from rossec.master.server import MasterServer
 from rossec.master.start import master_of
 from rossec.node import Node
 from rossec.node.slave import MASTER
 from rossec.ros.settings import parse_uri
+from rossec.succession import renew
 
 HOUR = 3600
 DAY = 86400
@@ -46,6 +49,7 @@ class Site:
         self.master: MasterServer | None = None
         self.complain: Complain = unheard
         self.intermediate: OpenAuthority | None = None
+        self.limits = Limits()
         self.variables: dict[str, str] = {}  # more of the environment
 
     def now(self) -> int:
@@ -161,7 +165,8 @@ class Site:
         self.master = master_of(
             self.enroll(MASTER), host="127.0.0.1", port=port,
             newest=self.authority.store.newest_list(), now=self.now(), entries=self.entries,
-            complain=self.complain, intermediate=self.intermediate,
+            complain=self.complain, limits=self.limits,
+            renewer=None if self.intermediate is None else partial(renew, self.intermediate),
             suites=post_quantum(self.environ),
         )  # fmt: skip
         await self.master.start()

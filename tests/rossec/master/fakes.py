@@ -18,12 +18,16 @@ class FakeAccess:
     rights: Mapping[str, Right] = field(default_factory=dict)
 
     def require(self, right: Right, name: str) -> None:
+        if not self.covers(right, name):
+            raise GrantError("no grant covers it", "ask the authority for one")
+
+    def covers(self, right: Right, name: str) -> bool:
         for pattern, rights in self.rights.items():
             prefix = pattern.removesuffix("**")
             covered = name == pattern or (prefix != pattern and name.startswith(prefix))
             if covered and right in rights:
-                return
-        raise GrantError("no grant covers it", "ask the authority for one")
+                return True
+        return False
 
 
 def caller(name: str, rights: Mapping[str, Right] | None = None) -> Caller:

@@ -4,8 +4,9 @@ import pytest
 
 from grants.model import Right
 from rossec.master.api import MasterApi
-from rossec.master.calls import MasterEvent, ParameterChanged
+from rossec.master.calls import MasterEvent, ParameterChanged, ParameterKept
 from rossec.master.gatekeeper import Caller
+from rossec.master.journal import Change
 from rossec.master.registry import NodeRef, Registry
 from tests.rossec.master.fakes import FakeStatements, caller, everything
 
@@ -29,7 +30,17 @@ def ask(api: MasterApi, who: Caller, method: str, *params: object) -> tuple[Mast
     outcome = api.call(method, (who.name, *params), who, 0)
     assert isinstance(outcome.answer, list)
     assert outcome.answer[0] == 1, outcome.answer
-    return outcome.events
+    return tuple(event for event in outcome.events if not isinstance(event, ParameterKept))
+
+
+def test_every_change_is_to_be_kept_and_nothing_else(api: MasterApi) -> None:
+    def kept(method: str, *params: object) -> list[MasterEvent]:
+        outcome = api.call(method, ("/a", *params), everything("/a"), 0)
+        return [event for event in outcome.events if isinstance(event, ParameterKept)]
+
+    assert kept("setParam", "k", 1) == [ParameterKept(Change("/k", 1))]
+    assert kept("deleteParam", "k") == [ParameterKept(Change("/k", deleted=True))]
+    assert kept("deleteParam", "k") == kept("setParam", "/", 1) == kept("getParam", "k") == []
 
 
 def test_everybody_but_the_setter_hears_of_a_change(api: MasterApi) -> None:

@@ -129,3 +129,16 @@ async def test_a_client_closes_on_a_broken_answer() -> None:
         assert client.closed
 
     await run()
+
+
+async def test_a_connection_on_which_nobody_calls_is_closed() -> None:
+    near, far = stream_pair("/node", "/master")
+
+    async def run() -> None:
+        assert await RpcClient(near).ask("echo") == []
+        with pytest.raises(RossecError):
+            async with asyncio.timeout(10):
+                await near.receive()
+
+    await serving(run(), far, idle_deadline=0.05)
+    assert far.closed

@@ -1,6 +1,9 @@
 """HTTP framing for XML-RPC: both sides against each other, three ways of feeding, every refusal."""
 
+import h11
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from rossec.errors import HttpRefused
 from rossec.ros.http import HttpClient, HttpServer
@@ -102,7 +105,19 @@ def test_continue_is_skipped() -> None:
             b"POST / HTTP/1.1\r\nHost: x\r\nA: " + b"a" * 9000 + b"\r\nContent-Length: 0\r\n\r\n",
             431,
         ),
-        (b"POST / HTTP/1.1\r\nHost: x\r\nA: " + b"a" * 9000, 400),
+        (b"POST / HTTP/1.1\r\nHost: x\r\nA: " + b"a" * 9000, 431),
+        (b"POST / HTTP/1.1\r\nContent-Length: 0\r\n\r\n", 400),
+        (b"POST / HTTP/1.1\r\nHost: x\r\nHost: y\r\nContent-Length: 0\r\n\r\n", 400),
+        (b"POST / HTTP/1.1\r\nHost: x\r\n" + 2 * b"Content-Length: 1\r\n" + b"\r\nx", 400),
+        (b"POST / HTTP/1.1\r\nHost: x\r\nContent-Length: 1, 1\r\n\r\nx", 400),
+        (b"POST / HTTP/1.1\r\nHost: x\r\nContent-Length: +1\r\n\r\nx", 400),
+        (b"POST / HTTP/1.1\r\nHost: x\r\nContent-Length : 1\r\n\r\nx", 400),
+        (b"POST / HTTP/1.1\r\nHost: x\r\nA: b\r\n c\r\nContent-Length: 1\r\n\r\nx", 400),
+        (b"POST / HTTP/1.1\r\nHost: x\nContent-Length: 1\r\n\r\nx", 400),
+        (b"POST / HTTP/1.1\r\nHost: x\0\r\nContent-Length: 1\r\n\r\nx", 400),
+        (b"POST / HTTP/2.0\r\nHost: x\r\nContent-Length: 1\r\n\r\nx", 400),
+        (b"POST  / HTTP/1.1\r\nHost: x\r\nContent-Length: 1\r\n\r\nx", 400),
+        (b"\r\nPOST / HTTP/1.1\r\nHost: x\r\nContent-Length: 1\r\n\r\nx", 400),
         (b"\x16\x03\x01garbage\r\n\r\n", 400),
     ],
 )
@@ -117,6 +132,51 @@ def test_server_refuses(request_bytes: bytes, status: int) -> None:
     assert b"garbage" not in answer
     assert server.closing
     assert server.refuse(status) == b""
+
+
+PIECES = [
+    b"POST", b"GET", b" ", b"/", b"HTTP/1.1", b"HTTP/1.0", b"\r\n", b"\n", b"\r", b"\r\n\r\n",
+    b"Host: x", b"Content-Length: 2", b"content-length:\t3 ", b"Connection: a, close",
+    b"Transfer-Encoding: chunked", b"X:", b"\xff", b"\0", b"body",
+]  # fmt: skip
+LINES = [piece + b"\r\n" for piece in PIECES]
+
+
+@given(st.lists(st.sampled_from([*PIECES, *LINES])).map(b"".join) | st.binary(max_size=40))
+def test_what_is_accepted_is_what_a_general_library_reads(tail: bytes) -> None:
+    """Two readers of one stream must not disagree about where a request ends."""
+    for data in (tail, b"POST / HTTP/1.1\r\nHost: x\r\n" + tail):
+        server = HttpServer()
+        server.feed(data)
+        try:
+            body = server.next_request()
+        except HttpRefused:
+            continue
+        if body is None:
+            continue
+        oracle = h11.Connection(h11.SERVER)
+        oracle.receive_data(data)
+        assert isinstance(oracle.next_event(), h11.Request)
+        event, read = oracle.next_event(), b""
+        while isinstance(event, h11.Data):
+            read += event.data
+            event = oracle.next_event()
+        assert isinstance(event, h11.EndOfMessage)
+        assert read == body
+        server.respond(b"")
+        assert server.closing == (
+            oracle.our_state is h11.MUST_CLOSE or oracle.their_state is h11.MUST_CLOSE
+        )
+
+
+def test_nothing_follows_the_end() -> None:
+    server = HttpServer()
+    server.feed(REQUEST.replace(b"Host: x", b"Host: x\r\nConnection: a\r\nConnection: Close"))
+    assert server.next_request() == b"body"
+    server.respond(b"")
+    assert server.next_request() is None
+    with pytest.raises(HttpRefused, match="after the end"):
+        server.feed(b"P")
 
 
 @pytest.mark.parametrize(

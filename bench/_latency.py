@@ -1,0 +1,216 @@
+"""How fast news travels: publisher updates past dead nodes, and revocations to the last message."""
+
+import asyncio
+import contextlib
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from statistics import median
+from xmlrpc.server import SimpleXMLRPCServer
+
+from bench._lines import Line, request
+from bench._masters import Master, Member, enroll
+from bench._population import TYPE
+from ca.certificates import Identity
+from ca.encoding import encode
+from grants.document import grant_id
+from grants.model import Right
+from rossec.errors import ChannelError
+from rossec.net.rpc import RpcClient, serve_calls
+from rossec.net.stream import Flavour, SecureStream, connect, serve
+from rossec.node import Node
+from rossec.node.access import FIELD
+from rossec.node.messages import message_type
+from rossec.node.topics import Endpoint
+from rossec.ros import header
+from tests.support.site import Site
+
+TOPIC = "/shared/t"
+ROUNDS = 30
+GIVE_UP = 2.0  # seconds; what takes longer is reported as this
+KIND = "std_msgs/String"
+
+
+@contextlib.contextmanager
+def silent_port() -> Iterator[int]:
+    """A port that takes connections and never says anything."""
+    with socket.create_server(("0.0.0.0", 0), backlog=256) as sock:
+        yield sock.getsockname()[1]
+
+
+class _Heard:
+    """Counts what a slave API is told, and lets another thread wait for it."""
+
+    def __init__(self) -> None:
+        self.condition = threading.Condition()
+        self.at: list[float] = []
+
+    def __call__(self, *_: object) -> list[object]:
+        with self.condition:
+            self.at.append(time.perf_counter())
+            self.condition.notify_all()
+        return [1, "", 0]
+
+    def wait(self, count: int) -> float:
+        with self.condition:
+            self.condition.wait_for(lambda: len(self.at) >= count, GIVE_UP)
+            return self.at[count - 1] if len(self.at) >= count else float("inf")
+
+
+def plain_updates(master: Master, dead: int) -> float:
+    """Median milliseconds from a registration to the live subscriber, at stock rosmaster."""
+    heard = _Heard()
+    server = SimpleXMLRPCServer(("127.0.0.1", 0), logRequests=False)
+    server.register_function(heard, "publisherUpdate")
+    thread = threading.Thread(target=server.serve_forever, daemon=True)
+    thread.start()
+    uri = f"http://127.0.0.1:{server.server_address[1]}/"
+    with silent_port() as port:
+        line = Line(master.port)
+        for number in range(dead):
+            where = f"http://127.1.0.{number + 1}:{port}/"
+            line.ask(request("registerSubscriber", f"/dead{number}", TOPIC, TYPE, where))
+        line.ask(request("registerSubscriber", "/live", TOPIC, TYPE, uri))
+        taken: list[float] = []
+        for number in range(ROUNDS):
+            begin, before = time.perf_counter(), len(heard.at)
+            method, *rest = _change(number)
+            line.ask(request(method, "/talker", TOPIC, *rest, "http://127.0.0.1:9/"))
+            taken.append(min(heard.wait(before + 1) - begin, GIVE_UP))
+            if taken[-1] == GIVE_UP:
+                break
+    server.shutdown()
+    server.server_close()
+    return round(median(taken) * 1000, 2)
+
+
+def _change(number: int) -> tuple[str, ...]:
+    return ("unregisterPublisher",) if number % 2 else ("registerPublisher", TYPE)
+
+
+async def secure_updates(site: Site, master: Master, dead: int) -> float:
+    """The same at ours."""
+    told: asyncio.Queue[float] = asyncio.Queue()
+
+    async def dispatch(method: str, params: tuple[object, ...], peer: Identity) -> object:  # noqa: ARG001
+        if method == "publisherUpdate":
+            told.put_nowait(time.perf_counter())
+        return [1, "", 0]
+
+    async def slave(stream: SecureStream[Identity]) -> None:
+        await serve_calls(stream, dispatch)
+
+    async def client(name: str) -> tuple[Member, RpcClient]:
+        member = enroll(site, name, {TOPIC: Right.PUBLISH | Right.SUBSCRIBE})
+        stream = await connect(
+            "127.0.0.1", master.port, member.credentials, site.anchor.verify, opening=Flavour.HTTP
+        )
+        found = RpcClient(stream)
+        await found.ask("rossec.presentGrants", name, [member.grant])
+        return member, found
+
+    with silent_port() as port:
+        for number in range(dead):
+            name, where = f"/dead{number}", f"http://127.1.0.{number + 1}:{port}/"
+            _, one = await client(name)
+            await one.ask("registerSubscriber", name, TOPIC, TYPE, where)
+        live, first = await client("/live")
+        server = await serve(slave, "127.0.0.1", 0, live.credentials, site.anchor.verify)
+        uri = f"http://127.0.0.1:{server.port}/"
+        await first.ask("registerSubscriber", "/live", TOPIC, TYPE, uri)
+        _, talker = await client("/talker")
+        taken = []
+        for number in range(ROUNDS):
+            begin = time.perf_counter()
+            method, *rest = _change(number)
+            await talker.ask(method, "/talker", TOPIC, *rest, "http://127.0.0.1:9/")
+            async with asyncio.timeout(GIVE_UP):
+                taken.append(await told.get() - begin)
+        await server.close()
+    return round(median(taken) * 1000, 2)
+
+
+async def revocation(site: Site, environ: dict[str, str], count: int) -> list[float]:
+    """Milliseconds from the moment the master has the list, for each of `count` subscribers of one
+    publisher, to the later of its last message and the end of its connection."""
+    site.grant("/robot", Right.PUBLISH, TOPIC)
+    members = [enroll(site, f"/viewer{n}", {TOPIC: Right.SUBSCRIBE}) for n in range(count)]
+    kind = message_type(KIND)
+    endpoint = Endpoint(TOPIC, kind)
+    async with Node("/robot", environ=environ) as robot:
+        publisher = await robot.publisher(TOPIC, KIND)
+        host, port = robot.topic_endpoint()
+        ends: list[float] = []
+
+        async def view(stream: SecureStream[Identity]) -> None:
+            with contextlib.suppress(ChannelError):
+                while True:
+                    await stream.receive()
+            ends.append(time.perf_counter())
+
+        async def join(member: Member) -> SecureStream[Identity]:
+            stream = await connect(host, port, member.credentials, site.anchor.verify)
+            fields: dict[str, str | bytes] = {
+                "callerid": member.name,
+                "topic": endpoint.topic,
+                "type": kind.name,
+                "md5sum": kind.md5sum,
+                FIELD: encode([member.grant]),
+            }
+            await stream.send(header.encode(fields))
+            return stream
+
+        async with asyncio.TaskGroup() as group:
+            turn = asyncio.Semaphore(8)
+
+            async def come(member: Member) -> None:
+                async with turn:
+                    stream = await join(member)
+                group.create_task(view(stream))
+
+            for member in members:
+                group.create_task(come(member))
+            async with asyncio.timeout(120):
+                await publisher.wait_for_subscribers(count)
+            talking = group.create_task(_talk(publisher, max(0.01, count / 5000)))
+            await asyncio.sleep(0.5)
+            data = _revoke(site, members)
+            begin = time.perf_counter()
+            await robot._session.call("rossec.updateRevocations", data)  # noqa: SLF001
+            async with asyncio.timeout(60):
+                while len(ends) < count:  # noqa: ASYNC110
+                    await asyncio.sleep(0.01)
+            talking.cancel()
+    return sorted((end - begin) * 1000 for end in ends)
+
+
+def _revoke(site: Site, members: list[Member]) -> bytes:
+    """One list that takes all their grants back."""
+    now = site.now()
+    for member in members:
+        site.authority.store.revoke(grant_id(member.grant), "bench", now)
+    site.authority.sign_list(now)
+    data = site.authority.store.newest_list()
+    assert data is not None
+    return data
+
+
+async def _talk(publisher: object, period: float) -> None:
+    while True:
+        publisher.publish(publisher.create(data="x" * 64))  # type: ignore[attr-defined]
+        await asyncio.sleep(period)
+
+
+def percentile(values: list[float], share: float) -> float:
+    """The value below which `share` of the sorted `values` lie."""
+    return round(values[min(len(values) - 1, int(share * len(values)))], 2)
+
+
+def node_environ(site: Site, master: Master) -> dict[str, str]:
+    """What a node of this site runs in."""
+    return {
+        "ROSSEC_HOME": str(Path(site.root)), "ROS_IP": "127.0.0.1",
+        "ROS_MASTER_URI": f"http://127.0.0.1:{master.port}/",
+    }  # fmt: skip

@@ -1,0 +1,99 @@
+"""Nodes that are only there: registered, connected, with a slave API, in a process of their own."""
+
+import asyncio
+import multiprocessing
+import resource
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from multiprocessing.queues import Queue
+
+from bench._lines import Line, request
+from bench._masters import Member
+from ca.certificates import Identity, TrustAnchor
+from rossec.net.rpc import RpcClient, serve_calls
+from rossec.net.stream import Flavour, SecureStream, connect, serve
+
+TYPE = "std_msgs/String"
+
+
+async def _answer(method: str, params: tuple[object, ...], peer: Identity) -> object:  # noqa: ARG001
+    return [1, "", 0]
+
+
+async def _slave(stream: SecureStream[Identity]) -> None:
+    await serve_calls(stream, _answer)
+
+
+async def join(member: Member, port: int, anchor: TrustAnchor) -> RpcClient:
+    """One node: a control connection that stays, a slave API, three registrations, a parameter."""
+    slave = await serve(_slave, "127.0.0.1", 0, member.credentials, anchor.verify)
+    uri = f"http://127.0.0.1:{slave.port}/"
+    stream = await connect(
+        "127.0.0.1", port, member.credentials, anchor.verify, opening=Flavour.HTTP
+    )
+    client = RpcClient(stream, deadline=60)
+    await client.ask("rossec.presentGrants", member.name, [member.grant])
+    for method, *params in registrations(member.name, uri):
+        await client.ask(str(method), member.name, *params)
+    return client
+
+
+def registrations(name: str, uri: str) -> list[tuple[object, ...]]:
+    """What every node registers: method and parameters after the caller's name."""
+    return [
+        ("registerPublisher", f"{name}/pose", TYPE, uri),
+        ("registerSubscriber", f"{name}/goal", TYPE, uri),
+        ("registerService", f"{name}/reset", f"rosrpc://127.0.0.1:{uri[17:-1]}", uri),
+        ("setParam", f"{name}/rate", 10),
+    ]
+
+
+def _people(members: Sequence[Member], port: int, anchor: bytes, ready: "Queue[int]") -> None:
+    limit = resource.getrlimit(resource.RLIMIT_NOFILE)[1]
+    resource.setrlimit(resource.RLIMIT_NOFILE, (limit, limit))
+
+    async def main() -> None:
+        trust, turn = TrustAnchor.load(anchor), asyncio.Semaphore(8)
+
+        async def one(member: Member) -> RpcClient:
+            async with turn:
+                return await join(member, port, trust)
+
+        clients = await asyncio.gather(*(one(member) for member in members))
+        ready.put(len(clients))
+        await asyncio.Event().wait()
+
+    asyncio.run(main())
+
+
+@contextmanager
+def secure(members: Sequence[Member], port: int, anchor: bytes) -> Iterator[None]:
+    """Nodes at our master."""
+    ready: Queue[int] = multiprocessing.Queue()
+    process = multiprocessing.Process(
+        target=_people, args=(members, port, anchor, ready), daemon=True
+    )
+    process.start()
+    try:
+        if ready.get(timeout=300) != len(members):
+            raise RuntimeError("not all nodes came")
+        yield
+    finally:
+        process.kill()
+        process.join()
+
+
+@contextmanager
+def plain(names: Sequence[str], port: int) -> Iterator[None]:
+    """Nodes at stock rosmaster, each with a connection that stays."""
+    lines = []
+    for number, name in enumerate(names):
+        line = Line(port)
+        for method, *params in registrations(name, f"http://127.0.0.1:{20000 + number}/"):
+            line.ask(request(str(method), name, *params))
+        lines.append(line)
+    try:
+        yield
+    finally:
+        for line in lines:
+            line.sock.close()

@@ -1,0 +1,178 @@
+"""Our master, secured, beside Debian's rosmaster, plain: the same calls, in turn, in one run.
+
+`ops_vs_rosmaster` is ours through stock's calls per second of wall clock, `..._cpu` the same per
+second of processor time, which others on the machine do not disturb. A closed loop of eight
+connections (one with one node); every figure is the median of the rounds' ratios.
+Wanted: at least 2 times stock; memory at most 1.3 times stock's plus 10 kB a node; updates below
+50 ms with 50 dead nodes; 99 of 100 of 100 connections cut within 250 ms of a revocation.
+"""
+
+import asyncio
+import resource
+import tempfile
+import time
+from collections import defaultdict
+from collections.abc import Callable
+from contextlib import ExitStack
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+from bench import _population
+from bench._latency import (
+    node_environ,
+    percentile,
+    plain_updates,
+    revocation,
+    secure_updates,
+)
+from bench._lines import Line, SecureLine, drive, request
+from bench._masters import Master, Member, enroll, ours, stock
+from rossec.ros import xmlrpc
+from tests.support.site import Site
+
+COUNTS = (1, 100, 1000)
+CONNECTIONS = (1, 10, 100, 1000)
+LINES = 8
+EACH = 60  # requests of one line in one block
+TYPE = "std_msgs/String"
+
+Work = Callable[[int, int], bytes]
+
+
+def works(names: list[str], count: int) -> dict[str, Work]:
+    """The operations: request of line `k`, number `i` of its block."""
+
+    def uri(k: int) -> str:
+        return f"http://127.0.0.1:{30000 + k}/"
+
+    def other(k: int, i: int) -> str:
+        return f"/n{(37 * i + k) % count}"
+
+    return {
+        "registerPublisher": lambda k, i: request(
+            "registerPublisher", names[k], f"{names[k]}/t{i}", TYPE, uri(k)
+        ),
+        "unregisterPublisher": lambda k, i: request(
+            "unregisterPublisher", names[k], f"{names[k]}/t{i}", uri(k)
+        ),
+        "lookupNode": lambda k, i: request("lookupNode", names[k], other(k, i)),
+        "lookupService": lambda k, i: request("lookupService", names[k], f"{other(k, i)}/reset"),
+        "setParam": lambda k, i: request("setParam", names[k], f"{names[k]}/p{i % 20}", i),
+        "getParam": lambda k, i: request("getParam", names[k], f"{other(k, i)}/rate"),
+        "getSystemState": lambda k, _: request("getSystemState", names[k]),
+    }
+
+
+class Side:
+    """One master with its lines, and what they took."""
+
+    def __init__(self, master: Master, lines: list[Line]) -> None:
+        self.master = master
+        self.lines = lines
+        self.wall: dict[str, list[float]] = defaultdict(list)
+        self.cpu: dict[str, list[float]] = defaultdict(list)
+
+    def run(self, name: str, work: Work, each: int) -> None:
+        """One block: calls per second of wall clock and of the master's processor time."""
+        begin, used = time.perf_counter(), self.master.cpu()
+        drive(self.lines, work, each)
+        calls = each * len(self.lines)
+        self.wall[name].append(calls / (time.perf_counter() - begin))
+        self.cpu[name].append(max(self.master.cpu() - used, 0.005) / calls)
+
+
+def ratios(first: Side, second: Side) -> tuple[dict[str, float], dict[str, float]]:
+    """By operation: calls per second, wall clock and processor time."""
+    wall = {
+        name: median(a / b for a, b in zip(first.wall[name], second.wall[name], strict=True))
+        for name in first.wall
+    }
+    cpu = {name: sum(second.cpu[name]) / sum(first.cpu[name]) for name in first.cpu}
+    return _rounded(wall), _rounded(cpu)
+
+
+def _rounded(figures: dict[str, float]) -> dict[str, float]:
+    return {name: round(value, 2) for name, value in figures.items()}
+
+
+def operations(site: Site, folder: Path, count: int, seconds: float) -> dict[str, Any]:
+    """Calls and memory with `count` nodes."""
+    members = [enroll(site, f"/n{i}") for i in range(count)]
+    callers = [enroll(site, f"/caller{k}") for k in range(min(count, LINES))]
+    names = [member.name for member in callers]
+    with ExitStack() as stack:
+        secured, plain = stack.enter_context(ours(site)), stack.enter_context(stock(folder))
+        stack.enter_context(_population.secure(members, secured.port, site.anchor.certificate))
+        stack.enter_context(_population.plain([member.name for member in members], plain.port))
+        time.sleep(1)
+        memory = secured.rss(), plain.rss()
+        sides = (
+            Side(secured, [_secure_line(secured.port, site, caller) for caller in callers]),
+            Side(plain, [Line(plain.port) for _ in callers]),
+        )
+        end = time.monotonic() + seconds
+        while True:
+            for name, work in works(names, count).items():
+                each = EACH if name != "getSystemState" else 4
+                for side in sides:
+                    side.run(name, work, each)
+            if time.monotonic() > end:
+                break
+        wall, cpu = ratios(*sides)
+        ours_wall = {name: round(median(rates)) for name, rates in sides[0].wall.items()}
+        return {
+            "ops_vs_rosmaster": wall,
+            "ops_vs_rosmaster_cpu": cpu,
+            "ops_per_s": ours_wall,
+            "rss_kb": memory[0],
+            "rss_kb_rosmaster": memory[1],
+            "rss_vs_rosmaster": round(memory[0] / memory[1], 2),
+            "rss_allowed_kb": round(1.3 * memory[1] + 10 * count),
+        }
+
+
+def _secure_line(port: int, site: Site, member: Member) -> SecureLine:
+    line = SecureLine(port, member.credentials, site.anchor.verify)
+    body = line.ask(request("rossec.presentGrants", member.name, [member.grant]))
+    assert xmlrpc.load_response(body) == [1, "grants accepted", 1]
+    return line
+
+
+def updates(site: Site, folder: Path) -> dict[str, Any]:
+    """Milliseconds to a live subscriber beside dead ones; what stock never delivers is a bound."""
+    found: dict[str, Any] = {}
+    for dead in (0, 50):
+        with ours(site) as secured, stock(folder) as plain:
+            found[f"update_ms_{dead}_dead"] = asyncio.run(secure_updates(site, secured, dead))
+            found[f"update_ms_{dead}_dead_rosmaster"] = plain_updates(plain, dead)
+    return found
+
+
+def revocations(site: Site) -> dict[str, Any]:
+    """Milliseconds from a revocation to the last message, by number of connections."""
+    found = {}
+    for count in CONNECTIONS:
+        with ours(site) as master:
+            taken = asyncio.run(revocation(site, node_environ(site, master), count))
+        figures = {"p50": 0.5, "p90": 0.9, "p99": 0.99, "max": 1.0}
+        found[count] = {name: percentile(taken, share) for name, share in figures.items()}
+    return {
+        "revoke_ms": found, "revoke_ms_p50": found[100]["p50"], "revoke_ms_p99": found[100]["p99"],
+    }  # fmt: skip
+
+
+def measure(seconds: float) -> dict[str, Any]:
+    """All of it; the keys without a number of nodes are those of 100 nodes or connections."""
+    resource.setrlimit(resource.RLIMIT_NOFILE, (resource.getrlimit(resource.RLIMIT_NOFILE)[1],) * 2)
+    with tempfile.TemporaryDirectory() as folder:
+        site = Site(Path(folder) / "site")
+        latency = updates(site, Path(folder)) | revocations(site)
+        found = {count: operations(site, Path(folder), count, seconds / 4) for count in COUNTS}
+    usual = found[100]
+    return {
+        "ops_vs_rosmaster": usual["ops_vs_rosmaster"],
+        "rss_vs_rosmaster": usual["rss_vs_rosmaster"],
+        **latency,
+        "by_nodes": found,
+    }

@@ -1,0 +1,57 @@
+"""What some permissions reach, prepared for being asked often: the master asks for every name.
+
+The answer is that of `Permission.covers`, permission by permission; only the work is done before.
+A name in the syntax of `ca.names` is compared whole, or with what stands before a last `**`, in C.
+"""
+
+from collections.abc import Iterable
+
+from ca.errors import NameRefused
+from ca.names import check_name
+from grants.model import TREE_RIGHTS, Permission, Right
+
+
+class Reach:
+    """For each right the exact names, the beginnings of names, and the other permissions."""
+
+    __slots__ = ("_by_right",)
+
+    def __init__(self, permissions: Iterable[Permission]) -> None:
+        held = tuple(permissions)
+        self._by_right = {int(right): _sorted(held, right) for right in Right}
+
+    def covers(self, right: Right, name: str) -> bool:
+        """Whether some permission gives `right`, exactly one, on `name`; what is no name: no."""
+        found = self._by_right.get(int(right))
+        if found is None:
+            return False
+        exact, beginnings, others = found
+        try:
+            check_name(name)
+        except NameRefused:
+            return False
+        return (
+            name in exact
+            or name.startswith(beginnings)
+            or any(permission.covers(right, name) for permission in others)
+        )
+
+
+Sorted = tuple[frozenset[str], tuple[str, ...], tuple[Permission, ...]]
+
+
+def _sorted(permissions: tuple[Permission, ...], right: Right) -> Sorted:
+    exact, beginnings, others = set(), set(), []
+    for permission in permissions:
+        if right not in permission.rights:
+            continue
+        plain = permission.pattern.removesuffix("/**")
+        if "*" in plain:
+            others.append(permission)
+        elif plain != permission.pattern:
+            beginnings.add(f"{plain}/")
+        else:
+            exact.add(plain)
+            if right in TREE_RIGHTS:
+                beginnings.add(f"{plain}/")
+    return frozenset(exact), tuple(sorted(beginnings)), tuple(others)

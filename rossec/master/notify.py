@@ -1,0 +1,24 @@
+"""Telling the service manager how it stands: the datagrams of sd_notify(3), no library needed."""
+
+import os
+import socket
+from collections.abc import Mapping
+from contextlib import suppress
+
+READY = "READY=1"
+STOPPING = "STOPPING=1"
+
+
+def notify(state: str, environ: Mapping[str, str] = os.environ) -> bool:
+    """Send `state` to $NOTIFY_SOCKET; whether there was anybody to tell.
+
+    A manager that does not listen is no reason to fail.
+    """
+    address = environ.get("NOTIFY_SOCKET", "")
+    if not address.startswith(("/", "@")):
+        return False
+    with suppress(OSError), socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sock:
+        sock.connect(f"\0{address[1:]}" if address.startswith("@") else address)
+        sock.sendall(state.encode())
+        return True
+    return False

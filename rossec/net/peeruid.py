@@ -1,0 +1,87 @@
+"""Which user is at the other end of a connection within this host.
+
+For a unix socket the kernel says so (SO_PEERCRED); for TCP over loopback its socket table does.
+A TCP row counts only while it is ESTABLISHED and has an inode: the kernel shows user 0 for sockets
+that nobody holds any more (TIME_WAIT, closed, not yet accepted), which must not pass for root's.
+Users of another user namespace all show as the overflow id, which is nobody in particular: refused.
+
+The user is who made the socket. A program that hands its open socket to another one, or a
+set-user-id program that connects on behalf of its caller, vouches for it.
+"""
+
+import ipaddress
+import socket
+import struct
+from collections.abc import Collection, Iterable
+from pathlib import Path
+from typing import Final, TypeAlias
+
+from rossec.errors import PeerUserRefused
+
+Endpoint: TypeAlias = tuple[str, int]
+"""An IP address and a port."""
+
+TABLES: Final = (Path("/proc/net/tcp"), Path("/proc/net/tcp6"))
+_OVERFLOW: Final = Path("/proc/sys/kernel/overflowuid")
+_ESTABLISHED: Final = "01"
+_TRIES: Final = 3  # the kernel hands the table out in pieces: a row can slip between two of them
+_HINT: Final = "connect from this host, as the user who runs this program"
+
+
+def owner_in(tables: Iterable[str], near: Endpoint, far: Endpoint) -> int | None:
+    """The user of the socket bound to `near` and connected to `far`; None: no such socket. Pure.
+
+    `tables` are the texts of /proc/net/tcp and tcp6. An IPv4 address matches in its mapped form
+    too (::ffff:127.0.0.1): either side may use a dual-stack socket.
+    """
+    wanted = {f"{_hex(near, mapped)} {_hex(far, mapped)} {_ESTABLISHED}" for mapped in (0, 1)}
+    owners = {
+        int(fields[7])
+        for table in tables
+        for line in table.splitlines()[1:]
+        if len(fields := line.split()) > 9 and " ".join(fields[1:4]) in wanted and fields[9] != "0"
+    }
+    return owners.pop() if len(owners) == 1 else None
+
+
+def user_of(sock: socket.socket) -> int:
+    """The user id at the other end of a connected unix or TCP socket of this host.
+
+    Raises:
+        PeerUserRefused: nobody holds that end, or it is not on this host.
+        OSError: not connected, or the kernel's tables cannot be read.
+    """
+    if sock.family == socket.AF_UNIX:
+        size = struct.calcsize("3i")
+        credentials = sock.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, size)
+        return int(struct.unpack("3i", credentials)[1])
+    near, far = sock.getpeername()[:2], sock.getsockname()[:2]
+    for _ in range(_TRIES):
+        owner = owner_in([path.read_text() for path in TABLES if path.exists()], near, far)
+        if owner is not None:
+            return owner
+    raise PeerUserRefused("the other end of the connection belongs to no program here", _HINT)
+
+
+def require_user(sock: socket.socket, users: Collection[int]) -> int:
+    """Return the user id at the other end.
+
+    Raises:
+        PeerUserRefused: it is none of `users`, or cannot be told.
+        OSError: as `user_of`.
+    """
+    user = user_of(sock)
+    if user not in users or user == int(_OVERFLOW.read_text()):
+        raise PeerUserRefused(f"user {user} may not use this connection", _HINT)
+    return user
+
+
+def _hex(endpoint: Endpoint, mapped: int) -> str:
+    """As the kernel prints it: the address as 32-bit words in the host's byte order."""
+    address = ipaddress.ip_address(endpoint[0].partition("%")[0])
+    plain = getattr(address, "ipv4_mapped", None) or address
+    packed: bytes = plain.packed
+    if mapped and len(packed) == 4:
+        packed = bytes(10) + b"\xff\xff" + packed
+    words = struct.unpack(f"={len(packed) // 4}I", packed)
+    return "".join(f"{word:08X}" for word in words) + f":{endpoint[1]:04X}"

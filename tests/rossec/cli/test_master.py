@@ -1,0 +1,40 @@
+"""`rossec master` as far as it goes without running for long; the rest is in tests/integration."""
+
+import json
+import logging
+from pathlib import Path
+
+import pytest
+
+from rossec.cli.master import JsonLines
+from tests.support.commands import Shell, refused
+
+
+@pytest.fixture
+def shell(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Shell:
+    return Shell(tmp_path / "home", capsys)
+
+
+def test_without_a_running_master_there_is_nobody_to_ask(shell: Shell) -> None:
+    for verb in ("status", "stop"):
+        refused(shell("master", verb), "the master does not answer", "--admin")
+
+
+def test_a_wrong_configuration_is_refused(shell: Shell) -> None:
+    config = shell.root / "master.yaml"
+    config.write_text("log: json\nprot: 1\n")
+    refused(shell("master", "--config", str(config)), f"{config}:2: there is no setting", "port")
+
+
+def test_a_node_that_is_not_enrolled_is_no_master(shell: Shell) -> None:
+    refused(shell("master"), "/master has no ca.pem", "rossec node request /master")
+
+
+def test_a_line_of_the_log_is_json() -> None:
+    record = logging.makeLogRecord({"msg": "%s\nforged", "args": ("x",), "levelname": "INFO"})
+    entry = json.loads(JsonLines().format(record))
+    assert (entry["text"], entry["level"]) == ("x\\u000aforged", "info")
+    with pytest.raises(ValueError, match="inside") as caught:
+        int("inside")
+    record.exc_info = caught._excinfo
+    assert "ValueError: invalid" in json.loads(JsonLines().format(record))["traceback"]
