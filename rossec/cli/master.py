@@ -99,6 +99,7 @@ def master(
         _log_as(config.log)
         home = NodeHome.of(environment.home, MASTER)
         home.anchor()  # before anything is written there
+        settings.read((), environment.variables, default_name=MASTER)  # likewise
         if config.audit:
             _keep_audit(home.path / AUDIT, stack)
         renewer = _renewer(environment, passphrase_file) if renew_identities else None

@@ -120,6 +120,10 @@ class Access:
         covering = [held.token for held in self._current(now) if _concerns(held.grant, right, name)]
         return encode(list[Value](covering[:MAX_GRANTS]))
 
+    def holds(self, right: Right, name: str, now: int) -> bool:
+        """Whether a grant this node holds covers `right` on `name` now."""
+        return any(_concerns(held.grant, right, name) for held in self._current(now))
+
     def _current(self, now: int) -> list[Holding]:
         usable = [
             held for held in self.holdings() if held.grant.not_before <= now < held.grant.expires

@@ -15,15 +15,34 @@ from rossec.net.stream import SecureStream
 STALE_GRACE: Final = 60
 
 
-class Link(Protocol):
+class Proven(Protocol):
+    """A stream whose peer is authenticated."""
+
+    @property
+    def peer(self) -> Identity:
+        """Who is at the other end."""
+
+
+class Judged(Protocol):
     """A connection admitted by `decision`; grant or certificate expire at `ends` (seconds)."""
 
-    stream: SecureStream[Identity]
     decision: Decision
     ends: int
 
+    @property
+    def stream(self) -> Proven:
+        """The connection."""
 
-def why_cut(link: Link, revocations: Revocations, now: int) -> str | None:
+
+class Link(Judged, Protocol):
+    """A connection of the built-in node, which its watch can cut."""
+
+    @property
+    def stream(self) -> SecureStream[Identity]:
+        """The connection."""
+
+
+def why_cut(link: Judged, revocations: Revocations, now: int) -> str | None:
     """Why `link` must be cut now, or None while it may live.
 
     Missing news of revocations cuts after a while, unless every permission of the link says
@@ -43,7 +62,7 @@ def why_cut(link: Link, revocations: Revocations, now: int) -> str | None:
     return None
 
 
-def _entries(link: Link) -> tuple[bytes, ...]:
+def _entries(link: Judged) -> tuple[bytes, ...]:
     return (*link.stream.peer.keys, *link.decision.grant_ids)
 
 

@@ -6,10 +6,9 @@ every second or so, and when a new connection to the master finds its identity u
 
 import logging
 from collections.abc import Callable
-from typing import Final
+from typing import Final, Protocol
 
 from ca.errors import RevocationRefused
-from ca.revocation import Revocations
 from rossec.errors import AnswerMalformed
 from rossec.node.renewal import Call
 
@@ -19,7 +18,18 @@ AT_ONCE: Final = 64  # entries in one call: what the master takes
 _log = logging.getLogger("rossec.node")
 
 
-async def prove(call: Call, revocations: Revocations) -> int:
+class Provable(Protocol):
+    """`ca.revocation.Revocations`, or what keeps threads apart before one."""
+
+    @property
+    def wanted(self) -> list[bytes]:
+        """Entries that wait for a proof."""
+
+    def prove(self, entry: bytes, proof: bytes) -> None:
+        """Take a proof. Raises `RevocationRefused`."""
+
+
+async def prove(call: Call, revocations: Provable) -> int:
     """Have proved what is wanted; returns how many entries were.
 
     Raises:
@@ -29,13 +39,13 @@ async def prove(call: Call, revocations: Revocations) -> int:
     return take(revocations, wanted, await call(METHOD, wanted)) if wanted else 0
 
 
-def prove_blocking(call: Callable[..., object], revocations: Revocations) -> int:
+def prove_blocking(call: Callable[..., object], revocations: Provable) -> int:
     """As `prove`, with a call that blocks."""
     wanted = revocations.wanted[:AT_ONCE]
     return take(revocations, wanted, call(METHOD, wanted)) if wanted else 0
 
 
-def take(revocations: Revocations, wanted: list[bytes], answer: object) -> int:
+def take(revocations: Provable, wanted: list[bytes], answer: object) -> int:
     """Take the proofs in `answer`, one for each entry in `wanted`, or none at all.
 
     Raises:
@@ -46,7 +56,7 @@ def take(revocations: Revocations, wanted: list[bytes], answer: object) -> int:
     return sum(_take(revocations, *pair) for pair in zip(wanted, answer, strict=False))
 
 
-def _take(revocations: Revocations, entry: bytes, proof: object) -> bool:
+def _take(revocations: Provable, entry: bytes, proof: object) -> bool:
     try:
         revocations.prove(entry, proof if isinstance(proof, bytes) else b"")
     except RevocationRefused as error:

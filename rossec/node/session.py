@@ -27,6 +27,11 @@ _LONGEST_PAUSE: Final = 5.0
 _log = logging.getLogger("rossec.node")
 
 
+async def nothing_proved(_: Call) -> int:
+    """For a node that asks for no proofs: where revocations are a tree it stays refused."""
+    return 0
+
+
 class MasterSession:
     """Calls to the master, over a connection that is kept open.
 
@@ -35,7 +40,8 @@ class MasterSession:
         dial: opens a secure stream to the master.
         refresh: takes the newest revocation list and timestamp; raises when they are refused.
         restore: makes every registration again; called on each new connection.
-        held: digest of the revocation list this node holds, which then need not be sent.
+        held: digest of the revocation list this node holds, which then need not be sent; without
+            it every answer brings the list.
         prove: asks for the proofs that are wanted; how many came.
     """
 
@@ -45,8 +51,8 @@ class MasterSession:
         dial: Callable[[], Awaitable[SecureStream[Identity]]],
         refresh: Callable[[bytes, bytes, Identity], None],
         restore: Callable[["MasterSession"], Awaitable[None]],
-        held: Callable[[], bytes],
-        prove: Callable[[Call], Awaitable[int]],
+        held: Callable[[], bytes] | None = None,
+        prove: Callable[[Call], Awaitable[int]] = nothing_proved,
     ) -> None:
         self._name = name
         self._dial = dial
@@ -63,9 +69,20 @@ class MasterSession:
         Raises:
             RossecError: the master refuses, answers nonsense, or is out of reach.
         """
+        return await self._connected().ask(method, self._name, *params)
+
+    async def answer(self, method: str, *params: object) -> object:
+        """Whole answer to a call whose parameters are complete.
+
+        Raises:
+            Fault, RossecError: as of `RpcClient.call`; the master is out of reach.
+        """
+        return await self._connected().call(method, *params)
+
+    def _connected(self) -> RpcClient:
         if self._client is None or self._client.closed:
             raise RossecError("the master is out of reach", "is `rossec master` running there?")
-        return await self._client.ask(method, self._name, *params)
+        return self._client
 
     async def open(self) -> SecureStream[Identity]:
         """Connect and restore everything; returns the new control connection.
@@ -119,7 +136,10 @@ class MasterSession:
             await client.close()
 
     async def _beat(self) -> None:
-        answer = await self.call("rossec.revocationsSince", self._held())
+        if self._held is None:
+            answer = await self.call("rossec.revocations")
+        else:
+            answer = await self.call("rossec.revocationsSince", self._held())
         match answer, self._stream:
             case [bytes() as revocations, bytes() as timestamp], SecureStream(peer=master):
                 try:

@@ -94,13 +94,14 @@ def admit_publisher(
 
 
 def check_type(fields: Mapping[str, bytes], endpoint: Endpoint) -> None:
-    """Compare type and md5 as TCPROS does; `*` fits everything.
+    """Compare type and md5 as TCPROS does; `*` fits everything, on either side.
 
     Raises:
         TopicRefused: the two sides do not mean the same message.
     """
     name, md5sum = text(fields, "type"), text(fields, "md5sum")
-    if name not in {"*", endpoint.type.name} or md5sum not in {"*", endpoint.type.md5sum}:
+    types, sums = {name, endpoint.type.name}, {md5sum, endpoint.type.md5sum}
+    if (len(types) > 1 and "*" not in types) or (len(sums) > 1 and "*" not in sums):
         raise TopicRefused(
             f"{endpoint.topic} carries {endpoint.type.name} ({endpoint.type.md5sum}),"
             f" the peer expects {name} ({md5sum})",

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from ca import keys
 from ca.authority import Authority, create_root
-from ca.certificates import Identity, TrustAnchor
+from ca.certificates import Identity, TrustAnchor, to_pem
 from ca.signer import KeySigner
 from ca.store import Store
 from grants import document
@@ -49,6 +49,7 @@ class Site:
         self.master: MasterServer | None = None
         self.complain: Complain = unheard
         self.intermediate: OpenAuthority | None = None
+        self.host = "127.0.0.1"
         self.limits = Limits()
         self.variables: dict[str, str] = {}  # more of the environment
 
@@ -82,6 +83,14 @@ class Site:
             bundle = self.authority.issue(home.request(), now, lifetime, wildcard=wildcard)
             home.install(bundle, now)
         return home
+
+    def renew(self, name: str, lifetime: int = DAY) -> None:
+        """Give the node `name` another certificate for the same key."""
+        home = self.enroll(name)
+        leaf = self.authority.authority.issue(
+            home.request(), now=self.now(), serial=secrets.randbits(127) + 1, lifetime=lifetime
+        )
+        home.install(to_pem(leaf) + (home.path / "ca.pem").read_bytes(), self.now())
 
     def identity(self, name: str) -> Identity:
         """The verified identity of an enrolled node."""
@@ -161,9 +170,9 @@ class Site:
         await self.start_master(port)
 
     async def start_master(self, port: int) -> None:
-        """Start a master on `port` of loopback."""
+        """Start a master on `port` of `host`."""
         self.master = master_of(
-            self.enroll(MASTER), host="127.0.0.1", port=port,
+            self.enroll(MASTER), host=self.host, port=port,
             newest=self.authority.store.newest_list(), now=self.now(), entries=self.entries,
             complain=self.complain, limits=self.limits,
             renewer=None if self.intermediate is None else partial(renew, self.intermediate),
