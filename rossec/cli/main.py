@@ -19,8 +19,8 @@ _NOUNS: Final = {  # a noun, and the modules whose COMMANDS are more of its verb
     "audit": (), "demo": (), "doctor": (), "explain": (), "grant": ("request",), "graph": (),
     "master": ("delegate",),
     "ca": ("ca_identities", "ca_backup", "ca_enroll", "ca_requests", "ca_intermediate", "ca_log"),
-    "node": ("node_enroll",), "param": (), "policy": (), "privacy": (), "service": (),
-    "simulate": (), "topic": (),
+    "node": ("node_enroll",), "param": (), "policy": (), "privacy": (), "run": (),
+    "service": (), "sidecar": (), "simulate": (), "topic": (),
 }  # fmt: skip
 
 
