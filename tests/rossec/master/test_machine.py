@@ -5,6 +5,7 @@ appears in any answer; and no sequence of calls leaves a node with an entry it h
 shows it one. Everything is real but the network: signed grants, lists, tickets; the clock is ours.
 """
 
+from copy import deepcopy
 from typing import Any, Final
 
 from hypothesis import HealthCheck, settings
@@ -178,7 +179,7 @@ class Master(RuleBasedStateMachine):
 
     @rule(name=names, key=keys, value=st.sampled_from([1, {"q": 2}, {}]))
     def set_parameter(self, name: str, key: str, value: Any) -> None:
-        answer = self.call(name, "setParam", key, value)
+        answer = self.call(name, "setParam", key, deepcopy(value))  # each call has its own value
         if answer is not None and answer[0] == 1:
             assert self.may(name, Right.PARAM_SET, key)
 
