@@ -172,3 +172,11 @@ class IdentityExpired(LimitExceeded):
 
 class SendQueueFull(LimitExceeded):
     """The peer reads slower than this side queues; nothing was queued."""
+
+
+class AnnouncementRefused(RossecError):
+    """A datagram that is no present announcement of this trust domain's master."""
+
+
+class MasterNotFound(RossecError):
+    """No master of this trust domain announces itself where this host can hear it."""

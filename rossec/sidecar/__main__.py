@@ -14,6 +14,7 @@ from typing import Any
 
 from ca.errors import HintedError
 from rossec.channel.policy import post_quantum
+from rossec.discovery.choose import settle_master
 from rossec.home import rossec_home
 from rossec.ros import settings
 from rossec.ros.text import printable
@@ -43,7 +44,7 @@ def main() -> int:
 
 
 async def _run(options: dict[str, Any]) -> int:
-    before = child.outside(os.environ)
+    before = await settle_master(child.outside(os.environ), options["identity"])
     sidecar = Sidecar(
         rossec_home(before),
         settings.read((), before, default_name="/sidecar"),
