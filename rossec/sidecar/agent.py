@@ -106,6 +106,8 @@ class Agent:
         self._links: set[Link] = set()
         self._watch = Watch(self._revocations, lambda: tuple(self._links), self._guests)
         self._tasks = TaskSet()
+        self._watching = TaskSet(self._blind)
+        self._is_blind = False
         self._exports = Doorways(self._close_outside)
         self._imports = Doorways(self._close_inside)
         self._kept: dict[Endpoint, Correspondent] = {}
@@ -132,6 +134,7 @@ class Agent:
             await server.close()
         for door in self._imports:
             await door.close()
+        await self._watching.close()
         await self._tasks.close()
         await self._session.close()
 
@@ -386,6 +389,8 @@ class Agent:
     async def _start(self) -> None:
         """Meet the master; a program that calls before it is there tries again, as in ROS."""
         async with self._opening:
+            if self._is_blind:
+                raise HangUp("nobody watches over the connections of this identity any more")
             if self._started:
                 return
             try:
@@ -396,8 +401,15 @@ class Agent:
             self.tenant.doors.host = self._outside.address or stream.local_address
             self._started = True
             self._tasks.spawn(self._session.keep(), f"{self.name}: master session")
-            self._tasks.spawn(self._watch.run(), f"{self.name}: watch")
+            self._watching.spawn(self._watch.run(), f"{self.name}: watch")
             self._tasks.spawn(self._collect_grants(), f"{self.name}: grants")
+
+    def _blind(self, _: BaseException) -> None:
+        """The watch has died: what it would no longer cut must not go on."""
+        self._is_blind = True
+        for link in self._links:
+            link.stream.abort("nobody watches over it any more")
+        self._watching.spawn(self.close(), f"{self.name}: closing after a failure")
 
     async def _dial_master(self) -> SecureStream[Identity]:
         return await self._connect(

@@ -528,3 +528,44 @@ async def test_small_units_wait_for_a_peer_that_lags() -> None:
         go.set()
         assert await stream.receive() == b"all"
         stream.abort("done")
+
+
+async def poured_from(server: SecureServer[FakeIdentity], sink: list[bytes]) -> None:
+    """Everything that comes back, with a receiver that lags after each."""
+    async with await call(server) as stream:
+        await stream.drain()
+        for number in range(20):
+            assert stream.push(bytes([number]) * 1000)
+
+        def push(unit: bytes) -> bool:
+            sink.append(unit)
+            return False
+
+        async def drain() -> None:
+            await asyncio.sleep(0)
+            if sum(map(len, sink)) == 20_000:
+                await stream.close()
+
+        await stream.pour(push, drain)
+
+
+async def test_what_is_poured_comes_in_order(server: SecureServer[FakeIdentity]) -> None:
+    sink: list[bytes] = []
+    with pytest.raises(ChannelClosed):
+        await poured_from(server, sink)
+    assert b"".join(sink) == b"".join(bytes([number]) * 1000 for number in range(20))
+
+
+async def test_a_receiver_that_fails_ends_the_pouring(server: SecureServer[FakeIdentity]) -> None:
+    async with await call(server) as stream:
+
+        def push(_: bytes) -> bool:
+            raise ArithmeticError
+
+        pouring = asyncio.ensure_future(stream.pour(push, stream.drain))
+        await asyncio.sleep(0)
+        stream.push(b"x")
+        with pytest.raises(ArithmeticError):
+            await pouring
+    with pytest.raises(ChannelClosed):
+        stream.push(b"late")

@@ -2,17 +2,21 @@
 
 import asyncio
 import contextlib
+import time
 from collections.abc import AsyncIterator
 from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from grants.model import Restriction, Right, filter_rules
+from rossec.channel.opening import Flavour
 from rossec.errors import RossecError
 from rossec.net.dial import dial
 from rossec.ros.settings import parse_uri
 from rossec.ros.xmlrpc import Fault
+from rossec.sidecar.addresses import Endpoint, inside
 from rossec.sidecar.server import Sidecar
 from tests.rossec.sidecar.program import Program, sidecar, word
 from tests.support.site import Site
@@ -151,6 +155,68 @@ async def test_an_expired_grant_cuts_the_conversation(pair: Pair) -> None:
     stream, source = await connect(pair)
     await ends(stream)
     await ends(source)
+
+
+async def test_a_guard_that_crashes_lets_nothing_through(
+    pair: Pair, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for file in pair.site.enroll("/listener").path.glob("grants/*"):
+        file.unlink()
+    rules = filter_rules({"data": {"truncate": {"length": 2}}})
+    pair.site.subscribe("/listener", "/word", Restriction("std_msgs/String", (), rules))
+    stream, source = await connect(pair)
+
+    def crash(*_: object) -> None:
+        raise ArithmeticError
+
+    monkeypatch.setattr("grants.guard.Guard.treat", crash)
+    await source.send(word("hello"))  # type: ignore[attr-defined]
+    with pytest.raises(RossecError):
+        await heard(stream, 1)
+    await ends(source)
+
+
+async def test_without_news_of_revocations_the_conversation_is_cut(
+    pair: Pair, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stream, source = await connect(pair)
+    later = SimpleNamespace(time=lambda: time.time() + 200)
+    monkeypatch.setattr("rossec.node.watch.time", later)
+    await ends(stream)
+    await ends(source)
+
+
+async def test_an_identity_that_nobody_watches_over_serves_nobody(
+    pair: Pair, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stream, source = await connect(pair)
+    agent = pair.near._agent_for("/talker")
+
+    def crash(_: int) -> None:
+        raise ArithmeticError
+
+    monkeypatch.setattr(agent._watch, "cut", crash)
+    await ends(stream)
+    await ends(source)
+    with pytest.raises(RossecError):
+        await pair.talker.ask(pair.talker.master_uri, "getPid")
+
+
+async def test_old_doors_make_room(pair: Pair, monkeypatch: pytest.MonkeyPatch) -> None:
+    stream, source = await connect(pair)
+    for name in ("/talker", "/listener"):
+        agent = (pair.near if name == "/talker" else pair.far)._agent_for(name)
+        for table in (agent._exports, agent._imports):
+            monkeypatch.setattr(table, "_limit", 4)
+        far = [Endpoint(Flavour.TCPROS, "127.0.0.9", port) for port in range(1, 9)]
+        ports = [agent.tenant.doors.opened_inside(place, agent.bring(place)).port for place in far]
+        assert agent.tenant.doors.peer_behind(inside(Flavour.TCPROS, ports[-1])) == far[-1]
+        assert agent.tenant.doors.peer_behind(inside(Flavour.TCPROS, ports[0])) is None
+        for port in range(1, 9):
+            agent.export(inside(Flavour.HTTP, port))
+        assert len(list(agent._exports)) == len(list(agent._imports)) == 4
+    await source.send(word("still"))  # type: ignore[attr-defined]
+    assert await heard(stream, len(word("still"))) == word("still")
 
 
 async def test_a_program_that_died_is_refused_as_a_dead_node_is(pair: Pair) -> None:
