@@ -23,6 +23,7 @@ from rossec.net.stream import Flavour, SecureServer, SecureStream, serve
 from rossec.node.access import Access
 from rossec.node.guests import Guests
 from rossec.node.publisher import Publisher
+from rossec.node.questions import QUESTIONS, check_question
 from rossec.node.servicedesk import Services
 from rossec.node.slave import MASTER, REVOCATION_UPDATE, SlaveApi
 from rossec.node.topics import admit_subscriber, check_type, publisher_header, requested_topic
@@ -104,20 +105,37 @@ class Listener:
     async def _serve_slave(self, stream: SecureStream[Identity]) -> None:
         """The master's connection stays; another node asks where a topic is, and goes."""
         limit = None if stream.peer.name == MASTER else SLAVE_DEADLINE
+        shown: list[bytes] = []
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(limit):
-                await serve_calls(stream, self._call)
+                await serve_calls(stream, partial(self._call, shown))
 
-    async def _call(self, method: str, params: tuple[object, ...], peer: Identity) -> object:
-        """Ask at every call: a peer, also the master, may be revoked while it is connected."""
+    async def _call(
+        self, shown: list[bytes], method: str, params: tuple[object, ...], peer: Identity
+    ) -> object:
+        """Ask at every call: a peer, also the master, may be revoked while it is connected.
+
+        `shown` holds the grants the peer has shown on this connection.
+        """
+        now = int(time.time())
+        entitled = False
         try:
-            self._access.check_peer(peer, int(time.time()))
+            self._access.check_peer(peer, now)
+            match method, params:
+                case "rossec.presentGrants", (_, bytes() as grants):
+                    shown[:] = [grants]
+                    return [1, "", 0]
+                case _:
+                    pass
+            if shown and method in QUESTIONS and peer.name != MASTER:
+                check_question(method, peer, self._name, shown[0], self._access, now)
+                entitled = True
         except RevocationsStale as error:
             if method != REVOCATION_UPDATE:  # what ends the staleness must get through
                 return _refused(peer, error)
         except HintedError as error:
             return _refused(peer, error)
-        return await self._slave(method, params, peer)
+        return await self._slave(method, params, peer, entitled=entitled)
 
     async def _serve_tcpros(self, stream: SecureStream[Identity]) -> None:
         try:

@@ -3,7 +3,8 @@
 Pure dispatch. Only the master's identity may steer a node (attacks N1-N3); any authenticated node
 may ask where to connect for a topic (`requestTopic`), and the answer is the same whether the topic
 exists or not: the grant is checked on the connection itself (N5). Every other question about this
-node is recon and goes to the master alone (N4). UDPROS is never offered (N10).
+node is recon (N4): it is for the master, and for whoever has shown a grant that entitles to it by
+`questions`, as `rosnode ping`, `info` and `kill` need. UDPROS is never offered (N10).
 """
 
 from collections.abc import Callable, Mapping
@@ -13,6 +14,7 @@ from typing import Final, Protocol
 
 from ca.certificates import Identity
 from ca.errors import HintedError
+from rossec.node.questions import QUESTIONS
 from rossec.ros import names
 
 Answer = list[object]
@@ -67,12 +69,18 @@ RULES: Final[Mapping[str, Rule]] = {
 }
 
 
-def refusal(method: str, params: tuple[object, ...], peer: Identity) -> Answer | None:
-    """What to answer instead of the call, or None: `peer` may make it."""
+def refusal(
+    method: str, params: tuple[object, ...], peer: Identity, *, entitled: bool = False
+) -> Answer | None:
+    """What to answer instead of the call, or None: `peer` may make it.
+
+    `entitled`: by grants that were checked (`questions`); they never entitle to steer the node.
+    """
     rule = RULES.get(method)
     if rule is None:
         return [_ERROR, "rossec: no such method", 0]
-    if rule.master_only and peer.name != MASTER:
+    granted = entitled and method in QUESTIONS
+    if rule.master_only and peer.name != MASTER and not granted:
         return [_ERROR, f"rossec: {method} is for the master alone", rule.default]
     if not _fits(params, rule.kinds):
         return [_ERROR, "Error: bad call arity or types", rule.default]
@@ -101,9 +109,11 @@ class SlaveApi:
             "requestTopic": self._request_topic,
         }
 
-    async def __call__(self, method: str, params: tuple[object, ...], peer: Identity) -> object:
+    async def __call__(
+        self, method: str, params: tuple[object, ...], peer: Identity, *, entitled: bool = False
+    ) -> object:
         """Answer one call of the authenticated `peer`: always `[code, status, value]`."""
-        refused = refusal(method, params, peer)
+        refused = refusal(method, params, peer, entitled=entitled)
         if refused is not None:
             return refused
         run = self._methods.get(method, partial(self._describe, method))

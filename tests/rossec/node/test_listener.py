@@ -8,11 +8,14 @@ from pathlib import Path
 import pytest
 
 from ca.certificates import Identity
+from ca.encoding import encode
+from grants.model import Right
 from rossec.errors import ChannelError, PlainPeer
 from rossec.net.rpc import RpcClient
 from rossec.net.stream import Flavour, SecureStream, connect
 from rossec.node import Node, guests, listener
 from rossec.ros import header
+from rossec.ros.settings import parse_uri
 from tests.support.site import Site
 
 POSE = "geometry_msgs/PoseStamped"
@@ -174,3 +177,34 @@ async def test_a_caller_that_stays_is_sent_away(
     port = int(robot.uri.rstrip("/").rpartition(":")[2])
     dial = (credentials, site.anchor.verify)
     await ended(await connect("127.0.0.1", port, *dial, opening=Flavour.HTTP))
+
+
+async def test_who_shows_the_right_may_ask_and_who_may_administer_ends_it(
+    site: Site, robot: Node
+) -> None:
+    """`rosnode ping`, `info` and `kill`; to steer the node is never granted."""
+    sees = site.grant("/operator", Right.GRAPH, "/robot")
+    ends = site.grant("/operator", Right.ADMIN, "/robot")
+    elsewhere = site.grant("/operator", Right.GRAPH | Right.ADMIN, "/other")
+    stolen = site.grant("/viewer", Right.GRAPH | Right.ADMIN, "/robot")
+    credentials = site.enroll("/operator").credentials()
+    host, port = parse_uri(robot.uri)
+    stream = await connect(host, port, credentials, site.anchor.verify, opening=Flavour.HTTP)
+    client = RpcClient(stream)
+
+    async def ask(method: str, *params: object) -> object:
+        answer = await client.call(method, "/operator", *params)
+        assert isinstance(answer, list)
+        return answer[0]
+
+    assert await ask("getPid") == -1
+    for grants in ([], [elsewhere], [stolen]):
+        assert await ask("rossec.presentGrants", encode([*grants])) == 1
+        assert await ask("getPid") == await ask("shutdown", "bye") == -1
+    assert await ask("rossec.presentGrants", encode([sees])) == 1
+    assert await ask("getPid") == 1
+    assert await ask("shutdown", "bye") == await ask("publisherUpdate", "/t", []) == -1
+    assert await ask("rossec.presentGrants", encode([ends])) == 1
+    assert await ask("paramUpdate", "/p", 1) == -1
+    assert await ask("shutdown", "bye") == 1
+    await stream.close()
