@@ -108,9 +108,7 @@ class OpenAuthority:
         self.store.add_certificate(
             certificate_row(identity), now, request=row.digest, replace_key=replace_key
         )
-        replaced = self.store.live_keys(identity.name, now) - {identity.thumbprint}
-        if replaced:
-            self._revoke(replaced, f"{identity.name} has a new key", now)
+        self._refresh_list(now)
         return self.bundle(der)
 
     def verify(self, der: bytes, now: int) -> Identity:
@@ -134,7 +132,12 @@ class OpenAuthority:
         return self.bundle(row.der)
 
     def grant(self, draft: Draft, now: int) -> bytes:
-        """Sign and record a grant."""
+        """Sign and record a grant.
+
+        Raises:
+            ConfigurationError: this is an intermediate; nobody would take a grant from it.
+        """
+        self._check_root("sign grants")
         data = document.sign(self.signer, draft)
         row = GrantRow(
             document.grant_id(data), draft.subject, data, draft.not_before, draft.expires
@@ -164,10 +167,11 @@ class OpenAuthority:
             name if name.startswith(INTERMEDIATE) else check_name(name), now
         )
         if not found:
+            self._refresh_list(now)  # of one that was killed before it had signed
             certified = self.store.certified(name, now)
             raise ConfigurationError(
                 f"{name} has no living identity to revoke",
-                "see: rossec ca show"
+                "see: rossec ca show; to deliver the list again: rossec ca publish"
                 if certified == name
                 else f"it is one of the anonymous nodes of {certified}: revoking that ends all",
             )
@@ -180,12 +184,16 @@ class OpenAuthority:
         return self.sign_list(now)
 
     def _refresh_list(self, now: int) -> None:
-        """Sign the list anew while the key is at hand, long before it expires."""
+        """Sign the list anew when something was revoked since, and long before it expires."""
         if not self.authority.is_root:
             return
         held = self.store.newest_list()
-        issued = 0 if held is None else open_list(held, self.signer.public_key).issued
-        if now - issued > _LIST_REFRESH:
+        listed = None if held is None else open_list(held, self.signer.public_key)
+        if (
+            listed is None
+            or now - listed.issued > _LIST_REFRESH
+            or listed.entries != self.store.revoked_entries()
+        ):
             self.sign_list(now)
 
     def sign_list(self, now: int, *, new_epoch: bool = False) -> RevocationList:
@@ -205,10 +213,10 @@ class OpenAuthority:
         self.sign_head(now)
         return listed
 
-    def _check_root(self) -> None:
+    def _check_root(self, act: str = "revoke") -> None:
         if not self.authority.is_root:
             raise ConfigurationError(
-                "an intermediate cannot revoke", "that is for the root: do it there"
+                f"an intermediate cannot {act}", "that is for the root: do it there"
             )
 
     def sign_head(self, now: int) -> bytes:

@@ -91,3 +91,12 @@ def test_the_list_is_kept_young_while_the_key_is_at_hand(home: AuthorityHome) ->
 
 def test_the_names_nobody_may_share_are_the_masters_and_its_own() -> None:
     assert {MASTER, OWN_NODE} == RESERVED
+
+
+def test_a_list_that_was_not_signed_for_a_revocation_is_signed_next(home: AuthorityHome) -> None:
+    unlocked = home.unlock(PASSPHRASE)
+    unlocked.store.revoke(b"d" * 32, "then it was killed", NOW)
+    with pytest.raises(ConfigurationError, match="no living identity") as caught:
+        unlocked.revoke_identity("/robot7", "again", NOW)
+    assert "rossec ca publish" in caught.value.hint
+    assert b"d" * 32 in open_list(home.revocation_list(), home.own_key()).entries
