@@ -36,10 +36,10 @@ class Restored:
 def back_up(home: AuthorityHome, passphrase: str) -> bytes:
     """The backup of an authority, of this moment, under `passphrase`."""
     content = {
-        str(path.relative_to(home.path)): path.read_bytes()
-        for path in sorted(home.path.rglob("*"))
-        if path.is_file() and path.name not in _SKIPPED and not path.name.startswith(".")
-        and "grants" not in path.parts
+        str(path): (home.path / path).read_bytes()
+        for path in sorted(each.relative_to(home.path) for each in home.path.rglob("*"))
+        if (home.path / path).is_file() and path.name not in _SKIPPED
+        and not path.name.startswith(".") and "grants" not in path.parts
     }  # fmt: skip
     with contextlib.closing(home.store()) as store:
         content["ca.db"] = store.snapshot()

@@ -162,3 +162,10 @@ def test_at_the_command_line(shell: Shell, tmp_path: Path) -> None:
     assert empty.code == 0
     assert "taken over" not in empty.out
     assert shell("ca", "log", "verify").code == 0
+
+
+def test_a_home_below_a_directory_called_grants(authority: Path, tmp_path: Path) -> None:
+    home = AuthorityHome(tmp_path / "grants" / "ca")
+    shutil.copytree(authority, home.path)
+    done = restore(tmp_path / "new", back_up(home, PASSPHRASE), PASSPHRASE, NOW)
+    assert content(done.home) == content(home)
