@@ -199,7 +199,8 @@ class OpenAuthority:
     def sign_list(self, now: int, *, new_epoch: bool = False) -> RevocationList:
         """Sign the list of everything revoked, with the next number.
 
-        With `new_epoch` it beats every list of before, also those this record does not know.
+        With `new_epoch` it beats every list of before, also those this record does not know: the
+        epoch is the time, so that one backup restored twice does not number two lists alike.
 
         Raises:
             ConfigurationError: this is an intermediate.
@@ -207,7 +208,7 @@ class OpenAuthority:
         self._check_root()
         epoch, seq = self.store.next_number()
         if new_epoch:
-            epoch, seq = epoch + 1, 1
+            epoch, seq = max(epoch + 1, now), 1
         listed = RevocationList(epoch, seq, now, now + _LIST_LIFETIME, self.store.revoked_entries())
         self.store.save_list(listed.number, sign_list(self.signer, listed), now)
         self.sign_head(now)
