@@ -180,6 +180,13 @@ class Store:
         found = self._newest("data")
         return None if found is None else bytes(found[0])
 
+    def is_list_behind(self) -> bool:
+        """Whether something was revoked after the newest list was signed."""
+        newest = self._database.rows(
+            "SELECT what FROM log WHERE what IN ('revocation', 'list') ORDER BY number DESC LIMIT 1"
+        )
+        return newest == [("revocation",)]
+
     def note(self, what: str, subject: str, detail: str, now: int) -> None:
         """Write into the log what changes nothing else in the record, such as a restoration."""
         with self._database.changing() as db:

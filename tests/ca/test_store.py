@@ -341,3 +341,11 @@ def test_the_key_that_is_replaced_is_revoked_in_the_same_step(store: Store) -> N
     store.add_certificate(certificate(2, key=OTHER), NOW, replace_key="/a")
     assert store.revoked_entries() == {certificate(1).thumbprint}
     assert store.live_keys("/a", NOW) == {certificate(2, key=OTHER).thumbprint}
+
+
+def test_a_list_is_behind_what_was_revoked_since(store: Store) -> None:
+    assert not store.is_list_behind()
+    store.revoke(KEY, "lost", NOW)
+    assert store.is_list_behind()
+    store.save_list((1, 1), b"signed", NOW)
+    assert not store.is_list_behind()
