@@ -21,7 +21,8 @@ from ca.errors import BackupRefused, HintedError
 from ca.log import Entry
 from ca.revocation import open_list
 from rossec import files
-from rossec.authority import AuthorityHome, OpenAuthority
+from rossec.authority import AuthorityHome
+from rossec.unlocked import OpenAuthority
 
 _SKIPPED: Final = ("ca.db", "ca.db-wal", "ca.db-shm")  # the record goes in as a snapshot
 _PUBLIC: Final = ".pem"

@@ -11,13 +11,14 @@ from ca.certificates import Request, check_request
 from ca.hsm import KeyUri
 from ca.names import check_wildcard, spiffe_id
 from rossec import files
-from rossec.authority import OWN_NODE, AuthorityHome, fingerprint, grouped
+from rossec.authority import AuthorityHome, fingerprint, grouped
 from rossec.cli import passphrase
 from rossec.cli.context import Duration, Environment, confirm, moment, now, pass_environment
 from rossec.cli.publish import deliver, remind
 from rossec.cli.voice import printable, say
 from rossec.errors import ConfigurationError
 from rossec.succession import own_is_due, renew_own
+from rossec.unlocked import OWN_NODE
 
 _MAX_REQUEST = 16 * 1024
 

@@ -9,10 +9,11 @@ from ca.revocationtree import Listing, is_tree, open_tree
 from grants import document
 from grants.model import Draft, Permission, Right
 from grants.renewal import open_delegation
-from rossec.authority import OWN_NODE, AuthorityHome, fingerprint
+from rossec.authority import AuthorityHome, fingerprint
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
 from rossec.node.slave import MASTER
+from rossec.unlocked import OWN_NODE
 
 NOW = 1_800_000_000
 PASSPHRASE = "four random words here"
@@ -144,7 +145,7 @@ def test_too_many_revocations_become_a_tree(
     with pytest.raises(ConfigurationError, match="the entries of the tree are missing"):
         home.entries()
     opened = home.unlock(PASSPHRASE)
-    monkeypatch.setattr("rossec.authority.MAX_ENTRIES", 1)
+    monkeypatch.setattr("rossec.unlocked.MAX_ENTRIES", 1)
     assert not is_tree(opened_list(opened.revoke(bytes(32), "", NOW), home))
     listed = opened.revoke(bytes(16), "", NOW)
     tree = open_tree(opened_list(listed, home), home.anchor().public_key)
