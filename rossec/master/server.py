@@ -232,7 +232,7 @@ class MasterServer:
         finally:
             self._streams.discard(stream)
 
-    async def _dispatch(self, method: str, params: tuple[object, ...], peer: ChannelPeer) -> object:
+    def _dispatch(self, method: str, params: tuple[object, ...], peer: ChannelPeer) -> object:
         if self._api is None:
             raise RuntimeError("a call before the master was started")
         now = self._now()

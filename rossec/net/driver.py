@@ -56,6 +56,7 @@ class Driver(Generic[PeerT]):
         self._unread = 0
         self._waiting: list[asyncio.Future[None]] = []
         self._when_writable: list[Callable[[], None]] = []
+        self.on_ready: Callable[[], None] | None = None
         self._lost = asyncio.Event()
         self.ended = asyncio.Event()
         self.authenticated = False
@@ -89,7 +90,7 @@ class Driver(Generic[PeerT]):
                 self._end(ChannelClosed("the peer closed the connection"))
                 self.transport.finish()  # both sides have said their last word
         if self._units:
-            self._wake()
+            self._tell()
             if self._unread > _PAUSE_ABOVE and self.error is None:
                 self.transport.pause_reading()
 
@@ -169,15 +170,37 @@ class Driver(Generic[PeerT]):
         Raises:
             ChannelError: there will be none.
         """
-        while not self._units:
+        while (unit := self.take()) is None:
+            await self._wait()
+        return unit
+
+    @property
+    def has_unit(self) -> bool:
+        """Whether a unit has arrived that nobody took."""
+        return len(self._units) > 0
+
+    def take(self) -> bytes | None:
+        """Return the next unit if it has arrived.
+
+        Raises:
+            ChannelError: there will be none.
+        """
+        if not self._units:
             if self.error is not None:
                 raise self.error
-            await self._wait()
+            return None
         unit = self._units.popleft()
         self._unread -= len(unit)
         if self._unread <= _PAUSE_ABOVE // 2 and self.error is None:
             self.transport.resume_reading()
         return unit
+
+    def _tell(self) -> None:
+        """There is something to take, or there will never be."""
+        if self.on_ready is not None:
+            self.on_ready()
+        if self._waiting:
+            self._wake()
 
     async def _wait(self) -> None:
         """Wait for anything to happen; the caller looks whether it was for it."""
@@ -215,9 +238,9 @@ class Driver(Generic[PeerT]):
             return
         self.error = error
         self.ended.set()
-        self._wake()
         self._linger()
         self._on_end(self, error)
+        self._tell()
 
     def _linger(self) -> None:
         """End this side; wait for the peer's end, or the reset would swallow the last flight."""

@@ -6,7 +6,7 @@ as a stream of bytes that never breaks inside what was sent together.
 """
 
 import asyncio
-from collections.abc import Coroutine, Iterator, Sequence
+from collections.abc import Callable, Coroutine, Iterator, Sequence
 from contextlib import suppress
 from types import TracebackType
 from typing import Any, Final, Generic, Self
@@ -164,6 +164,45 @@ class SecureStream(Generic[PeerT]):
         except ChannelError as error:
             driver.fail(error)
             raise
+
+    def send_at_once(self, unit: bytes) -> bool:
+        """Send a unit now, unless something is queued before it, or the peer lags.
+
+        Returns whether it did; if not, `send` it.
+
+        Raises:
+            ChannelError: the connection is at its end.
+            LimitExceeded: the unit is too long; the connection is untouched.
+        """
+        driver = self._driver
+        if self._queue or self._turn.locked() or not driver.transport.writable:
+            return False
+        if driver.error is not None:
+            raise driver.error
+        if len(unit) > self._small:
+            driver.connection.check_unit((unit,))
+        self._write_now(unit)
+        return True
+
+    def on_ready(self, callback: Callable[[], None] | None) -> None:
+        """Call back whenever `take` has something new to say: instead of `receive`.
+
+        `callback` must not raise.
+        """
+        self._driver.on_ready = callback
+
+    @property
+    def has_unit(self) -> bool:
+        """Whether `take` would return a unit."""
+        return self._driver.has_unit
+
+    def take(self) -> bytes | None:
+        """Return the next unit, if it is there.
+
+        Raises:
+            ChannelError: as `receive`.
+        """
+        return self._driver.take()
 
     def receive(self) -> Coroutine[Any, Any, bytes]:
         """Return the next unit.
