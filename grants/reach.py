@@ -18,7 +18,9 @@ class Reach:
 
     def __init__(self, permissions: Iterable[Permission]) -> None:
         held = tuple(permissions)
-        self._by_right = {int(right): _sorted(held, right) for right in Right}
+        shared: dict[Sorted, Sorted] = {}  # many rights mostly reach the same
+        found = {int(right): _sorted(held, right) for right in Right}
+        self._by_right = {right: shared.setdefault(each, each) for right, each in found.items()}
         self._any: dict[int, Sorted] = {}
 
     def covers(self, right: Right, name: str) -> bool:

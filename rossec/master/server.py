@@ -10,7 +10,6 @@ import contextlib
 import logging
 import os
 import time
-from collections import Counter
 from collections.abc import Callable
 from typing import Final, Protocol
 
@@ -211,8 +210,9 @@ class MasterServer:
             self._memory.close()
 
     async def _handle(self, stream: SecureStream[ChannelPeer]) -> None:
-        held = Counter(other.peer.thumbprint for other in self._streams)
-        if held[stream.peer.thumbprint] >= self._limits.connections_per_identity:
+        own = stream.peer.thumbprint
+        held = sum(other.peer.thumbprint == own for other in self._streams)
+        if held >= self._limits.connections_per_identity:
             _audit.warning("%s has too many connections", stream.peer.name)
             stream.abort("too many connections of one identity")
             return

@@ -52,13 +52,12 @@ class Driver(Generic[PeerT]):
         self._loop = asyncio.get_running_loop()
         self._timer: asyncio.TimerHandle | None = None
         self._cut_at = 0.0
-        self._units: deque[bytes] = deque()
+        self._units: deque[bytes] | None = None  # None: an empty one has its price
         self._unread = 0
         self._waiting: list[asyncio.Future[None]] = []
         self._when_writable: list[Callable[[], None]] = []
         self.on_ready: Callable[[], None] | None = None
-        self._lost = asyncio.Event()
-        self.ended = asyncio.Event()
+        self._lost = False
         self.authenticated = False
         self.error: ChannelError | None = None
         self.address = address
@@ -80,6 +79,8 @@ class Driver(Generic[PeerT]):
         self.flush()
         for event in events:
             if isinstance(event, UnitReceived):
+                if self._units is None:
+                    self._units = deque()
                 self._units.append(event.data)
                 self._unread += len(event.data)
             elif isinstance(event, Authenticated):
@@ -114,7 +115,8 @@ class Driver(Generic[PeerT]):
         if self.error is None:
             self.eof()
             self._end(ChannelClosed("the connection is closed"))
-        self._lost.set()
+        self._lost = True
+        self._wake()
 
     # -- called by the stream
 
@@ -177,7 +179,7 @@ class Driver(Generic[PeerT]):
     @property
     def has_unit(self) -> bool:
         """Whether a unit has arrived that nobody took."""
-        return len(self._units) > 0
+        return self._units is not None
 
     def take(self) -> bytes | None:
         """Return the next unit if it has arrived.
@@ -185,11 +187,13 @@ class Driver(Generic[PeerT]):
         Raises:
             ChannelError: there will be none.
         """
-        if not self._units:
+        if self._units is None:
             if self.error is not None:
                 raise self.error
             return None
         unit = self._units.popleft()
+        if not self._units:
+            self._units = None
         self._unread -= len(unit)
         if self._unread <= _PAUSE_ABOVE // 2 and self.error is None:
             self.transport.resume_reading()
@@ -220,7 +224,13 @@ class Driver(Generic[PeerT]):
             self.connection.close()
             self.flush()
             self._end(ChannelClosed("the connection was closed"))
-        await self._lost.wait()
+        while not self._lost:
+            await self._wait()
+
+    async def wait_ended(self) -> None:
+        """Return when the connection is at its end."""
+        while self.error is None:
+            await self._wait()
 
     def abort(self, error: ChannelError) -> None:
         """Cut the connection; the peer sees a truncation."""
@@ -237,7 +247,6 @@ class Driver(Generic[PeerT]):
         if self.error is not None:
             return
         self.error = error
-        self.ended.set()
         self._linger()
         self._on_end(self, error)
         self._tell()

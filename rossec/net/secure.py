@@ -215,7 +215,7 @@ class SecureStream(Generic[PeerT]):
 
     async def wait_ended(self) -> None:
         """Return when the connection is at its end, whoever ended it; takes no unit."""
-        await self._driver.ended.wait()
+        await self._driver.wait_ended()
 
     def abort(self, reason: str) -> None:
         """Cut the connection at once, for example because the peer's right was revoked."""
