@@ -41,7 +41,7 @@ def dump_call(method: str, params: Sequence[object]) -> bytes:
         XmlRpcRefused: a parameter cannot be carried (None, an integer beyond 32 bits, ...).
     """
     try:
-        return xmlrpc.client.dumps(tuple(params), method).encode()  # type: ignore[arg-type]
+        return xmlwrite.call(method, params).encode()
     except _UNCARRIABLE as error:
         raise XmlRpcRefused(f"a value that XML-RPC cannot carry: {error}") from error
 

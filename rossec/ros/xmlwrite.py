@@ -1,13 +1,15 @@
-"""XML-RPC responses as the standard library writes them, without its detours. Pure.
+"""XML-RPC calls and responses as the standard library writes them, without its detours. Pure.
 
-The text is the library's, letter by letter: the tests compare the two. What is rare in an answer
+The text is the library's, letter by letter: the tests compare the two. What is rare
 (numbers with a point, times, structs, base64) is left to the library itself.
 """
 
 import xmlrpc.client
+from collections.abc import Iterable
 from typing import Final
 
-_BEGIN: Final = "<?xml version='1.0'?>\n<methodResponse>\n<params>\n<param>\n"
+_PROLOG: Final = "<?xml version='1.0'?>\n"
+_BEGIN: Final = f"{_PROLOG}<methodResponse>\n<params>\n<param>\n"
 _END: Final = "</param>\n</params>\n</methodResponse>\n"
 _ONE: Final = len("<params>\n<param>\n"), -len("</param>\n</params>\n")
 _INTS: Final = range(-(2**31), 2**31)
@@ -21,6 +23,17 @@ class Written(list[object]):
     def __init__(self, items: list[object]) -> None:
         super().__init__(items)
         self.text = _array(items)
+
+
+def call(method: str, params: Iterable[object]) -> str:
+    """The body of a request; `method` as it is.
+
+    Raises:
+        TypeError, OverflowError, RecursionError: a parameter cannot be carried.
+    """
+    written = "".join([f"<param>\n{_value(param)}</param>\n" for param in params])
+    head = f"{_PROLOG}<methodCall>\n<methodName>{method}</methodName>\n"
+    return f"{head}<params>\n{written}</params>\n</methodCall>\n"
 
 
 def response(value: object) -> str:

@@ -5,6 +5,7 @@ import xmlrpc.client
 
 import pytest
 from hypothesis import given
+from hypothesis import strategies as st
 
 from rossec.ros import xmlwrite
 from rossec.ros.xmlwrite import Written
@@ -18,6 +19,11 @@ def library(value: object) -> str:
 @given(values)
 def test_it_agrees_with_the_library(value: object) -> None:
     assert xmlwrite.response(value) == library(value)
+
+
+@given(st.lists(values, max_size=4).map(tuple))
+def test_calls(params: tuple[object, ...]) -> None:
+    assert xmlwrite.call("setParam", params) == xmlrpc.client.dumps(params, "setParam")  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("value", [(1, "a&<>b", [])], ids=["triple"])
