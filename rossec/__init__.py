@@ -3,11 +3,20 @@
 `ca` and `grants` are generic names, and ROS machines set PYTHONPATH, which comes before
 site-packages: a stranger's `ca` would be our trust root. So the siblings must lie beside this
 package, and that is checked before either is imported (docs/decisions/0002).
+
+`rossec.secure()` secures a rospy program, `rossec.ask()` requests a right for it; until one of them
+is used, nothing else is imported.
 """
 
 import sys as _sys
+from importlib import import_module as _import_module
 from importlib.util import find_spec as _find_spec
 from pathlib import Path as _Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from rossec.inprocess.ask import ask as ask
+    from rossec.inprocess.secure import secure as secure
 
 
 def _check_siblings() -> None:
@@ -25,3 +34,11 @@ def _check_siblings() -> None:
 
 
 _check_siblings()
+
+_PUBLIC = {"ask": "rossec.inprocess.ask", "secure": "rossec.inprocess.secure"}
+
+
+def __getattr__(name: str) -> object:
+    if name not in _PUBLIC:
+        raise AttributeError(f"module 'rossec' has no attribute {name!r}")
+    return getattr(_import_module(_PUBLIC[name]), name)

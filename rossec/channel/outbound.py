@@ -134,6 +134,11 @@ class Outbound(Generic[PeerT]):
         """Whether `data_to_send` has something to return."""
         return any(self._out)
 
+    @property
+    def awaits_peer(self) -> bool:
+        """Whether the peer has yet to follow a renewal of the keys."""
+        return self._session is not None and self._session.ahead
+
     def data_to_send(self) -> Bytes:
         """Return, once, everything queued for the peer."""
         out, self._out = self._out, []

@@ -113,7 +113,9 @@ class Direction:
         self.octets += length
         return (self._iv ^ counter).to_bytes(12)
 
-    def seal(self, kind: Frame, plaintext: Bytes, scratch: bytearray | None = None) -> Bytes:
+    def seal(
+        self, kind: Frame, plaintext: Bytes, scratch: bytearray | memoryview | None = None
+    ) -> Bytes:
         """Return the whole record; a large one in `scratch`, where there is one."""
         length = len(plaintext)
         head = (kind << 28 | (self.epoch & 15) << 24 | (length + TAG)).to_bytes(4)

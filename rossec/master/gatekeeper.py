@@ -165,10 +165,22 @@ RULES: Final[Mapping[str, Rule]] = {
     "getParamNames": Rule(Scope.FILTERED),
     "setParam": Rule(Scope.TREE, Right.PARAM_SET),
     "deleteParam": Rule(Scope.TREE, Right.PARAM_SET),
+    "rossec.watchGraph": Rule(Scope.MASTER, Right.GRAPH),  # of which it is shown its part
     "rossec.presentGrants": Rule(Scope.OPEN),
+    "rossec.renewGrants": Rule(Scope.OPEN),  # what is renewed is the caller's own, or refused
+    "rossec.renewIdentity": Rule(Scope.OPEN),  # the request is signed by the key that is renewed
+    "rossec.updateDelegation": Rule(Scope.OPEN),  # as a list, it carries the authority's signature
     "rossec.revocations": Rule(Scope.OPEN),
+    "rossec.revocationsSince": Rule(Scope.OPEN),
+    "rossec.updateRevocationTree": Rule(Scope.OPEN),
+    "rossec.revocationProofs": Rule(Scope.OPEN),  # whoever can ask about an entry knows it
+    "rossec.trl": Rule(Scope.FILTERED),  # what concerns the caller; all with ADMIN on the master
     "rossec.updateRevocations": Rule(Scope.OPEN),  # the list carries the authority's signature
 }
+
+
+CLEANUP: Final = frozenset({"unregisterPublisher", "unregisterSubscriber", "unregisterService"})
+"""What an administrator may do in the name of a node: `rosnode cleanup`, after it died."""
 
 
 class Gatekeeper:
@@ -182,6 +194,26 @@ class Gatekeeper:
     def __init__(self, registry: Registry, master: str) -> None:
         self._registry = registry
         self._master = master
+
+    def acting(self, method: str, caller: Caller, caller_id: str) -> Caller:
+        """The caller as the node `caller_id`: itself, or a node it cleans up after.
+
+        Raises:
+            Refused: its identity does not cover that name, and it may not administer that node.
+        """
+        try:
+            return caller.acting_as(caller_id)
+        except Refused:
+            node = self._registry.node(caller_id)
+            if method not in CLEANUP or node is None or not caller.may(Right.ADMIN, caller_id):
+                raise
+            return replace(
+                caller,
+                name=node.name,
+                thumbprint=node.thumbprint,
+                wildcard=False,
+                certified=caller.name,
+            )
 
     def check(self, method: str, caller: Caller, arguments: tuple[object, ...]) -> None:
         """The rule of `method`, except for TREE, where the reach is known to the parameters.

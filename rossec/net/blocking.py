@@ -9,6 +9,7 @@ import os
 import secrets
 import select
 import socket
+import struct
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -24,6 +25,8 @@ from rossec.errors import ChannelClosed, ChannelError
 from rossec.net.options import SocketOptions
 
 _LONGEST_WAIT: Final = 3600.0  # then look at the clock again: the host's may be set
+_SLICE: Final = struct.pack("ll", 5, 0)  # a struct timeval: how long the kernel waits in one go
+_AT_ONCE: Final = socket.MSG_DONTWAIT
 
 
 class SecureSocket(SocketOptions, Generic[PeerT]):
@@ -46,7 +49,9 @@ class SecureSocket(SocketOptions, Generic[PeerT]):
     ) -> None:
         self.peer: PeerT | None = None
         self._timeout = sock.gettimeout()
-        sock.setblocking(False)
+        sock.settimeout(None)
+        for option in (socket.SO_RCVTIMEO, socket.SO_SNDTIMEO):
+            sock.setsockopt(socket.SOL_SOCKET, option, _SLICE)
         sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._socket = sock
         self._core = core
@@ -56,11 +61,10 @@ class SecureSocket(SocketOptions, Generic[PeerT]):
         self._core_lock = Lock()
         self._reading = Lock()
         self._writing = Lock()
-        self._event = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
+        self._closed = False
+        self._event = -1
         self._flagged = False
-        self._epoll = select.epoll()
-        for fd in (sock.fileno(), self._event):
-            self._epoll.register(fd, select.EPOLLIN)
+        self._epoll: select.epoll | None = None
 
     @classmethod
     def connect(
@@ -92,8 +96,17 @@ class SecureSocket(SocketOptions, Generic[PeerT]):
     # -- what a socket tells and is told
 
     def fileno(self) -> int:
-        """A descriptor to wait on for reading; -1 when closed."""
-        return -1 if self._epoll.closed else self._epoll.fileno()
+        """A descriptor to wait on for reading; -1 when closed. Made when first asked for."""
+        with self._core_lock:
+            if self._closed:
+                return -1
+            if self._epoll is None:
+                self._event = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
+                self._epoll = select.epoll()
+                for fd in (self._socket.fileno(), self._event):
+                    self._epoll.register(fd, select.EPOLLIN)
+                self._flag()
+            return self._epoll.fileno()
 
     # -- bytes
 
@@ -118,6 +131,28 @@ class SecureSocket(SocketOptions, Generic[PeerT]):
             view[: len(chunk)] = chunk
             return len(chunk)
 
+    def receive_unit(self) -> bytes | memoryview:
+        """The rest of a unit that `recv` began, or the next one; empty after the peer's close."""
+        with self._reading:
+            rest = self._take(self._core.unit_limit)
+        unit = rest.obj
+        return unit if isinstance(unit, bytes) and len(unit) == len(rest) else rest
+
+    @property
+    def awaits_peer(self) -> bool:
+        """Whether the peer has yet to follow a renewal of the keys: `pump` soon."""
+        return self._core.awaits_peer
+
+    def pump(self) -> None:
+        """Take in what has arrived, without waiting: for a side that only sends.
+
+        Its peer's renewals and its close are met; units are dropped, for nobody asks for them.
+        """
+        end = self._end()
+        with self._reading:
+            while self._error is None and self._take_in(end, _AT_ONCE):
+                self._units.clear()
+
     def _take(self, size: int) -> memoryview:
         end = self._end()
         while not self._units:
@@ -138,8 +173,8 @@ class SecureSocket(SocketOptions, Generic[PeerT]):
         self.sendall(data)
         return len(data)
 
-    def sendall(self, data: Bytes) -> None:
-        """Send `data` as one unit."""
+    def sendall(self, *pieces: Bytes) -> None:
+        """Send the pieces as one unit."""
         end = self._end()
         if self.peer is None:
             with self._reading:
@@ -147,15 +182,29 @@ class SecureSocket(SocketOptions, Generic[PeerT]):
         self._tick()
         with self._writing:
             self._raise_if_over()
-            with self._core_lock:
-                records = self._core.seal_unit(data, reuse=True)
-            while True:
-                with self._core_lock:
-                    record = self._guarded(lambda: next(records, None))
-                if record is None:
-                    break
-                self._push(record, end)
+            if not self._push_small(pieces, end):
+                self._push_unit(pieces, end)
         self._flush(end)
+
+    def _push_small(self, pieces: tuple[Bytes, ...], end: float | None) -> bool:
+        """The short way of a small unit: one record, where nothing else has to be done."""
+        if len(pieces) != 1 or not isinstance(pieces[0], bytes):
+            return False
+        with self._core_lock:
+            record = self._core.seal_small(pieces[0])
+        if record is not None:
+            self._push(record, end)
+        return record is not None
+
+    def _push_unit(self, pieces: tuple[Bytes, ...], end: float | None) -> None:
+        with self._core_lock:
+            records = self._core.seal_unit(*pieces, reuse=True)
+        while True:
+            with self._core_lock:
+                record = self._guarded(lambda: next(records, None))
+            if record is None:
+                return
+            self._push(record, end)
 
     # -- the core and the socket
 
@@ -163,11 +212,17 @@ class SecureSocket(SocketOptions, Generic[PeerT]):
         """Move bytes from the socket to the core, once; the caller is the one reader."""
         self._flush(end)
         self._tick()
-        try:
-            count = self._socket.recv_into(self._core.get_buffer())
-        except BlockingIOError:
+        # One system call where there is no deadline to meet: the kernel waits, a slice at a time.
+        flags = 0 if end is None and self.peer is not None else _AT_ONCE
+        if not self._take_in(end, flags) and flags:
             self._wait(select.POLLIN, end)
-            return
+
+    def _take_in(self, end: float | None, flags: int) -> bool:
+        """Whether something had arrived."""
+        try:
+            count = self._socket.recv_into(self._core.get_buffer(), 0, flags)
+        except BlockingIOError:
+            return False
         except OSError:
             count = 0
         with self._core_lock:
@@ -180,6 +235,7 @@ class SecureSocket(SocketOptions, Generic[PeerT]):
             self._flush(end)
         else:
             self._send_last(self._core.data_to_send())  # the peer may be gone
+        return True
 
     def _note(self, events: Sequence[object]) -> None:
         for event in events:
@@ -201,7 +257,7 @@ class SecureSocket(SocketOptions, Generic[PeerT]):
 
     def _send_last(self, flight: Bytes) -> None:
         with suppress(OSError):
-            self._socket.send(flight)
+            self._socket.send(flight, _AT_ONCE)
 
     def _fail(self, error: ChannelError) -> None:
         self._error = self._error or error
@@ -234,10 +290,11 @@ class SecureSocket(SocketOptions, Generic[PeerT]):
 
     def _push(self, data: Bytes, end: float | None) -> None:
         rest = memoryview(data)
+        flags = 0 if end is None else _AT_ONCE
         try:
             while rest:
                 try:
-                    rest = rest[self._socket.send(rest) :]
+                    rest = rest[self._socket.send(rest, flags) :]
                 except BlockingIOError:
                     self._wait(select.POLLOUT, end)
         except BaseException as error:
@@ -267,7 +324,7 @@ class SecureSocket(SocketOptions, Generic[PeerT]):
     def _flag(self) -> None:
         """Keep the eventfd readable exactly while decrypted bytes wait here."""
         wanted = len(self._units) > 0
-        if wanted != self._flagged:
+        if wanted != self._flagged and self._epoll is not None:
             self._flagged = wanted
             if wanted:
                 os.eventfd_write(self._event, 1)
@@ -275,6 +332,12 @@ class SecureSocket(SocketOptions, Generic[PeerT]):
                 os.eventfd_read(self._event)
 
     # -- ends
+
+    def detach(self) -> socket.socket:
+        """Give the TCP socket back, before anything was read from it."""
+        self._closed = True
+        self._fail(ChannelClosed("the connection was given back"))
+        return self._socket
 
     def shutdown(self, how: int = socket.SHUT_RDWR) -> None:
         """Close in order (`SHUT_RD` alone does nothing: the peer cannot be told)."""
@@ -294,11 +357,14 @@ class SecureSocket(SocketOptions, Generic[PeerT]):
 
     def close(self) -> None:
         """Close in order, and give the descriptors back."""
-        if self._epoll.closed:
+        with self._core_lock:
+            closed, self._closed = self._closed, True
+        if closed:
             return
         self.shutdown()
-        self._epoll.close()
-        os.close(self._event)
+        if self._epoll is not None:
+            self._epoll.close()
+            os.close(self._event)
         self._socket.close()
 
     def __enter__(self) -> "SecureSocket[PeerT]":

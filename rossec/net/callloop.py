@@ -11,7 +11,7 @@ import logging
 from collections.abc import Awaitable, Callable, Coroutine
 from typing import Any, Final, Generic, Protocol, TypeVar
 
-from rossec.errors import HttpRefused, RossecError, XmlRpcRefused
+from rossec.errors import HangUp, HttpRefused, RossecError, XmlRpcRefused
 from rossec.ros import xmlrpc
 from rossec.ros.http import HttpServer
 from rossec.ros.xmlrpc import Fault
@@ -33,13 +33,13 @@ class ServedStream(Protocol[PeerT_co]):
         """The authenticated identity at the other end."""
 
     def on_ready(self, callback: Callable[[], None] | None) -> None:
-        """Whom to call, not at once, whenever `take` has something new to say."""
+        """Whom to call, not at once, whenever `next_unit` has something new to say."""
 
     @property
     def has_unit(self) -> bool:
-        """Whether `take` would return one."""
+        """Whether `next_unit` would return one."""
 
-    def take(self) -> bytes | None:
+    def next_unit(self) -> bytes | None:
         """The next unit, if it is there. Raises a `RossecError` when there will be none."""
 
     def send_at_once(self, unit: bytes) -> bool:
@@ -53,9 +53,12 @@ class ServedStream(Protocol[PeerT_co]):
 
 
 class Dispatch(Protocol[PeerT_contra]):
-    """Answers one call: returns the value or what to await for it, or raises `Fault`."""
+    """Answers one call: returns the value or what to await for it, or raises `Fault`.
 
-    def __call__(self, method: str, params: tuple[object, ...], peer: PeerT_contra) -> object:
+    `HangUp` ends the connection.
+    """
+
+    def __call__(self, method: str, params: tuple[object, ...], peer: PeerT_contra, /) -> object:
         """The value to answer with."""
 
 
@@ -64,7 +67,7 @@ class CallLoop(Generic[PeerT]):
 
     __slots__ = (
         "_busy", "_deadline", "_dispatch", "_ended", "_http", "_idle", "_idle_set", "_job",
-        "_late", "_loop", "_scope", "_stream",
+        "_late", "_loop", "_scope", "_stream", "_value",
     )  # fmt: skip
 
     def __init__(
@@ -86,6 +89,7 @@ class CallLoop(Generic[PeerT]):
         self._idle_set = 0.0
         self._late: asyncio.TimerHandle | None = None
         self._job: asyncio.Future[Coroutine[Any, Any, None] | None] = self._loop.create_future()
+        self._value: Awaitable[object] | None = None  # what the last such call waits for
         self._busy = False  # a call is being answered, and no other may be taken
         self._ended = False
 
@@ -110,8 +114,10 @@ class CallLoop(Generic[PeerT]):
         self._on_time()
         if self._job.done() and not self._job.cancelled() and self._job.exception() is None:
             job = self._job.result()
-            if job is not None:
-                job.close()  # begun by nobody
+            if job is not None:  # begun by nobody, nor what it was to wait for
+                job.close()
+                if isinstance(self._value, Coroutine):
+                    self._value.close()
 
     # -- one call
 
@@ -137,7 +143,7 @@ class CallLoop(Generic[PeerT]):
     def _next_request(self) -> bytes | None:
         http, stream = self._http, self._stream
         while (body := http.next_request()) is None:
-            unit = stream.take()
+            unit = stream.next_unit()
             if unit is None:
                 if http.pending and self._late is None:
                     self._late = self._loop.call_later(self._deadline, self._end)
@@ -152,9 +158,12 @@ class CallLoop(Generic[PeerT]):
             call = xmlrpc.load_call(body)
             value = self._dispatch(call.method, call.params, self._stream.peer)
             if isinstance(value, Awaitable):
+                self._value = value
                 self._wait_for(self._respond_later(value))
                 return
             response = xmlrpc.dump_response(value)
+        except HangUp:
+            raise
         except Exception as error:  # noqa: BLE001 - judged there
             response = _failure(error)
         self._respond(response)
@@ -171,6 +180,8 @@ class CallLoop(Generic[PeerT]):
     async def _respond_later(self, value: Awaitable[object]) -> None:
         try:
             response = xmlrpc.dump_response(await value)
+        except HangUp:
+            raise
         except Exception as error:  # noqa: BLE001 - judged there
             response = _failure(error)
         await self._stream.send(self._http.respond(response))

@@ -92,10 +92,17 @@ class RpcClient:
             WireError: the answer is not XML-RPC over HTTP.
             XmlRpcRefused: a parameter cannot be carried (nothing was sent).
         """
+        return xmlrpc.load_response(await self.fetch(method, *params), limit=self._limit)
+
+    async def fetch(self, method: str, *params: object) -> bytes:
+        """Like `call`, but the body of the response, unparsed.
+
+        Raises:
+            CallFailed, WireError, XmlRpcRefused: as `call`.
+        """
         request = xmlrpc.dump_call(method, params)
         async with self._turn:
-            body = await self._exchange(method, request)
-        return xmlrpc.load_response(body, limit=self._limit)
+            return await self._exchange(method, request)
 
     async def ask(self, method: str, *params: object) -> object:
         """Like `call`, for ROS methods: the value in `[1, status, value]`.

@@ -185,7 +185,7 @@ class SecureStream(Generic[PeerT]):
         return True
 
     def on_ready(self, callback: Callable[[], None] | None) -> None:
-        """Call back whenever `take` has something new to say: instead of `receive`.
+        """Call back whenever `next_unit` has something new to say: instead of `receive`.
 
         `callback` must not raise.
         """
@@ -193,10 +193,10 @@ class SecureStream(Generic[PeerT]):
 
     @property
     def has_unit(self) -> bool:
-        """Whether `take` would return a unit."""
+        """Whether `next_unit` would return a unit."""
         return self._driver.has_unit
 
-    def take(self) -> bytes | None:
+    def next_unit(self) -> bytes | None:
         """Return the next unit, if it is there.
 
         Raises:

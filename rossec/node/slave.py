@@ -44,11 +44,48 @@ class SlaveEvents(Protocol):
 
 
 @dataclass(frozen=True)
-class _Method:
-    run: Callable[..., Answer]
-    kinds: tuple[type, ...]  # of the parameters after caller_id
+class Rule:
+    """What a call must look like: the parameters after caller_id, and who may make it."""
+
+    kinds: tuple[type, ...]
     default: object
     master_only: bool = True
+
+
+RULES: Final[Mapping[str, Rule]] = {
+    "publisherUpdate": Rule((str, list), 0),
+    "paramUpdate": Rule((str, object), 0),
+    "shutdown": Rule((str,), 0),
+    REVOCATION_UPDATE: Rule((bytes, bytes), 0),
+    "requestTopic": Rule((str, list), [], master_only=False),
+    "getMasterUri": Rule((), ""),
+    "getPid": Rule((), -1),
+    "getBusStats": Rule((), []),
+    "getBusInfo": Rule((), []),
+    "getSubscriptions": Rule((), []),
+    "getPublications": Rule((), []),
+}
+
+
+def refusal(method: str, params: tuple[object, ...], peer: Identity) -> Answer | None:
+    """What to answer instead of the call, or None: `peer` may make it."""
+    rule = RULES.get(method)
+    if rule is None:
+        return [_ERROR, "rossec: no such method", 0]
+    if rule.master_only and peer.name != MASTER:
+        return [_ERROR, f"rossec: {method} is for the master alone", rule.default]
+    if not _fits(params, rule.kinds):
+        return [_ERROR, "Error: bad call arity or types", rule.default]
+    if not peer.covers(str(params[0])):
+        return [_ERROR, f"rossec: caller_id is not {peer.name}", rule.default]
+    return None
+
+
+def topic_offer(protocols: list[object], host: str, port: int) -> Answer:
+    """Answer of `requestTopic`, whatever the topic: never anything but TCPROS."""
+    if not any(isinstance(item, list) and item[:1] == ["TCPROS"] for item in protocols):
+        return [_ERROR, "rossec: only TCPROS, inside the secure channel", []]
+    return [1, "ready", ["TCPROS", host, port]]
 
 
 class SlaveApi:
@@ -56,35 +93,24 @@ class SlaveApi:
 
     def __init__(self, events: SlaveEvents) -> None:
         self._events = events
-        self._methods: dict[str, _Method] = {
-            "publisherUpdate": _Method(self._publisher_update, (str, list), 0),
-            "paramUpdate": _Method(self._param_update, (str, object), 0),
-            "shutdown": _Method(self._shutdown, (str,), 0),
-            REVOCATION_UPDATE: _Method(self._revocation_update, (bytes, bytes), 0),
-            "requestTopic": _Method(self._request_topic, (str, list), [], master_only=False),
-            "getMasterUri": _Method(partial(self._describe, "getMasterUri"), (), ""),
-            "getPid": _Method(partial(self._describe, "getPid"), (), -1),
-            "getBusStats": _Method(partial(self._describe, "getBusStats"), (), []),
-            "getBusInfo": _Method(partial(self._describe, "getBusInfo"), (), []),
-            "getSubscriptions": _Method(partial(self._describe, "getSubscriptions"), (), []),
-            "getPublications": _Method(partial(self._describe, "getPublications"), (), []),
+        self._methods: dict[str, Callable[..., Answer]] = {
+            "publisherUpdate": self._publisher_update,
+            "paramUpdate": self._param_update,
+            "shutdown": self._shutdown,
+            REVOCATION_UPDATE: self._revocation_update,
+            "requestTopic": self._request_topic,
         }
 
     async def __call__(self, method: str, params: tuple[object, ...], peer: Identity) -> object:
         """Answer one call of the authenticated `peer`: always `[code, status, value]`."""
-        entry = self._methods.get(method)
-        if entry is None:
-            return [_ERROR, "rossec: no such method", 0]
-        if entry.master_only and peer.name != MASTER:
-            return [_ERROR, f"rossec: {method} is for the master alone", entry.default]
-        if not _fits(params, entry.kinds):
-            return [_ERROR, "Error: bad call arity or types", entry.default]
-        if not peer.covers(str(params[0])):
-            return [_ERROR, f"rossec: caller_id is not {peer.name}", entry.default]
+        refused = refusal(method, params, peer)
+        if refused is not None:
+            return refused
+        run = self._methods.get(method, partial(self._describe, method))
         try:
-            return entry.run(peer, *params[1:])
+            return run(peer, *params[1:])
         except HintedError as error:
-            return [_ERROR, f"rossec: {error}", entry.default]
+            return [_ERROR, f"rossec: {error}", RULES[method].default]
 
     def _publisher_update(self, _: Identity, topic: str, uris: list[object]) -> Answer:
         self._events.publishers_changed(topic, [uri for uri in uris if isinstance(uri, str)])
@@ -103,10 +129,7 @@ class SlaveApi:
         return [1, "", 0]
 
     def _request_topic(self, _: Identity, _topic: str, protocols: list[object]) -> Answer:
-        if not any(isinstance(item, list) and item[:1] == ["TCPROS"] for item in protocols):
-            return [_ERROR, "rossec: only TCPROS, inside the secure channel", []]
-        host, port = self._events.topic_endpoint()
-        return [1, "ready", ["TCPROS", host, port]]
+        return topic_offer(protocols, *self._events.topic_endpoint())
 
     def _describe(self, method: str, _: Identity) -> Answer:
         return [1, "", self._events.describe()[method]]

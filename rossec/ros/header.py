@@ -103,17 +103,35 @@ class FrameReader:
         """Bytes received that do not complete a frame yet."""
         return len(self._buffer)
 
-    def feed(self, data: bytes) -> list[bytes]:
+    def feed(self, data: bytes | memoryview) -> list[bytes]:
         """All frames that `data` completes.
 
         Raises:
             FrameRefused: a frame is longer than allowed. Frames before it are lost with it.
         """
-        self._buffer += data
         frames: list[bytes] = []
+        if self._first is None and not self._lead and self._refusal is None:
+            if not self._buffer:
+                data = self._cut(data, frames)
+            elif len(self._buffer) == _LENGTH.size and self._checked_length(0) == len(data):
+                self._buffer.clear()
+                return [bytes(data)]  # which is no copy if it is bytes
+        self._buffer += data
         while (content := self._next()) is not None:
             frames.append(content)
         return frames
+
+    def _cut(self, data: bytes | memoryview, frames: list[bytes]) -> memoryview:
+        """Frames that lie whole in `data` need no detour through the buffer; returns the rest."""
+        view, position, size = memoryview(data), 0, len(data)
+        while position + _LENGTH.size <= size:
+            length: int = _LENGTH.unpack_from(view, position)[0]
+            start = position + _LENGTH.size
+            if length > self._limit or start + length > size:
+                break
+            position = start + length
+            frames.append(bytes(view[start:position]))
+        return view[position:]
 
     def feed_one(self, data: bytes) -> bytes | None:
         """The frame that `data` completes, where none may follow before this one is answered.
@@ -129,6 +147,7 @@ class FrameReader:
 
     def _next(self) -> bytes | None:
         if self._refusal is not None:
+            self._buffer.clear()
             raise FrameRefused(self._refusal)
         lead = 0 if self._first is not None else self._lead
         start = lead + _LENGTH.size

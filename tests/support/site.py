@@ -4,11 +4,12 @@ import contextlib
 import secrets
 import time
 from collections.abc import AsyncIterator, Callable, Mapping
+from functools import partial
 from pathlib import Path
 
 from ca import keys
 from ca.authority import Authority, create_root
-from ca.certificates import Identity, TrustAnchor
+from ca.certificates import Identity, TrustAnchor, to_pem
 from ca.signer import KeySigner
 from ca.store import Store
 from grants import document
@@ -23,7 +24,9 @@ from rossec.master.start import master_of
 from rossec.node import Node
 from rossec.node.slave import MASTER
 from rossec.ros.settings import parse_uri
+from rossec.succession import renew
 
+HOUR = 3600
 DAY = 86400
 
 
@@ -45,6 +48,8 @@ class Site:
         self.authority.sign_list(now)
         self.master: MasterServer | None = None
         self.complain: Complain = unheard
+        self.intermediate: OpenAuthority | None = None
+        self.host = "127.0.0.1"
         self.limits = Limits()
         self.variables: dict[str, str] = {}  # more of the environment
 
@@ -56,6 +61,12 @@ class Site:
     def anchor(self) -> TrustAnchor:
         """Whom the nodes trust."""
         return self.authority.authority.anchor
+
+    @property
+    def entries(self) -> bytes | None:
+        """The entries of the newest tree, if the authority has signed one."""
+        path = self.root / "revocations.entries"
+        return path.read_bytes() if path.exists() else None
 
     @property
     def environ(self) -> Mapping[str, str]:
@@ -73,6 +84,14 @@ class Site:
             home.install(bundle, now)
         return home
 
+    def renew(self, name: str, lifetime: int = DAY) -> None:
+        """Give the node `name` another certificate for the same key."""
+        home = self.enroll(name)
+        leaf = self.authority.authority.issue(
+            home.request(), now=self.now(), serial=secrets.randbits(127) + 1, lifetime=lifetime
+        )
+        home.install(to_pem(leaf) + (home.path / "ca.pem").read_bytes(), self.now())
+
     def identity(self, name: str) -> Identity:
         """The verified identity of an enrolled node."""
         return self.enroll(name).identity(self.now())
@@ -85,6 +104,7 @@ class Site:
         *,
         restriction: Restriction | None = None,
         lifetime: int = DAY,
+        cap: int = 0,
         begin: int | None = None,
         holder: bytes | None = None,
     ) -> bytes:
@@ -95,12 +115,19 @@ class Site:
         draft = Draft(
             domain=self.anchor.domain, subject=name,
             holder=holder or self.identity(name).thumbprint,
-            not_before=begin, expires=now + lifetime, cap=now + lifetime,
+            not_before=begin, expires=now + lifetime, cap=now + max(lifetime, cap),
             serial=secrets.token_bytes(16),
             permissions=(Permission(pattern, right, restriction),),
         )  # fmt: skip
         data = self.authority.grant(draft, now)
         home.add_grant(document.grant_id(data), data)
+        return data
+
+    def delegate(self) -> bytes:
+        """Let the master renew grants, once it is started."""
+        home = self.enroll(MASTER)
+        data = self.authority.delegate(self.identity(MASTER).thumbprint, DAY, HOUR, self.now())
+        home.save_delegation(data)
         return data
 
     def publish(self, name: str, pattern: str, **options: int) -> bytes:
@@ -143,11 +170,12 @@ class Site:
         await self.start_master(port)
 
     async def start_master(self, port: int) -> None:
-        """Start a master on `port` of loopback."""
+        """Start a master on `port` of `host`."""
         self.master = master_of(
-            self.enroll(MASTER), host="127.0.0.1", port=port,
-            newest=self.authority.store.newest_list(), now=self.now(), complain=self.complain,
-            limits=self.limits,
+            self.enroll(MASTER), host=self.host, port=port,
+            newest=self.authority.store.newest_list(), now=self.now(), entries=self.entries,
+            complain=self.complain, limits=self.limits,
+            renewer=None if self.intermediate is None else partial(renew, self.intermediate),
             suites=post_quantum(self.environ),
         )  # fmt: skip
         await self.master.start()

@@ -30,7 +30,7 @@ class MemoryStream:
     def has_unit(self) -> bool:
         return not self.inbox.empty()
 
-    def take(self) -> bytes | None:
+    def next_unit(self) -> bytes | None:
         unit = (
             b"" if self.closed else None if self.inbox.empty() else self.inbox.get_nowait() or b""
         )

@@ -1,7 +1,10 @@
 """The blocking driver: threads, timeouts, polls."""
 
+import contextlib
+import dataclasses
 import select
 import socket
+import struct
 import threading
 from collections.abc import Callable, Iterator
 
@@ -288,3 +291,66 @@ def test_the_listener_is_a_socket_to_its_user(listener: SecureListener[FakeIdent
     listener.shutdown(socket.SHUT_RDWR)
     thread.join(5)
     assert not thread.is_alive()
+
+
+def test_units_are_handed_out_whole(listener: SecureListener[FakeIdentity]) -> None:
+    left, right = pair(listener)
+    with left, right:
+        left.sendall(b"one ", b"unit")
+        left.sendall(b"another")
+        assert right.receive_unit() == b"one unit"
+        assert right.recv(3) == b"ano"
+        rest = right.receive_unit()
+        assert bytes(rest) == b"ther"
+        left.close()
+        assert right.receive_unit() == b""
+
+
+def test_a_side_that_only_sends_follows_its_peer(listener: SecureListener[FakeIdentity]) -> None:
+    """Renewals are answered, units are dropped, a close is noticed."""
+    left, right = pair(listener, limits=Limits(records=2))
+    with left, right:
+        for number in range(20):
+            while left.awaits_peer:
+                left.pump()
+            left.sendall(b"%d" % number)
+            assert right.recv(10) == b"%d" % number
+        right.sendall(b"nobody asks for this")
+        right.close()
+        while True:
+            left.pump()
+            try:
+                left.sendall(b"x")
+            except ChannelClosed:
+                break
+
+
+def test_a_socket_may_be_given_back(listener: SecureListener[FakeIdentity]) -> None:
+    with socket.create_connection(listener.getsockname()) as plain:
+        accepted, _ = listener.accept()
+        plain.sendall(b"hello")
+        with accepted.detach() as sock:
+            assert sock.recv(10) == b"hello"
+        assert accepted.fileno() == -1
+        accepted.close()
+
+
+def test_a_reader_without_a_deadline_meets_the_cores(
+    listener: SecureListener[FakeIdentity], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The kernel waits a slice at a time; between two the clock is looked at."""
+    monkeypatch.setattr("rossec.net.blocking._SLICE", struct.pack("ll", 0, 20_000))
+    left, right = pair(listener)
+    with left, right:
+        left.settimeout(None)
+        expired = threading.Event()
+
+        def wait() -> None:
+            with contextlib.suppress(ChannelError):
+                left.recv(1)
+            expired.set()
+
+        thread = background(wait)
+        left._core._peer = dataclasses.replace(live(BOB.chain, 0), not_after=0)
+        assert expired.wait(10)
+        thread.join(10)

@@ -142,6 +142,36 @@ def test_service_replies_keep_their_ok_byte() -> None:
     assert frames == [b"head", b"\x01yes", b"\x00no"]
 
 
+def test_frames_are_cut_in_place_where_they_lie_whole() -> None:
+    one, two = b"a" * 10, b"b" * 300
+    reader = header.FrameReader()
+    assert reader.feed(memoryview(header.frame(one) + header.frame(two))) == [one, two]
+    stream = header.frame(one) + header.frame(two) + header.frame(one)
+    for cut in range(len(stream) + 1):
+        reader = header.FrameReader()
+        assert reader.feed(stream[:cut]) + reader.feed(stream[cut:]) == [one, two, one]
+        assert reader.pending == 0
+
+
+def test_a_frame_that_arrives_after_its_length_is_not_copied() -> None:
+    body = b"x" * 1000
+    reader = header.FrameReader()
+    assert reader.feed(len(body).to_bytes(4, "little")) == []
+    (found,) = reader.feed(body)
+    assert found is body
+    assert reader.feed(header.frame(b"next")) == [b"next"]
+
+
+@pytest.mark.parametrize("data", [header.frame(bytes(11)), (11).to_bytes(4, "little")])
+def test_a_length_beyond_the_limit_is_refused_in_place_too(data: bytes) -> None:
+    reader = header.FrameReader(10)
+    with pytest.raises(FrameRefused):
+        reader.feed(data)
+    with pytest.raises(FrameRefused):
+        reader.feed(b"more")
+    assert reader.pending == 0
+
+
 def test_one_frame_at_a_time() -> None:
     reader = header.FrameReader()
     arrived = [reader.feed_one(bytes([byte])) for byte in header.frame(b"abc")]

@@ -1,0 +1,105 @@
+"""A plain connection, where `allow_plain` names it, in the shape of a secure one.
+
+Also here: looking at what a caller sends first without taking it, so that one who is not named goes
+on into the channel, which refuses it.
+"""
+
+import socket
+import struct
+import time
+from typing import Any, Final
+
+from rossec.channel.opening import MAX_DRAIN, Plain, judge_caller
+from rossec.errors import HeaderRefused, ProtocolViolation
+from rossec.ros import header
+
+_READ: Final = 256 * 1024
+_PREFIX: Final = 4
+_DEADLINE: Final = 5.0
+
+
+class PlainStream:
+    """What is used of a `SecureSocket`; there is no peer that anybody vouches for."""
+
+    peer = None
+    awaits_peer = False
+
+    def __init__(self, sock: socket.socket) -> None:
+        sock.settimeout(None)
+        self._socket = sock
+
+    def recv(self, size: int) -> bytes:
+        """As of sockets."""
+        return self._socket.recv(size)
+
+    def recv_into(self, buffer: bytearray | memoryview, size: int = 0) -> int:
+        """As of sockets."""
+        return self._socket.recv_into(buffer, size)
+
+    def receive_unit(self) -> bytes:
+        """What has arrived."""
+        return self._socket.recv(_READ)
+
+    def pump(self) -> None:
+        """Nothing to take in."""
+
+    def sendall(self, *pieces: bytes | bytearray | memoryview) -> None:
+        """Send the pieces."""
+        for piece in pieces:
+            self._socket.sendall(piece)
+
+    def settimeout(self, value: float | None) -> None:
+        """As of sockets."""
+        self._socket.settimeout(value)
+
+    def gettimeout(self) -> float | None:
+        """As of sockets."""
+        return self._socket.gettimeout()
+
+    def shutdown(self, how: int = socket.SHUT_RDWR) -> None:
+        """As of sockets."""
+        self._socket.shutdown(how)
+
+    def close(self) -> None:
+        """As of sockets."""
+        self._socket.close()
+
+
+def peek(sock: socket.socket) -> bytes:
+    """The first bytes of a plain caller, left where they are: a whole connection header, or the
+    beginning of an HTTP request; empty for any other caller.
+    """
+    end = time.monotonic() + _DEADLINE
+    first = _look(sock, _PREFIX, end)
+    try:
+        verdict = judge_caller(first + b"\0" * 60)
+    except ProtocolViolation:
+        return b""
+    if first in (b"POST", b"GET "):
+        return first
+    if not isinstance(verdict, Plain) or verdict.drain > MAX_DRAIN:
+        return b""
+    return _look(sock, min(verdict.drain, _PREFIX + header.HEADER_LIMIT), end)
+
+
+def plain_fields(data: bytes) -> dict[str, bytes]:
+    """The fields of a plain caller's connection header; none where it is not one."""
+    if len(data) < _PREFIX or struct.unpack_from("<I", data)[0] != len(data) - _PREFIX:
+        return {}
+    try:
+        return header.decode(data[_PREFIX:])
+    except HeaderRefused:
+        return {}
+
+
+def _look(sock: socket.socket, size: int, end: float) -> bytes:
+    """`size` bytes, or those that came in time."""
+    data: Any = b""
+    while len(data) < size and time.monotonic() < end:
+        seen = sock.recv(size, socket.MSG_PEEK)
+        if len(seen) == len(data):
+            if not seen:
+                break
+            time.sleep(0.005)  # the kernel has no wait for more than there is
+        data = seen
+    return bytes(data)

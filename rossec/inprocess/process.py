@@ -1,0 +1,116 @@
+"""What the hooks of one process share: who it is, its connections, its guardian.
+
+Until the node has a name there is no identity, and nothing can be connected: every hook that
+needs one says so.
+"""
+
+from typing import Final
+
+from ca.certificates import Identity
+from rossec.errors import ChannelError, ConfigurationError
+from rossec.inprocess.guardian import Guardian
+from rossec.inprocess.links import Link, Links
+from rossec.inprocess.member import Member
+from rossec.inprocess.plain import Plain
+from rossec.inprocess.registrations import Registrations
+from rossec.inprocess.report import Reporter
+from rossec.inprocess.sockets import Doors, RosSocket
+
+_NAMELESS: Final = "call rospy.init_node first, or name the node: rossec.secure(node='/name')"
+
+
+class Process:
+    """One secured process."""
+
+    def __init__(self, reporter: Reporter, plain: Plain = Plain()) -> None:  # noqa: B008 - constant
+        self.reporter = reporter
+        self.plain = plain
+        self.links = Links()
+        self.rights = 0
+        """Grows whenever there is a new grant or list: what was refused may be tried again."""
+        self._begun: tuple[Member, Doors, Registrations, Guardian] | None = None
+
+    def begin(self, member: Member, master: tuple[str, int]) -> None:
+        """Speak as `member` from now on, with the master there."""
+        doors, registrations = Doors(member), Registrations(member.name)
+        guardian = Guardian(self, member, registrations, master)
+        self._begun = member, doors, registrations, guardian
+        guardian.start()
+
+    @property
+    def has_begun(self) -> bool:
+        """Whether the node has a name and an identity."""
+        return self._begun is not None
+
+    def _all(self) -> tuple[Member, Doors, Registrations, Guardian]:
+        if self._begun is None:
+            raise ConfigurationError("this program has no name yet", _NAMELESS)
+        return self._begun
+
+    @property
+    def member(self) -> Member:
+        """The node. Raises `ConfigurationError` while it has no name; so do the other three."""
+        return self._all()[0]
+
+    @property
+    def doors(self) -> Doors:
+        """Makes its connections."""
+        return self._all()[1]
+
+    @property
+    def registrations(self) -> Registrations:
+        """What it registered."""
+        return self._all()[2]
+
+    @property
+    def guardian(self) -> Guardian:
+        """Its standing with the master."""
+        return self._all()[3]
+
+    # -- connections
+
+    def watch(self, sock: RosSocket, link: Link) -> None:
+        """An admitted connection: end it when its right does."""
+        sock.link = link
+        self.links.add(link, sock.abort)
+
+    def gone(self, sock: RosSocket) -> None:
+        """A connection is over."""
+        self.links.forget(sock)
+        if isinstance(sock.link, Link):
+            self.links.discard(sock.link)
+
+    def may_be_plain(self, name: str, address: str) -> bool:
+        """Whether `allow_plain` names this; if so it is said, loudly."""
+        allowed = self.plain.allows(name, address)
+        if allowed:
+            self.reporter.warn(f"PLAIN: {name} with {address}, neither encrypted nor checked")
+        return allowed
+
+    def failed(self, address: tuple[str, int], error: ChannelError) -> Exception:
+        """Tell the developer; what rospy is to be told."""
+        self.reporter.warn(f"cannot connect to {address[0]} port {address[1]}", error)
+        return ConnectionError(f"rossec: {error}")
+
+    # -- what the guardian tells
+
+    def take_revocations(self, data: bytes, timestamp: bytes, master: Identity) -> None:
+        """Take over a list and its confirmation, then cut what they end.
+
+        Raises:
+            CAError: either does not hold. What the list revokes is cut nevertheless.
+        """
+        before = self.member.revocations.data
+        try:
+            self.member.take_revocations(data, timestamp, master)
+        finally:
+            self.cut()
+            if self.member.revocations.data != before:
+                self.rights += 1
+
+    def cut(self) -> None:
+        """End every connection whose right has ended."""
+        member = self.member
+        for link, reason in self.links.must_end(member.why_cut):
+            self.reporter.warn(f"cut {link.stream.peer.name} ({link.decision.name}): {reason}")
+        self.links.cut_peers(member.is_revoked)

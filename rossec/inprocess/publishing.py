@@ -1,0 +1,242 @@
+"""Publishing from rospy: one serialization, one treated copy per treatment, batches on the wire.
+
+`publish` does what `rospy.topics._PublisherImpl.publish` does, and between serializing and sending
+asks each connection's guard; `Outbox` stands for rospy's `QueuedConnection` and sends what waits
+as one unit. A connection without a link has no right, and gets nothing.
+"""
+
+import logging
+import struct
+import time
+from collections import deque
+from collections.abc import Hashable, Iterable, Iterator
+from contextlib import suppress
+from threading import Condition, Lock, Thread
+from typing import Any, Final
+
+from rospy.core import is_shutdown
+from rospy.exceptions import ROSException, TransportTerminated
+from rospy.msg import serialize_message
+
+from ca.errors import HintedError
+from grants.errors import GrantError
+from rossec.channel.records import Bytes
+from rossec.inprocess.links import Link, PlainLink
+from rossec.inprocess.member import now
+from rossec.inprocess.sockets import RosSocket
+
+_LENGTH: Final = struct.Struct("<I")
+_BATCH: Final = 256 * 1024  # beyond this a unit only adds latency
+_ALONE: Final = 128 * 1024
+_log = logging.getLogger("rossec.rospy")
+
+Pieces = bytes | tuple[Bytes, ...]
+"""A message with its length in front, whole or in parts."""
+
+
+def publish(topic: Any, message: Any, connection_override: Any = None) -> bool | None:
+    """As `_PublisherImpl.publish`, the arguments the same."""
+    if topic.closed:
+        if not is_shutdown():
+            raise ROSException("publish() to a closed topic")
+        return None
+    if topic.is_latch:
+        topic.latch = message
+    if not topic.has_connections():
+        return False
+    try:
+        data = _serialized(topic, message)
+    except ValueError:
+        if not topic.closed:
+            raise
+        if is_shutdown():
+            return None
+        raise ROSException("topic was closed during publish()") from None
+    connections = topic.connections if connection_override is None else [connection_override]
+    for connection in _offer(topic.resolved_name, data, connections):
+        with suppress(Exception):  # as rospy: a dead connection is dropped
+            connection.close()
+    return None
+
+
+def _serialized(topic: Any, message: Any) -> bytes:
+    buffer = topic.buff
+    buffer.tell()  # a closed one says so
+    topic.seq += 1
+    try:
+        serialize_message(buffer, topic.seq, message)
+        data: bytes = buffer.getvalue()
+        topic.message_data_sent += len(data)
+        return data
+    finally:
+        if not buffer.closed:
+            buffer.seek(0)
+            buffer.truncate(0)
+
+
+def _offer(name: str, data: bytes, connections: Iterable[Any]) -> list[Any]:
+    """Give each connection what it may see; returns those that are dead."""
+    treated: dict[Hashable, Pieces | None] = {}
+    moment = now()
+    dead = []
+    for connection in connections:
+        try:
+            pieces = _for(name, data, connection, moment, treated)
+            if pieces is not None and not is_shutdown():
+                connection.write_data(pieces)
+        except Exception:  # noqa: BLE001 - as rospy: whatever fails, the others get theirs
+            dead.append(connection)
+    return dead
+
+
+def _for(
+    name: str, data: bytes, connection: Any, moment: int, treated: dict[Hashable, Pieces | None]
+) -> Pieces | None:
+    sock = connection.socket
+    link: Link | PlainLink | None = sock.link
+    if link is None or moment >= link.ends:
+        return None
+    if isinstance(link, PlainLink) or link.guard is None:
+        return data
+    key = link.guard.key
+    if key not in treated:
+        treated[key] = _treat(name, link, data, moment)
+    return treated[key]
+
+
+def _treat(name: str, link: Link, data: bytes, moment: int) -> Pieces | None:
+    assert link.guard is not None  # noqa: S101 - asked by the caller
+    try:
+        pieces = link.guard.treat(memoryview(data)[_LENGTH.size :], moment)
+    except GrantError as error:
+        _log.warning("%s: withheld from %s: %s", name, link.stream.peer.name, error)
+        return None
+    if pieces is None:
+        return None
+    return (_LENGTH.pack(sum(map(len, pieces))), *pieces)
+
+
+class Outbox:
+    """A connection with a queue: `write_data` never waits; a full queue drops the oldest.
+
+    The sender takes all that waits and sends it as one unit. It is woken, and given its turn, only
+    when it has nothing to do: a publisher that is faster than the wire makes larger batches.
+    """
+
+    def __init__(self, connection: Any, queue_size: int) -> None:
+        self._connection = connection
+        self._queue: deque[Pieces] = deque(maxlen=queue_size if queue_size > 0 else None)
+        self._filled = Condition(Lock())
+        self._idle = False
+        self._error: Exception | None = None
+        self._connection.set_cleanup_callback(self._closed)
+        self._thread = Thread(target=self._run, name="rossec outbox")
+        self._thread.start()
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__"):
+            raise AttributeError(name)
+        return getattr(self._connection, name)
+
+    def write_data(self, data: Pieces) -> bool:
+        """Queue a message.
+
+        Raises:
+            Exception: what an earlier one failed with.
+        """
+        if self._error is not None:
+            error, self._error = self._error, None
+            raise error
+        self._queue.append(data)
+        if self._idle:
+            with self._filled:
+                self._idle = False
+                self._filled.notify()
+            time.sleep(0)  # as rospy: the sender's turn
+        return True
+
+    def _closed(self, _: Any) -> None:
+        with self._filled:
+            self._filled.notify()
+
+    def _run(self) -> None:
+        while not self._connection.done:
+            with self._filled:
+                self._wait()
+            try:
+                for batch in _batches(self._queue):
+                    write(self._connection, batch)
+            except Exception as error:  # noqa: BLE001 - as rospy: the publisher's next call raises it
+                self._error = error
+
+    def _wait(self) -> None:
+        """Until there is something to send, or the connection ends; the lock is held."""
+        self._idle = True  # before each look: who queues after the look must find it set
+        while not self._queue and not self._connection.done:
+            self._filled.wait()
+            self._idle = True
+        self._idle = False
+
+
+def _batches(queue: deque[Pieces]) -> Iterator[list[Pieces]]:
+    """Take messages from the front, as many as make a unit; others may be added meanwhile."""
+    batch: list[Pieces] = []
+    size = 0
+    with suppress(IndexError):
+        while True:
+            message = queue.popleft()
+            batch.append(message)
+            size += len(message) if isinstance(message, bytes) else sum(map(len, message))
+            if size >= _BATCH:
+                yield batch
+                batch, size = [], 0
+    if batch:
+        yield batch
+
+
+def write(transport: Any, messages: list[Pieces]) -> None:
+    """Send messages as one unit over a transport of rospy's.
+
+    Raises:
+        TransportTerminated: the connection is at its end; it is closed.
+    """
+    sock = transport.socket
+    if sock is None or transport.done:
+        raise TransportTerminated("connection closed")
+    try:
+        transport.stat_bytes += _send(sock, messages)
+    except (HintedError, OSError) as error:
+        transport.close()
+        raise TransportTerminated(str(error)) from error
+    transport.stat_num_msg += len(messages)
+
+
+def _send(sock: RosSocket, messages: list[Pieces]) -> int:
+    """Send messages; a large one without its length, which goes before it.
+
+    It is a unit of its own then, and its receiver need not copy it.
+    """
+    match messages:
+        case [bytes() as message] if len(message) > _ALONE:
+            sock.send_unit(message[: _LENGTH.size])
+            sock.send_unit(memoryview(message)[_LENGTH.size :])
+            return len(message)
+        case _:
+            pieces = _flat(messages)
+            sock.send_unit(*pieces)
+            return sum(map(len, pieces))
+
+
+def _flat(messages: list[Pieces]) -> list[Bytes]:
+    if len(messages) > 1 and all(isinstance(message, bytes) for message in messages):
+        return [b"".join(messages)]  # type: ignore[arg-type]  # all are bytes
+    flat: list[Bytes] = []
+    for message in messages:
+        flat += [message] if isinstance(message, bytes) else message
+    return flat
+
+
+def write_data(transport: Any, data: Pieces) -> bool:
+    """As `TCPROSTransport.write_data`: for publishers without a queue, and for services."""
+    write(transport, [data])
+    return True

@@ -1,0 +1,95 @@
+"""What rospy registered with the master: to do it again after a restart, or when a grant comes.
+
+Pure. rospy registers once and never again; a master that was restarted would not know the node.
+What the master refused for want of a right is kept as well, and tried when there is a new grant.
+Also here: which publishers the master named last, for a subscriber that lost one.
+"""
+
+from collections.abc import Iterable, Sequence
+from typing import Final
+
+_UNDO: Final = {
+    "unregisterPublisher": "registerPublisher",
+    "unregisterSubscriber": "registerSubscriber",
+    "unregisterService": "registerService",
+    "unsubscribeParam": "subscribeParam",
+}
+_DO: Final = frozenset(_UNDO.values())
+REFUSED: Final = "rossec: "
+
+# What rospy asks for by itself. Without a right to it the program goes on, and is not bothered.
+_OWN_TOPICS: Final = ("/rosout",)
+_OWN_SERVICES: Final = ("/get_loggers", "/set_logger_level")
+_OWN_PARAMETERS: Final = (
+    "/tcp_keepalive", "/use_sim_time", "/enable_statistics", "/rosout_disable_topics_generation",
+)  # fmt: skip
+
+Call = tuple[str, tuple[object, ...]]
+
+
+class Registrations:
+    """The registrations of one node."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+        self._calls: dict[tuple[str, object], tuple[object, ...]] = {}
+        self._refused: set[tuple[str, object]] = set()
+        self._publishers: dict[str, frozenset[str]] = {}
+
+    def note(self, method: str, params: Sequence[object], answer: object) -> None:
+        """What the master answered to a call of the program."""
+        done = _UNDO.get(method)
+        if done is not None:
+            key = _key(done, params)
+            self._calls.pop(key, None)
+            self._refused.discard(key)
+        if method not in _DO:
+            return
+        key = _key(method, params)
+        match answer:
+            case [1, _, value]:
+                self._calls[key] = tuple(params)
+                self._refused.discard(key)
+                if method == "registerSubscriber":
+                    self.publishers_are(str(params[1]), value)
+            case [_, str(status), _] if status.startswith(REFUSED):
+                self._calls[key] = tuple(params)
+                self._refused.add(key)
+            case _:
+                pass
+
+    def all(self) -> list[Call]:
+        """Every registration, in the order they were made."""
+        return [(method, params) for (method, _), params in self._calls.items()]
+
+    def refused(self) -> list[Call]:
+        """Those the master refused for want of a right."""
+        return [(key[0], self._calls[key]) for key in self._calls if key in self._refused]
+
+    def publishers_are(self, topic: str, uris: object) -> None:
+        """The master names the publishers of a topic."""
+        if isinstance(uris, Iterable):
+            self._publishers[topic] = frozenset(uri for uri in uris if isinstance(uri, str))
+
+    def is_publisher(self, topic: str, uri: str) -> bool:
+        """Whether the master still names `uri`."""
+        return uri in self._publishers.get(topic, ())
+
+    def is_rospys_own(self, method: str, params: Sequence[object]) -> bool:
+        """Whether rospy makes this call by itself, not for the program."""
+        match method, tuple(params):
+            case "registerPublisher", (_, topic, *_):
+                return topic in _OWN_TOPICS
+            case "registerService", (_, service, *_):
+                return service in {self._name + own for own in _OWN_SERVICES}
+            case "getParam", (_, key):
+                return key in _OWN_PARAMETERS
+            case "subscribeParam", (_, _, key):
+                return key in _OWN_PARAMETERS
+            case _:
+                return False
+
+
+def _key(method: str, params: Sequence[object]) -> tuple[str, object]:
+    position = 2 if method == "subscribeParam" else 1
+    return method, params[position] if len(params) > position else None

@@ -1,0 +1,81 @@
+"""What the developer is told: one warning for each cause, not for each retry.
+
+Written by a thread of its own: `rospy.logwarn` publishes on /rosout and asks the master for a
+parameter, so it must never be called by the thread that speaks to the master, nor with a lock held.
+"""
+
+import logging
+import queue
+import time
+from collections import OrderedDict
+from collections.abc import Callable
+from threading import Thread
+from typing import Final
+
+from ca.errors import HintedError
+from rossec.ros.text import printable
+
+_REMEMBERED: Final = 512
+_BURST: Final = 30  # lines within PERIOD; strangers must not be able to fill a disk
+_PERIOD: Final = 10.0
+
+
+class Reporter:
+    """Hands each new text to `write`, in a thread of its own."""
+
+    def __init__(self, write: Callable[[str], None]) -> None:
+        self._write = write
+        self._said: OrderedDict[str, None] = OrderedDict()
+        self._since, self._lines = 0.0, 0
+        self._queue: queue.SimpleQueue[str | None] = queue.SimpleQueue()
+        self._thread = Thread(target=self._run, name="rossec report", daemon=True)
+        self._thread.start()
+
+    def warn(self, what: str, why: Exception | None = None) -> None:
+        """Say `what`, because of `why`, with its hint, unless it was said before."""
+        text = what if why is None else f"{what}: {why}"
+        hint = why.hint if isinstance(why, HintedError) else ""
+        line = f"rossec: {printable(text)}" + (f" (hint: {printable(hint)})" if hint else "")
+        if line in self._said:
+            return
+        self._said[line] = None
+        if len(self._said) > _REMEMBERED:
+            self._said.popitem(last=False)
+        if self._has_room():
+            self._queue.put(line)
+
+    def _has_room(self) -> bool:
+        """Whether one more line is no flood; the first that is too many says so."""
+        moment = time.monotonic()
+        if moment - self._since > _PERIOD:
+            self._since, self._lines = moment, 0
+        self._lines += 1
+        if self._lines == _BURST:
+            self._queue.put(f"rossec: more than {_BURST} different warnings; some are left out")
+        return self._lines < _BURST
+
+    def forget(self, what: str) -> None:
+        """`what` has gone well since: if it fails again, that is news."""
+        for line in [line for line in self._said if line.startswith(f"rossec: {what}")]:
+            self._said.pop(line, None)
+
+    def close(self) -> None:
+        """Write what is queued, then stop."""
+        self._queue.put(None)
+        self._thread.join(timeout=1.0)
+
+    def _run(self) -> None:
+        while (line := self._queue.get()) is not None:
+            self._write(line)
+
+
+class LogBridge(logging.Handler):
+    """Warnings of our own loggers, for which rospy's configuration has only a file."""
+
+    def __init__(self, reporter: Reporter) -> None:
+        super().__init__(logging.WARNING)
+        self._reporter = reporter
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Say it once."""
+        self._reporter.warn(record.getMessage())

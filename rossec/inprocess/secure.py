@@ -1,0 +1,168 @@
+"""`rossec.secure()`: from its call on, nothing that rospy opens is plain.
+
+It stops the program when it cannot: called too late, twice, without an identity, or with a rospy it
+does not know. The node's identity is found when its name is known: from the options, or when
+`rospy.init_node` has worked it out from remappings and namespaces.
+"""
+
+import importlib
+import logging
+import os
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NoReturn
+
+from ca.errors import HintedError
+from rossec import files
+from rossec.channel.policy import post_quantum
+from rossec.errors import ConfigurationError
+from rossec.home import NodeHome
+from rossec.inprocess.member import Member
+from rossec.inprocess.options import Options, file_of, read
+from rossec.inprocess.plain import Plain
+from rossec.inprocess.process import Process
+from rossec.inprocess.report import LogBridge, Reporter
+from rossec.ros.settings import parse_uri
+from rossec.ros.text import printable
+
+_MAX_FILE = 64 * 1024
+
+
+class _Secured:
+    """The one secured process: what `secure` made."""
+
+    def __init__(self, options: Options) -> None:
+        self.options = options
+        self.hooks = _hooks_module()
+        self.hooks.rospy_version()
+        self.hooks.check_in_time()
+        self._rospy = importlib.import_module("rospy")
+        self.reporter = Reporter(lambda line: self._rospy.logwarn("%s", line))
+        self.process = Process(self.reporter, Plain(options.allow_plain))
+        self._stock_start: Callable[..., Any] = self._rospy.impl.init.start_node
+        self.table = self.hooks.hooks(self.process, self.start_node)
+
+    def install(self) -> None:
+        """Set the hooks, and speak as the node if its name is known."""
+        if self.options.node is not None:
+            member = self._member(self.options.node)
+            self.hooks.install(self.table)
+            self._begin(member)
+        else:
+            _require_some_identity(self.options)
+            self.hooks.install(self.table)
+        logging.getLogger("rossec").addHandler(LogBridge(self.reporter))
+        for entry in self.options.allow_plain:
+            self.reporter.warn(f"PLAIN: allow_plain leaves {entry} open to anybody")
+
+    def start_node(
+        self,
+        environ: Mapping[str, str],
+        resolved_name: str,
+        master_uri: str | None = None,
+        port: int = 0,
+        tcpros_port: int = 0,
+    ) -> Any:
+        """`rospy.impl.init.start_node`: now the name is known for certain."""
+        try:
+            self.hooks.check(self.table)
+            if not self.process.has_begun:
+                self._begin(self._member(resolved_name))
+            elif resolved_name != self.process.member.name:
+                raise ConfigurationError(
+                    f"this program is secured as {self.process.member.name},"
+                    f" and rospy.init_node calls it {resolved_name}",
+                    "give both the same name, or leave it to rospy.init_node",
+                )
+        except HintedError as error:
+            stop(error)
+        guardian, core = self.process.guardian, self._rospy.core
+        guardian.on_publishers = self._publishers_changed
+        guardian.on_crash = lambda: self._rospy.signal_shutdown("rossec: the guardian failed")
+        core.add_shutdown_hook(lambda _: guardian.stop())
+        return self._stock_start(environ, resolved_name, master_uri, port, tcpros_port)
+
+    def _member(self, name: str) -> Member:
+        home = NodeHome.find(self.options.home, name)
+        return Member(home, name, post_quantum(os.environ))
+
+    def _begin(self, member: Member) -> None:
+        uri = importlib.import_module("rosgraph").get_master_uri()
+        self.process.begin(member, parse_uri(uri, "ROS_MASTER_URI"))
+
+    def _publishers_changed(self, topic: str, uris: list[str]) -> None:
+        registration = self._rospy.impl.registration
+        for listener in registration.get_registration_listeners().listeners:
+            if isinstance(listener, registration.RegManager):
+                listener.publisher_update(topic, uris)
+
+
+_secured: _Secured | None = None
+
+
+def secure(node: str | None = None, *, allow_plain: Sequence[str] | None = None) -> None:
+    """Secure every connection of this process; call it right after `import rospy`.
+
+    Args:
+        node: the name of the node, if it must be known before `rospy.init_node`.
+        allow_plain: what may stay plain while a fleet migrates: topics, services, addresses.
+
+    Stops the program, with a hint, when it cannot be secured.
+    """
+    global _secured  # noqa: PLW0603 - a process is secured once
+    try:
+        if _secured is not None:
+            raise ConfigurationError("rossec.secure() was called already", "call it once")
+        made = _Secured(_options(node, allow_plain))
+        made.install()
+    except HintedError as error:
+        stop(error)
+    _secured = made
+
+
+def secured() -> Process:
+    """The secured process.
+
+    Raises:
+        ConfigurationError: it is not.
+    """
+    if _secured is None:
+        raise ConfigurationError("this program is not secured", "call rossec.secure() first")
+    return _secured.process
+
+
+def stop(error: HintedError) -> NoReturn:
+    """Say why on the terminal, and end the program: it must not run unsecured."""
+    sys.stderr.write(f"rossec: error: {printable(error)}\n")
+    if error.hint:
+        sys.stderr.write(f"rossec: hint: {printable(error.hint)}\n")
+    sys.stderr.flush()
+    raise SystemExit(1) from error
+
+
+def _options(node: str | None, allow_plain: Sequence[str] | None) -> Options:
+    path = file_of(os.environ)
+    text = None
+    if path.exists():
+        missing = ConfigurationError(f"{path} cannot be read")
+        text = files.read(path, _MAX_FILE, missing).decode(errors="replace")
+    elif "ROSSEC_CONFIG" in os.environ:
+        raise ConfigurationError(f"ROSSEC_CONFIG names {path}, which does not exist")
+    return read(os.environ, text, node=node, allow_plain=allow_plain)
+
+
+def _hooks_module() -> Any:
+    try:
+        return importlib.import_module("rossec.inprocess.hooks")
+    except ModuleNotFoundError as error:
+        raise ConfigurationError(
+            f"there is no rospy here: {error}",
+            "install ROS, or use rossec.node, which needs none",
+        ) from error
+
+
+def _require_some_identity(options: Options) -> None:
+    if not any((options.home / "nodes").glob("*/node.pem")):
+        raise ConfigurationError(
+            f"no node is enrolled in {options.home}", "next: rossec node request /name"
+        )

@@ -1,0 +1,315 @@
+"""What rospy takes for a socket and for the module `socket`.
+
+`fileno` is the kernel's: rospy only watches it for a peer that hangs up. Nothing can be read or
+written around the channel: there is no path here that sends plain bytes. The handshake of an
+accepted connection happens in the first read, never in `accept` (attack N8).
+"""
+
+import errno
+import secrets
+import socket
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from types import ModuleType
+from typing import Any, Final, Protocol
+
+from ca.certificates import Identity
+from rossec.channel.connection import Connection
+from rossec.channel.opening import Flavour
+from rossec.channel.records import Bytes, Limits
+from rossec.errors import ChannelClosed, ChannelError, PlainPeer
+from rossec.inprocess.links import Link, PlainLink
+from rossec.inprocess.member import Member, now
+from rossec.inprocess.plain import Plain
+from rossec.inprocess.plainsocket import PlainStream, peek
+from rossec.net.blocking import SecureSocket
+from rossec.net.halfopen import HalfOpen, HalfOpenCount
+
+CONNECT_TIMEOUT: Final = 10.0
+LIMITS = Limits()
+"""When keys are renewed, and what ends a connection."""
+_OUT_OF_THEM: Final = (errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.ENOBUFS)
+_PUMP_EVERY: Final = 1.0  # seconds
+_REST: Final = 1.0  # seconds, when the host is out of descriptors: callers wait in the kernel
+
+Stream = SecureSocket[Identity]
+
+
+class Doors:
+    """Makes the secure connections of one process, both ways."""
+
+    def __init__(self, member: Member, half_open: HalfOpen = HalfOpen()) -> None:  # noqa: B008 - frozen
+        self._member = member
+        self._count = HalfOpenCount(half_open)
+
+    def call(self, sock: socket.socket, opening: Flavour) -> Stream:
+        """Introduce this node over a connected socket; the peer is authenticated on return.
+
+        Raises:
+            ChannelError: the handshake failed; the socket is closed.
+        """
+        core = Connection[Identity].initiator(
+            self._member.credentials, self._member.anchor.verify,
+            random=secrets.token_bytes, now=now(), opening=opening, limits=LIMITS,
+            suites=self._member.suites,
+        )  # fmt: skip
+        stream = SecureSocket(sock, core)
+        try:
+            stream.settimeout(CONNECT_TIMEOUT)
+            stream.do_handshake()
+            stream.settimeout(None)
+        except BaseException:
+            stream.close()
+            raise
+        return stream
+
+    def admit(self, address: str) -> bool:
+        """Whether one more unfinished handshake from there is bearable; `answer` must follow."""
+        return self._count.admit(address)
+
+    def settle(self, address: str) -> None:
+        """A caller that was admitted needs no handshake."""
+        self._count.settle(address)
+
+    def answer(self, sock: socket.socket, address: str, flavour: Flavour) -> Stream:
+        """Answer a caller that was admitted; its handshake is still to come."""
+        core = Connection[Identity].responder(
+            self._member.credentials, self._member.anchor.verify,
+            random=secrets.token_bytes, now=now(), accept={flavour}, limits=LIMITS,
+            suites=self._member.suites,
+        )  # fmt: skip
+        sock.settimeout(None)  # rospy sets a default for all sockets of the process
+        return SecureSocket(sock, core, lambda: self._count.settle(address))
+
+
+class Owner(Protocol):
+    """Whom a socket belongs to."""
+
+    @property
+    def doors(self) -> Doors:
+        """Makes its connections."""
+
+    def gone(self, sock: "RosSocket") -> None:
+        """A connection is over."""
+
+    @property
+    def plain(self) -> Plain:
+        """What may stay plain."""
+
+    def failed(self, address: tuple[str, int], error: ChannelError) -> Exception:
+        """What to raise where a connection cannot be secured."""
+
+
+class RosSocket:
+    """A socket of rospy's: listening, or one secure connection.
+
+    Attributes:
+        link: what the peer was admitted by; None while it is not admitted.
+    """
+
+    def __init__(self, owner: Owner, sock: socket.socket, stream: Stream | None = None) -> None:
+        self._owner = owner
+        self._socket = sock
+        self._stream: Stream | PlainStream | None = stream
+        self.link: Link | PlainLink | None = None
+        self._pump_at = 0.0
+
+    @property
+    def stream(self) -> Stream | PlainStream:
+        """The connection: secure, but where `allow_plain` names it.
+
+        Raises:
+            ChannelClosed: there is none.
+        """
+        if self._stream is None:
+            raise ChannelClosed("the socket is not connected")
+        return self._stream
+
+    @property
+    def peer(self) -> Identity:
+        """Who is at the other end.
+
+        Raises:
+            ChannelClosed: nobody that is authenticated.
+        """
+        if self.stream.peer is None:
+            raise ChannelClosed("the peer is not authenticated")
+        return self.stream.peer
+
+    def handshake(self) -> Identity:
+        """Who is at the other end, once that is proved.
+
+        Raises:
+            ChannelError: it is not.
+        """
+        stream = self.stream
+        if isinstance(stream, PlainStream):
+            raise ChannelClosed("a plain connection proves nothing")
+        return stream.do_handshake()
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether nobody vouches for this connection."""
+        return isinstance(self._stream, PlainStream)
+
+    def peek(self) -> bytes:
+        """What a plain caller sends first (`plainsocket.peek`)."""
+        return peek(self._socket)
+
+    def go_plain(self) -> None:
+        """Go on without the channel: `allow_plain` names what the caller wants."""
+        if isinstance(self._stream, SecureSocket):
+            self._stream = PlainStream(self._stream.detach())
+
+    # -- becoming a connection
+
+    def connect(self, address: tuple[str, int]) -> None:
+        """Connect and authenticate.
+
+        Raises:
+            OSError: no TCP connection. What `Owner.failed` says: the handshake failed.
+        """
+        self._socket.settimeout(CONNECT_TIMEOUT)
+        self._socket.connect(address)
+        try:
+            self._stream = self._owner.doors.call(self._socket, Flavour.TCPROS)
+        except PlainPeer as error:
+            if not self._owner.plain:
+                raise self._owner.failed(address, error) from error
+            # Nothing is said yet: which topic or service this is for is known with the header.
+            self._socket = socket.create_connection(address, CONNECT_TIMEOUT)
+            self._stream = PlainStream(self._socket)
+        except ChannelError as error:
+            raise self._owner.failed(address, error) from error
+
+    def bind(self, address: tuple[str, int]) -> None:
+        """As of sockets."""
+        self._socket.bind(address)
+
+    def listen(self, backlog: int = 128) -> None:
+        """As of sockets; rospy's own backlog of 5 is few when a fleet starts."""
+        self._socket.listen(max(backlog, 128))
+
+    def accept(self) -> tuple["RosSocket", Any]:
+        """The next caller within the caps. Its handshake is still to come."""
+        while True:
+            try:
+                sock, where = self._socket.accept()
+            except OSError as error:
+                if error.errno not in _OUT_OF_THEM:
+                    raise
+                time.sleep(_REST)
+                continue
+            if self._owner.doors.admit(where[0]):
+                stream = self._owner.doors.answer(sock, where[0], Flavour.TCPROS)
+                return RosSocket(self._owner, sock, stream), where
+            sock.close()
+
+    # -- bytes
+
+    def recv(self, size: int) -> bytes:
+        """As of sockets."""
+        with _as_of_sockets():
+            return self.stream.recv(size)
+
+    def recv_into(self, buffer: bytearray | memoryview, size: int = 0) -> int:
+        """As of sockets."""
+        with _as_of_sockets():
+            return self.stream.recv_into(buffer, size)
+
+    def send(self, data: Bytes) -> int:
+        """As of sockets: everything is sent."""
+        self.sendall(data)
+        return len(data)
+
+    def sendall(self, data: Bytes) -> None:
+        """As of sockets."""
+        with _as_of_sockets():
+            self.send_unit(data)
+
+    def send_unit(self, *pieces: Bytes) -> None:
+        """Send the pieces as one unit, and take in what the peer's side of the channel needs.
+
+        Raises:
+            ChannelError, OSError: as of `SecureSocket`.
+        """
+        stream = self.stream
+        if stream.awaits_peer or time.monotonic() >= self._pump_at:
+            stream.pump()
+            self._pump_at = time.monotonic() + _PUMP_EVERY
+        stream.sendall(*pieces)
+
+    # -- options and ends
+
+    def fileno(self) -> int:
+        """The kernel's descriptor, to watch for a hang-up; -1 when closed."""
+        return self._socket.fileno()
+
+    def settimeout(self, value: float | None) -> None:
+        """As of sockets."""
+        (self._stream or self._socket).settimeout(value)
+
+    def gettimeout(self) -> float | None:
+        """As of sockets."""
+        return (self._stream or self._socket).gettimeout()
+
+    def setblocking(self, flag: bool) -> None:
+        """As of sockets."""
+        self.settimeout(None if flag else 0.0)
+
+    def setsockopt(self, *arguments: Any) -> None:
+        """As of sockets."""
+        self._socket.setsockopt(*arguments)
+
+    def getsockopt(self, *arguments: Any) -> int | bytes:
+        """As of sockets."""
+        return self._socket.getsockopt(*arguments)
+
+    def getsockname(self) -> Any:
+        """As of sockets."""
+        return self._socket.getsockname()
+
+    def getpeername(self) -> Any:
+        """As of sockets: for logs, never for trust."""
+        return self._socket.getpeername()
+
+    def shutdown(self, how: int = socket.SHUT_RDWR) -> None:
+        """Close in order."""
+        if self._stream is not None:
+            self._stream.shutdown(how)
+        else:
+            with suppress(OSError):
+                self._socket.shutdown(how)
+
+    def abort(self) -> None:
+        """End it now, from any thread: whoever waits in it wakes."""
+        with suppress(OSError):
+            self._socket.shutdown(socket.SHUT_RDWR)
+
+    def close(self) -> None:
+        """As of sockets."""
+        self._owner.gone(self)
+        if self._stream is not None:
+            self._stream.close()
+        self._socket.close()
+
+
+@contextmanager
+def _as_of_sockets() -> Iterator[None]:
+    """rospy knows the errors of sockets."""
+    try:
+        yield
+    except ChannelError as error:
+        raise ConnectionResetError(errno.ECONNRESET, f"rossec: {error}") from error
+
+
+class Stand:
+    """Stands for a module; some of its names mean something else."""
+
+    def __init__(self, module: ModuleType, **replaced: object) -> None:
+        self._module = module
+        self.__dict__.update(replaced)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._module, name)

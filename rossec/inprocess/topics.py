@@ -1,0 +1,278 @@
+"""TCPROS in rospy: connection headers of both sides, and the subscriber's side of a topic.
+
+The header hooks serve services as well: which right a side proves, and which it wants to see of
+the other, follows from rospy's protocol class.
+"""
+
+import time
+from collections.abc import Callable
+from typing import Any, Final
+
+import rospy
+from genpy import DeserializationError
+from rospy.exceptions import TransportException, TransportInitError
+from rospy.impl.registration import get_topic_manager
+from rospy.impl.tcpros_pubsub import TCPROSPub, TCPROSSub
+from rospy.impl.tcpros_service import TCPROSServiceClient, TCPService
+
+from ca.errors import HintedError
+from grants import layout
+from grants.decision import Decision
+from grants.errors import DefinitionRefused
+from grants.guard import Guard, needed_keys
+from grants.model import Right
+from rossec.channel.records import Limits
+from rossec.errors import PlainPeer, TopicRefused
+from rossec.inprocess import headers
+from rossec.inprocess.links import Link, PlainLink
+from rossec.inprocess.member import Member, now
+from rossec.inprocess.plainsocket import plain_fields
+from rossec.inprocess.process import Process
+from rossec.inprocess.sockets import RosSocket
+from rossec.node.access import FIELD
+from rossec.node.messages import MessageType
+from rossec.node.services import admit_caller, admit_provider, requested_service
+from rossec.node.topics import Endpoint, admit_publisher, admit_subscriber, requested_topic
+from rossec.ros import header
+from rossec.ros.header import FrameReader
+
+_PROVES: Final[dict[type, Right]] = {
+    TCPROSSub: Right.SUBSCRIBE,
+    TCPROSPub: Right.PUBLISH,
+    TCPROSServiceClient: Right.CALL,
+    TCPService: Right.PROVIDE,
+}
+_HINT_PLAIN: Final = "secure it, or name what it offers in allow_plain while you migrate"
+_FIRST_PAUSE: Final = 0.5
+_LONGEST_PAUSE: Final = 30.0
+_SLICE: Final = 0.5  # seconds after which a waiting subscriber looks whether it is still wanted
+
+
+class Connections:
+    """The hooks of one process. Their arguments are those of the functions they stand for."""
+
+    def __init__(self, process: Process) -> None:
+        self._process = process
+
+    @property
+    def _member(self) -> Member:
+        return self._process.member
+
+    # -- headers
+
+    def write_header(self, transport: Any) -> None:
+        """`TCPROSTransport.write_header`."""
+        sock, protocol = transport.socket, transport.protocol
+        if sock is None or protocol is None:
+            return
+        try:
+            data = header.encode(self._fields(protocol, sock))
+            sock.send_unit(data)
+        except HintedError as error:
+            raise self._refused(protocol, error) from error
+        transport.stat_bytes += len(data)
+
+    def _fields(self, protocol: Any, sock: RosSocket) -> dict[str, str | bytes]:
+        if sock.is_plain:
+            self._check_plain(protocol.resolved_name, sock)
+            return dict(protocol.get_header_fields())
+        self._member.access.check_peer(sock.peer, now())
+        right = _PROVES[type(protocol)]
+        proof = self._member.access.present(right, protocol.resolved_name, now())
+        return {**protocol.get_header_fields(), "callerid": self._member.name, FIELD: proof}
+
+    def _check_plain(self, name: str, sock: RosSocket) -> None:
+        """Before a byte is said in clear."""
+        if not self._process.may_be_plain(name, sock.getpeername()[0]):
+            raise PlainPeer("the peer is a plain ROS node", _HINT_PLAIN)
+
+    def read_header(self, transport: Any) -> None:
+        """`TCPROSTransport.read_header`: the answer of a publisher or a service."""
+        sock, protocol = transport.socket, transport.protocol
+        if sock is None or protocol is None:
+            return
+        try:
+            fields = headers.receive(sock)
+            link = None if sock.is_plain else Link(sock, self._admit_server(protocol, fields, sock))
+        except HintedError as error:
+            raise self._refused(protocol, error) from error
+        transport._validate_header(headers.for_rospy(fields))  # noqa: SLF001 - rospy's own
+        if link is not None:
+            self._process.watch(sock, link)
+        self._process.reporter.forget(_what(protocol))
+
+    def _admit_server(self, protocol: Any, fields: dict[str, bytes], sock: RosSocket) -> Decision:
+        access, peer, name = self._member.access, sock.peer, protocol.resolved_name
+        if isinstance(protocol, TCPROSServiceClient):
+            decision = admit_provider(fields, peer, name, access, now())
+            decision.require_unrestricted()
+            return decision
+        kind = protocol.recv_data_class
+        endpoint = Endpoint(name, MessageType(kind._type, kind._md5sum, kind._full_text))  # noqa: SLF001
+        return admit_publisher(fields, peer, endpoint.expected, access, now())
+
+    def _refused(self, protocol: Any, error: HintedError) -> TransportInitError:
+        self._process.reporter.warn(_what(protocol), error)
+        return TransportInitError(f"rossec: {error}")
+
+    # -- callers
+
+    def serve(self, server: Any, sock: RosSocket, where: Any) -> None:
+        """`TCPROSServer._tcp_server_callback`, in a thread of its own: one caller."""
+        caller = f"the caller from {where[0]}"
+        try:
+            if self._process.plain and self._serve_plain(server, sock, where):
+                return
+            peer = sock.handshake()
+            caller = peer.name
+            self._process.links.admit(sock, peer, sock.abort)
+            self._member.access.check_peer(peer, now())
+            fields = headers.receive(sock)
+            self._introduce(server, sock, where, fields)
+        except HintedError as error:
+            self._process.reporter.warn(f"refused {caller}", error)
+            if sock.is_plain or sock.stream.peer is not None:
+                headers.refuse(sock, error)
+            sock.close()
+        except (OSError, TransportInitError) as error:
+            self._process.reporter.warn(f"lost {caller}", error)
+            sock.close()
+        except BaseException:
+            sock.close()  # a guard that crashes lets nobody through
+            raise
+
+    def _serve_plain(self, server: Any, sock: RosSocket, where: Any) -> bool:
+        """Serve a plain caller of what `allow_plain` names; others go on into the channel."""
+        fields = plain_fields(sock.peek())
+        kind = "service" if "service" in fields else "topic"
+        name = fields.get(kind, b"").decode(errors="replace")
+        if not name or not self._process.may_be_plain(name, where[0]):
+            return False
+        sock.go_plain()
+        headers.receive(sock)
+        sock.link = PlainLink()
+        handler = getattr(server, f"{kind}_connection_handler")
+        refusal = handler(sock, where, headers.for_rospy(fields))
+        if refusal:
+            raise TopicRefused(f"no such {kind}, or of another type")
+        return True
+
+    def _introduce(
+        self, server: Any, sock: RosSocket, where: Any, fields: dict[str, bytes]
+    ) -> None:
+        access = self._member.access
+        if "service" in fields:
+            decision = admit_caller(fields, sock.peer, access, now())
+            decision.require_unrestricted()
+            sock.link = Link(sock, decision)
+            handler = server.service_connection_handler
+            self._check_service(requested_service(fields))
+        else:
+            decision = admit_subscriber(fields, sock.peer, access, now())
+            sock.link = Link(sock, decision, self._guard(requested_topic(fields), decision))
+            handler = server.topic_connection_handler
+        self._process.watch(sock, sock.link)
+        refusal = handler(sock, where, headers.for_rospy(fields))
+        if refusal:
+            raise TopicRefused(str(refusal), "both sides need the same version of the package")
+
+    def _check_service(self, service: str) -> None:
+        if rospy.impl.registration.get_service_manager().get_service(service) is None:
+            raise TopicRefused(f"{self._member.name} does not provide {service}")
+
+    def _guard(self, topic: str, decision: Decision) -> Guard | None:
+        """What `decision` means for the messages of this topic; None: they pass as they are.
+
+        Raises:
+            TopicRefused: the topic is not published here.
+            GrantError: the restrictions do not fit its messages.
+        """
+        published = get_topic_manager().get_publisher_impl(topic)
+        if published is None or published.closed:
+            raise TopicRefused(f"{self._member.name} does not publish {topic}")
+        if not decision.restrictions:
+            return None
+        kind = published.data_class
+        shape = layout.parse(kind._type, kind._full_text)  # noqa: SLF001 - rospy's own
+        if shape.md5 != kind._md5sum:  # noqa: SLF001
+            raise DefinitionRefused(f"the definition of {kind._type} is not that of its messages")  # noqa: SLF001
+        keys = {
+            name: self._member.home.filter_key(name) for name in needed_keys(decision.restrictions)
+        }
+        return Guard(shape, decision, keys)
+
+    # -- subscribing
+
+    def follow(
+        self, conn: Any, host: str, port: int, uri: str, callback: Callable[..., None], topic: str
+    ) -> None:
+        """`robust_connect_subscriber`: connected for as long as the master names the publisher."""
+        pause = _FIRST_PAUSE
+        while not conn.done and not rospy.is_shutdown():
+            before = conn.stat_num_msg
+            self._receive_from(conn, host, port, uri, callback)
+            if conn.protocol is None:  # closed, by the program or because nobody listens there
+                break
+            self._hang_up(conn)
+            if conn.stat_num_msg > before:
+                pause = _FIRST_PAUSE
+            if not self._wait_for_change(conn, pause, topic, uri):
+                break
+            pause = min(2 * pause, _LONGEST_PAUSE)
+        if not conn.done:
+            conn.close()
+
+    def _receive_from(
+        self, conn: Any, host: str, port: int, uri: str, callback: Callable[..., None]
+    ) -> None:
+        try:
+            conn.connect(host, port, uri, timeout=60.0)
+            self._receive(conn, callback)
+        except TransportInitError:
+            pass  # told where it happened
+        except (HintedError, OSError, TransportException, DeserializationError) as error:
+            if not conn.done and not rospy.is_shutdown():
+                self._process.reporter.warn(f"lost {conn.name} from {uri}", error)
+
+    @staticmethod
+    def _receive(conn: Any, callback: Callable[..., None]) -> None:
+        """Messages until the connection ends; as `TCPROSTransport.receive_loop`."""
+        sock, protocol = conn.socket, conn.protocol
+        if sock is None or protocol is None:
+            return
+        frames = FrameReader(Limits.unit)
+        make, keep = protocol.recv_data_class, protocol.queue_size or 0
+        while not conn.done and not rospy.is_shutdown():
+            unit = sock.stream.receive_unit()
+            if not unit:
+                return
+            conn.stat_bytes += len(unit)
+            messages = [make().deserialize(data) for data in frames.feed(unit)[-keep:]]
+            if not messages:
+                continue
+            conn.stat_num_msg += len(messages)
+            for message in messages:
+                message._connection_header = conn.header  # noqa: SLF001 - part of rospy's messages
+            if conn.is_latched:
+                conn.latch = messages[-1]
+            callback(messages, conn)
+
+    @staticmethod
+    def _hang_up(conn: Any) -> None:
+        sock, conn.socket = conn.socket, None
+        if sock is not None:
+            sock.close()
+
+    def _wait_for_change(self, conn: Any, pause: float, topic: str, uri: str) -> bool:
+        """Wait, at most `pause`, for a reason to try again; whether there is still any point."""
+        end = time.monotonic() + pause
+        seen = self._process.rights
+        while seen == self._process.rights and time.monotonic() < end:
+            if conn.done or rospy.is_shutdown():
+                return False
+            time.sleep(min(_SLICE, max(0.0, end - time.monotonic())))
+        return self._process.registrations.is_publisher(topic, uri)
+
+
+def _what(protocol: Any) -> str:
+    return f"cannot {_PROVES[type(protocol)].label} {protocol.resolved_name}"

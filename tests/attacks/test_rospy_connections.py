@@ -1,0 +1,341 @@
+"""The TCPROS port of a secured rospy node: connections nobody is entitled to (N5-N9, N11, D2)."""
+
+import asyncio
+import contextlib
+import secrets
+import socket
+import time
+from collections.abc import AsyncIterator, Callable
+from pathlib import Path
+from typing import Any, Final
+
+import pytest
+import pytest_asyncio
+
+from ca.certificates import Identity
+from ca.encoding import encode
+from grants.model import Right
+from rossec.channel.connection import Connection
+from rossec.channel.opening import REFUSAL, tcpros_refusal
+from rossec.channel.states import Authenticated, UnitReceived
+from rossec.demo.stranger import believe_anyone
+from rossec.errors import ChannelError
+from rossec.net.halfopen import HalfOpen
+from rossec.net.rpc import serve_calls
+from rossec.net.stream import SecureStream, connect, serve
+from rossec.node.access import FIELD
+from rossec.node.messages import message_type
+from rossec.ros import header
+from tests.support.attacker import EVE, HOST, Heard, call, credentials, fields_for, knock
+from tests.support.victim import COMMAND, SERVICE, STATE, TYPE, Victim, attacked, slave_port
+from tests.support.witness import until
+
+pytestmark = [pytest.mark.ros, pytest.mark.asyncio(loop_scope="module")]
+NOWHERE: Final = "/robot/none"
+
+
+@pytest_asyncio.fixture(scope="module", loop_scope="module")
+async def victim(tmp_path_factory: pytest.TempPathFactory) -> AsyncIterator[Victim]:
+    directory: Path = tmp_path_factory.mktemp("victim")
+    async with attacked(directory) as victim:
+        yield victim
+
+
+def for_service(name: str, service: str, grants: list[bytes], **changes: str) -> dict[str, Any]:
+    fields = {"callerid": name, "service": service, "md5sum": "*", FIELD: encode(list(grants))}
+    return {**fields, **changes}
+
+
+async def heard(victim: Victim, fields: dict[str, Any], name: str = EVE) -> Heard:
+    """What comes back for a header; everybody else goes on."""
+    answer = await knock(victim.port, credentials(victim.site, name), fields)
+    await victim.goes_on(3)
+    return answer
+
+
+def expect_refusal(answer: Heard, *words: str) -> None:
+    assert set(answer.fields) == {"error"}
+    assert answer.error.startswith("rossec: ")
+    assert answer.after == b"", "not a byte of data"
+    assert all(word in answer.error for word in words), answer.error
+
+
+@pytest.mark.parametrize("grants", [None, [], [b"nonsense"]], ids=["none", "empty", "nonsense"])
+async def test_without_a_grant_not_a_byte(victim: Victim, grants: list[bytes] | None) -> None:
+    """N5."""
+    expect_refusal(await heard(victim, fields_for(EVE, STATE, grants)))
+
+
+@pytest.mark.parametrize("changes", [{}, {"md5sum": "0" * 32}, {"probe": "1"}])
+async def test_what_exists_looks_like_what_does_not(
+    victim: Victim, changes: dict[str, str]
+) -> None:
+    """N6: no publication, no service, no type can be told from the refusal."""
+    for names, make in (((STATE, NOWHERE), fields_for), ((SERVICE, NOWHERE), for_service)):
+        texts = set()
+        for name in names:
+            answer = await heard(victim, make(EVE, name, [], **changes))
+            expect_refusal(answer)
+            texts.add(answer.error.replace(name, "NAME"))
+        assert len(texts) == 1
+        assert not any(word in str(texts) for word in ("String", "Trigger", "command", "state"))
+
+
+async def test_a_name_that_is_not_the_certified_one(victim: Victim) -> None:
+    """N6: Eve shows the viewer's grants and calls herself the viewer."""
+    stolen = victim.site.enroll("/viewer").grants()
+    expect_refusal(await heard(victim, fields_for("/viewer", STATE, stolen)), "calls itself")
+    expect_refusal(await heard(victim, fields_for(EVE, STATE, stolen)))
+    expect_refusal(await heard(victim, for_service("/viewer", SERVICE, [])), "calls itself")
+
+
+async def test_a_right_to_one_thing_is_none_to_another(victim: Victim) -> None:
+    site = victim.site
+    grants = [
+        site.grant("/neighbour", Right.SUBSCRIBE, COMMAND),
+        site.grant("/neighbour", Right.PUBLISH, STATE),
+        site.grant("/neighbour", Right.PROVIDE, SERVICE),
+    ]
+    answer = await heard(victim, fields_for("/neighbour", STATE, grants), "/neighbour")
+    expect_refusal(answer, "no grant")
+    expect_refusal(
+        await heard(victim, for_service("/neighbour", SERVICE, grants), "/neighbour"), "no grant"
+    )
+
+
+async def test_a_header_without_end_costs_nothing(victim: Victim) -> None:
+    """N7: a length near a gigabyte, before the handshake and after it."""
+    before = memory(victim)
+    for length in (10**9, 0xFFFFFFFF):
+        data = length.to_bytes(4, "little") + b"x" * 4096
+        plain = await asyncio.to_thread(exchange, victim.port, data)
+        assert plain in (b"", tcpros_refusal(REFUSAL)) or len(plain) < 100
+        answer = await raw(victim, data)
+        assert b"state" not in answer
+    assert memory(victim) - before < 20_000
+    await victim.goes_on()
+
+
+def memory(victim: Victim) -> int:
+    """Resident kilobytes of the robot."""
+    status = Path(f"/proc/{victim.program.process.pid}/status").read_text()
+    return int(status.partition("VmRSS:")[2].split()[0])
+
+
+def exchange(port: int, data: bytes) -> bytes:
+    answer = b""
+    sock = socket.create_connection((HOST, port), timeout=10)
+    with sock, contextlib.suppress(ConnectionError):
+        sock.sendall(data)
+        while part := sock.recv(4096):
+            answer += part
+    return answer
+
+
+async def raw(victim: Victim, data: bytes) -> bytes:
+    """Send `data` as Eve inside the channel; all that comes back."""
+    stream = await connect(HOST, victim.port, credentials(victim.site), believe_anyone)
+    answer = b""
+    with contextlib.suppress(ChannelError):
+        await stream.send(data)
+        while True:
+            answer += await stream.receive()
+    return answer
+
+
+@pytest.mark.parametrize("port", [lambda victim: victim.port, slave_port], ids=["topics", "api"])
+async def test_the_silent_hold_nobody_up(victim: Victim, port: Callable[[Victim], int]) -> None:
+    """N8: stock rospy stands still after the first; here a newcomer is served meanwhile."""
+    count = 2 * HalfOpen().per_address
+    with contextlib.ExitStack() as stack:
+        for _ in range(count):
+            sock = await asyncio.to_thread(socket.create_connection, (HOST, port(victim)), 10)
+            stack.callback(sock.close)
+        await victim.goes_on()
+    grant = victim.site.subscribe("/after", STATE)
+    end = time.monotonic() + 20
+    while True:  # the caps are given back as the sockets are found closed
+        with contextlib.suppress(ChannelError):
+            answer = await admitted(victim, "/after", grant)
+            assert b"std_msgs/String" in answer
+            break
+        assert time.monotonic() < end
+    await victim.goes_on()
+
+
+async def admitted(victim: Victim, name: str, *grants: bytes) -> bytes:
+    """The header with which a subscriber is admitted, and what followed it at once."""
+    fields = fields_for(name, STATE, list(grants))
+    answer = await knock(victim.port, credentials(victim.site, name), fields, at_most=2000)
+    assert "error" not in answer.fields, answer.fields
+    return b"".join(answer.fields.values())
+
+
+# --- N9: somebody else at the publisher's address
+
+
+async def test_a_false_publisher_is_refused(victim: Victim) -> None:
+    """Eve answers at an honest publisher's address, shows its grants, and calls herself it."""
+    site = victim.site
+    grants = [site.publish("/commander", COMMAND)]
+    names = ["/commander", EVE]
+    kind = message_type(TYPE)
+
+    async def talk(stream: SecureStream[Identity]) -> None:
+        await stream.receive()
+        fields: dict[str, str | bytes] = {
+            "callerid": names[0], "topic": COMMAND, "type": kind.name, "md5sum": kind.md5sum,
+            "message_definition": kind.definition, FIELD: encode(list(grants)),
+        }  # fmt: skip
+        names.reverse()
+        data = bytes(kind.serialize(kind.create(data="obey me")))
+        with contextlib.suppress(ChannelError):
+            await stream.send(header.encode(fields), header.frame(data) * 5)
+            await stream.receive()
+
+    async def answer_calls(stream: SecureStream[Identity]) -> None:
+        async def dispatch(method: str, params: tuple[object, ...], peer: object) -> object:
+            return [1, "", ["TCPROS", HOST, topics.port]]
+
+        await serve_calls(stream, dispatch)
+
+    commander, anchor = credentials(site, "/commander"), site.anchor
+    topics = await serve(talk, HOST, 0, credentials(site), anchor.verify)
+    api = await serve(answer_calls, HOST, 0, commander, anchor.verify)
+    try:
+        assert site.master is not None
+        master = site.master.uri
+        await call(master, commander, "rossec.presentGrants", "/commander", grants)
+        params = ("/commander", COMMAND, TYPE, f"http://{HOST}:{api.port}/")
+        assert await call(master, commander, "registerPublisher", *params)
+        for said in ("a node certified as /eve calls itself /commander", "another key"):
+            await until(lambda said=said: said in victim.said, within=20)  # type: ignore[misc]
+        await victim.goes_on()
+    finally:
+        await topics.close()
+        await api.close()
+
+
+# --- N11: records
+
+
+class Wire:
+    """A subscriber or a client whose records can be meddled with."""
+
+    def __init__(self, victim: Victim, name: str) -> None:
+        self.sock = socket.create_connection((HOST, victim.port), timeout=10)
+        self.core = Connection[Identity].initiator(
+            credentials(victim.site, name), victim.site.anchor.verify,
+            random=secrets.token_bytes, now=int(time.time()),
+        )  # fmt: skip
+        self.units: list[bytes] = []
+        self.push()
+        while not self.pull():
+            self.push()
+        self.push()
+
+    def push(self) -> None:
+        self.sock.sendall(self.core.data_to_send())
+
+    def pull(self) -> bool:
+        """Whether the peer has been authenticated by what came."""
+        data = self.sock.recv(65536)
+        assert data, "the connection ended"
+        events = self.core.receive_data(data, int(time.time()))
+        self.units += [event.data for event in events if isinstance(event, UnitReceived)]
+        return any(isinstance(event, Authenticated) for event in events)
+
+    def seal(self, data: bytes) -> bytes:
+        self.core.send_unit(data)
+        return bytes(self.core.data_to_send())
+
+    def ended(self) -> bool:
+        """Whether the other side hangs up."""
+        with contextlib.suppress(ConnectionError):
+            while self.sock.recv(65536):
+                pass
+        return True
+
+
+def meddle_tampered(one: bytes, two: bytes) -> bytes:
+    return one[:-1] + bytes([one[-1] ^ 1]) + two
+
+
+def meddle_replayed(one: bytes, _: bytes) -> bytes:
+    return one + one
+
+
+def meddle_reordered(one: bytes, two: bytes) -> bytes:
+    return two + one
+
+
+def meddle_header(one: bytes, two: bytes) -> bytes:
+    return bytes([one[0] ^ 0x10]) + one[1:] + two
+
+
+@pytest.mark.parametrize(
+    ("meddle", "called"),
+    [(meddle_tampered, 0), (meddle_replayed, 1), (meddle_reordered, 0), (meddle_header, 0)],
+)
+async def test_records_that_are_not_the_peers_end_the_connection(
+    victim: Victim, meddle: Callable[[bytes, bytes], bytes], called: int
+) -> None:
+    """N11: on a service, where what arrives would be acted upon."""
+    grant = victim.site.grant("/clerk", Right.CALL, SERVICE)
+    wire = await asyncio.to_thread(Wire, victim, "/clerk")
+    fields = for_service("/clerk", SERVICE, [grant], persistent="1")
+    wire.sock.sendall(wire.seal(header.encode(fields)))
+    while not wire.units:
+        await asyncio.to_thread(wire.pull)
+    before = victim.said.count("RESET")
+    flight = meddle(wire.seal(header.frame(b"")), wire.seal(header.frame(b"")))
+    wire.sock.sendall(flight)
+    assert await asyncio.to_thread(wire.ended)
+    wire.sock.close()
+    await victim.viewer._session.call("getPid")
+    assert victim.said.count("RESET") - before <= called
+    victim.program.said = victim.said.replace("RESET", "")
+    await victim.goes_on()
+
+
+async def test_a_record_cut_short_delivers_nothing(victim: Victim) -> None:
+    """N11: truncation; the half of a request is no request."""
+    grant = victim.site.grant("/clerk", Right.CALL, SERVICE)
+    wire = await asyncio.to_thread(Wire, victim, "/clerk")
+    fields = for_service("/clerk", SERVICE, [grant])
+    wire.sock.sendall(wire.seal(header.encode(fields)))
+    wire.sock.sendall(wire.seal(header.frame(b""))[:-1])
+    wire.sock.shutdown(socket.SHUT_WR)
+    assert await asyncio.to_thread(wire.ended)
+    wire.sock.close()
+    await victim.goes_on()
+
+
+# --- D2: rights that end while the connection lives
+
+
+@pytest.mark.parametrize("what", ["grant", "key"])
+async def test_revoking_cuts_this_connection_and_no_other(victim: Victim, what: str) -> None:
+    site, name = victim.site, f"/visitor_{what}"
+    grant = site.subscribe(name, STATE)
+    async with site.node(name) as visitor:
+        sight = await visitor.subscriber(STATE, TYPE)
+        await until(lambda: sight.received > 0, within=20)
+        data = site.revoke(grant if what == "grant" else site.identity(name).thumbprint)
+        await victim.viewer._session.call("rossec.updateRevocations", data)
+        await until(lambda: f"cut {name}" in victim.said, within=20)
+        await until(lambda: not sight.links, within=20)
+        received = sight.received
+        await victim.goes_on()
+        assert sight.received == received
+
+
+async def test_an_expired_grant_cuts_to_the_second(victim: Victim) -> None:
+    site = victim.site
+    site.subscribe("/guest", STATE, lifetime=4)
+    async with site.node("/guest") as guest:
+        sight = await guest.subscriber(STATE, TYPE)
+        await until(lambda: sight.received > 0, within=20)
+        await until(lambda: "cut /guest" in victim.said, within=20)
+        await until(lambda: not sight.links, within=20)
+        await victim.goes_on()

@@ -1,0 +1,40 @@
+import pytest
+
+from rossec.errors import SettingsRefused
+from rossec.inprocess.addresses import bracketed, parse_rosrpc
+
+
+@pytest.mark.parametrize(
+    ("uri", "result"),
+    [
+        ("http://::1:1234/", "http://[::1]:1234/"),
+        ("rosrpc://fe80::2:80", "rosrpc://[fe80::2]:80"),
+        ("http://[::1]:1234/", "http://[::1]:1234/"),
+        ("http://127.0.0.1:1234/", "http://127.0.0.1:1234/"),
+        ("rosrpc://robot:80", "rosrpc://robot:80"),
+    ],
+)
+def test_only_literals_without_brackets_get_them(uri: str, result: str) -> None:
+    assert bracketed(uri) == result
+
+
+@pytest.mark.parametrize(
+    ("uri", "address"),
+    [
+        ("rosrpc://robot:80", ("robot", 80)),
+        ("rosrpc://robot:80/", ("robot", 80)),
+        ("rosrpc://[::1]:80", ("::1", 80)),
+        ("rosrpc://::1:80", ("::1", 80)),
+    ],
+)
+def test_a_services_uri_is_read(uri: str, address: tuple[str, int]) -> None:
+    assert parse_rosrpc(uri) == address
+
+
+@pytest.mark.parametrize(
+    "uri", ["", "http://robot:80", "rosrpc://robot", "rosrpc://:80", "rosrpc://a:x"]
+)
+def test_what_is_no_services_uri_is_refused(uri: str) -> None:
+    with pytest.raises(SettingsRefused, match="no URI of a service") as caught:
+        parse_rosrpc(uri)
+    assert "rosrpc://host:port" in caught.value.hint

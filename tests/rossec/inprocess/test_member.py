@@ -1,0 +1,65 @@
+import time
+from pathlib import Path
+
+import pytest
+
+from ca.errors import CAError
+from ca.revocation import Timestamp, digest, open_list, sign_timestamp
+from grants.errors import GrantMissing
+from grants.model import Right
+from rossec.errors import ConfigurationError
+from rossec.home import NodeHome
+from rossec.inprocess.member import Member
+from tests.support.site import Site
+
+
+@pytest.fixture
+def site(tmp_path: Path) -> Site:
+    return Site(tmp_path / "site")
+
+
+def stamped(site: Site, data: bytes) -> bytes:
+    signer = site.enroll("/master").credentials().signer
+    return sign_timestamp(signer, Timestamp(_seq(site, data), digest(data), site.now(), 30))
+
+
+def _seq(site: Site, data: bytes) -> int:
+    return open_list(data, site.anchor.public_key).seq
+
+
+def test_a_member_is_what_its_directory_says(site: Site) -> None:
+    member = Member(site.enroll("/robot"), "/robot")
+    assert member.identity.name == "/robot"
+    with pytest.raises(ConfigurationError, match=r"has no ca\.pem"):
+        Member(NodeHome.of(site.root, "/other"), "/other")
+
+
+def test_a_list_counts_only_with_its_confirmation(site: Site) -> None:
+    member = Member(site.enroll("/robot"), "/robot")
+    master, peer = site.identity("/master"), site.identity("/viewer")
+    data = site.revoke(bytes(32))
+    with pytest.raises(CAError):
+        member.access.check_peer(peer, int(time.time()))
+    with pytest.raises(CAError):
+        member.take_revocations(data, b"", master)
+    member.take_revocations(data, stamped(site, data), master)
+    member.access.check_peer(peer, int(time.time()))
+    with pytest.raises(GrantMissing):
+        member.access.authorize(peer, None, Right.CALL, "/x", int(time.time()))
+    assert not member.is_revoked(peer)
+    again = Member(site.enroll("/robot"), "/robot")
+    assert again.revocations.data == data, "the newest list outlives the process"
+    revoked = site.revoke(peer.thumbprint)
+    member.take_revocations(revoked, stamped(site, revoked), master)
+    assert member.is_revoked(peer)
+
+
+def test_a_renewed_identity_is_taken_over(site: Site) -> None:
+    home = site.enroll("/robot")
+    member = Member(home, "/robot")
+    assert not member.refresh_identity()
+    site.renew("/robot", 3600)
+    before = member.credentials
+    assert member.refresh_identity()
+    assert member.credentials.chain != before.chain
+    assert member.identity.not_after <= site.now() + 3600

@@ -1,0 +1,51 @@
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from rossec.errors import ConfigurationError
+from rossec.inprocess.options import Options, file_of, read
+
+HOME = {"ROSSEC_HOME": "/h"}
+FILE = '[rospy]\nnode = "/file"\nallow_plain = ["/f"]\n'
+
+
+def test_nothing_said_means_nothing_plain() -> None:
+    assert read(HOME, None) == read(HOME, "") == Options(Path("/h"))
+
+
+def test_arguments_come_before_the_environment_before_the_file() -> None:
+    environ = {**HOME, "ROSSEC_NODE": "/env", "ROSSEC_ALLOW_PLAIN": "/a, /b,"}
+    assert read(HOME, FILE) == Options(Path("/h"), "/file", ("/f",))
+    assert read(environ, FILE) == Options(Path("/h"), "/env", ("/a", "/b"))
+    told = read(environ, FILE, node="/told", allow_plain=[])
+    assert told == Options(Path("/h"), "/told", ())
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("node =", "no TOML"),
+        ("[rospy]\nnodes = 1", "something unknown"),
+        ("rospy = 1", "something unknown"),
+        ('[rospy]\nnode = "no slash"', "no name of a node"),
+        ('[rospy]\nallow_plain = "/all"', "a list of names"),
+        ("[rospy]\nallow_plain = true", "a list of names"),
+        ("[rospy]\nallow_plain = [1]", "no text"),
+        ('[rospy]\nallow_plain = [""]', "no text"),
+    ],
+)
+def test_a_slip_of_the_pen_opens_nothing(text: str, said: str) -> None:
+    with pytest.raises(ConfigurationError, match=said):
+        read(HOME, text)
+
+
+@pytest.mark.parametrize("told", [{"node": "robot"}, {"node": ""}, {"allow_plain": "/x"}])
+def test_arguments_that_cannot_be_meant_are_refused(told: dict[str, Any]) -> None:
+    with pytest.raises(ConfigurationError):
+        read(HOME, None, **told)
+
+
+def test_the_file_is_where_it_is_said_or_in_the_home() -> None:
+    assert file_of(HOME) == Path("/h/rossec.toml")
+    assert file_of({**HOME, "ROSSEC_CONFIG": "/etc/r.toml"}) == Path("/etc/r.toml")

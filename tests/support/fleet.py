@@ -1,0 +1,98 @@
+"""Secured rospy programs as processes of their own, and what they are told."""
+
+import asyncio
+import contextlib
+import sys
+from collections.abc import AsyncIterator, Mapping
+from pathlib import Path
+from typing import Final
+
+from grants.model import Right
+from tests.support import stock
+from tests.support.site import Site
+
+PROJECT: Final = Path(__file__).resolve().parents[2]
+SECURE: Final = "import rossec\nrossec.secure()\n"
+
+
+def environment(site: Site, logs: Path, **more: str) -> dict[str, str]:
+    """Of a program of this site; `logs` is where rospy writes its own."""
+    assert site.master is not None
+    return {
+        **stock.environment(site.master.uri, logs), **site.environ,
+        "PYTHONPATH": str(PROJECT), **more,
+    }  # fmt: skip
+
+
+def entitle(site: Site, name: str, rights: Mapping[Right, tuple[str, ...]]) -> None:
+    """Enroll `name` and give it a grant for each of these."""
+    site.enroll(name)
+    for right, patterns in rights.items():
+        for pattern in patterns:
+            site.grant(name, right, pattern)
+
+
+class Program:
+    """A running program, and all it has said."""
+
+    def __init__(self, process: asyncio.subprocess.Process) -> None:
+        self.process = process
+        self.said = ""
+
+    async def hears(self, words: str, within: float = 30.0) -> str:
+        """Read until a line holds `words`; that line."""
+        assert self.process.stdout is not None
+        async with asyncio.timeout(within):
+            while True:
+                line = (await self.process.stdout.readline()).decode()
+                assert line, f"it ended without saying {words!r}, but: {self.said}"
+                self.said += line
+                if words in line:
+                    return line.rstrip("\n")
+
+    async def ends(self, within: float = 30.0) -> int:
+        """Read to the end; the exit code."""
+        assert self.process.stdout is not None
+        async with asyncio.timeout(within):
+            self.said += (await self.process.stdout.read()).decode()
+            return await self.process.wait()
+
+    async def tell(self, line: str) -> None:
+        """Write a line to its standard input."""
+        assert self.process.stdin is not None
+        self.process.stdin.write(f"{line}\n".encode())
+        await self.process.stdin.drain()
+
+
+@contextlib.asynccontextmanager
+async def program(
+    env: Mapping[str, str], source: str, *arguments: str, told: bool = False
+) -> AsyncIterator[Program]:
+    """Run Python `source`, told what to do on its standard input or not; it is ended after."""
+    process = await asyncio.create_subprocess_exec(
+        *stock.python(source, *arguments), env=dict(env), limit=1 << 20,
+        stdin=asyncio.subprocess.PIPE if told else asyncio.subprocess.DEVNULL,
+        stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.STDOUT,
+    )  # fmt: skip
+    running = Program(process)
+    try:
+        yield running
+    except BaseException:
+        process.kill()
+        assert process.stdout is not None
+        sys.stderr.write(running.said + (await process.stdout.read()).decode())
+        raise
+    finally:
+        await _end(process)
+
+
+async def _end(process: asyncio.subprocess.Process) -> None:
+    """As a person would: with an interrupt first, so that what counts coverage is heard."""
+    if process.returncode is None:
+        process.terminate()
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(5):
+                await process.communicate()
+    if process.returncode is None:
+        process.kill()
+    await process.communicate()
