@@ -142,13 +142,15 @@ class CallLoop(Generic[PeerT]):
 
     def _next_request(self) -> bytes | None:
         http, stream = self._http, self._stream
-        while (body := http.next_request()) is None:
+        body = http.next_request() if http.pending else None
+        while body is None:
             unit = stream.next_unit()
             if unit is None:
                 if http.pending and self._late is None:
                     self._late = self._loop.call_later(self._deadline, self._end)
                 return None
             http.feed(unit)
+            body = http.next_request()
         if self._late is not None:
             self._on_time()
         return body
