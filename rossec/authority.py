@@ -1,4 +1,4 @@
-"""The directory of an authority: its key, its certificate, its record. `unlocked` is what it signs with."""
+"""The directory of an authority: its key, its certificate, its record; `unlocked` signs."""
 
 import contextlib
 import secrets
