@@ -16,7 +16,9 @@ from typing import Any, Final
 
 from rospy.core import is_shutdown
 from rospy.exceptions import ROSException, TransportTerminated
+from rospy.impl.tcpros_service import TCPROSServiceClient
 from rospy.msg import serialize_message
+from rospy.service import ServiceException
 
 from ca.errors import HintedError
 from grants.errors import GrantError
@@ -237,6 +239,18 @@ def _flat(messages: list[Pieces]) -> list[Bytes]:
 
 
 def write_data(transport: Any, data: Pieces) -> bool:
-    """As `TCPROSTransport.write_data`: for publishers without a queue, and for services."""
-    write(transport, [data])
+    """As `TCPROSTransport.write_data`: for publishers without a queue, and for services.
+
+    Raises:
+        ServiceException: a call over a kept connection that was cut; rospy's own socket takes the
+            request and fails with this when there is no response.
+        TransportTerminated: any other connection is at its end.
+    """
+    calls = isinstance(transport.protocol, TCPROSServiceClient)
+    try:
+        write(transport, [data])
+    except TransportTerminated as error:
+        if calls:
+            raise ServiceException(f"transport error completing service call: {error}") from error
+        raise
     return True

@@ -32,7 +32,13 @@ class Sock:
 
 def connection(link: object = None) -> Any:
     made: Any = SimpleNamespace(
-        socket=Sock(link), done=False, stat_bytes=0, stat_num_msg=0, endpoint_id="/x", callback=None
+        socket=Sock(link),
+        protocol=None,
+        done=False,
+        stat_bytes=0,
+        stat_num_msg=0,
+        endpoint_id="/x",
+        callback=None,
     )
 
     def close() -> None:
@@ -55,6 +61,21 @@ def test_a_whole_message_a_treated_one_and_many() -> None:
         b"\4\0\0\0abcd", b"\1\0\0\0a\1\0\0\0b", b"\2\0\0\0xy", b"\1\0\0\0a\1\0\0\0c",
     ]  # fmt: skip
     assert (made.stat_num_msg, made.stat_bytes) == (6, 34)
+
+
+def test_a_call_over_a_connection_that_was_cut_fails_as_services_do() -> None:
+    tcpros = pytest.importorskip("rospy.impl.tcpros_service")
+    service = pytest.importorskip("rospy.service")
+    for protocol, expected in (
+        (None, exceptions.TransportTerminated),
+        (object.__new__(tcpros.TCPROSServiceClient), service.ServiceException),
+    ):
+        made = connection()
+        made.protocol = protocol
+        made.socket.error = ChannelClosed("cut")
+        with pytest.raises(expected, match="cut"):
+            publishing.write_data(made, b"\0\0\0\0")
+        assert made.done
 
 
 def test_a_large_message_follows_its_length() -> None:
