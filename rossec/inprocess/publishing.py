@@ -148,10 +148,12 @@ class Outbox:
             error, self._error = self._error, None
             raise error
         self._queue.append(data)
-        if self._idle:
+        idle = self._idle
+        if idle:
             with self._filled:
                 self._idle = False
                 self._filled.notify()
+        if idle or _size(data) > _ALONE:  # while a large one waits, its memory is not used again
             time.sleep(0)  # as rospy: the sender's turn
         return True
 
@@ -178,6 +180,10 @@ class Outbox:
         self._idle = False
 
 
+def _size(message: Pieces) -> int:
+    return len(message) if isinstance(message, bytes) else sum(map(len, message))
+
+
 def _batches(queue: deque[Pieces]) -> Iterator[list[Pieces]]:
     """Take messages from the front, as many as make a unit; others may be added meanwhile."""
     batch: list[Pieces] = []
@@ -186,7 +192,7 @@ def _batches(queue: deque[Pieces]) -> Iterator[list[Pieces]]:
         while True:
             message = queue.popleft()
             batch.append(message)
-            size += len(message) if isinstance(message, bytes) else sum(map(len, message))
+            size += _size(message)
             if size >= _BATCH:
                 yield batch
                 batch, size = [], 0
