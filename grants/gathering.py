@@ -10,11 +10,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
-import numpy as np
-
+from grants.arrays import Vector, np
 from grants.codegen import Buffer, Cursor, Position, Source
 from grants.tables import Column, Table, columns, table_of
-from grants.treatments import Each, Keep, Node, Parts, Vector
+from grants.treatments import Each, Keep, Node, Parts
 
 
 def gathers(node: Node) -> bool:

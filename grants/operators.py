@@ -13,8 +13,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Final, TypeAlias
 
-import numpy as np
-
+from grants.arrays import Vector, np
 from grants.codegen import Buffer
 from grants.errors import FilterRefused
 from grants.hashing import DEFAULT_LENGTH, Keys, pseudonyms
@@ -22,7 +21,7 @@ from grants.layout import PRIMITIVES, Array, Primitive, Struct, Text, Type
 from grants.model import FilterRule, Scalar
 from grants.pictures import BESIDE, MAX_SIDE, pixelation
 from grants.rounding import hold, round_floats, round_integers, round_times
-from grants.treatments import DESCEND, Body, Constant, Inside, Numbers, Treatment, Vector
+from grants.treatments import DESCEND, Body, Constant, Inside, Numbers, Treatment
 
 Treat: TypeAlias = Callable[[Type], Treatment]
 Parameters: TypeAlias = dict[str, Scalar]

@@ -7,15 +7,13 @@ between pixels.
 """
 
 from collections.abc import Callable
-from typing import Any, Final, TypeAlias
+from typing import Final, TypeAlias
 
-import numpy as np
-import numpy.typing as npt
-
+from grants.arrays import Vector, np
 from grants.codegen import Buffer
 
 Region: TypeAlias = tuple[int, ...]  # x, y, width, height
-_Pixels: TypeAlias = npt.NDArray[Any]
+_Pixels: TypeAlias = Vector
 
 MAX_SIDE: Final = 65535
 

@@ -6,20 +6,18 @@ and infinities pass. One value and an array of it give the same bits: tests comp
 """
 
 import math
+import sys
 from collections.abc import Callable
 from typing import Any, Final, TypeAlias
 
-import numpy as np
-import numpy.typing as npt
-
+from grants.arrays import Vector, np
 from grants.errors import FilterRefused
 from grants.layout import Primitive
 
-Vector: TypeAlias = npt.NDArray[Any]
 Rounding: TypeAlias = tuple[Callable[..., Any], Callable[[Vector], Vector]]
 
 _SECOND: Final = 10**9
-_FLOAT_MAX: Final = {"f": float(np.finfo(np.float32).max), "d": float(np.finfo(np.float64).max)}
+_FLOAT_MAX: Final = {"f": float.fromhex("0x1.fffffep+127"), "d": sys.float_info.max}
 
 
 def round_floats(kind: Primitive, step: float) -> Rounding:

@@ -8,11 +8,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
+from grants.arrays import Vector, np
 from grants.codegen import Buffer
 from grants.layout import Primitive
-from grants.treatments import Constant, Each, Node, Numbers, Parts, Treated, Vector
+from grants.treatments import Constant, Each, Node, Numbers, Parts, Treated
 
 
 @dataclass(frozen=True)
@@ -69,7 +68,7 @@ def _merged(found: list[Column]) -> list[Column]:
 class Table:
     """The treated values of many elements of `size` bytes each, as columns."""
 
-    dtype: np.dtype[Any]
+    dtype: "np.dtype[Any]"
     treatments: tuple[tuple[str, Callable[[Vector], Vector]], ...]
 
     def treat(self, elements: Vector) -> None:

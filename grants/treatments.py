@@ -8,12 +8,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Final, Literal, TypeAlias
 
-import numpy.typing as npt
-
+from grants.arrays import Vector
 from grants.codegen import Buffer
 from grants.layout import Array, Struct, Type
 
-Vector: TypeAlias = npt.NDArray[Any]
 DESCEND: Final = "descend"
 
 

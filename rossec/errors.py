@@ -27,6 +27,14 @@ class CallerMismatch(TopicRefused):
     """A peer that calls itself by another name than its certificate says."""
 
 
+class HangUp(RossecError):
+    """There is no answer to give: close the connection without one, as a dead peer would."""
+
+
+class CallRefused(RossecError):
+    """A call to a node's slave API that this peer may not make."""
+
+
 class ServiceUnavailable(RossecError):
     """No node provides the service now."""
 
@@ -160,3 +168,11 @@ class IdentityExpired(LimitExceeded):
 
 class SendQueueFull(LimitExceeded):
     """The peer reads slower than this side queues; nothing was queued."""
+
+
+class AnnouncementRefused(RossecError):
+    """A datagram that is no present announcement of this trust domain's master."""
+
+
+class MasterNotFound(RossecError):
+    """No master of this trust domain announces itself where this host can hear it."""

@@ -5,7 +5,7 @@ import json
 import logging
 import signal
 import sys
-from collections.abc import Mapping
+from collections.abc import Coroutine, Mapping
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -54,6 +54,7 @@ _ADMIN = "admin.sock"
 )
 @click.option("--log", type=click.Choice(["text", "json"]), help="form of the log on stderr")
 @click.option("--admin", is_flag=True, help="open the local port of an administrator")
+@click.option("--announce", is_flag=True, help="say on the local links where the master is")
 @click.option(
     "--metrics", type=click.IntRange(0, 65535), help="serve Prometheus on this port of loopback"
 )
@@ -73,6 +74,7 @@ def master(
     config_file: Path | None,
     log: str | None,
     admin: bool,
+    announce: bool,
     metrics: int | None,
     post_quantum: str | None,
 ) -> None:
@@ -83,7 +85,7 @@ def master(
     config = Config() if config_file is None else configs.load(config_file)
     given: dict[str, Any] = {"port": port, "log": log, "complaints": complaints, "metrics": metrics}
     config = replace(config, **{key: value for key, value in given.items() if value is not None})
-    config = replace(config, admin=config.admin or admin)
+    config = replace(config, admin=config.admin or admin, announce=config.announce or announce)
     with ExitStack() as stack:
         _log_as(config.log)
         home = NodeHome.of(environment.home, MASTER)
@@ -184,7 +186,7 @@ async def _serve(
         _greet(server, home, exporter, as_json=as_json)
         logging.getLogger("rossec.audit").info("the master began at %s", server.uri)
         notify(READY, environment.variables)
-        await _until_stopped(server, stop)
+        await _until_stopped(server, stop, _announcing(server, home) if config.announce else None)
         notify(STOPPING, environment.variables)
     finally:
         await admin.close()
@@ -206,12 +208,23 @@ def _greet(
         say(f"metrics at {uri}")
 
 
-async def _until_stopped(server: MasterServer, stop: asyncio.Event) -> None:
-    asked = asyncio.ensure_future(server.stopped())
-    signalled = asyncio.ensure_future(stop.wait())
-    await asyncio.wait({asked, signalled}, return_when=asyncio.FIRST_COMPLETED)
-    asked.cancel()
-    signalled.cancel()
+async def _until_stopped(
+    server: MasterServer, stop: asyncio.Event, announcing: Coroutine[Any, Any, None] | None
+) -> None:
+    ends = {asyncio.ensure_future(server.stopped()), asyncio.ensure_future(stop.wait())}
+    if announcing is not None:
+        ends.add(asyncio.ensure_future(announcing))
+    done, running = await asyncio.wait(ends, return_when=asyncio.FIRST_COMPLETED)
+    for task in running:
+        task.cancel()
+    for task in done:
+        await task
+
+
+async def _announcing(server: MasterServer, home: NodeHome) -> None:
+    from rossec.discovery.announcer import announce  # noqa: PLC0415 - carried when it is used
+
+    await announce(home.credentials(), server.uri)
 
 
 def _commands(server: MasterServer) -> Mapping[str, Any]:

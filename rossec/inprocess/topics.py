@@ -109,7 +109,7 @@ class Connections:
             return decision
         kind = protocol.recv_data_class
         endpoint = Endpoint(name, MessageType(kind._type, kind._md5sum, kind._full_text))  # noqa: SLF001
-        return admit_publisher(fields, peer, endpoint, access, now())
+        return admit_publisher(fields, peer, endpoint.expected, access, now())
 
     def _refused(self, protocol: Any, error: HintedError) -> TransportInitError:
         self._process.reporter.warn(_what(protocol), error)

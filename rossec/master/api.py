@@ -130,7 +130,7 @@ class MasterApi:
         caller_id = params[0]
         if not isinstance(caller_id, str):
             raise ArgumentRefused("caller_id must be a string")
-        acting = caller.acting_as(caller_id)
+        acting = self._gatekeeper.acting(method, caller, caller_id)
         checked = (
             check(value, caller_id) for check, value in zip(row.checks, params[1:], strict=True)
         )

@@ -28,6 +28,7 @@ class Config:
         log: `text` or `json`.
         audit: keep the audit file.
         admin: open the local port of an administrator.
+        announce: say on the local links where the master is.
         metrics: port of loopback for Prometheus; None: none.
         complaints: file for what nodes lack the right to; None: none.
         limits: see `rossec.master.limits`.
@@ -37,6 +38,7 @@ class Config:
     log: str = "text"
     audit: bool = True
     admin: bool = False
+    announce: bool = False
     metrics: int | None = None
     complaints: Path | None = None
     limits: Limits = field(default_factory=Limits)
@@ -93,7 +95,7 @@ def _line(tree: Any, key: object) -> int:
 def _value(key: str, value: object, where: str) -> object:
     if key in ("port", "metrics") and isinstance(value, int) and _is_number(value, 0, 65535):
         return int(value)  # the reader's own kind of integer is none to getaddrinfo
-    if key in ("audit", "admin") and isinstance(value, bool):
+    if key in ("audit", "admin", "announce") and isinstance(value, bool):
         return value
     if key == "log" and value in _LOGS:
         return str(value)

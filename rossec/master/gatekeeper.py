@@ -168,6 +168,10 @@ RULES: Final[Mapping[str, Rule]] = {
 }
 
 
+CLEANUP: Final = frozenset({"unregisterPublisher", "unregisterSubscriber", "unregisterService"})
+"""What an administrator may do in the name of a node: `rosnode cleanup`, after it died."""
+
+
 class Gatekeeper:
     """Decides on calls whose arguments are already resolved.
 
@@ -179,6 +183,26 @@ class Gatekeeper:
     def __init__(self, registry: Registry, master: str) -> None:
         self._registry = registry
         self._master = master
+
+    def acting(self, method: str, caller: Caller, caller_id: str) -> Caller:
+        """The caller as the node `caller_id`: itself, or a node it cleans up after.
+
+        Raises:
+            Refused: its identity does not cover that name, and it may not administer that node.
+        """
+        try:
+            return caller.acting_as(caller_id)
+        except Refused:
+            node = self._registry.node(caller_id)
+            if method not in CLEANUP or node is None or not caller.may(Right.ADMIN, caller_id):
+                raise
+            return replace(
+                caller,
+                name=node.name,
+                thumbprint=node.thumbprint,
+                wildcard=False,
+                certified=caller.name,
+            )
 
     def check(self, method: str, caller: Caller, arguments: tuple[object, ...]) -> None:
         """The rule of `method`, except for TREE, where the reach is known to the parameters.

@@ -169,6 +169,11 @@ class Registry:
         node = self._nodes.get(name)
         return None if node is None else node.ref.uri
 
+    def node(self, name: str) -> NodeRef | None:
+        """The node registered under a name."""
+        node = self._nodes.get(name)
+        return None if node is None else node.ref
+
     def has_room(self, kind: Kind, key: str, node: NodeRef) -> bool:
         """Whether a node may register for `key`: it already has, or has not too many."""
         if not self.is_current(node):

@@ -12,9 +12,9 @@ set-user-id program that connects on behalf of its caller, vouches for it.
 import ipaddress
 import socket
 import struct
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Iterator
 from pathlib import Path
-from typing import Final, TypeAlias
+from typing import Final, NamedTuple, TypeAlias
 
 from rossec.errors import PeerUserRefused
 
@@ -24,8 +24,16 @@ Endpoint: TypeAlias = tuple[str, int]
 TABLES: Final = (Path("/proc/net/tcp"), Path("/proc/net/tcp6"))
 _OVERFLOW: Final = Path("/proc/sys/kernel/overflowuid")
 _ESTABLISHED: Final = "01"
+_LISTEN: Final = " 0A"
 _TRIES: Final = 3  # the kernel hands the table out in pieces: a row can slip between two of them
 _HINT: Final = "connect from this host, as the user who runs this program"
+
+
+class Holder(NamedTuple):
+    """Who holds a socket: the user who made it, and its number among the host's sockets."""
+
+    user: int
+    inode: int
 
 
 def owner_in(tables: Iterable[str], near: Endpoint, far: Endpoint) -> int | None:
@@ -34,14 +42,39 @@ def owner_in(tables: Iterable[str], near: Endpoint, far: Endpoint) -> int | None
     `tables` are the texts of /proc/net/tcp and tcp6. An IPv4 address matches in its mapped form
     too (::ffff:127.0.0.1): either side may use a dual-stack socket.
     """
+    found = holder_in(tables, near, far)
+    return None if found is None else found.user
+
+
+def holder_in(tables: Iterable[str], near: Endpoint, far: Endpoint) -> Holder | None:
+    """Like `owner_in`, with the socket's number. Pure."""
     wanted = {f"{_hex(near, mapped)} {_hex(far, mapped)} {_ESTABLISHED}" for mapped in (0, 1)}
-    owners = {
-        int(fields[7])
-        for table in tables
-        for line in table.splitlines()[1:]
-        if len(fields := line.split()) > 9 and " ".join(fields[1:4]) in wanted and fields[9] != "0"
-    }
-    return owners.pop() if len(owners) == 1 else None
+    found = [holder for row, holder in _rows(tables) if row in wanted]
+    return found[0] if len({holder.user for holder in found}) == 1 else None
+
+
+def listeners_in(tables: Iterable[str], port: int) -> list[Holder]:
+    """Who listens at `port`, on whichever address. Pure."""
+    end = f":{port:04X}"
+    return [
+        holder
+        for row, holder in _rows(tables)
+        if row.endswith(_LISTEN) and row.partition(" ")[0].endswith(end)
+    ]
+
+
+def _rows(tables: Iterable[str]) -> Iterator[tuple[str, Holder]]:
+    """`near far state` as the kernel writes it, and who holds the socket, if anybody does."""
+    for table in tables:
+        for line in table.splitlines()[1:]:
+            fields = line.split()
+            if len(fields) > 9 and fields[9] != "0":
+                yield " ".join(fields[1:4]), Holder(int(fields[7]), int(fields[9]))
+
+
+def tables() -> list[str]:
+    """The kernel's tables of TCP sockets, as they are now."""
+    return [path.read_text() for path in TABLES if path.exists()]
 
 
 def user_of(sock: socket.socket) -> int:
@@ -55,11 +88,20 @@ def user_of(sock: socket.socket) -> int:
         size = struct.calcsize("3i")
         credentials = sock.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, size)
         return int(struct.unpack("3i", credentials)[1])
+    return holder_of(sock).user
+
+
+def holder_of(sock: socket.socket) -> Holder:
+    """Who holds the other end of a TCP connection within this host.
+
+    Raises:
+        PeerUserRefused, OSError: as `user_of`.
+    """
     near, far = sock.getpeername()[:2], sock.getsockname()[:2]
     for _ in range(_TRIES):
-        owner = owner_in([path.read_text() for path in TABLES if path.exists()], near, far)
-        if owner is not None:
-            return owner
+        holder = holder_in(tables(), near, far)
+        if holder is not None:
+            return holder
     raise PeerUserRefused("the other end of the connection belongs to no program here", _HINT)
 
 

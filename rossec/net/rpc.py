@@ -11,7 +11,7 @@ import logging
 from collections.abc import Awaitable
 from typing import Final, Generic, Protocol, TypeVar
 
-from rossec.errors import HttpRefused, RossecError, XmlRpcRefused
+from rossec.errors import HangUp, HttpRefused, RossecError, XmlRpcRefused
 from rossec.ros import xmlrpc
 from rossec.ros.http import HttpClient, HttpServer
 from rossec.ros.xmlrpc import Fault
@@ -44,10 +44,10 @@ class Stream(Protocol[PeerT_co]):
 
 
 class Dispatch(Protocol[PeerT_contra]):
-    """Answers one call: returns the value, or raises `Fault`."""
+    """Answers one call: returns the value, or raises `Fault`; `HangUp` ends the connection."""
 
     def __call__(
-        self, method: str, params: tuple[object, ...], peer: PeerT_contra
+        self, method: str, params: tuple[object, ...], peer: PeerT_contra, /
     ) -> Awaitable[object]:
         """The value to answer with."""
 
@@ -139,6 +139,8 @@ class _ServerLoop(Generic[PeerT]):
             return await self._dispatch(call.method, call.params, self._stream.peer)
         except Fault as fault:
             return fault
+        except HangUp:
+            raise
         except Exception:  # noqa: BLE001
             # A fault of ours must neither end the other calls nor tell the peer about our inside.
             _log.exception("a call failed inside")
@@ -181,10 +183,17 @@ class RpcClient:
             WireError: the answer is not XML-RPC over HTTP.
             XmlRpcRefused: a parameter cannot be carried (nothing was sent).
         """
+        return xmlrpc.load_response(await self.fetch(method, *params), limit=self._limit)
+
+    async def fetch(self, method: str, *params: object) -> bytes:
+        """Like `call`, but the body of the response, unparsed.
+
+        Raises:
+            CallFailed, WireError, XmlRpcRefused: as `call`.
+        """
         request = xmlrpc.dump_call(method, params)
         async with self._turn:
-            body = await self._exchange(method, request)
-        return xmlrpc.load_response(body, limit=self._limit)
+            return await self._exchange(method, request)
 
     async def ask(self, method: str, *params: object) -> object:
         """Like `call`, for ROS methods: the value in `[1, status, value]`.

@@ -55,6 +55,7 @@ class SecureServer(Generic[PeerT]):
         self._tasks = TaskSet()
         self._loop = asyncio.get_running_loop()
         self._listeners: list[socket.socket] = []
+        self._resting = False
         self._refused = 0
         self._report_again = 0.0
         self.addresses: list[tuple[str, int]] = []
@@ -140,6 +141,28 @@ class SecureServer(Generic[PeerT]):
             raise  # a crash is logged by the task's owner
         await stream.close()
 
+    def rest(self) -> None:
+        """Refuse callers as if nobody listened, but keep the port.
+
+        Linux keeps only a port that was named when the socket was bound, not one it chose itself.
+        """
+        self._resting = True
+        for listener in self._listeners:
+            self._loop.remove_reader(listener.fileno())
+            listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 0)  # stays ours
+            with suppress(OSError):  # it rests already
+                listener.shutdown(socket.SHUT_RDWR)
+
+    def wake(self) -> None:
+        """Listen again after `rest`."""
+        if not self._resting:
+            return
+        self._resting = False
+        for listener in self._listeners:
+            listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            listener.listen(_BACKLOG)
+            self._watch(listener)
+
     async def close(self) -> None:
         """Stop listening, cut every connection, wait until the handlers are gone."""
         for listener in self._listeners:
@@ -183,6 +206,27 @@ async def serve(
     Raises:
         OSError: the address is not ours or the port is taken.
     """
+
+    return serve_now(
+        handler, host, port, credentials, verify,
+        accept=accept, limits=limits, half_open=half_open, suites=suites, known=known,
+    )  # fmt: skip
+
+
+def serve_now(
+    handler: Handler[PeerT],
+    host: str | None,
+    port: int,
+    credentials: OwnCredential,
+    verify: Verify[PeerT],
+    *,
+    accept: Collection[Flavour] = frozenset(Flavour),
+    limits: Limits = _DEFAULTS,
+    half_open: HalfOpen = _CAPS,
+    suites: tuple[int, ...] = PRODUCTION,
+    known: KnownCertificates | None = None,
+) -> SecureServer[PeerT]:
+    """`serve`, for callers that may not wait: nothing in it does."""
 
     def make_core() -> Connection[PeerT]:
         return Connection[PeerT].responder(

@@ -19,9 +19,9 @@ from rossec.channel.known import KnownCertificates
 from rossec.channel.suites import PRODUCTION
 from rossec.errors import TopicRefused
 from rossec.net.rpc import serve_calls
-from rossec.net.server import Handler
 from rossec.net.stream import Flavour, SecureServer, SecureStream, serve
 from rossec.node.access import Access
+from rossec.node.guests import Guests
 from rossec.node.publisher import Publisher
 from rossec.node.servicedesk import Services
 from rossec.node.slave import MASTER, REVOCATION_UPDATE, SlaveApi
@@ -31,7 +31,6 @@ from rossec.ros.settings import is_loopback
 
 HEADER_DEADLINE: Final = 5.0
 SLAVE_DEADLINE: Final = 30.0
-PEER_CONNECTIONS: Final = 64  # of one identity: one for each topic or service it uses here
 
 _log = logging.getLogger("rossec.node")
 
@@ -62,7 +61,7 @@ class Listener:
         self._suites = suites
         self._known = known
         self._servers: list[SecureServer[Identity]] = []
-        self._streams: set[SecureStream[Identity]] = set()
+        self._guests = Guests()
 
     @property
     def slave_port(self) -> int:
@@ -82,7 +81,7 @@ class Listener:
             (self._serve_tcpros, Flavour.TCPROS),
         ):
             server = await serve(
-                self._bounded(handler),
+                self._guests.bounded(handler),
                 bind,
                 0,
                 self._credentials,
@@ -95,30 +94,12 @@ class Listener:
 
     def cut(self, revoked: frozenset[bytes]) -> None:
         """Cut every connection of a revoked key, whatever it is used for."""
-        for stream in tuple(self._streams):
-            if not revoked.isdisjoint(stream.peer.keys):
-                stream.abort("the peer's identity is revoked")
+        self._guests.cut(revoked)
 
     async def close(self) -> None:
         """Stop listening and cut what was accepted."""
         for server in self._servers:
             await server.close()
-
-    def _bounded(self, handler: Handler[Identity]) -> Handler[Identity]:
-        """Serve an entitled peer, and no more than a few connections of one identity (N8)."""
-
-        async def serve_one(stream: SecureStream[Identity]) -> None:
-            peer = stream.peer.thumbprint
-            if sum(other.peer.thumbprint == peer for other in self._streams) >= PEER_CONNECTIONS:
-                _log.warning("%s has too many connections", stream.peer.name)
-                return
-            self._streams.add(stream)
-            try:
-                await handler(stream)
-            finally:
-                self._streams.discard(stream)
-
-        return serve_one
 
     async def _serve_slave(self, stream: SecureStream[Identity]) -> None:
         """The master's connection stays; another node asks where a topic is, and goes."""
@@ -169,7 +150,7 @@ class Listener:
         publisher = self._publishers.get(requested_topic(fields))
         if publisher is None:
             raise TopicRefused(f"{self._name} does not publish {requested_topic(fields)}")
-        check_type(fields, publisher.endpoint)
+        check_type(fields, publisher.endpoint.expected)
         guard = publisher.guard(decision)
         answer = publisher_header(
             self._name, publisher.endpoint, self._access, now, latching=publisher.latch

@@ -160,7 +160,7 @@ class Subscriber:
             arrived = frames.feed(await stream.receive())
         answer = header.decode(arrived[0])
         decision = admit_publisher(
-            answer, stream.peer, self.endpoint, self._access, int(time.time())
+            answer, stream.peer, self.endpoint.expected, self._access, int(time.time())
         )
         return PublisherLink(stream, decision), arrived[1:]
 

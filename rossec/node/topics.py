@@ -7,6 +7,7 @@ without a grant cannot tell a topic that exists from one that does not (attack N
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from ca.certificates import Identity
 from grants.decision import Decision
@@ -14,7 +15,10 @@ from grants.model import Right
 from rossec.errors import TopicRefused
 from rossec.node.access import FIELD, Access
 from rossec.node.fields import Fields, check_caller, text
-from rossec.node.messages import MessageType
+from rossec.ros.names import ANY_TYPE
+
+if TYPE_CHECKING:
+    from rossec.node.messages import MessageType
 
 
 @dataclass(frozen=True)
@@ -22,7 +26,21 @@ class Endpoint:
     """A topic as this node sees it: its resolved name and its type."""
 
     topic: str
-    type: MessageType
+    type: "MessageType"
+
+    @property
+    def expected(self) -> "Expected":
+        """What the other side must mean."""
+        return Expected(self.topic, self.type.name, self.type.md5sum)
+
+
+@dataclass(frozen=True)
+class Expected:
+    """A topic with the name and md5sum of its type; `*` expects nothing of the type."""
+
+    topic: str
+    type_name: str
+    md5sum: str
 
 
 def subscriber_header(caller: str, endpoint: Endpoint, access: Access, now: int) -> Fields:
@@ -76,7 +94,7 @@ def admit_subscriber(
 
 
 def admit_publisher(
-    fields: Mapping[str, bytes], peer: Identity, endpoint: Endpoint, access: Access, now: int
+    fields: Mapping[str, bytes], peer: Identity, expected: Expected, access: Access, now: int
 ) -> Decision:
     """Decide on a publisher from the header it answered with.
 
@@ -87,23 +105,26 @@ def admit_publisher(
     if "error" in fields:
         raise TopicRefused(f"{peer.name} refuses: {text(fields, 'error')}")
     check_caller(fields, peer)
-    if text(fields, "topic") != endpoint.topic:
-        raise TopicRefused(f"{peer.name} answers with another topic than {endpoint.topic}")
-    check_type(fields, endpoint)
-    return access.authorize(peer, fields.get(FIELD), Right.PUBLISH, endpoint.topic, now)
+    if text(fields, "topic") != expected.topic:
+        raise TopicRefused(f"{peer.name} answers with another topic than {expected.topic}")
+    check_type(fields, expected)
+    return access.authorize(peer, fields.get(FIELD), Right.PUBLISH, expected.topic, now)
 
 
-def check_type(fields: Mapping[str, bytes], endpoint: Endpoint) -> None:
+def check_type(fields: Mapping[str, bytes], expected: Expected) -> None:
     """Compare type and md5 as TCPROS does; `*` fits everything, on either side.
 
     Raises:
         TopicRefused: the two sides do not mean the same message.
     """
     name, md5sum = text(fields, "type"), text(fields, "md5sum")
-    types, sums = {name, endpoint.type.name}, {md5sum, endpoint.type.md5sum}
-    if (len(types) > 1 and "*" not in types) or (len(sums) > 1 and "*" not in sums):
+    if not _fits(name, expected.type_name) or not _fits(md5sum, expected.md5sum):
         raise TopicRefused(
-            f"{endpoint.topic} carries {endpoint.type.name} ({endpoint.type.md5sum}),"
+            f"{expected.topic} carries {expected.type_name} ({expected.md5sum}),"
             f" the peer expects {name} ({md5sum})",
             "both sides need the same version of the message package",
         )
+
+
+def _fits(one: str, other: str) -> bool:
+    return ANY_TYPE in {one, other} or one == other

@@ -8,22 +8,28 @@ import asyncio
 import logging
 import time
 from collections.abc import Callable, Iterable
-from typing import Final
+from typing import Final, Protocol
 
 from ca.revocation import Revocations
 from rossec.node.links import Link, why_cut
-from rossec.node.listener import Listener
 
 PERIOD: Final = 1.0  # seconds between looks; an expiry is met to the second
 
 _log = logging.getLogger("rossec.node")
 
 
+class Door(Protocol):
+    """The ports of a node."""
+
+    def cut(self, revoked: frozenset[bytes]) -> None:
+        """Cut every connection of a revoked key, whatever it is used for."""
+
+
 class Watch:
     """Cuts the links of one node."""
 
     def __init__(
-        self, revocations: Revocations, links: Callable[[], Iterable[Link]], listener: Listener
+        self, revocations: Revocations, links: Callable[[], Iterable[Link]], listener: Door
     ) -> None:
         self._revocations = revocations
         self._links = links

@@ -32,6 +32,12 @@ class Call(NamedTuple):
     params: tuple[object, ...]
 
 
+class Encoded(NamedTuple):
+    """A response that is XML-RPC already, or passes for it: `dump_response` leaves it as it is."""
+
+    body: bytes
+
+
 def dump_call(method: str, params: Sequence[object]) -> bytes:
     """The body of a request.
 
@@ -42,11 +48,13 @@ def dump_call(method: str, params: Sequence[object]) -> bytes:
 
 
 def dump_response(value: object) -> bytes:
-    """The body of a response that holds `value`, or a fault if `value` is one.
+    """The body of a response that holds `value`, or a fault if `value` is one, or is `Encoded`.
 
     Raises:
         XmlRpcRefused: the value cannot be carried.
     """
+    if isinstance(value, Encoded):
+        return value.body
     if isinstance(value, Fault):
         return _dump(value)
     return _dump((value,), response=True)

@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
+from grants.arrays import Vector
 from grants.codegen import MISFIT
 from grants.layout import PRIMITIVES, Array, Struct
 from grants.tables import table_rewriter
-from grants.treatments import Constant, Each, Keep, Numbers, Parts, Treated, Vector
+from grants.treatments import Constant, Each, Keep, Numbers, Parts, Treated
 
 BYTE = PRIMITIVES["uint8"]
 CALLS: list[tuple[int, ...]] = []

@@ -13,6 +13,7 @@ port: 11312
 log: json
 audit: false
 admin: true
+announce: true
 metrics: 9311
 complaints: /tmp/complaints
 limits:
@@ -23,7 +24,7 @@ limits:
 
 def test_everything_can_be_said() -> None:
     assert parse(FULL, "m.yaml") == Config(
-        port=11312, log="json", audit=False, admin=True, metrics=9311,
+        port=11312, log="json", audit=False, admin=True, announce=True, metrics=9311,
         complaints=Path("/tmp/complaints"), limits=Limits(body=65536, idle_seconds=60),
     )  # fmt: skip
 

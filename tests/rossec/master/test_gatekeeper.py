@@ -17,8 +17,9 @@ from rossec.master.gatekeeper import (
     require_tree,
 )
 from rossec.master.registry import Registry
-from tests.rossec.master.fakes import FakeStatements, anonymous, caller, everything
+from tests.rossec.master.fakes import ALL, FakeStatements, anonymous, caller, everything
 
+BUT_ADMIN = {"**": ALL & ~Right.ADMIN}
 T = "std_msgs/String"
 VICTIM_API, EVIL_API = "http://victim:1/", "http://evil:1/"
 
@@ -149,7 +150,7 @@ def test_m2_m3_m4_nobody_acts_under_another_name(
     api: MasterApi, method: str, params: tuple[object, ...]
 ) -> None:
     before = ask(api, everything("/victim"), "getSystemState", "/victim")
-    outcome = api.call(method, ("/victim", *params), everything("/eve"), 0)
+    outcome = api.call(method, ("/victim", *params), caller("/eve", BUT_ADMIN), 0)
     assert outcome.events == ()
     assert isinstance(outcome.answer, list)
     assert outcome.answer[0] == -1
@@ -291,7 +292,7 @@ def test_a_wildcard_takes_no_other_name(api: MasterApi, name: str) -> None:
         ("setParam", "/p", 1),
         ("getSystemState",),
     ):
-        code, status, _ = ask(api, RVIZ, method, name, *params)
+        code, status, _ = ask(api, anonymous("/rviz", BUT_ADMIN), method, name, *params)
         assert code == -1
         assert status == "rossec: this connection belongs to /rviz, it cannot act as another"
 
@@ -317,3 +318,14 @@ def test_a_name_is_taken_once() -> None:
         acting.acting_as("/rviz_1_2")
     with pytest.raises(Refused):
         acting.acting_as("/rviz")
+
+
+def test_an_administrator_cleans_up_after_a_node_and_does_nothing_else_for_it(
+    api: MasterApi,
+) -> None:
+    """`rosnode cleanup`."""
+    operator = caller("/operator", {"/victim": Right.ADMIN, "/secret": ALL})
+    assert ask(api, operator, "registerPublisher", "/victim", "/secret", T, EVIL_API)[0] == -1
+    assert ask(api, operator, "unregisterPublisher", "/other", "/secret", VICTIM_API)[0] == -1
+    assert ask(api, operator, "unregisterPublisher", "/victim", "/secret", EVIL_API)[2] == 0
+    assert ask(api, operator, "unregisterPublisher", "/victim", "/secret", VICTIM_API)[2] == 1

@@ -11,7 +11,7 @@ from ca.certificates import Identity
 from rossec.errors import ChannelError, PlainPeer
 from rossec.net.rpc import RpcClient
 from rossec.net.stream import Flavour, SecureStream, connect
-from rossec.node import Node, listener
+from rossec.node import Node, guests, listener
 from rossec.ros import header
 from tests.support.site import Site
 
@@ -150,7 +150,7 @@ async def test_the_slave_api_answers_no_revoked_node(site: Site, robot: Node) ->
 async def test_one_identity_holds_a_bounded_number_of_connections(
     site: Site, robot: Node, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(listener, "PEER_CONNECTIONS", 3)
+    monkeypatch.setattr(guests, "PEER_CONNECTIONS", 3)
     credentials = site.enroll("/viewer").credentials()
     port = int(robot.uri.rstrip("/").rpartition(":")[2])
     streams = [

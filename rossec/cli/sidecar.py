@@ -1,0 +1,35 @@
+"""`rossec sidecar`: secure the programs of a host that know nothing of rossec."""
+
+import pwd
+
+import click
+
+from rossec.cli.context import Environment, pass_environment
+from rossec.cli.run import become
+
+
+@click.command()
+@click.option("--as", "identity", metavar="NAME", help="for nodes that are not enrolled themselves")
+@click.option("--port", "-p", type=click.IntRange(0, 65535), default=11311, show_default=True)
+@click.option("--user", "users", multiple=True, help="whose programs may use it, by default yours")
+@click.pass_context
+@pass_environment
+def sidecar(
+    environment: Environment,
+    context: click.Context,
+    identity: str | None,
+    port: int,
+    users: tuple[str, ...],
+) -> None:
+    """Serve the ROS programs of this host: each node with the identity enrolled for its name."""
+    become(
+        environment, context, identity=identity, each=True, port=port,
+        users=[_user_id(name) for name in users],
+    )  # fmt: skip
+
+
+def _user_id(name: str) -> int:
+    try:
+        return int(name) if name.isdecimal() else pwd.getpwnam(name).pw_uid
+    except KeyError:
+        raise click.BadParameter(f"no user {name!r} on this host") from None

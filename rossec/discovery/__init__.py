@@ -1,0 +1,1 @@
+"""Finding the master of one's own trust domain on the local link, without configuration."""

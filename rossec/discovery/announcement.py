@@ -1,0 +1,140 @@
+"""What a master says of itself on the local link: one signed datagram.
+
+Pure. The datagram carries the certificate chain that verifies it, so that a node which has met
+nobody yet can judge it with its trust anchor alone. It says where to knock, nothing more: whoever
+answers there still has to prove itself in the handshake. A closed map, as every statement here.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+from ca.certificates import Identity, TrustAnchor
+from ca.cose import Profile
+from ca.encoding import Value
+from ca.errors import CAError
+from ca.signer import Signer
+from rossec.errors import AnnouncementRefused
+from rossec.ros.text import printable
+
+PROFILE: Final = Profile("rossec-announcement+cwt")
+MASTER: Final = "/master"
+MAX_SIZE: Final = 1232  # IPv6's smallest MTU, less its own and UDP's header (RFC 8200 section 5)
+MAX_AGE: Final = 15
+SKEW: Final = 5
+INSTANCE_SIZE: Final = 8
+_MAX_HOST: Final = 255
+_MAX_CHAIN: Final = 2
+_IAT, _MAX_AGE, _HOST, _PORT, _INSTANCE, _SEQ, _CHAIN = (
+    6,
+    -70005,
+    -70011,
+    -70012,
+    -70013,
+    -70014,
+    33,
+)
+
+
+@dataclass(frozen=True)
+class Announcement:
+    """Where a master listens.
+
+    Attributes:
+        host: its name or address as it tells ROS clients.
+        port: its TCP port.
+        instance: 8 random bytes, new at every start.
+        seq: counts the announcements of one instance.
+        issued, max_age: seconds; it counts until `issued + max_age`.
+    """
+
+    host: str
+    port: int
+    instance: bytes
+    seq: int
+    issued: int
+    max_age: int = MAX_AGE
+
+
+def sign(signer: Signer, chain: tuple[bytes, ...], announcement: Announcement) -> bytes:
+    """The datagram, signed with the master's key.
+
+    Raises:
+        AnnouncementRefused: what `open_announcement` would refuse, or more than one datagram.
+    """
+    _check(announcement)
+    certificates: list[Value] = [*chain]
+    data = PROFILE.sign(
+        signer,
+        {
+            _IAT: announcement.issued,
+            _MAX_AGE: announcement.max_age,
+            _HOST: announcement.host,
+            _PORT: announcement.port,
+            _INSTANCE: announcement.instance,
+            _SEQ: announcement.seq,
+            _CHAIN: certificates,
+        },
+    )
+    if len(data) > MAX_SIZE:
+        raise AnnouncementRefused(
+            f"an announcement of {len(data)} bytes does not fit a datagram of {MAX_SIZE}",
+            "name the master by its address (ROS_IP), which is shorter",
+        )
+    return data
+
+
+def open_announcement(
+    data: bytes, anchor: TrustAnchor, revoked: frozenset[bytes], now: int
+) -> tuple[Announcement, Identity]:
+    """Verify a datagram from anybody.
+
+    Args:
+        revoked: thumbprints and grant ids known to be revoked, fresh or not: no more can be known
+            before a master is met.
+
+    Raises:
+        AnnouncementRefused: not the master of this trust domain, revoked, outdated, or malformed.
+    """
+    try:
+        announcement, chain = _read(PROFILE.peek(data, limit=MAX_SIZE))
+        identity = anchor.verify(chain, now)
+        if identity.name != MASTER:
+            raise AnnouncementRefused(f"{identity.name} announces itself as a master")
+        if not revoked.isdisjoint(identity.keys):
+            raise AnnouncementRefused("the master that announces itself is revoked")
+        PROFILE.open_body(data, identity.public_key, limit=MAX_SIZE)
+    except CAError as error:
+        raise AnnouncementRefused(f"no announcement of this domain's master: {error}") from error
+    if announcement.issued > now + SKEW or announcement.issued + announcement.max_age < now:
+        raise AnnouncementRefused("an announcement of another time", "check both clocks")
+    return announcement, identity
+
+
+def _read(payload: Value) -> tuple[Announcement, list[bytes]]:
+    match payload:
+        case {
+            6: int() as issued, -70005: int() as max_age, -70011: str() as host,
+            -70012: int() as port, -70013: bytes() as instance, -70014: int() as seq,
+            33: list() as items, **rest,
+        } if not rest:  # fmt: skip
+            announcement = Announcement(host, port, instance, seq, issued, max_age)
+        case _:
+            raise AnnouncementRefused("the announcement has missing or unknown fields")
+    _check(announcement)
+    chain = [item for item in items if isinstance(item, bytes)]
+    if not 1 <= len(items) <= _MAX_CHAIN or len(chain) != len(items):
+        raise AnnouncementRefused("the announcement carries no certificate chain")
+    return announcement, chain
+
+
+def _check(announcement: Announcement) -> None:
+    numbers = (announcement.port, announcement.seq, announcement.issued, announcement.max_age)
+    if any(isinstance(number, bool) or number < 0 for number in numbers):
+        raise AnnouncementRefused("a number in the announcement is out of range")
+    if not 0 < announcement.port < 1 << 16 or not 1 <= announcement.max_age <= MAX_AGE:
+        raise AnnouncementRefused("the announcement's port or age is out of range")
+    if len(announcement.instance) != INSTANCE_SIZE:
+        raise AnnouncementRefused(f"the announcement's instance has not {INSTANCE_SIZE} bytes")
+    host = announcement.host
+    if not 0 < len(host) <= _MAX_HOST or printable(host) != host or any(c in host for c in " /@"):
+        raise AnnouncementRefused("the announcement's host is no name or address")

@@ -1,0 +1,81 @@
+"""`ROS_MASTER_URI=discover:`: the master is found when the program starts, and then kept."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Final
+
+from ca.certificates import TrustAnchor
+from ca.names import check_name
+from ca.statements import open_list
+from rossec.discovery.candidates import Candidate
+from rossec.discovery.finder import PATIENCE, find
+from rossec.errors import ConfigurationError
+from rossec.home import NodeHome, rossec_home
+
+VARIABLE: Final = "ROS_MASTER_URI"
+DISCOVER: Final = "discover:"
+
+
+async def settle_master(environ: Mapping[str, str], identity: str | None) -> dict[str, str]:
+    """`environ`, with the URI of the best master found where discovery was asked for.
+
+    Args:
+        identity: the node that will use it, whose authority vouches for the master; None: any node
+            of this home, as long as all of them trust the same authority.
+
+    Raises:
+        ConfigurationError, MasterNotFound: nobody to trust, or nobody found.
+    """
+    if environ.get(VARIABLE) != DISCOVER:
+        return dict(environ)
+    best, *_ = await masters(rossec_home(environ), identity)
+    return {**environ, VARIABLE: uri_of(best)}
+
+
+async def masters(home: Path, identity: str | None, patience: float = PATIENCE) -> list[Candidate]:
+    """The masters that a node of this home would trust, the best link first.
+
+    Raises:
+        ConfigurationError, MasterNotFound: nobody to trust, or nobody found.
+    """
+    anchor, revoked = trusted(home, identity)
+    return await find(anchor, revoked, patience=patience)
+
+
+def uri_of(candidate: Candidate) -> str:
+    """Where a candidate was reached, as ROS_MASTER_URI has it."""
+    host, port = candidate.endpoint or candidate.endpoints[0]
+    return f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
+
+
+def trusted(home: Path, identity: str | None) -> tuple[TrustAnchor, frozenset[bytes]]:
+    """Whom the nodes of this home trust, and what they know to be revoked.
+
+    Raises:
+        ConfigurationError: no node is enrolled, or they trust different authorities.
+    """
+    nodes = _nodes(home) if identity is None else [NodeHome.find(home, check_name(identity))]
+    anchors = {anchor.thumbprint: anchor for anchor in (node.anchor() for node in nodes)}
+    if not anchors:
+        raise ConfigurationError(
+            "no node is enrolled here, so no master can be trusted",
+            "enroll one first: rossec node request NAME",
+        )
+    if len(anchors) > 1:
+        raise ConfigurationError(
+            "the nodes enrolled here trust different authorities",
+            "say which one looks for its master, with --as NAME",
+        )
+    (anchor,) = anchors.values()
+    return anchor, frozenset().union(*(_revoked(node, anchor) for node in nodes))
+
+
+def _nodes(home: Path) -> list[NodeHome]:
+    found = sorted((home / "nodes").glob("*/ca.pem"))
+    return [NodeHome(path.parent, "/" + path.parent.name.replace(".", "/")) for path in found]
+
+
+def _revoked(node: NodeHome, anchor: TrustAnchor) -> frozenset[bytes]:
+    """What the newest list says, however old: the handshake asks for a fresh one."""
+    saved = node.load_revocations()
+    return frozenset() if saved is None else open_list(saved, anchor.public_key).entries

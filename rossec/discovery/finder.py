@@ -1,0 +1,118 @@
+"""The node's side: listen, knock at what was heard, and choose the master with the best link.
+
+A shell around `candidates`. A probe opens a TCP connection and closes it: it tells how far the
+master is and nothing else. The choice is the caller's to keep: a sidecar stays with it (a program
+cannot be moved to another master).
+"""
+
+import asyncio
+import contextlib
+import time
+from collections.abc import AsyncIterator
+from typing import Final
+
+from ca.certificates import TrustAnchor
+from rossec.discovery.candidates import Candidate, Candidates
+from rossec.discovery.multicast import MulticastSocket
+from rossec.errors import AnnouncementRefused, MasterNotFound
+from rossec.net.tasks import TaskSet
+from rossec.ros.text import printable
+
+PATIENCE: Final = 10.0  # seconds; a master speaks every two
+SETTLE: Final = 2.5  # after the first, for others to be heard
+_PROBE: Final = 2.0
+_LOOK: Final = 0.1
+_REJOIN: Final = 1.0
+
+
+async def find(
+    anchor: TrustAnchor,
+    revoked: frozenset[bytes] = frozenset(),
+    *,
+    patience: float = PATIENCE,
+    settle: float = SETTLE,
+) -> list[Candidate]:
+    """The masters of this trust domain that can be reached, the best link first.
+
+    Args:
+        revoked: entries of the newest revocation list known.
+        patience: seconds to wait for the first; `settle`: then for others.
+
+    Raises:
+        MasterNotFound: none, with what was heard instead.
+        OSError: no IPv6 here.
+    """
+    candidates = Candidates(anchor, revoked)
+    async with listening(candidates):
+        end = time.monotonic() + patience
+        found: float | None = None
+        while time.monotonic() < (end if found is None else min(end, found + settle)):
+            await asyncio.sleep(_LOOK)
+            if found is None and candidates.best(int(time.time())) is not None:
+                found = time.monotonic()
+    reached = [one for one in candidates.ranked(int(time.time())) if one.rtt is not None]
+    if not reached:
+        raise _nobody(candidates)
+    return reached
+
+
+@contextlib.asynccontextmanager
+async def listening(candidates: Candidates) -> AsyncIterator[None]:
+    """Feed `candidates` with what the links bring, and probe each as it is heard."""
+    group = MulticastSocket(listen=True)
+    probes = TaskSet()
+
+    def arrived() -> None:
+        for data, source in group.receive():
+            with contextlib.suppress(AnnouncementRefused):
+                heard = candidates.heard(data, source, int(time.time()), time.monotonic())
+                if heard is not None:
+                    probes.spawn(_probe(candidates, heard))
+
+    async def rejoin() -> None:
+        while True:
+            await asyncio.sleep(_REJOIN)
+            group.join()
+
+    loop = asyncio.get_running_loop()
+    loop.add_reader(group.fileno(), arrived)
+    probes.spawn(rejoin())
+    try:
+        yield
+    finally:
+        loop.remove_reader(group.fileno())
+        await probes.close()
+        group.close()
+
+
+async def _probe(candidates: Candidates, candidate: Candidate) -> None:
+    for host, port in candidate.endpoints:
+        begun = time.monotonic()
+        try:
+            async with asyncio.timeout(_PROBE):
+                _, writer = await asyncio.open_connection(host, port)
+        except (OSError, TimeoutError, UnicodeError):
+            continue
+        candidates.probed(candidate, (host, port), time.monotonic() - begun)
+        writer.close()
+        return
+
+
+def _nobody(candidates: Candidates) -> MasterNotFound:
+    heard = candidates.ranked(int(time.time()))
+    if heard:
+        where = ", ".join(f"{host} port {port}" for host, port in heard[0].endpoints)
+        return MasterNotFound(
+            f"a master announces itself, but nothing answers at {printable(where)}",
+            "is a firewall between? its TCP port must be open",
+        )
+    if candidates.refused:
+        why, times = candidates.refused.most_common(1)[0]
+        return MasterNotFound(
+            f"no master of this trust domain was heard, but {times} times: {printable(why)}",
+            "set ROS_MASTER_URI to the master of this domain",
+        )
+    return MasterNotFound(
+        "no master announces itself on the links of this host",
+        "start it with `rossec master --announce`, or set ROS_MASTER_URI",
+    )

@@ -1,0 +1,44 @@
+"""The accepted connections of an identity: bounded per peer, and cut when its key is revoked.
+
+A shell. Every kind of node shares it.
+"""
+
+import logging
+from typing import Final
+
+from ca.certificates import Identity
+from rossec.net.server import Handler
+from rossec.net.stream import SecureStream
+
+PEER_CONNECTIONS: Final = 64  # of one identity: one for each topic or service it uses here
+
+_log = logging.getLogger("rossec.node")
+
+
+class Guests:
+    """Who is connected now."""
+
+    def __init__(self) -> None:
+        self._streams: set[SecureStream[Identity]] = set()
+
+    def bounded(self, handler: Handler[Identity]) -> Handler[Identity]:
+        """Serve an entitled peer, and no more than a few connections of one identity (N8)."""
+
+        async def serve_one(stream: SecureStream[Identity]) -> None:
+            peer = stream.peer.thumbprint
+            if sum(other.peer.thumbprint == peer for other in self._streams) >= PEER_CONNECTIONS:
+                _log.warning("%s has too many connections", stream.peer.name)
+                return
+            self._streams.add(stream)
+            try:
+                await handler(stream)
+            finally:
+                self._streams.discard(stream)
+
+        return serve_one
+
+    def cut(self, revoked: frozenset[bytes]) -> None:
+        """Cut every connection of a revoked key, whatever it is used for."""
+        for stream in tuple(self._streams):
+            if not revoked.isdisjoint(stream.peer.keys):
+                stream.abort("the peer's identity is revoked")

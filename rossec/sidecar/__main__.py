@@ -1,0 +1,91 @@
+"""The sidecar's own process: `python -I -m rossec.sidecar`, which `rossec run` becomes.
+
+Apart from the command line, whose imports would double its memory. Arguments come as one JSON
+object from `rossec.cli.run`; they hold no secret.
+"""
+
+import asyncio
+import json
+import logging
+import os
+import signal
+import sys
+from typing import Any
+
+from ca.errors import HintedError
+from rossec.channel.policy import post_quantum
+from rossec.discovery.choose import settle_master
+from rossec.home import rossec_home
+from rossec.ros import settings
+from rossec.ros.text import printable
+from rossec.sidecar import child
+from rossec.sidecar.callers import Callers
+from rossec.sidecar.server import Sidecar
+
+_REFUSED = 1
+
+
+def main() -> int:
+    """Run what the arguments say; returns the exit code."""
+    options = json.loads(sys.argv[1])
+    logging.basicConfig(
+        level=logging.INFO if options["verbose"] else logging.WARNING,
+        format="rossec: %(levelname)s: %(message)s",
+    )
+    try:
+        return asyncio.run(_run(options))
+    except child.NoSuchProgram as error:
+        return _fail(error, error.code)
+    except HintedError as error:
+        return _fail(error, _REFUSED)
+    except OSError as error:
+        sys.stderr.write(f"rossec: error: {printable(error)}\n")
+        return _REFUSED
+
+
+async def _run(options: dict[str, Any]) -> int:
+    before = await settle_master(child.outside(os.environ), options["identity"])
+    sidecar = Sidecar(
+        rossec_home(before),
+        settings.read((), before, default_name="/sidecar"),
+        _callers(options),
+        identity=options["identity"],
+        each=options["each"],
+        port=options["port"],
+        suites=post_quantum(before),
+    )
+    sidecar.start()
+    try:
+        if options["command"]:
+            child.adopt_orphans()
+            return await child.run(options["command"], child.inside(os.environ, sidecar.uri))
+        return await _serve(sidecar)
+    finally:
+        await sidecar.close()
+
+
+def _callers(options: dict[str, Any]) -> Callers:
+    if options["command"]:
+        return Callers({os.getuid()}, os.getpid())
+    return Callers(options["users"] or {os.getuid()})
+
+
+async def _serve(sidecar: Sidecar) -> int:
+    stop = asyncio.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        asyncio.get_running_loop().add_signal_handler(number, stop.set)
+    sys.stdout.write(f"sidecar at {sidecar.uri}\n")
+    sys.stdout.flush()
+    await stop.wait()
+    return 0
+
+
+def _fail(error: HintedError, code: int) -> int:
+    sys.stderr.write(f"rossec: error: {printable(error)}\n")
+    if error.hint:
+        sys.stderr.write(f"rossec: hint: {printable(error.hint)}\n")
+    return code
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,170 @@
+"""The TCPROS handshake between a program and a peer, both directions. Pure layers.
+
+The header of the one end is read once, judged, given to the other end, and its answer judged in
+turn; grants are added towards the network and taken out towards the program. What comes back says
+how the bytes that follow must be treated: a guard for outgoing messages that are restricted,
+nothing else.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+from ca.certificates import Identity
+from grants import layout
+from grants.decision import Decision
+from grants.guard import Guard, needed_keys
+from grants.model import Right
+from rossec.errors import HangUp, TopicRefused
+from rossec.node import services, topics
+from rossec.node.access import FIELD
+from rossec.node.fields import Fields, text
+from rossec.sidecar.addresses import Endpoint
+from rossec.sidecar.commands import MeetPeer, MeetProgram, Rest
+from rossec.sidecar.events import Event, HeaderArrived, Silent
+from rossec.sidecar.layers import Layer, Tenant, Unforeseen
+
+_CALLER = "callerid"
+FilterKey = Callable[[str], bytes]
+
+
+@dataclass(frozen=True)
+class Joined:
+    """Two ends that may now exchange messages.
+
+    Attributes:
+        answer: the header for the end that asked.
+        decision: what the peer may do; when it ends, the connection does.
+        guard: treats each message towards the peer; None: bytes pass as they are.
+        service: both directions carry data; else only from publisher to subscriber.
+    """
+
+    answer: Mapping[str, bytes]
+    decision: Decision
+    guard: Guard | None
+    service: bool
+
+
+def admit_peer(
+    tenant: Tenant,
+    local: Endpoint,
+    fields: Mapping[str, bytes],
+    peer: Identity,
+    filter_key: FilterKey,
+    now: int,
+) -> Layer[Joined]:
+    """A peer subscribes to a topic of the program at `local`, or calls its service.
+
+    Raises:
+        TopicRefused, GrantError, CAError: it may not, or the program refuses it.
+        HangUp: the program does not answer.
+    """
+    service = "service" in fields
+    if service:
+        decision = services.admit_caller(fields, peer, tenant.access, now)
+        decision.require_unrestricted()
+    else:
+        decision = topics.admit_subscriber(fields, peer, tenant.access, now)
+    event = yield MeetProgram(local, without_grants(fields))
+    if isinstance(event, Silent) and event.dead:
+        yield Rest(local)
+    arrived = _arrived(event)
+    answer = _own_answer(tenant, fields, arrived.fields)
+    guard = None if service else _guard(answer, decision, filter_key)
+    return Joined({**answer, **_proof(tenant, fields, arrived.now)}, decision, guard, service)
+
+
+def _own_answer(
+    tenant: Tenant, asked: Mapping[str, bytes], answer: Mapping[str, bytes]
+) -> dict[str, bytes]:
+    """The program's answer under a certified name; rospy's publishers leave out the topic."""
+    if "error" in answer:
+        raise TopicRefused(text(answer, "error"))
+    completed = {**without_grants(answer), _CALLER: _caller(tenant, answer)}
+    if "topic" in asked:
+        completed["topic"] = asked["topic"]
+    return completed
+
+
+def _caller(tenant: Tenant, fields: Mapping[str, bytes]) -> bytes:
+    given = text(fields, _CALLER) if _CALLER in fields else ""
+    return tenant.name_for(given).encode()
+
+
+def _proof(tenant: Tenant, asked: Mapping[str, bytes], now: int) -> Fields:
+    if "service" in asked:
+        return services.provider_proof(text(asked, "service"), tenant.access, now)
+    return {FIELD: tenant.access.present(Right.PUBLISH, text(asked, "topic"), now)}
+
+
+def _guard(answer: Mapping[str, bytes], decision: Decision, filter_key: FilterKey) -> Guard | None:
+    """The guard for what the program says it publishes; its definition must prove its md5sum.
+
+    Without restrictions there is nothing to apply but the end of the grant, which the watch does.
+    """
+    if not decision.restrictions:
+        return None
+    shape = layout.parse(text(answer, "type"), _definition(answer))
+    if shape.md5 != text(answer, "md5sum"):
+        raise TopicRefused(
+            f"the definition of {shape.type_name} does not have the md5sum of the connection",
+            "the grant is restricted, and what is sent cannot be told",
+        )
+    keys = {name: filter_key(name) for name in needed_keys(decision.restrictions)}
+    return Guard(shape, decision, keys)
+
+
+def _definition(answer: Mapping[str, bytes]) -> str:
+    try:
+        return answer.get("message_definition", b"").decode()
+    except UnicodeDecodeError:
+        raise TopicRefused("a message definition that is not UTF-8") from None
+
+
+def reach_peer(
+    tenant: Tenant, remote: Endpoint, fields: Mapping[str, bytes], now: int
+) -> Layer[Joined]:
+    """A program subscribes to a topic of the peer at `remote`, or calls its service.
+
+    Raises:
+        TopicRefused, GrantError, CAError: the peer refuses, or may not publish or provide.
+        HangUp: the peer does not answer.
+    """
+    asked = {**without_grants(fields), _CALLER: _caller(tenant, fields)}
+    service = "service" in fields
+    if service:
+        name = services.requested_service(fields)
+        asked |= services.caller_proof(name, tenant.access, now)
+        event = yield MeetPeer(remote, asked)
+        arrived, peer = _from_peer(event)
+        decision = services.admit_provider(arrived.fields, peer, name, tenant.access, arrived.now)
+        decision.require_unrestricted()
+    else:
+        expected = topics.Expected(
+            topics.requested_topic(fields), text(fields, "type"), text(fields, "md5sum")
+        )
+        asked[FIELD] = tenant.access.present(Right.SUBSCRIBE, expected.topic, now)
+        arrived, peer = _from_peer((yield MeetPeer(remote, asked)))
+        decision = topics.admit_publisher(
+            arrived.fields, peer, expected, tenant.access, arrived.now
+        )
+    return Joined(without_grants(arrived.fields), decision, None, service)
+
+
+def _from_peer(event: Event) -> tuple[HeaderArrived, Identity]:
+    arrived = _arrived(event)
+    if arrived.peer is None:
+        raise Unforeseen("a peer without an identity")
+    return arrived, arrived.peer
+
+
+def _arrived(event: Event) -> HeaderArrived:
+    if isinstance(event, Silent):
+        raise HangUp(event.reason)
+    if not isinstance(event, HeaderArrived):
+        raise Unforeseen(type(event).__name__)
+    return event
+
+
+def without_grants(fields: Mapping[str, bytes]) -> dict[str, bytes]:
+    """The header without what is between rossec and rossec."""
+    return {key: value for key, value in fields.items() if key != FIELD}

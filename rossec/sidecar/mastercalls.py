@@ -1,0 +1,256 @@
+"""Calls of programs to their master, rewritten for the secured one. Pure layers.
+
+The table says where a call carries an address: the program's slave API, its service, or one in the
+answer. A method that is not in it is not passed on. Elements of a multicall are calls of their
+own. What a program registers is remembered, so that a restarted master hears of it again.
+"""
+
+from dataclasses import dataclass
+from enum import Enum
+from typing import Final
+
+from rossec.channel.opening import Flavour
+from rossec.errors import HangUp
+from rossec.ros import names
+from rossec.ros.text import printable
+from rossec.ros.xmlrpc import Fault
+from rossec.sidecar.addresses import Endpoint, endpoint, inside
+from rossec.sidecar.commands import AskLocal, AskMaster, Rest
+from rossec.sidecar.events import Answered, Silent
+from rossec.sidecar.layers import Layer, Program, Tenant, Unforeseen, own_endpoint
+
+MULTICALL: Final = "system.multicall"
+MULTICALL_LIMIT: Final = 4096
+MASTER: Final = "/master"
+
+
+class Result(Enum):
+    """What a successful answer holds."""
+
+    PLAIN = "no address"
+    NODES = "a list of slave API URIs"
+    NODE = "a slave API URI"
+    SERVICE = "a service URI, in the status text too"
+    MASTER = "the master's own URI"
+
+
+@dataclass(frozen=True)
+class Rule:
+    """Where one method carries addresses; indices count the caller_id as 0.
+
+    Attributes:
+        api: the caller's slave API URI.
+        service: a service URI of the caller.
+        key: a name that is relative to the caller.
+        undoes: the registration it takes back.
+    """
+
+    api: int | None = None
+    service: int | None = None
+    key: int | None = None
+    result: Result = Result.PLAIN
+    undoes: str | None = None
+
+    @property
+    def registers(self) -> bool:
+        """Whether others will know the program by this name and address."""
+        return self.api is not None and self.undoes is None
+
+
+RULES: Final = {
+    "registerPublisher": Rule(api=3, key=1, result=Result.NODES),
+    "registerSubscriber": Rule(api=3, key=1, result=Result.NODES),
+    "registerService": Rule(api=3, service=2, key=1),
+    "subscribeParam": Rule(api=1, key=2),
+    "unregisterPublisher": Rule(api=2, key=1, undoes="registerPublisher"),
+    "unregisterSubscriber": Rule(api=2, key=1, undoes="registerSubscriber"),
+    "unregisterService": Rule(service=2, key=1, undoes="registerService"),
+    "unsubscribeParam": Rule(api=1, key=2, undoes="subscribeParam"),
+    "lookupNode": Rule(key=1, result=Result.NODE),
+    "lookupService": Rule(key=1, result=Result.SERVICE),
+    "getUri": Rule(result=Result.MASTER),
+    "getPid": Rule(),
+    "shutdown": Rule(),
+    "getSystemState": Rule(),
+    "getTopicTypes": Rule(),
+    "getPublishedTopics": Rule(),
+    "getParam": Rule(key=1),
+    "setParam": Rule(key=1),
+    "deleteParam": Rule(key=1),
+    "hasParam": Rule(key=1),
+    "searchParam": Rule(),
+    "getParamNames": Rule(),
+}
+
+
+def call(tenant: Tenant, method: str, params: tuple[object, ...]) -> Layer[object]:
+    """Answer one call of a program.
+
+    Raises:
+        Fault: no such method.
+        HangUp: the master is out of reach; the program will try again.
+    """
+    if method == MULTICALL:
+        return (yield from _multicall(tenant, params))
+    rule = RULES.get(method)
+    if rule is None:
+        raise Fault(1, f"<class 'Exception'>:method \"{printable(method, 80)}\" is not supported")
+    caller = params[0] if params else None
+    if not isinstance(caller, str):
+        return [-1, "caller_id must be a string", 0]
+    if rule.registers and not tenant.covers(caller):
+        return [-1, _not_covered(tenant, caller), 0]
+    outside = yield from _outward(tenant, rule, caller, params)
+    if outside is None:
+        return [-1, "rossec: this address is not the program's own", 0]
+    event = yield AskMaster(method, outside)
+    if not isinstance(event, Answered):
+        raise HangUp(event.reason) if isinstance(event, Silent) else Unforeseen(method)
+    answer = event.value
+    if not isinstance(answer, list) or len(answer) != 3:
+        raise HangUp("the master's answer is not [code, status, value]")
+    if answer[0] == 1:
+        _remember(tenant, method, rule, params, outside)
+        return (yield from _inward(tenant, rule, _own(rule, params), answer))
+    return answer
+
+
+def _multicall(tenant: Tenant, params: tuple[object, ...]) -> Layer[object]:
+    calls = params[0] if len(params) == 1 else None
+    if not isinstance(calls, list) or len(calls) > MULTICALL_LIMIT:
+        raise Fault(1, f"rossec: a multicall is one list of at most {MULTICALL_LIMIT} calls")
+    answers: list[object] = []
+    for element in calls:
+        try:
+            answers.append([(yield from _element(tenant, element))])
+        except Fault as fault:
+            answers.append({"faultCode": fault.faultCode, "faultString": fault.faultString})
+    return answers
+
+
+def _element(tenant: Tenant, element: object) -> Layer[object]:
+    match element:
+        case {"methodName": str() as method, "params": list() as params} if method != MULTICALL:
+            return (yield from call(tenant, method, tuple(params)))
+        case _:
+            raise Fault(1, "rossec: a multicall element needs methodName and params")
+
+
+def _outward(
+    tenant: Tenant, rule: Rule, caller: str, params: tuple[object, ...]
+) -> Layer[tuple[object, ...] | None]:
+    """The parameters for the secured master; None: an address that is not the program's."""
+    changed = list(params)
+    if rule.undoes is None:  # `rosnode cleanup` speaks for dead nodes; the master judges that
+        changed[0] = tenant.name_for(caller)
+    if rule.key is not None and rule.key < len(params) and changed[0] != caller:
+        key = params[rule.key]
+        changed[rule.key] = names.resolve(key, caller) if isinstance(key, str) else key
+    for index, flavour in ((rule.api, Flavour.HTTP), (rule.service, Flavour.TCPROS)):
+        if index is None or index >= len(params):
+            continue
+        given = endpoint(params[index], flavour)
+        if given is None:
+            continue  # the master says what is wrong with it
+        address = yield from _address(tenant, rule, given)
+        if address is None:
+            return None
+        changed[index] = address
+    own = _own(rule, params)
+    if own is not None and rule.registers:
+        tenant.doors.spell(own, str(params[rule.api or 0]))
+        tenant.programs.setdefault(own, Program(caller)).name = caller
+    return tuple(changed)
+
+
+def _address(tenant: Tenant, rule: Rule, given: Endpoint) -> Layer[str | None]:
+    """What the master knows an endpoint by that a program names.
+
+    A door on loopback is a peer's: `rosnode cleanup` gives back what `lookupNode` answered. Nobody
+    can register one as its own, or the sidecar would call itself.
+    """
+    local = inside(given.flavour, given.port)
+    remote = tenant.doors.peer_behind(local)
+    if remote is not None:
+        return None if rule.registers else remote.uri
+    return (yield from tenant.export(local)).uri
+
+
+def _own(rule: Rule, params: tuple[object, ...]) -> Endpoint | None:
+    if rule.api is None or rule.api >= len(params):
+        return None
+    return own_endpoint(params[rule.api])
+
+
+def _remember(
+    tenant: Tenant, method: str, rule: Rule, params: tuple[object, ...], outside: tuple[object, ...]
+) -> None:
+    key = str(outside[rule.key]) if rule.key is not None else ""
+    own = _own(rule, params)
+    if rule.registers and own is not None:
+        tenant.programs.setdefault(own, Program(str(params[0]))).registrations[method, key] = (
+            outside
+        )
+    elif rule.undoes is not None:
+        for program in tenant.programs.values():
+            if program.name == params[0]:
+                program.registrations.pop((rule.undoes, key), None)
+
+
+def _inward(
+    tenant: Tenant, rule: Rule, own: Endpoint | None, answer: list[object]
+) -> Layer[list[object]]:
+    """A successful answer of the master, as the program must see it."""
+    code, status, value = answer
+    match rule.result:
+        case Result.NODES:
+            value = yield from tenant.bring_all(value, own)
+        case Result.NODE:
+            remote = endpoint(value, Flavour.HTTP)
+            value = "" if remote is None else (yield from _node(tenant, remote))
+        case Result.SERVICE:
+            remote = endpoint(value, Flavour.TCPROS)
+            value = "" if remote is None else (yield from tenant.bring(remote))
+            status = f"rosrpc URI: [{value}]"
+        case Result.MASTER:
+            value = tenant.master_uri
+        case Result.PLAIN:
+            pass
+    return [code, status, value]
+
+
+def _node(tenant: Tenant, remote: Endpoint) -> Layer[str]:
+    """A node of the same identity is met directly: it is the caller itself, or its like."""
+    own = tenant.doors.program_behind(remote)
+    return (yield from tenant.bring(remote, own, probe=True))
+
+
+def _not_covered(tenant: Tenant, caller: str) -> str:
+    name = tenant.identity.name
+    return (
+        f"rossec: a program with the identity of {name} calls itself {printable(caller, 255)}:"
+        f" start it with __name:={name.rpartition('/')[2]}, or with an identity of its own"
+    )
+
+
+def restore(tenant: Tenant) -> Layer[None]:
+    """Make every registration again, for a master that was restarted."""
+    for own, program in tuple(tenant.programs.items()):
+        for (method, key), params in tuple(program.registrations.items()):
+            event = yield AskMaster(method, params)
+            match event:
+                case Answered(value=[1, _, value]) if method == "registerSubscriber":
+                    uris = yield from tenant.bring_all(value, own)
+                    yield from tell(tenant, own, "publisherUpdate", (MASTER, key, uris))
+                case Silent(reason=reason):
+                    raise HangUp(reason)
+                case _:
+                    pass
+
+
+def tell(tenant: Tenant, own: Endpoint, method: str, params: tuple[object, ...]) -> Layer[None]:
+    """Call a program that may be gone."""
+    event = yield AskLocal(own, method, params)
+    if isinstance(event, Silent) and event.dead:
+        tenant.forget(own)
+        yield Rest(own)

@@ -1,0 +1,136 @@
+"""A plain TCP connection with a program of this host: bytes as they come, with back-pressure.
+
+It has the methods of a secure stream, so that both kinds of end can be served and pumped alike.
+Its buffer is small until a program fills it: fifty quiet nodes must not cost fifty large buffers.
+"""
+
+import asyncio
+import socket
+from typing import Final
+
+from rossec.channel.records import Bytes
+from rossec.errors import ChannelClosed
+from rossec.net.transport import Transport
+
+_SMALL: Final = 8 * 1024
+_LARGE: Final = 256 * 1024  # what one record of the channel holds
+_LINGER: Final = 2.0
+
+
+class PlainStream:
+    """One connection; `peer` says who it is as far as anybody knows: a program of this host."""
+
+    peer = "a program of this host"
+
+    def __init__(self, sock: socket.socket) -> None:
+        self._buffer = memoryview(bytearray(_SMALL))
+        self._end = 0
+        self._ended = False
+        self._waiting: asyncio.Future[None] | None = None
+        self._drained = asyncio.Event()
+        self._lost = asyncio.Event()
+        self._transport = Transport(sock, self)
+        self._transport.resume_reading()
+
+    # -- called by the transport
+
+    def get_buffer(self) -> memoryview:
+        """The free tail of the buffer."""
+        return self._buffer[self._end :]
+
+    def received(self, count: int) -> None:
+        """Keep the bytes until they are taken; stop reading when there is no room."""
+        self._end += count
+        if self._end == len(self._buffer):
+            self._transport.pause_reading()
+        self._wake()
+
+    def eof(self) -> None:
+        """The program sends nothing more."""
+        self._ended = True
+        self._wake()
+
+    def drained(self) -> None:
+        """The program caught up."""
+        self._drained.set()
+
+    def lost(self) -> None:
+        """The connection is closed."""
+        self._ended = True
+        self._lost.set()
+        self._drained.set()
+        self._wake()
+
+    # -- for users
+
+    async def take(self) -> memoryview:
+        """What has arrived, at least one byte; valid until `taken`.
+
+        Raises:
+            ChannelClosed: the program sends nothing more.
+        """
+        while self._end == 0:
+            if self._ended:
+                raise ChannelClosed("the program closed the connection")
+            self._waiting = asyncio.get_running_loop().create_future()
+            await self._waiting
+        return self._buffer[: self._end]
+
+    def taken(self, view: memoryview) -> None:
+        """Give back what `take` lent; what came meanwhile moves to the front."""
+        count, full = len(view), self._end == len(self._buffer)
+        rest = self._end - count
+        if full and len(self._buffer) < _LARGE:
+            larger = memoryview(bytearray(_LARGE))
+            larger[:rest] = self._buffer[count : self._end]
+            self._buffer = larger
+        elif rest:
+            self._buffer[:rest] = bytes(self._buffer[count : self._end])
+        self._end = rest
+        if full and not self._ended:
+            self._transport.resume_reading()
+
+    async def receive(self) -> bytes:
+        """The next bytes, copied.
+
+        Raises:
+            ChannelClosed: the program sends nothing more.
+        """
+        view = await self.take()
+        data = bytes(view)
+        self.taken(view)
+        return data
+
+    async def send(self, *pieces: Bytes) -> None:
+        """Send the pieces; waits while the program lags.
+
+        Raises:
+            ChannelClosed: the connection is closed.
+        """
+        for piece in pieces:
+            if self._transport.closed:
+                raise ChannelClosed("the program closed the connection")
+            self._transport.write(piece)
+        while not self._transport.writable:
+            self._drained.clear()
+            await self._drained.wait()
+
+    async def close(self) -> None:
+        """End this side after what was sent; wait for the other, but not for long."""
+        self._transport.write_eof()
+        try:
+            async with asyncio.timeout(_LINGER):
+                while not self._ended:
+                    self.taken(await self.take())
+        except (ChannelClosed, TimeoutError):
+            pass
+        finally:
+            self._transport.abort()
+
+    def abort(self, _reason: str = "") -> None:
+        """Drop the connection at once."""
+        self._transport.abort()
+
+    def _wake(self) -> None:
+        if self._waiting is not None and not self._waiting.done():
+            self._waiting.set_result(None)

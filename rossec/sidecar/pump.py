@@ -1,0 +1,156 @@
+"""Bytes between a program and a peer, once both have introduced themselves.
+
+A shell. What is not restricted passes as it comes, without a look at it; what is goes through the
+guard, message by message. Whoever lags slows the other end down. When one end goes the other goes,
+after it got what was sent; when anything is wrong, a guard that fails included, both go at once.
+"""
+
+import asyncio
+import logging
+import struct
+import time
+from collections.abc import Coroutine
+from typing import Final
+
+from ca.certificates import Identity
+from grants.decision import Decision
+from grants.errors import GrantError
+from grants.guard import Guard
+from rossec.errors import ChannelClosed, HeaderRefused, TopicRefused
+from rossec.net.stream import SecureStream
+from rossec.node.fields import Fields
+from rossec.ros import header
+from rossec.ros.header import FrameReader
+from rossec.sidecar.plain import PlainStream
+
+_LENGTH: Final = struct.Struct("<I")
+_log = logging.getLogger("rossec.sidecar")
+Buffer = bytes | bytearray | memoryview
+
+
+class Link:
+    """A connection that `decision` admitted; the watch cuts it when that ends."""
+
+    def __init__(self, stream: SecureStream[Identity], decision: Decision) -> None:
+        self.stream = stream
+        self.decision = decision
+        self.ends = min(decision.expires, stream.peer.not_after)
+
+
+async def split_header(end: PlainStream | SecureStream[Identity]) -> tuple[Fields, bytes]:
+    """The connection header that `end` sends first, and the bytes that came with it.
+
+    Raises:
+        HeaderRefused: malformed or too long; the limit is checked before anything is kept.
+        ChannelError: the end is gone.
+    """
+    data = b""
+    while len(data) < _LENGTH.size or len(data) < _LENGTH.size + _length(data):
+        data += await end.receive()
+    size = _LENGTH.size + _length(data)
+    return header.decode(data[_LENGTH.size : size]), data[size:]
+
+
+def _length(data: bytes) -> int:
+    (length,) = _LENGTH.unpack_from(data)
+    if length > header.HEADER_LIMIT:
+        raise HeaderRefused(f"a connection header of {length} bytes")
+    return int(length)
+
+
+async def exchange(
+    program: PlainStream, peer: SecureStream[Identity], outward: bytes, inward: bytes
+) -> None:
+    """Pass bytes both ways, as a service needs; what came with the headers goes first."""
+    await _both(program, peer, to_peer(program, peer, outward), to_program(peer, program, inward))
+
+
+async def publish(
+    program: PlainStream, peer: SecureStream[Identity], guard: Guard | None, first: bytes
+) -> None:
+    """Pass a program's messages to a peer that subscribes; `first` came with its header."""
+    await _both(program, peer, outgoing(program, peer, guard, first), _nothing_more(peer))
+
+
+async def subscribe(program: PlainStream, peer: SecureStream[Identity], first: bytes) -> None:
+    """Pass a peer's messages to a program that subscribes."""
+    await _both(program, peer, to_program(peer, program, first), _nothing_more(program))
+
+
+async def to_peer(program: PlainStream, peer: SecureStream[Identity], first: bytes) -> None:
+    """Everything the program sends, until it ends."""
+    if first:
+        await peer.send(first)
+    while True:
+        view = await program.take()
+        await peer.send(view)
+        program.taken(view)
+
+
+async def to_program(peer: SecureStream[Identity], program: PlainStream, first: bytes) -> None:
+    """Everything the peer sends, until it ends."""
+    if first:
+        await program.send(first)
+    while True:
+        await program.send(await peer.receive())
+
+
+def outgoing(
+    program: PlainStream, peer: SecureStream[Identity], guard: Guard | None, first: bytes
+) -> Coroutine[None, None, None]:
+    """The way of messages out: through the guard if there is one."""
+    if guard is None:
+        return to_peer(program, peer, first)
+    return guarded(program, peer, guard, first)
+
+
+async def guarded(
+    program: PlainStream, peer: SecureStream[Identity], guard: Guard, data: bytes
+) -> None:
+    """Each message as the peer may see it; one that cannot be judged is withheld.
+
+    Raises:
+        GrantExpired, ChannelClosed: the right, or one of the ends, has ended.
+        FrameRefused: the program's messages cannot be told apart.
+    """
+    reader = FrameReader()
+    while True:
+        now = int(time.time())
+        guard.check(now)
+        pieces: list[Buffer] = []
+        for message in reader.feed(data):
+            pieces += _treated(guard, message, now, peer.peer.name)
+        if pieces:
+            await peer.send(*pieces)
+        data = await program.receive()
+
+
+def _treated(guard: Guard, message: bytes, now: int, name: str) -> list[Buffer]:
+    try:
+        treated = guard.treat(message, now)
+    except GrantError as error:
+        _log.warning("withheld a message from %s: %s", name, error)
+        return []
+    if treated is None:
+        return []
+    return [_LENGTH.pack(sum(map(len, treated))), *treated]
+
+
+async def _nothing_more(end: PlainStream | SecureStream[Identity]) -> None:
+    """A subscriber sends nothing after its header."""
+    await end.receive()
+    raise TopicRefused("a subscriber that sends data")
+
+
+async def _both(
+    program: PlainStream, peer: SecureStream[Identity], *ways: "asyncio._CoroutineLike[None]"
+) -> None:
+    try:
+        async with asyncio.TaskGroup() as group:
+            for way in ways:
+                group.create_task(way)
+    except* ChannelClosed:  # in order: what was sent is delivered before the other end goes
+        await asyncio.gather(program.close(), peer.close())
+    finally:
+        program.abort()
+        peer.abort("the other end is gone")

@@ -1,0 +1,130 @@
+"""The sidecar of a host or of one program: a master on loopback, and an agent for each identity.
+
+A shell. Which identity a call is made with follows from the caller's name, never from anything a
+peer sent: with `identity` it is always that one; otherwise each program uses the one enrolled for
+its own name.
+"""
+
+import asyncio
+import logging
+from pathlib import Path
+from typing import Final
+
+from ca.errors import HintedError
+from ca.names import check_name
+from rossec.channel.opening import Flavour
+from rossec.channel.suites import PRODUCTION
+from rossec.errors import ConfigurationError, HangUp
+from rossec.home import NodeHome
+from rossec.net.rpc import serve_calls
+from rossec.ros.settings import Settings
+from rossec.ros.xmlrpc import Fault
+from rossec.sidecar.addresses import inside
+from rossec.sidecar.agent import Agent
+from rossec.sidecar.callers import Callers
+from rossec.sidecar.loopback import LoopbackPort
+from rossec.sidecar.mastercalls import MULTICALL
+from rossec.sidecar.plain import PlainStream
+
+_log = logging.getLogger("rossec.sidecar")
+_LIMIT: Final = 256  # identities in use
+
+
+class Sidecar:
+    """Serves the programs that `callers` lets in.
+
+    Args:
+        home: ROSSEC_HOME.
+        outside: where the secured master is, and how peers reach this host.
+        identity: the name whose identity every program uses, if any.
+        each: programs with an identity of their own use that instead.
+        port: of the loopback master; 0 for any.
+        suites: of the channel, offered and accepted.
+    """
+
+    def __init__(
+        self,
+        home: Path,
+        outside: Settings,
+        callers: Callers,
+        *,
+        identity: str | None = None,
+        each: bool = False,
+        port: int = 0,
+        suites: tuple[int, ...] = PRODUCTION,
+    ) -> None:
+        self._home = home
+        self._outside = outside
+        self._callers = callers
+        self._each = each
+        self._suites = suites
+        self._agents: dict[str, Agent] = {}
+        self._master = LoopbackPort(callers, self._serve, port)
+        self._default = None if identity is None else self._agent(NodeHome.of(home, identity))
+
+    @property
+    def uri(self) -> str:
+        """What programs must be told in ROS_MASTER_URI."""
+        return inside(Flavour.HTTP, self._master.port).uri
+
+    def start(self) -> None:
+        """Serve."""
+        self._master.open()
+
+    async def close(self) -> None:
+        """End everything."""
+        await self._master.close()
+        await asyncio.gather(*(agent.close() for agent in self._agents.values()))
+
+    async def _serve(self, program: PlainStream) -> None:
+        await serve_calls(program, self._call)
+
+    async def _call(self, method: str, params: tuple[object, ...], _: str) -> object:
+        if method == MULTICALL and params == ([],):  # nobody's: roslaunch without parameters
+            return []
+        try:
+            agent = self._agent_for(_caller(method, params))
+            return await agent.call_master(method, params)
+        except (HangUp, Fault):
+            raise
+        except HintedError as error:
+            _log.warning("%s: %s (%s)", method, error, error.hint)
+            return [-1, f"rossec: {error} ({error.hint})", 0]
+
+    def _agent_for(self, name: str) -> Agent:
+        if self._default is not None and not self._each:
+            return self._default
+        # rosparam calls itself /rosparam-1234, which is no ROS name; meant is an anonymous one.
+        home = NodeHome.find(self._home, check_name(name.replace("-", "_")))
+        if home.name in self._agents:
+            return self._agents[home.name]
+        if not (home.path / "node.key").exists():
+            if self._default is not None:
+                return self._default
+            raise ConfigurationError(
+                f"{name} has no identity here",
+                f"enroll it: rossec node request {name}, or use --as",
+            )
+        if len(self._agents) >= _LIMIT:
+            raise ConfigurationError("too many identities in one sidecar")
+        return self._agent(home)
+
+    def _agent(self, home: NodeHome) -> Agent:
+        if home.name not in self._agents:
+            self._agents[home.name] = Agent(
+                home, self._outside, self._callers, self.uri, self._suites
+            )
+        return self._agents[home.name]
+
+
+def _caller(method: str, params: tuple[object, ...]) -> str:
+    """The name a call is made under; of a multicall, that of its first element."""
+    if method == MULTICALL:
+        match params:
+            case ([{"params": [str() as name, *_]}, *_],):
+                return name
+            case _:
+                pass
+    elif params and isinstance(params[0], str):
+        return params[0]
+    raise Fault(1, "missing required caller_id parameter")

@@ -1,0 +1,178 @@
+"""Calls between nodes: a peer's to a program's slave API, and a program's to a peer's. Pure layers.
+
+Both directions are default deny and drop UDPROS, which would leave the channel (attack N10). A
+peer is judged before the program hears of it. What a program answers is parsed only where it
+carries an address: roscpp's `getBusStats` is malformed XML-RPC, and travels as it is.
+"""
+
+from collections.abc import Mapping
+from typing import Final
+
+from ca.certificates import Identity
+from grants.model import Right
+from rossec.channel.opening import Flavour
+from rossec.errors import CallRefused, HangUp
+from rossec.node.questions import OPEN, PRESENT, QUESTIONS, STEERING, check_question
+from rossec.ros.text import printable
+from rossec.ros.xmlrpc import Encoded, Fault
+from rossec.sidecar.addresses import Endpoint, endpoint, inside
+from rossec.sidecar.commands import AskLocal, AskRemote, Knock, Rest
+from rossec.sidecar.events import Answered, Event, Passed, Silent
+from rossec.sidecar.layers import Layer, Tenant, Unforeseen
+
+_PARSED: Final = frozenset({"requestTopic", "getBusInfo", "getUri", "getMasterUri"})
+_INWARD: Final = "i"
+NO_TRANSPORT: Final = "rossec: only TCPROS, inside the secure channel"
+
+
+def ask_program(
+    tenant: Tenant,
+    local: Endpoint,
+    peer: Identity,
+    method: str,
+    params: tuple[object, ...],
+    shown: bytes | None,
+    now: int,
+) -> Layer[object]:
+    """Answer a peer's call to the program at `local`.
+
+    Raises:
+        CallRefused, GrantError, CAError: the peer may not.
+        HangUp: the program does not answer.
+    """
+    node = tenant.identity.name
+    if method == PRESENT:
+        tenant.access.check_peer(peer, now)
+        yield from _gone(tenant, local, (yield Knock(local)))
+        return [1, "", 0]
+    check_question(method, peer, node, shown, tenant.access, now)
+    if not params or not isinstance(params[0], str):
+        raise CallRefused("caller_id must be a string")
+    changed = yield from _for_program(tenant, local, method, params)
+    if changed is None:
+        return [-1, NO_TRANSPORT, []]
+    event = yield AskLocal(local, method, changed, parse=method in _PARSED)
+    yield from _gone(tenant, local, event)
+    match event:
+        case Passed(body=body):
+            return Encoded(body)
+        case Answered(value=[1, status, value]):
+            return (yield from _program_says(tenant, local, method, status, value))
+        case Answered(value=value):
+            return value
+        case _:
+            raise Unforeseen(method)
+
+
+def _gone(tenant: Tenant, local: Endpoint, event: Event) -> Layer[None]:
+    """Refuse from now on in the name of a program that is gone."""
+    if isinstance(event, Silent):
+        if event.dead:
+            tenant.forget(local)
+            yield Rest(local)
+        raise HangUp(event.reason)
+
+
+def _for_program(
+    tenant: Tenant, local: Endpoint, method: str, params: tuple[object, ...]
+) -> Layer[tuple[object, ...] | None]:
+    if method == "publisherUpdate" and len(params) == 3:
+        return (*params[:2], (yield from tenant.bring_all(params[2], local)))
+    return _without_udp(params) if method == "requestTopic" else params
+
+
+def _without_udp(params: tuple[object, ...]) -> tuple[object, ...] | None:
+    """`requestTopic` for TCPROS alone; None: nothing else was asked for."""
+    offers = params[2] if len(params) == 3 else None
+    if not isinstance(offers, list) or ["TCPROS"] not in [
+        offer[:1] for offer in offers if isinstance(offer, list)
+    ]:
+        return None
+    return (*params[:2], [["TCPROS"]])
+
+
+def _program_says(
+    tenant: Tenant, local: Endpoint, method: str, status: object, value: object
+) -> Layer[object]:
+    """The program's answer as a peer must see it: with doors in place of loopback ports."""
+    match method, value:
+        case "requestTopic", ["TCPROS", str(), int() as port] if 0 < port < 1 << 16:
+            door = yield from tenant.export(inside(Flavour.TCPROS, port))
+            return [1, "ready", ["TCPROS", door.host, door.port]]
+        case "requestTopic", _:
+            return [-1, NO_TRANSPORT, []]
+        case "getUri", _:
+            return [1, status, (yield from tenant.export(local)).uri]
+        case "getMasterUri", _:
+            return [1, status, ""]
+        case "getBusInfo", list() as entries:
+            return [1, status, [_entry(tenant, entry) for entry in entries]]
+        case _:
+            return [1, status, value]
+
+
+def _entry(tenant: Tenant, entry: object) -> object:
+    """A connection as the program knows it; of incoming ones it names the publisher's URI."""
+    match entry:
+        case [number, uri, "i", *rest]:
+            local = endpoint(uri, Flavour.HTTP)
+            remote = None if local is None else tenant.doors.peer_behind(local)
+            return [number, uri if remote is None else remote.uri, _INWARD, *rest]
+        case _:
+            return entry
+
+
+def ask_peer(
+    tenant: Tenant, remote: Endpoint, method: str, params: tuple[object, ...]
+) -> Layer[object]:
+    """Answer a program's call to the peer at `remote`.
+
+    Raises:
+        Fault: no such method.
+        HangUp: the peer does not answer.
+    """
+    if method not in OPEN | STEERING | QUESTIONS.keys():
+        raise Fault(1, f"<class 'Exception'>:method \"{printable(method, 80)}\" is not supported")
+    if not params or not isinstance(params[0], str):
+        return [-1, "caller_id must be a string", 0]
+    changed: tuple[object, ...] | None = (tenant.name_for(params[0]), *params[1:])
+    if method == "requestTopic":
+        changed = _without_udp(changed or ())
+    if changed is None:
+        return [-1, NO_TRANSPORT, []]
+    event = yield AskRemote(remote, method, changed, _RIGHTS.get(method), method in _PARSED)
+    match event:
+        case Passed(body=body):
+            return Encoded(body)
+        case Answered(value=[1, status, value]):
+            return (yield from _peer_says(tenant, remote, method, status, value))
+        case Answered(value=value):
+            return value
+        case Silent(reason=reason):
+            raise HangUp(reason)
+        case _:
+            raise Unforeseen(method)
+
+
+_RIGHTS: Final[Mapping[str, Right]] = QUESTIONS
+
+
+def _peer_says(
+    tenant: Tenant, remote: Endpoint, method: str, status: object, value: object
+) -> Layer[object]:
+    """A peer's answer as the program must see it: with doors in place of addresses."""
+    match method, value:
+        case "requestTopic", ["TCPROS", str() as host, int() as port] if (
+            host and 0 < port < 1 << 16
+        ):
+            uri = yield from tenant.bring(Endpoint(Flavour.TCPROS, host, port))
+            door = endpoint(uri, Flavour.TCPROS)
+            return [1, "ready", ["TCPROS", door.host, door.port]] if door else [-1, "", []]
+        case "requestTopic", _:
+            return [-1, NO_TRANSPORT, []]
+        case "getUri", _:
+            return [1, status, (yield from tenant.bring(remote))]
+        case "getMasterUri", _:
+            return [1, status, tenant.master_uri]
+        case _:
+            return [1, status, value]

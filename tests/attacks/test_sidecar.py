@@ -1,0 +1,192 @@
+"""Attacks on a sidecar: from the network, from another user of the host, from a program inside.
+
+Those on calls and headers are in the playbooks of `tests/rossec/sidecar`; here are the ones that
+need real sockets and real users.
+"""
+
+import asyncio
+import contextlib
+import os
+import socket
+import subprocess
+from collections.abc import AsyncIterator
+from pathlib import Path
+
+import pytest
+
+from grants.model import Right
+from rossec.channel.opening import Flavour
+from rossec.net.rpc import RpcClient
+from rossec.net.stream import connect
+from rossec.sidecar import headers
+from rossec.sidecar.server import Sidecar
+from tests.rossec.sidecar.program import Program, sidecar
+from tests.support.site import Site
+
+NOBODY = 65534
+PRIVATE = (b"robot", b"word", b"std_msgs", b"home", b"callerid", b"md5sum")
+PROBES = (
+    b"",
+    b"\0" * 64,
+    b"GET / HTTP/1.0\r\n\r\n",
+    b"\x16\x03\x01\x02\x00\x01\x00\x01\xfc\x03\x03",
+    b"\x40\0\0\0\x10\0\0\0callerid=/nobody\x0b\0\0\0topic=/word",
+    b"POST / HTTP/1.1\r\nContent-Length: 100\r\n\r\n<methodCall><methodName>getPid",
+)
+CALL = """
+import sys, socket, xmlrpc.client
+socket.setdefaulttimeout(10)
+try:
+    print("ANSWERED", xmlrpc.client.ServerProxy(sys.argv[1]).getSystemState("/robot"))
+except Exception as error:
+    print("REFUSED", type(error).__name__)
+"""
+
+
+@pytest.fixture
+async def site(tmp_path: Path) -> AsyncIterator[Site]:
+    site = Site(tmp_path / "site")
+    site.publish("/robot", "/word")
+    site.grant("/robot", Right.GRAPH, "/**")
+    async with site.running() as site:
+        yield site
+
+
+@pytest.fixture
+async def near(site: Site) -> AsyncIterator[Sidecar]:
+    async with sidecar(site) as near:
+        yield near
+
+
+@pytest.fixture
+async def robot(near: Sidecar) -> AsyncIterator[Program]:
+    async with Program("/robot", near) as robot:
+        await robot.register("registerPublisher", "/word", "std_msgs/String")
+        yield robot
+
+
+async def call_as(uri: str, user: int | None) -> str:
+    process = await asyncio.create_subprocess_exec(
+        "/usr/bin/python3", "-c", CALL, uri,
+        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, user=user, env={"PATH": "/usr/bin"},
+    )  # fmt: skip
+    said, _ = await process.communicate()
+    return said.decode()
+
+
+async def test_the_process_of_another_user_cannot_borrow_the_identity(
+    near: Sidecar, robot: Program
+) -> None:
+    if os.getuid() != 0:
+        pytest.skip("NOT RUN: only root can start a process of another user")
+    agent = near._agent_for("/robot")
+    door = f"http://127.0.0.1:{next(iter(agent._imports.values())).port}/" if agent._imports else ""
+    assert (await call_as(near.uri, None)).startswith("ANSWERED")
+    for uri in filter(None, (near.uri, door)):
+        assert (await call_as(uri, NOBODY)).startswith("REFUSED")
+
+
+def listening() -> set[int]:
+    """The TCP ports this process listens at."""
+    inodes = set()
+    for entry in Path("/proc/self/fd").iterdir():
+        with contextlib.suppress(OSError):
+            inodes.add(str(entry.readlink()).removeprefix("socket:[").removesuffix("]"))
+    ports = set()
+    for table in ("/proc/net/tcp", "/proc/net/tcp6"):
+        for line in Path(table).read_text().splitlines()[1:]:
+            fields = line.split()
+            if fields[3] == "0A" and fields[9] in inodes:
+                ports.add(int(fields[1].rpartition(":")[2], 16))
+    return ports
+
+
+def probed(port: int, probe: bytes) -> bytes:
+    with socket.create_connection(("127.0.0.1", port), timeout=5) as sock:
+        sock.settimeout(1.0)
+        answer = b""
+        try:
+            sock.sendall(probe)
+            while part := sock.recv(4096):
+                answer += part
+        except OSError:
+            pass
+        return answer
+
+
+async def test_a_scan_of_everything_it_opens_learns_nothing(site: Site, near: Sidecar) -> None:
+    """L8: ports to the network answer only with the refusal meant for plain peers."""
+    before = listening()
+    async with Program("/robot", near) as robot:
+        await robot.register("registerPublisher", "/word", "std_msgs/String")
+        opened = listening() - before - {robot.slave.port, robot.topics.port}
+        assert opened
+        for port in opened:
+            answers = await asyncio.gather(
+                *(asyncio.to_thread(probed, port, probe) for probe in PROBES)
+            )
+            for answer in answers:
+                assert not any(word in answer for word in PRIVATE), answer
+        assert robot.calls == []
+
+
+async def test_the_slave_api_is_closed_to_peers(site: Site, near: Sidecar, robot: Program) -> None:
+    """N1-N4 and L1 through a sidecar: the program does not even hear of it."""
+    home = site.enroll("/mallory")
+    agent = near._agent_for("/robot")
+    port = next(iter(agent._exports.values())).port
+    stream = await connect(
+        "127.0.0.1", port, home.credentials(), site.anchor.verify, opening=Flavour.HTTP
+    )
+    client = RpcClient(stream)
+    for method, params in (
+        ("shutdown", ("/mallory", "x")), ("shutdown", ("/master", "x")),
+        ("publisherUpdate", ("/master", "/word", ["http://evil:1/"])),
+        ("paramUpdate", ("/master", "/k", 1)), ("getPid", ("/mallory",)),
+        ("getBusInfo", ("/mallory",)), ("launch", ("<launch/>",)),
+        ("rossec.revocationUpdate", ("/master", b"", b"")), ("system.multicall", ([],)),
+    ):  # fmt: skip
+        answer = await client.call(method, *params)
+        assert isinstance(answer, list)
+        assert answer[0] == -1, (method, answer)
+    await client.close()
+    assert robot.calls == []
+
+
+async def test_the_sidecar_lends_nobody_its_rights(site: Site, near: Sidecar) -> None:
+    """L7: who asks through a sidecar asks as itself, and is refused as itself."""
+    site.enroll("/weak")
+    async with Program("/weak", near) as weak:
+        for method, params in (
+            ("registerPublisher", ("/word", "std_msgs/String", weak.uri)),
+            ("getParam", ("/secret",)), ("shutdown", ("now",)),
+        ):  # fmt: skip
+            answer = await weak.ask(weak.master_uri, method, *params)
+            assert isinstance(answer, list)
+            assert answer[0] == -1, (method, answer)
+            assert "/weak" in answer[1]
+    answer = await weak.ask(near.uri, "getSystemState")
+    assert isinstance(answer, list)
+    assert answer[2] == [[], [], []]
+
+
+async def test_a_failing_guard_closes_the_connection(
+    site: Site, near: Sidecar, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A mistake of ours ends the connection; nothing passes."""
+
+    def crash(*_: object) -> object:
+        raise RuntimeError("a bug")
+
+    site.subscribe("/ear", "/word")
+    async with (
+        sidecar(site) as far,
+        Program("/robot", near) as robot,
+        Program("/ear", far) as ear,
+    ):
+        await robot.register("registerPublisher", "/word", "std_msgs/String")
+        uris = await ear.register("registerSubscriber", "/word", "std_msgs/String")
+        assert isinstance(uris, list)
+        monkeypatch.setattr(headers, "_guard", crash)
+        with pytest.raises(Exception, match=r"closed|reset"):
+            await ear.subscribe(uris[0], "/word")

@@ -1,0 +1,100 @@
+"""`rossec run` and `rossec sidecar`: what the command line makes of its words."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from rossec.cli import main
+
+BIN = str(Path(sys.executable).parent / "rossec")
+
+
+@pytest.fixture
+def became(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+    """What the process would have become."""
+    found: dict[str, Any] = {}
+
+    def execve(path: str, arguments: list[str], env: dict[str, str]) -> None:
+        found.update(json.loads(arguments[-1]), path=path, flags=arguments[1:-1], env=env)
+        raise OSError(0, "replaced")
+
+    monkeypatch.setattr(os, "execve", execve)
+    return found
+
+
+def test_run(became: dict[str, Any]) -> None:
+    main.run(["-v", "run", "--as", "/robot", "--", "prog", "--each", "-x"], {"HOME": "/h"})
+    assert became["flags"] == ["-I", "-m", "rossec.sidecar"]
+    assert became["command"] == ["prog", "--each", "-x"]
+    assert became["identity"] == "/robot"
+    assert became["each"] is False
+    assert became["verbose"] is True
+    assert became["env"] == {"HOME": "/h"}
+
+
+def test_without_a_name_each_node_uses_its_own(became: dict[str, Any]) -> None:
+    main.run(["run", "prog"], {})
+    assert (became["identity"], became["each"]) == (None, True)
+
+
+def test_sidecar(became: dict[str, Any]) -> None:
+    main.run(["sidecar", "--user", "root", "--user", "4711", "-p", "4000"], {})
+    assert became["users"] == [0, 4711]
+    assert became["port"] == 4000
+    assert became["command"] == []
+
+
+def test_mistakes(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main.run(["sidecar", "--user", "no-such-user"], {}) == 2
+    assert main.run(["run", "--as", "robot", "prog"], {}) == 1
+    assert main.run(["run"], {}) == 2
+    said = capsys.readouterr().err
+    assert "no user 'no-such-user' on this host" in said
+    assert "rossec: error: 'robot' is not an absolute ROS name" in said
+
+
+def started(arguments: list[str], **env: str) -> subprocess.CompletedProcess[str]:
+    kept = {key: value for key, value in os.environ.items() if not key.startswith("ROS")}
+    return subprocess.run(
+        [BIN, *arguments], env=kept | env, text=True, capture_output=True, timeout=30, check=False
+    )
+
+
+def test_the_program_runs_with_loopback_in_its_environment(tmp_path: Path) -> None:
+    done = started(["run", "--", "sh", "-c", "echo $ROS_MASTER_URI $ROS_IP; exit 7"],
+                   ROSSEC_HOME=str(tmp_path), ROS_MASTER_URI="http://far:11311")  # fmt: skip
+    assert done.returncode == 7
+    assert done.stdout.startswith("http://127.0.0.1:")
+    assert done.stdout.endswith(" 127.0.0.1\n")
+    assert done.stderr == ""
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "words"),
+    [
+        (["run", "--", "/no/such"], 127, "rossec: error: /no/such: there is no such program"),
+        (["run", "--as", "/robot", "--", "true"], 1, "rossec: error: /robot has no ca.pem"),
+    ],
+)
+def test_refusals_teach(tmp_path: Path, arguments: list[str], code: int, words: str) -> None:
+    done = started(arguments, ROSSEC_HOME=str(tmp_path))
+    assert done.returncode == code
+    assert done.stderr.startswith(words)
+    assert "rossec: hint: " in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_a_service_ends_with_a_signal(tmp_path: Path) -> None:
+    with subprocess.Popen(
+        [BIN, "sidecar", "-p", "0"], text=True, stdout=subprocess.PIPE,
+        env={**os.environ, "ROSSEC_HOME": str(tmp_path)},
+    ) as running:  # fmt: skip
+        assert running.stdout is not None
+        assert running.stdout.readline().startswith("sidecar at http://127.0.0.1:")
+        running.terminate()
+        assert running.wait(20) == 0

@@ -1,0 +1,65 @@
+"""A small language for layers: the commands expected, and the event each is answered with."""
+
+from collections.abc import Generator
+from dataclasses import dataclass
+from typing import TypeVar
+
+from ca.certificates import Identity
+from ca.revocation import Revocations, Timestamp, digest
+from rossec.node.access import Access
+from rossec.sidecar.addresses import Doors
+from rossec.sidecar.commands import Command
+from rossec.sidecar.events import Event
+from rossec.sidecar.layers import Tenant
+from tests.support.site import Site
+
+Outcome = TypeVar("Outcome")
+HOST = "robot.local"
+MASTER_URI = "http://127.0.0.1:4000/"
+
+
+def play(
+    layer: Generator[Command, Event, Outcome], *script: tuple[Command, Event | Exception]
+) -> Outcome:
+    """Run `layer`; it must yield exactly these commands, in this order. Returns its outcome."""
+    left = list(script)
+    try:
+        command = next(layer)
+        while left:
+            expected, event = left.pop(0)
+            assert command == expected
+            command = layer.throw(event) if isinstance(event, Exception) else layer.send(event)
+    except StopIteration as done:
+        assert not left, "it ended before the script did"
+        outcome: Outcome = done.value
+        return outcome
+    raise AssertionError(f"one command more: {command}")
+
+
+@dataclass
+class Stage:
+    """Two identities of one site, a tenant for the first, and fresh revocations."""
+
+    site: Site
+    name: str = "/robot"
+    wildcard: bool = False
+
+    def __post_init__(self) -> None:
+        self.site.enroll(self.name, wildcard=self.wildcard)
+        self.tenant = Tenant(
+            self.identity(self.name), self.access(self.name), Doors(HOST), MASTER_URI
+        )
+
+    def identity(self, name: str) -> Identity:
+        return self.site.identity(name)
+
+    def access(self, name: str) -> Access:
+        """What `name` holds, with a list of revocations that was confirmed now."""
+        held = Revocations(self.site.anchor.public_key)
+        data = self.site.authority.store.newest_list()
+        assert data is not None
+        now = self.site.now()
+        held.update(data, now)
+        assert held.held is not None
+        held.confirm(Timestamp(held.held.seq, digest(data), now, 30), now)
+        return Access(self.site.anchor, held, self.site.enroll(name).grants())

@@ -1,0 +1,132 @@
+"""A plain ROS program in a few lines of asyncio, as a sidecar sees one: no grant, no identity."""
+
+import asyncio
+import contextlib
+import os
+import struct
+from collections.abc import AsyncIterator
+from typing import Self
+
+from rossec.channel.opening import Flavour
+from rossec.net.dial import dial
+from rossec.net.rpc import RpcClient, serve_calls
+from rossec.node.fields import Fields
+from rossec.ros import header
+from rossec.ros.settings import parse_uri, read
+from rossec.sidecar.addresses import Endpoint, endpoint
+from rossec.sidecar.callers import Callers
+from rossec.sidecar.loopback import LoopbackPort
+from rossec.sidecar.plain import PlainStream
+from rossec.sidecar.pump import split_header
+from rossec.sidecar.server import Sidecar
+from tests.support.site import Site
+
+STRING = {"type": b"std_msgs/String", "md5sum": b"992ce8a1687cec8c8bd883ec73ca41d1"}
+ANYBODY = Callers({os.getuid()})
+
+
+def word(text: str) -> bytes:
+    """A std_msgs/String with its length in front, as on the wire."""
+    data = struct.pack("<I", len(text)) + text.encode()
+    return struct.pack("<I", len(data)) + data
+
+
+class Program:
+    """One program: it publishes to whoever connects, echoes as a service, and notes its calls."""
+
+    def __init__(self, name: str, sidecar: Sidecar) -> None:
+        self.name = name
+        self.master_uri = sidecar.uri
+        self.calls: list[tuple[str, tuple[object, ...]]] = []
+        self.connections: list[PlainStream] = []
+        self.headers: list[Fields] = []
+        self.connected = asyncio.Event()
+        self.topics = LoopbackPort(ANYBODY, self._serve_topic)
+        self.slave = LoopbackPort(ANYBODY, self._serve_slave)
+        self.topics.open()
+        self.slave.open()
+
+    @property
+    def uri(self) -> str:
+        return f"http://127.0.0.1:{self.slave.port}"
+
+    async def ask(self, uri: str, method: str, *params: object) -> object:
+        """Call a master or a slave API; the raw answer."""
+        client = RpcClient(PlainStream(await dial(*parse_uri(uri), 10)), host="x")
+        try:
+            return await client.call(method, self.name, *params)
+        finally:
+            await client.close()
+
+    async def register(self, method: str, *params: object) -> object:
+        """Register with the master; the value, which must be granted."""
+        answer = await self.ask(self.master_uri, method, *params, self.uri)
+        assert isinstance(answer, list)
+        assert answer[0] == 1, answer
+        return answer[2]
+
+    async def meet(self, place: Endpoint, fields: Fields) -> tuple[PlainStream, Fields]:
+        """Connect for TCPROS; the stream and the header answered with."""
+        stream = PlainStream(await dial(place.host, place.port, 10))
+        await stream.send(header.encode(fields | {"callerid": self.name.encode()}))
+        answer, _ = await split_header(stream)
+        return stream, answer
+
+    async def subscribe(self, uri: str, topic: str) -> tuple[PlainStream, Fields]:
+        """As a subscriber does: ask the publisher at `uri`, then connect where it says."""
+        answer = await self.ask(uri, "requestTopic", topic, [["TCPROS"]])
+        assert isinstance(answer, list)
+        assert answer[0] == 1, answer
+        _, host, port = answer[2]
+        place = Endpoint(Flavour.TCPROS, host, port)
+        return await self.meet(place, {"topic": topic.encode(), "type": b"*", "md5sum": b"*"})
+
+    async def call(self, uri: object, service: str) -> tuple[PlainStream, Fields]:
+        """Connect to a service."""
+        place = endpoint(uri, Flavour.TCPROS)
+        assert place is not None
+        return await self.meet(place, {"service": service.encode(), "md5sum": b"*"})
+
+    async def close(self) -> None:
+        await self.topics.close()
+        await self.slave.close()
+
+    async def _serve_slave(self, stream: PlainStream) -> None:
+        async def answer(method: str, params: tuple[object, ...], _: str) -> object:
+            self.calls.append((method, params))
+            if method == "requestTopic":
+                return [1, "ready", ["TCPROS", "localhost", self.topics.port]]
+            return [1, "", 4711]
+
+        await serve_calls(stream, answer)
+
+    async def _serve_topic(self, stream: PlainStream) -> None:
+        fields, _ = await split_header(stream)
+        self.headers.append(fields)
+        answer = {"message_definition": b"string data\n", **STRING}
+        await stream.send(header.encode(answer))
+        self.connections.append(stream)
+        self.connected.set()
+        with contextlib.suppress(Exception):
+            while True:
+                await stream.send(await stream.receive())  # a service that echoes
+
+    async def __aenter__(self) -> Self:
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        await self.close()
+
+
+@contextlib.asynccontextmanager
+async def sidecar(
+    site: Site, *, each: bool = True, identity: str | None = None
+) -> AsyncIterator[Sidecar]:
+    """A sidecar of `site` in this process."""
+    outside = read((), site.environ, default_name="/sidecar")
+    running = Sidecar(site.root, outside, ANYBODY, each=each, identity=identity)
+    running.start()
+    try:
+        yield running
+    finally:
+        await running.close()

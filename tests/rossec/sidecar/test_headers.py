@@ -1,0 +1,174 @@
+"""Connection headers between programs and peers."""
+
+import dataclasses
+
+import pytest
+
+from grants.errors import GrantMissing, RestrictionMismatch
+from grants.model import Restriction, Right, filter_rules
+from rossec.channel.opening import Flavour
+from rossec.errors import CallerMismatch, HangUp, TopicRefused
+from rossec.node.access import FIELD
+from rossec.node.fields import Fields
+from rossec.sidecar.addresses import Endpoint, inside
+from rossec.sidecar.commands import MeetPeer, MeetProgram, Rest
+from rossec.sidecar.events import Done, HeaderArrived, Silent
+from rossec.sidecar.headers import Joined, admit_peer, reach_peer
+from rossec.sidecar.layers import Layer, Unforeseen
+from tests.rossec.sidecar.playbook import Stage, play
+
+TOPICS = inside(Flavour.TCPROS, 5001)
+PEER = Endpoint(Flavour.TCPROS, "10.0.0.7", 6001)
+STRING = {"type": b"std_msgs/String", "md5sum": b"992ce8a1687cec8c8bd883ec73ca41d1"}
+ASKED = {"callerid": b"/viewer", "topic": b"/word", "tcp_nodelay": b"1", **STRING}
+ANSWER = {"callerid": b"/robot", "message_definition": b"string data\n", "latching": b"0", **STRING}
+SERVICE = {"callerid": b"/viewer", "service": b"/say", "md5sum": b"*"}
+
+
+def no_key(name: str) -> bytes:
+    raise AssertionError(name)
+
+
+def proof(stage: Stage, name: str, right: Right, topic: str) -> Fields:
+    return {FIELD: stage.access(name).present(right, topic, stage.site.now())}
+
+
+def admit(stage: Stage, fields: Fields) -> Layer[Joined]:
+    peer = stage.identity("/viewer")
+    return admit_peer(stage.tenant, TOPICS, fields, peer, no_key, stage.site.now())
+
+
+def arrived(stage: Stage, fields: Fields, peer: str | None = None) -> HeaderArrived:
+    who = None if peer is None else stage.identity(peer)
+    return HeaderArrived(fields, who, stage.site.now())
+
+
+@pytest.fixture
+def shown(stage: Stage) -> Fields:
+    stage.site.subscribe("/viewer", "/word")
+    stage.site.publish("/robot", "/word")
+    stage.tenant = dataclasses.replace(stage.tenant, access=stage.access("/robot"))
+    return ASKED | proof(stage, "/viewer", Right.SUBSCRIBE, "/word")
+
+
+def test_a_subscriber_with_a_grant_meets_the_program(stage: Stage, shown: Fields) -> None:
+    """The program sees no grant; the peer sees the program's; rospy leaves out the topic."""
+    meet = MeetProgram(TOPICS, ASKED)
+    joined = play(admit(stage, shown), (meet, arrived(stage, ANSWER)))
+    expected = ANSWER | {"topic": b"/word"} | proof(stage, "/robot", Right.PUBLISH, "/word")
+    assert joined.answer == expected
+    assert joined.guard is None
+    assert not joined.service
+
+
+def test_without_a_grant_the_program_does_not_hear_of_it(stage: Stage) -> None:
+    """N5: not a byte, and no hint whether the topic exists."""
+    with pytest.raises(GrantMissing):
+        play(admit(stage, ASKED))
+
+
+def test_a_subscriber_may_not_lie_about_its_name(stage: Stage, shown: Fields) -> None:
+    """N6."""
+    with pytest.raises(CallerMismatch):
+        play(admit(stage, shown | {"callerid": b"/robot"}))
+
+
+def test_the_programs_own_name_is_never_taken_on_trust(stage: Stage, shown: Fields) -> None:
+    for given in (ANSWER | {"callerid": b"/victim"}, STRING):
+        joined = play(admit(stage, shown), (MeetProgram(TOPICS, ASKED), arrived(stage, given)))
+        assert joined.answer["callerid"] == b"/robot"
+
+
+def test_what_the_program_refuses_is_passed_on(stage: Stage, shown: Fields) -> None:
+    with pytest.raises(TopicRefused, match="no such topic"):
+        play(
+            admit(stage, shown),
+            (MeetProgram(TOPICS, ASKED), arrived(stage, {"error": b"no such topic"})),
+        )
+
+
+def test_a_program_that_is_gone_closes_its_door(stage: Stage, shown: Fields) -> None:
+    meet = MeetProgram(TOPICS, ASKED)
+    with pytest.raises(HangUp):
+        play(admit(stage, shown), (meet, Silent("gone", dead=True)), (Rest(TOPICS), Done()))
+    with pytest.raises(HangUp):
+        play(admit(stage, shown), (meet, Silent("slow")))
+    with pytest.raises(Unforeseen):
+        play(admit(stage, shown), (meet, Done()))
+
+
+@pytest.fixture
+def restricted(stage: Stage) -> Fields:
+    rules = filter_rules({"data": {"clear": True}})
+    stage.site.subscribe("/viewer", "/word", Restriction("std_msgs/String", (), rules))
+    return ASKED | proof(stage, "/viewer", Right.SUBSCRIBE, "/word")
+
+
+def test_a_restricted_subscriber_gets_a_guard(stage: Stage, restricted: Fields) -> None:
+    meet = MeetProgram(TOPICS, ASKED)
+    joined = play(admit(stage, restricted), (meet, arrived(stage, ANSWER)))
+    assert joined.guard is not None
+    pieces = joined.guard(b"\x05\0\0\0hello", stage.site.now())
+    assert pieces is not None
+    assert b"".join(pieces) == b"\0\0\0\0"
+
+
+@pytest.mark.parametrize(
+    ("change", "error"),
+    [
+        ({"message_definition": b"int32 data\n"}, TopicRefused),
+        ({"message_definition": b"\xff"}, TopicRefused),
+        ({"type": b"std_msgs/Text"}, RestrictionMismatch),
+    ],
+)
+def test_a_definition_that_cannot_be_proved_is_refused(
+    stage: Stage, restricted: Fields, change: Fields, error: type[Exception]
+) -> None:
+    meet = MeetProgram(TOPICS, ASKED)
+    with pytest.raises(error):
+        play(admit(stage, restricted), (meet, arrived(stage, ANSWER | change)))
+
+
+def test_services_both_ways(stage: Stage) -> None:
+    stage.site.grant("/viewer", Right.CALL, "/say")
+    stage.site.grant("/robot", Right.PROVIDE, "/say")
+    stage.tenant = dataclasses.replace(stage.tenant, access=stage.access("/robot"))
+    shown = SERVICE | proof(stage, "/viewer", Right.CALL, "/say")
+    answer = {"callerid": b"/robot", "md5sum": b"0" * 32}
+    joined = play(admit(stage, shown), (MeetProgram(TOPICS, SERVICE), arrived(stage, answer)))
+    assert joined.service
+    provided = answer | proof(stage, "/robot", Right.PROVIDE, "/say")
+    assert joined.answer == provided
+
+    viewer = Stage(stage.site, "/viewer")
+    now = stage.site.now()
+    there = play(
+        reach_peer(viewer.tenant, PEER, SERVICE | {"callerid": b"/rosservice"}, now),
+        (MeetPeer(PEER, shown), arrived(stage, provided, "/robot")),
+    )
+    assert there.answer == answer
+    with pytest.raises(GrantMissing):
+        play(
+            reach_peer(viewer.tenant, PEER, SERVICE, now),
+            (MeetPeer(PEER, shown), arrived(stage, answer, "/robot")),
+        )
+
+
+def test_a_program_subscribes_with_its_grants(stage: Stage, shown: Fields) -> None:
+    viewer = Stage(stage.site, "/viewer")
+    now = stage.site.now()
+    everything = ASKED | {"type": b"*", "md5sum": b"*"}
+    proven = ANSWER | {"topic": b"/word"} | proof(stage, "/robot", Right.PUBLISH, "/word")
+    meet = MeetPeer(PEER, everything | {FIELD: shown[FIELD]})
+    joined = play(
+        reach_peer(viewer.tenant, PEER, everything, now), (meet, arrived(stage, proven, "/robot"))
+    )
+    assert joined.answer == ANSWER | {"topic": b"/word"}
+    unproven = ANSWER | {"topic": b"/word"}
+    for event, error in (
+        (arrived(stage, unproven, "/robot"), GrantMissing),
+        (arrived(stage, proven), Unforeseen),
+        (Silent("gone"), HangUp),
+    ):
+        with pytest.raises(error):
+            play(reach_peer(viewer.tenant, PEER, everything, now), (meet, event))

@@ -1,0 +1,103 @@
+import asyncio
+import os
+import socket
+
+import pytest
+
+from rossec.errors import ChannelClosed
+from rossec.net.dial import dial
+from rossec.sidecar import loopback
+from rossec.sidecar.callers import Callers
+from rossec.sidecar.loopback import LoopbackPort, reserve
+from rossec.sidecar.plain import PlainStream
+
+ANYBODY = Callers({os.getuid()})
+
+
+async def echo(stream: PlainStream) -> None:
+    while True:
+        await stream.send(await stream.receive())
+
+
+async def greeted(port: int) -> bytes:
+    stream = PlainStream(await dial("127.0.0.1", port, 10))
+    await stream.send(b"hello")
+    try:
+        return await stream.receive()
+    finally:
+        await stream.close()
+
+
+async def test_a_port_at_rest_refuses_and_keeps_its_number() -> None:
+    door = LoopbackPort(ANYBODY, echo)
+    kept: list[PlainStream] = []
+    try:
+        for _ in range(2):
+            with pytest.raises(ConnectionRefusedError):
+                await dial("127.0.0.1", door.port, 10)
+            with pytest.raises(OSError, match="in use"):
+                reserve(door.port)
+            door.open()
+            door.open()
+            assert await greeted(door.port) == b"hello"
+            kept.append(PlainStream(await dial("127.0.0.1", door.port, 10)))
+            await kept[-1].send(b"x")
+            assert await kept[-1].receive() == b"x"
+            door.rest()
+            with socket.socket() as thief:
+                thief.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+                with pytest.raises(OSError, match="in use"):
+                    thief.bind(("127.0.0.1", door.port))
+    finally:
+        await door.close()
+        for stream in kept:
+            await stream.close()
+    reserve(door.port).close()
+
+
+async def test_programs_of_others_are_dropped_before_a_byte_is_read() -> None:
+    door = LoopbackPort(Callers({os.getuid() + 1}), echo)
+    door.open()
+    try:
+        with pytest.raises((ChannelClosed, ConnectionError)):
+            await greeted(door.port)
+    finally:
+        await door.close()
+
+
+async def test_the_connections_of_a_port_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(loopback, "_CONNECTIONS", 1)
+    door = LoopbackPort(ANYBODY, echo)
+    door.open()
+    first = PlainStream(await dial("127.0.0.1", door.port, 10))
+    await first.send(b"x")
+    assert await first.receive() == b"x"
+    assert door.connections == 1
+    with pytest.raises((ChannelClosed, ConnectionError)):
+        await greeted(door.port)
+    first.abort()
+    await door.close()
+
+
+async def test_a_slow_program_slows_the_sender() -> None:
+    """Back-pressure: what is not taken stays with the sender, not in our memory."""
+    taken = asyncio.Event()
+    received = 0
+
+    async def lazy(stream: PlainStream) -> None:
+        nonlocal received
+        await taken.wait()
+        while True:
+            received += len(await stream.receive())
+
+    door = LoopbackPort(ANYBODY, lazy)
+    door.open()
+    stream = PlainStream(await dial("127.0.0.1", door.port, 10))
+    sending = asyncio.ensure_future(stream.send(b"x" * 32_000_000))
+    done, _ = await asyncio.wait({sending}, timeout=0.3)
+    assert not done
+    taken.set()
+    await sending
+    await stream.close()
+    await door.close()
+    assert received == 32_000_000

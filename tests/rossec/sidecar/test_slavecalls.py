@@ -1,0 +1,208 @@
+"""What peers ask programs, and programs peers."""
+
+import pytest
+
+from grants.errors import GrantMissing
+from grants.model import Right
+from rossec.channel.opening import Flavour
+from rossec.errors import CallRefused, HangUp
+from rossec.ros.xmlrpc import Encoded, Fault
+from rossec.sidecar.addresses import Endpoint, inside
+from rossec.sidecar.commands import AskLocal, AskRemote, Export, Import, Knock, Rest
+from rossec.sidecar.events import Answered, Done, Event, Opened, Passed, Silent
+from rossec.sidecar.layers import Layer, Unforeseen
+from rossec.sidecar.slavecalls import NO_TRANSPORT, ask_peer, ask_program
+from tests.rossec.sidecar.playbook import HOST, MASTER_URI, Stage, play
+
+SLAVE = inside(Flavour.HTTP, 5000)
+TOPICS = inside(Flavour.TCPROS, 5001)
+PEER = Endpoint(Flavour.HTTP, "10.0.0.7", 6000)
+UDP = ["UDPROS", b"header", "host", 1, 1500]
+
+
+def asked(
+    stage: Stage, method: str, *params: object, peer: str = "/viewer", shown: bytes | None = None
+) -> Layer[object]:
+    everything = (peer, *params)
+    return ask_program(
+        stage.tenant, SLAVE, stage.identity(peer), method, everything, shown, stage.site.now()
+    )
+
+
+def test_the_master_steers(stage: Stage) -> None:
+    params = ("/master", "/scan", [PEER.uri, "nonsense"])
+    answer = play(
+        asked(stage, "publisherUpdate", *params[1:], peer="/master"),
+        (Import(PEER), Opened(8000)),
+        (
+            AskLocal(SLAVE, "publisherUpdate", ("/master", "/scan", ["http://127.0.0.1:8000/"])),
+            Passed(b"ok"),
+        ),
+    )
+    assert answer == Encoded(b"ok")
+
+
+@pytest.mark.parametrize("method", ["publisherUpdate", "paramUpdate"])
+def test_nobody_else_steers(stage: Stage, method: str) -> None:
+    """Attacks N2 and N3."""
+    with pytest.raises(CallRefused, match="for the master alone"):
+        play(asked(stage, method, "/scan", []))
+
+
+@pytest.mark.parametrize("method", ["launch", "system.multicall", "rossec.revocations", ""])
+def test_no_other_method_gets_through(stage: Stage, method: str) -> None:
+    """L1: a roslaunch child would run what it is sent; not even the master may ask for that."""
+    for peer in ("/viewer", "/master"):
+        with pytest.raises(CallRefused, match="no such method"):
+            play(asked(stage, method, peer=peer))
+
+
+def test_questions_need_the_right_to_see_the_graph(stage: Stage) -> None:
+    """N4."""
+    with pytest.raises(GrantMissing):
+        play(asked(stage, "getPid"))
+    stage.site.grant("/viewer", Right.GRAPH, "/robot")
+    shown = stage.access("/viewer").present(Right.GRAPH, "/robot", stage.site.now())
+    stats = AskLocal(SLAVE, "getBusStats", ("/viewer",))
+    answer = play(asked(stage, "getBusStats", shown=shown), (stats, Passed(b"<malformed")))
+    assert answer == Encoded(b"<malformed")
+    with pytest.raises(GrantMissing):
+        play(asked(stage, "shutdown", "because", shown=shown))
+
+
+def test_an_administrator_may_end_a_program(stage: Stage) -> None:
+    """N1."""
+    stage.site.grant("/viewer", Right.ADMIN, "/robot")
+    shown = stage.access("/viewer").present(Right.ADMIN, "/robot", stage.site.now())
+    ask = AskLocal(SLAVE, "shutdown", ("/viewer", "because"))
+    play(asked(stage, "shutdown", "because", shown=shown), (ask, Passed(b"ok")))
+
+
+def test_topics_are_offered_at_their_door(stage: Stage) -> None:
+    answer = play(
+        asked(stage, "requestTopic", "/scan", [UDP, ["TCPROS"]]),
+        (
+            AskLocal(SLAVE, "requestTopic", ("/viewer", "/scan", [["TCPROS"]]), parse=True),
+            Answered([1, "ready on localhost:5001", ["TCPROS", "localhost", 5001]]),
+        ),
+        (Export(TOPICS), Opened(7001)),
+    )
+    assert answer == [1, "ready", ["TCPROS", HOST, 7001]]
+
+
+@pytest.mark.parametrize("offers", [[UDP], [], 7, ["TCPROS"]])
+def test_udp_is_never_asked_for(stage: Stage, offers: object) -> None:
+    """N10, both ways."""
+    refused = [-1, NO_TRANSPORT, []]
+    assert play(asked(stage, "requestTopic", "/scan", offers)) == refused
+    mine = ask_peer(stage.tenant, PEER, "requestTopic", ("/robot", "/scan", offers))
+    assert play(mine) == refused
+
+
+@pytest.mark.parametrize("offer", [UDP, [], ["TCPROS", "h", 0], ["TCPROS", "h", 1 << 16], 0])
+def test_udp_is_never_offered(stage: Stage, offer: object) -> None:
+    params = ("/viewer", "/scan", [["TCPROS"]])
+    ask = AskLocal(SLAVE, "requestTopic", params, parse=True)
+    answer = play(asked(stage, "requestTopic", *params[1:]), (ask, Answered([1, "", offer])))
+    assert answer == [-1, NO_TRANSPORT, []]
+    mine = AskRemote(PEER, "requestTopic", ("/robot", *params[1:]), None, parse=True)
+    layer = ask_peer(stage.tenant, PEER, "requestTopic", ("/robot", *params[1:]))
+    assert play(layer, (mine, Answered([1, "", offer]))) == [-1, NO_TRANSPORT, []]
+
+
+def test_what_a_program_says_of_itself_names_doors(stage: Stage) -> None:
+    stage.tenant.doors.opened_inside(PEER, 8000)
+    info = [
+        [1, "http://127.0.0.1:8000/", "i", "TCPROS", "/scan", True],
+        [2, "http://127.0.0.1:9999/", "i", "TCPROS", "/scan", True],
+        [3, "/viewer", "o", "TCPROS", "/pose", True],
+    ]
+    for method, value, door, expected in (
+        ("getBusInfo", info, (), [[1, PEER.uri, *info[0][2:]], *info[1:]]),
+        ("getUri", SLAVE.uri, ((Export(SLAVE), Opened(7000)),), f"http://{HOST}:7000/"),
+        ("getMasterUri", MASTER_URI, (), ""),
+    ):
+        ask = AskLocal(SLAVE, method, ("/master",), parse=True)
+        layer = asked(stage, method, peer="/master")
+        assert play(layer, (ask, Answered([1, "", value])), *door) == [1, "", expected]
+    ask = AskLocal(SLAVE, "getBusInfo", ("/master",), parse=True)
+    for answer in ([-1, "no", 0], "odd"):
+        layer = asked(stage, "getBusInfo", peer="/master")
+        assert play(layer, (ask, Answered(answer))) == answer
+    layer = asked(stage, "getBusInfo", peer="/master")
+    assert play(layer, (ask, Answered([1, "", 7]))) == [1, "", 7]
+
+
+def test_a_dead_program_answers_like_a_dead_node(stage: Stage) -> None:
+    knock = asked(stage, "rossec.presentGrants", b"")
+    assert play(knock, (Knock(SLAVE), Done())) == [1, "", 0]
+    with pytest.raises(HangUp):
+        play(
+            asked(stage, "rossec.presentGrants", b""),
+            (Knock(SLAVE), Silent("refused", dead=True)),
+            (Rest(SLAVE), Done()),
+        )
+    ask = AskLocal(SLAVE, "getPid", ("/master",))
+    with pytest.raises(HangUp):
+        play(asked(stage, "getPid", peer="/master"), (ask, Silent("slow")))
+    with pytest.raises(Unforeseen):
+        play(asked(stage, "getPid", peer="/master"), (ask, Done()))
+
+
+def test_a_call_needs_a_caller(stage: Stage) -> None:
+    master, now = stage.identity("/master"), stage.site.now()
+    with pytest.raises(CallRefused, match="caller_id"):
+        play(ask_program(stage.tenant, SLAVE, master, "getPid", (), None, now))
+    assert play(ask_peer(stage.tenant, PEER, "getPid", ())) == [-1, "caller_id must be a string", 0]
+
+
+def test_a_program_asks_under_its_certified_name_and_with_its_grants(stage: Stage) -> None:
+    for method, right in (("getPid", Right.GRAPH), ("shutdown", Right.ADMIN)):
+        ask = AskRemote(PEER, method, ("/robot",), right)
+        layer = ask_peer(stage.tenant, PEER, method, ("/rosnode",))
+        assert play(layer, (ask, Passed(b"answer"))) == Encoded(b"answer")
+    with pytest.raises(Fault, match="not supported"):
+        play(ask_peer(stage.tenant, PEER, "launch", ("/robot", "<launch/>")))
+
+
+def test_a_peers_topics_are_met_at_a_door(stage: Stage) -> None:
+    params = ("/robot", "/scan", [["TCPROS"]])
+    remote = Endpoint(Flavour.TCPROS, "10.0.0.7", 6001)
+    answer = play(
+        ask_peer(stage.tenant, PEER, "requestTopic", params),
+        (
+            AskRemote(PEER, "requestTopic", params, None, parse=True),
+            Answered([1, "ready", ["TCPROS", remote.host, remote.port]]),
+        ),
+        (Import(remote), Opened(8001)),
+    )
+    assert answer == [1, "ready", ["TCPROS", "127.0.0.1", 8001]]
+
+
+@pytest.mark.parametrize(
+    ("method", "value", "script", "expected"),
+    [
+        ("getUri", "http://x:1/", [(Import(PEER), Opened(8000))], "http://127.0.0.1:8000/"),
+        ("getMasterUri", "http://x:1/", [], MASTER_URI),
+        ("getBusInfo", [[1]], [], [[1]]),
+    ],
+)
+def test_what_a_peer_says_names_doors(
+    stage: Stage,
+    method: str,
+    value: object,
+    script: list[tuple[Import, Event]],
+    expected: object,
+) -> None:
+    ask = AskRemote(PEER, method, ("/robot",), Right.GRAPH, parse=True)
+    layer = ask_peer(stage.tenant, PEER, method, ("/robot",))
+    assert play(layer, (ask, Answered([1, "", value])), *script) == [1, "", expected]
+
+
+def test_a_peer_that_refuses_or_is_gone(stage: Stage) -> None:
+    ask = AskRemote(PEER, "getBusInfo", ("/robot",), Right.GRAPH, parse=True)
+    layer = ask_peer(stage.tenant, PEER, "getBusInfo", ("/robot",))
+    assert play(layer, (ask, Answered([-1, "rossec: no", 0]))) == [-1, "rossec: no", 0]
+    for event, error in ((Silent("gone"), HangUp), (Done(), Unforeseen)):
+        with pytest.raises(error):
+            play(ask_peer(stage.tenant, PEER, "getBusInfo", ("/robot",)), (ask, event))
