@@ -5,6 +5,9 @@ list's own expiry, or on a clock that runs backwards, `check` refuses. It only m
 list older than the newest ever seen is refused, also after a restart, because the caller persists
 the list *before* it takes effect (CVE-2025-2888 in tough was that order reversed) and hands its
 number back as `floor`. Clock and disk are the caller's: `now` and `persist` are arguments.
+
+Where the authority signed a tree instead of a list (`ca.revocationtree`), each entry needs a proof:
+until one has come nobody can tell, and what is waited for is said by `wanted`.
 """
 
 from collections.abc import Callable
@@ -13,6 +16,7 @@ from typing import Final
 from cryptography.hazmat.primitives.asymmetric import ec
 
 from ca.errors import RevocationRefused, RevocationsStale, Revoked, RollbackRefused
+from ca.revocationtree import Listing, RevocationTree, is_revoked, is_tree, open_tree
 from ca.statements import (
     MAX_AGE,
     MAX_ENTRIES,
@@ -29,12 +33,13 @@ from ca.statements import (
 
 __all__ = [
     "MAX_AGE", "MAX_ENTRIES", "MAX_LIST", "NO_FLOOR", "SKEW", "RevocationList", "Revocations",
-    "Timestamp", "check_entry", "digest", "open_list", "open_timestamp", "sign_list",
-    "sign_timestamp",
+    "Timestamp", "check_entry", "digest", "open_list", "open_statement", "open_timestamp",
+    "sign_list", "sign_timestamp",
 ]  # fmt: skip
 
 NO_FLOOR: Final = (0, 0)
 SKEW: Final = 5  # seconds two synchronised clocks may differ
+MAX_PROVED: Final = 16 * 1024  # entries proved absent, and wanted, that are remembered
 _HINT_STALE: Final = "check that the master is running and reachable, and both clocks"
 
 
@@ -47,8 +52,13 @@ class Revocations:
         """Start without a list; nothing below `floor` = (epoch, seq) will be accepted."""
         self._key = anchor_key
         self._floor = floor
-        self._list: RevocationList | None = None
+        self._list: RevocationList | RevocationTree | None = None
         self._data = b""
+        self._entries: frozenset[bytes] = frozenset()
+        self._taken = 0
+        self._complete = True  # False: `_entries` are those that are known of a tree
+        self._absent: set[bytes] = set()
+        self._wanted: dict[bytes, None] = {}
         self._confirmed: Timestamp | None = None
 
     @property
@@ -62,14 +72,14 @@ class Revocations:
         return self._data
 
     @property
-    def held(self) -> RevocationList | None:
-        """The list held, if any."""
+    def held(self) -> RevocationList | RevocationTree | None:
+        """The list or tree held, if any."""
         return self._list
 
     @property
     def entries(self) -> frozenset[bytes]:
         """Everything known to be revoked, whether or not the knowledge is fresh."""
-        return frozenset() if self._list is None else self._list.entries
+        return self._entries
 
     @property
     def fresh_until(self) -> int:
@@ -78,31 +88,72 @@ class Revocations:
             return 0
         return min(self._confirmed.issued + self._confirmed.max_age, self._list.expires - 1)
 
-    def update(
-        self,
-        data: bytes,
-        now: int,  # noqa: ARG002  (not judged: a clock that lags must not keep revocations out)
-        persist: Callable[[bytes], None] | None = None,
-    ) -> frozenset[bytes]:
-        """Take a signed list and return the entries it adds, whose connections are to be cut.
+    def known_until(self, entry: bytes) -> int:
+        """As `fresh_until`, for one entry: for the proof of one there is as long as for news."""
+        if self._complete or entry in self._absent:
+            return self.fresh_until
+        return min(self.fresh_until, self._taken + MAX_AGE)
 
-        `persist(data)` is called after all checks and before the list takes effect; if it raises,
-        nothing changes. A list that has expired is taken too: what it revokes stays revoked, and
-        `check` refuses everything else. A new list needs a new confirmation.
+    @property
+    def wanted(self) -> list[bytes]:
+        """Entries of a tree that were asked about and are waiting for a proof."""
+        return list(self._wanted)
+
+    def prove(self, entry: bytes, proof: bytes) -> None:
+        """Take the proof that `entry` is in the tree held, or is not.
+
+        Raises:
+            RevocationRefused: it shows neither.
+        """
+        if not isinstance(self._list, RevocationTree):
+            return  # a list has come meanwhile, which says it all
+        revoked = is_revoked(self._list, check_entry(entry), proof)
+        self._wanted.pop(entry, None)
+        if revoked:
+            self._entries |= {entry}
+            return
+        if len(self._absent) >= MAX_PROVED:
+            self._absent.clear()
+        self._absent.add(entry)
+
+    def complete(self, listing: Listing) -> None:
+        """Take all entries of the tree held: nothing needs a proof any more.
+
+        Raises:
+            RevocationRefused: these are not its entries, or no tree is held.
+        """
+        if not isinstance(self._list, RevocationTree):
+            raise RevocationRefused("entries of a tree, and none is held")
+        listing.check(self._list)
+        self._entries, self._complete = listing.entries, True
+
+    def update(
+        self, data: bytes, now: int, persist: Callable[[bytes], None] | None = None
+    ) -> frozenset[bytes]:
+        """Take a signed list or tree; return the entries it adds, whose connections are to be cut.
+
+        Its age is not judged: a clock that lags must not keep revocations out. `persist(data)` is
+        called after all checks and before the list takes effect; if it raises, nothing changes. A
+        list that has expired is taken too: what it revokes stays revoked, and `check` refuses
+        everything else. A new list needs a new confirmation. With a tree, what was known to be
+        revoked stays so.
 
         Raises:
             RevocationRefused: not a list signed by the authority.
             RollbackRefused: older than one seen, or different under the same number.
         """
-        revocations = open_list(data, self._key)
+        revocations = open_statement(data, self._key)
         self._check_number(revocations)
         if data == self._data:
             return frozenset()
         if persist is not None:
             persist(data)
-        added = revocations.entries - self.entries
+        self._complete = isinstance(revocations, RevocationList)
+        entries = revocations.entries if isinstance(revocations, RevocationList) else self._entries
+        added = entries - self._entries
         self._list, self._data, self._floor = revocations, data, revocations.number
-        self._confirmed = None
+        self._entries, self._taken, self._confirmed = entries, now, None
+        self._absent, self._wanted = set(), {}
         return added
 
     def confirm(self, timestamp: Timestamp, now: int) -> None:
@@ -139,7 +190,12 @@ class Revocations:
             raise Revoked(
                 f"{entry.hex()} is revoked", "ask the authority's operator for the reason"
             )
+        unproved = not self._complete and entry not in self._absent
+        if unproved and len(self._wanted) < MAX_PROVED:
+            self._wanted[entry] = None
         self.check_fresh(now)
+        if unproved:
+            raise RevocationsStale(f"no proof has come yet that {entry.hex()} holds", _HINT_STALE)
 
     def check_fresh(self, now: int) -> None:
         """Return if the list held is confirmed and valid at `now`.
@@ -165,7 +221,7 @@ class Revocations:
         if now < max(self._list.issued, self._confirmed.issued) - SKEW:
             raise RevocationsStale("the clock is behind the revocation list", "set the clock")
 
-    def _check_number(self, new: RevocationList) -> None:
+    def _check_number(self, new: RevocationList | RevocationTree) -> None:
         if new.number < self._floor:
             raise RollbackRefused(
                 f"revocation list {_text(new.number)} is older than {_text(self._floor)}",
@@ -181,6 +237,17 @@ class Revocations:
     def _newer_held(held: Timestamp, new: Timestamp, now: int) -> bool:
         """A replayed older timestamp must not shorten the time; a corrected clock must heal."""
         return new.issued <= held.issued <= now + SKEW
+
+
+def open_statement(
+    data: bytes, ca_key: ec.EllipticCurvePublicKey
+) -> RevocationList | RevocationTree:
+    """Verify and read a list or a tree.
+
+    Raises:
+        RevocationRefused: not signed by the authority, malformed, or neither.
+    """
+    return open_tree(data, ca_key) if is_tree(data) else open_list(data, ca_key)
 
 
 def _text(number: tuple[int, int]) -> str:

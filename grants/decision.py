@@ -41,6 +41,7 @@ class Decision:
         grants: the usable grants that cover the question, ordered by id.
         expires: the earliest end of these grants, seconds since the epoch.
         restrictions: all that must be applied; only a `Guard` knows how.
+        keep_when_stale: every one of the permissions says so: one that does not is stricter.
     """
 
     right: Right
@@ -48,11 +49,13 @@ class Decision:
     grants: tuple[Grant, ...]
     expires: int
     restrictions: tuple[Restriction, ...]
+    keep_when_stale: bool = False
 
     @property
     def grant_ids(self) -> tuple[bytes, ...]:
-        """The ids to watch: when one is revoked, ask again."""
-        return tuple(grant.id for grant in self.grants)
+        """What to watch: of grants, delegations and delegates. If one is revoked, ask again."""
+        renewed = (entry for grant in self.grants for entry in grant.via)
+        return (*(grant.id for grant in self.grants), *dict.fromkeys(renewed))
 
     def require_unrestricted(self) -> None:
         """Return if there is nothing to apply: for callers that have no message to look at.
@@ -109,17 +112,19 @@ def authorize(
             f"no grant for {right.label} on {name}", near_misses(presented, right, name)
         )
     usable = _usable(covering, holder, now, check)
+    restrictions = [
+        permission.restriction
+        for grant in usable
+        for permission in grant.permissions
+        if permission.covers(right, name)
+    ]
     return Decision(
         right=right,
         name=name,
         grants=usable,
         expires=min(grant.expires for grant in usable),
-        restrictions=merge(
-            permission.restriction
-            for grant in usable
-            for permission in grant.permissions
-            if permission.covers(right, name)
-        ),
+        restrictions=merge(restrictions),
+        keep_when_stale=all(item is not None and item.keep_when_stale for item in restrictions),
     )
 
 
@@ -174,6 +179,7 @@ def _check(grant: Grant, holder: bytes, now: int, check: Check) -> None:
         )
     check_time(grant, now)
     try:
-        check(grant.id, now)
+        for entry in (grant.id, *grant.via):
+            check(entry, now)
     except HintedError as error:
         raise GrantRevoked(f"grant {grant.short_id}: {error}", error.hint) from error

@@ -44,9 +44,10 @@ _CLAIMS: Final = {_ISS, _SUB, _AUD, _EXP, _NBF, _CTI, _CNF, _SCOPE, _CAP}
 _CKT: Final = 5  # confirmation by COSE key thumbprint, RFC 9679 section 6
 _CKT_URI: Final = "urn:ietf:params:oauth:ckt:sha-256:"  # RFC 9679 section 5: `iss` must be text
 
-_TYPE, _CONDITIONS, _FILTERS, _LIMITS = 0, 1, 2, 3
-_RESTRICTIONS: Final = {_TYPE, _CONDITIONS, _FILTERS, _LIMITS}
+_TYPE, _CONDITIONS, _FILTERS, _LIMITS, _ON_STALE = 0, 1, 2, 3, 4
+_RESTRICTIONS: Final = {_TYPE, _CONDITIONS, _FILTERS, _LIMITS, _ON_STALE}
 _RATE: Final = "rate"
+_KEEP: Final = "keep"
 
 _UINT, _BYTES, _TEXT = 0x00, 0x40, 0x60  # major types
 
@@ -190,6 +191,8 @@ def _restriction_claims(restriction: Restriction) -> Value:
         claims[_FILTERS] = {rule.path: _treatment(rule) for rule in restriction.filters}
     if restriction.rate is not None:
         claims[_LIMITS] = {_RATE: restriction.rate}
+    if restriction.keep_when_stale:
+        claims[_ON_STALE] = _KEEP
     return claims
 
 
@@ -319,7 +322,9 @@ def _restriction(value: Value) -> Restriction:
         for rule in rules:
             treatment(rule)
     texts = tuple(_typed(text, str, "a condition") for text in conditions)
-    return Restriction(kind, texts, rules, _rate(claims))
+    if claims.get(_ON_STALE, _KEEP) != _KEEP:
+        raise GrantMalformed("on_stale of a grant is not keep")
+    return Restriction(kind, texts, rules, _rate(claims), _ON_STALE in claims)
 
 
 def _rate(claims: dict[Any, Any]) -> float | None:

@@ -7,7 +7,7 @@ only known when the definition is at hand (`grants.guard`).
 
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntFlag
 from typing import Final, Self, TypeAlias
 
@@ -22,6 +22,7 @@ ID_SIZE: Final = 16
 MAX_CONDITION: Final = 1000  # characters
 MAX_RATE: Final = 1_000_000
 _MAX_TIME: Final = 1 << 53
+KEPT: Final = "kept when news of revocations fails to arrive"
 
 _TYPE: Final = re.compile(r"[A-Za-z][A-Za-z0-9_]*/[A-Za-z][A-Za-z0-9_]*", re.ASCII)
 _STEP: Final = r"[A-Za-z][A-Za-z0-9_]*(?:\[\*\])?"
@@ -119,17 +120,19 @@ class Restriction:
         conditions: texts in `grants.conditions`; all of them must hold.
         filters: what is done to the fields of each message.
         rate: at most so many messages a second, on average.
+        keep_when_stale: a connection that stands may outlive news of revocations (`links`).
     """
 
     type: str | None = None
     conditions: tuple[str, ...] = ()
     filters: tuple[FilterRule, ...] = ()
     rate: float | None = None
+    keep_when_stale: bool = False
 
     def __post_init__(self) -> None:
         if self.type is not None and _TYPE.fullmatch(self.type) is None:
             raise GrantMalformed(f"not a message type: {self.type[:80]!r}")
-        if not self.conditions and not self.filters and self.rate is None:
+        if not self.treats_messages and not self.keep_when_stale:
             raise GrantMalformed("a restriction that restricts nothing")
         if self.filters and self.type is None:
             raise GrantMalformed("filters without the message type they are written for")
@@ -140,11 +143,18 @@ class Restriction:
         if self.rate is not None and not 0 < self.rate <= MAX_RATE:
             raise GrantMalformed(f"a rate must be above zero and at most {MAX_RATE} a second")
 
+    @property
+    def treats_messages(self) -> bool:
+        """Whether messages are looked at: for whoever has none there is nothing to apply."""
+        return bool(self.conditions or self.filters) or self.rate is not None
+
     def lines(self) -> list[str]:
         """The restriction for people, one line per condition, filter and limit."""
         lines = [f"only when {text}" for text in self.conditions]
         lines += [str(rule) for rule in self.filters]
-        return lines if self.rate is None else [*lines, f"at most {self.rate:g} messages a second"]
+        if self.rate is not None:
+            lines.append(f"at most {self.rate:g} messages a second")
+        return [*lines, KEPT] if self.keep_when_stale else lines
 
 
 @dataclass(frozen=True)
@@ -216,10 +226,14 @@ class Draft:
 
 @dataclass(frozen=True)
 class Grant(Draft):
-    """A grant as signed: `id` names it for revocation, `issuer` is the authority's thumbprint."""
+    """A grant as signed: `id` names it for revocation, `issuer` is the authority's thumbprint.
+
+    `via` is by what it was renewed: a delegation's id and its holder's key. Both may be revoked.
+    """
 
     id: bytes
     issuer: bytes
+    via: tuple[bytes, ...] = ()
 
     @classmethod
     def of(cls, draft: Draft, *, id: bytes, issuer: bytes) -> Self:  # noqa: A002
@@ -233,6 +247,13 @@ class Grant(Draft):
 
 
 def merge(restrictions: Iterable[Restriction | None]) -> tuple[Restriction, ...]:
-    """All restrictions that apply together, each once, in one order whatever the input's."""
-    unique = {restriction for restriction in restrictions if restriction is not None}
+    """All restrictions that apply together, each once, in one order whatever the input's.
+
+    Only what is done to messages: `keep_when_stale` loosens, and is decided where all are seen.
+    """
+    unique = {
+        replace(restriction, keep_when_stale=False)
+        for restriction in restrictions
+        if restriction is not None and restriction.treats_messages
+    }
     return tuple(sorted(unique, key=repr))

@@ -191,7 +191,8 @@ def renew(
         key: the delegate's, proved by its identity.
         now: seconds since the epoch.
         seq: number of the newest revocation list the verifier holds.
-        check: called as `check(id, now)` for grant and delegation; raises when revoked.
+        check: called as `check(entry, now)` for the ids of grant and delegation, and for the
+            delegate's key; raises when revoked.
 
     Raises:
         RenewalForged, RenewalMalformed: as `open_ticket` does.
@@ -200,7 +201,7 @@ def renew(
         RenewalTooWide: beyond the grant's cap, the delegation's end or its `max_ttl`.
         RenewalNotInTime: ticket or delegation do not hold at `now`.
         RenewalAhead: the ticket was made with a newer revocation list.
-        GrantRevoked: the grant or the delegation is.
+        GrantRevoked: the grant, the delegation or its holder is.
     """
     if delegation.holder != thumbprint(key):
         raise RenewalForOther("the delegation is for another key than this one")
@@ -216,12 +217,13 @@ def renew(
         raise RenewalAhead(
             f"the ticket knows revocation list {opened.seq}, here is {seq}", "fetch the list first"
         )
-    for what, entry in (("grant", grant.id), ("delegation", delegation.id)):
+    via = (delegation.id, delegation.holder)
+    for what, entry in zip(("grant", "delegation", "delegate"), (grant.id, *via), strict=True):
         try:
             check(entry, now)
         except HintedError as error:
             raise GrantRevoked(f"{what} {entry.hex()[:8]}: {error}", error.hint) from error
-    return replace(grant, expires=opened.expires)
+    return replace(grant, expires=opened.expires, via=via)
 
 
 def _check_width(grant: Grant, ticket: Ticket, delegation: Delegation) -> None:

@@ -21,15 +21,20 @@ from ca.hsm import KeyUri, TokenSigner
 from ca.lifecycle import RequestRow, State
 from ca.log import sign_head
 from ca.names import check_domain, check_name
-from ca.revocation import RevocationList, open_list, sign_list
+from ca.revocation import MAX_ENTRIES, RevocationList, open_statement, sign_list
+from ca.revocationtree import MAX_LISTING, Listing, RevocationTree, sign_tree
 from ca.signer import KeySigner, Signer
 from ca.store import CertificateRow, GrantRow, Store
 from grants import document
 from grants.model import Draft
+from grants.renewal import Delegation, open_delegation, sign_delegation
 from rossec import files
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
 
+SKEW: Final = 60  # seconds another host's clock may be behind: what is signed holds at once
+_DELEGATIONS: Final = "delegations"
+_ENTRIES: Final = "revocations.entries"  # of the newest tree
 OWN_NODE: Final = "/ca"  # as which the authority's tools speak to the master
 INTERMEDIATE: Final = "intermediate/"  # before the key: no node's name begins like this
 KEY_URI: Final = "ca.uri"  # names the key of an authority that has it in a token
@@ -143,6 +148,39 @@ class OpenAuthority:
         self.store.add_grant(row, now)
         return data
 
+    def delegate(self, holder: bytes, lifetime: int, max_ttl: int, now: int) -> bytes:
+        """Let the master with the key `holder` renew grants; recorded before it is handed out.
+
+        Raises:
+            RenewalMalformed: for too long.
+        """
+        begin = now - SKEW
+        draft = Delegation(
+            self.domain, holder, begin, begin + lifetime, max_ttl, secrets.token_bytes(16)
+        )
+        data = sign_delegation(self.signer, draft)
+        files.make_private_directory(self.path / _DELEGATIONS)
+        name = open_delegation(data, self.signer.public_key).id.hex()
+        files.create(self.path / _DELEGATIONS / f"{name}.cose", data)
+        return data
+
+    def withdraw(self, reason: str, now: int) -> tuple[RevocationList, int]:
+        """Revoke every delegation that has not expired; returns the list, and how many.
+
+        Raises:
+            ConfigurationError: there is none.
+        """
+        missing = ConfigurationError("no delegation")
+        found = [
+            open_delegation(files.read(path, _SIZE_LIMIT, missing), self.signer.public_key)
+            for path in sorted((self.path / _DELEGATIONS).glob("*.cose"))
+        ]
+        living = frozenset(item.id for item in found if now < item.expires)
+        living -= self.store.revoked_entries()
+        if not living:
+            raise ConfigurationError("no delegation is in force", "see: rossec master delegate")
+        return self._revoke(living, reason, now), len(living)
+
     def revoke(self, entry: bytes, reason: str, now: int) -> RevocationList:
         """Add a grant id or key thumbprint to the list of revocations, and sign that anew."""
         self._check_root()
@@ -179,17 +217,38 @@ class OpenAuthority:
             self.store.revoke(entry, reason, now)
         return self.sign_list(now)
 
+    def _signed(self, listed: RevocationList) -> bytes:
+        """The list, or where it has grown too long a tree of it, whose entries are kept beside."""
+        if len(listed.entries) <= MAX_ENTRIES:
+            return sign_list(self.signer, listed)
+        listing = Listing(listed.entries)
+        tree = RevocationTree(
+            listed.epoch, listed.seq, listed.issued, listed.expires, *listing.size_and_root
+        )
+        files.replace(self.path / _ENTRIES, listing.encoded())
+        return sign_tree(self.signer, tree)
+
+    def _ended(self, now: int) -> frozenset[bytes]:
+        """Grants that no renewal can bring back: they need not be on the list any longer.
+
+        A node that relies on a list refuses to have a clock behind it, so whoever lacks the entry
+        finds the grant expired (RFC 9770 lets entries go in the same way). Keys stay: they are few,
+        and a certificate renewed by the master may outlive all that are recorded here.
+        """
+        rows = self.store.grants()
+        return frozenset(row.id for row in rows if document.peek(row.data).cap + SKEW < now)
+
     def _refresh_list(self, now: int) -> None:
         """Sign the list anew while the key is at hand, long before it expires."""
         if not self.authority.is_root:
             return
         held = self.store.newest_list()
-        issued = 0 if held is None else open_list(held, self.signer.public_key).issued
+        issued = 0 if held is None else open_statement(held, self.signer.public_key).issued
         if now - issued > _LIST_REFRESH:
             self.sign_list(now)
 
     def sign_list(self, now: int, *, new_epoch: bool = False) -> RevocationList:
-        """Sign the list of everything revoked, with the next number.
+        """Sign the list of everything revoked that could still hold, with the next number.
 
         With `new_epoch` it beats every list of before, also those this record does not know.
 
@@ -200,8 +259,9 @@ class OpenAuthority:
         epoch, seq = self.store.next_number()
         if new_epoch:
             epoch, seq = epoch + 1, 1
-        listed = RevocationList(epoch, seq, now, now + _LIST_LIFETIME, self.store.revoked_entries())
-        self.store.save_list(listed.number, sign_list(self.signer, listed), now)
+        entries = self.store.revoked_entries() - self._ended(now)
+        listed = RevocationList(epoch, seq, now, now + _LIST_LIFETIME, entries)
+        self.store.save_list(listed.number, self._signed(listed), now)
         self.sign_head(now)
         return listed
 
@@ -340,6 +400,15 @@ class AuthorityHome:
         if data is None:
             raise ConfigurationError("no revocation list was signed yet", "next: rossec ca refresh")
         return data
+
+    def entries(self) -> bytes:
+        """The entries of the newest tree.
+
+        Raises:
+            ConfigurationError: they are missing.
+        """
+        missing = ConfigurationError("the entries of the tree are missing", "rossec ca refresh")
+        return files.read(self.path / _ENTRIES, MAX_LISTING, missing)
 
 
 def certificate_row(identity: Identity) -> CertificateRow:

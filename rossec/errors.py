@@ -98,6 +98,10 @@ class AnswerRefused(RossecError):
         self.code = code
 
 
+class QueryRefused(RossecError):
+    """A query of the revocation list that is none, or cannot be answered."""
+
+
 class PeerUserRefused(RossecError):
     """A program of another user of this host, or of nobody who can be named."""
 

@@ -22,6 +22,7 @@ from ca.certificates import (
     to_pem,
 )
 from ca.names import check_name
+from ca.revocationtree import MAX_LISTING
 from ca.signer import KeySigner
 from grants.hashing import FILTER_KEY_SIZE, check_key_name
 from rossec import files
@@ -206,6 +207,24 @@ class NodeHome:
     def save_revocations(self, data: bytes) -> None:
         """Keep a revocation list; durable on return."""
         files.replace(self.path / "revocations.cose", data)
+
+    def load_entries(self) -> bytes | None:
+        """The entries of the revocation tree, in the master's home, if there are any."""
+        path = self.path / "revocations.entries"
+        return files.read(path, MAX_LISTING, self._missing(path, "")) if path.exists() else None
+
+    def save_entries(self, data: bytes) -> None:
+        """Keep the entries of a revocation tree; durable on return."""
+        files.replace(self.path / "revocations.entries", data)
+
+    def load_delegation(self) -> bytes | None:
+        """The authority's leave to renew grants, in the master's home, if there is one."""
+        path = self.path / "delegation.cose"
+        return files.read(path, _SIZE_LIMIT, self._missing(path, "")) if path.exists() else None
+
+    def save_delegation(self, data: bytes) -> None:
+        """Keep a delegation; durable on return."""
+        files.replace(self.path / "delegation.cose", data)
 
     def filter_key(self, name: str) -> bytes:
         """The key `name` for pseudonyms, 32 random bytes; made when it is first asked for.

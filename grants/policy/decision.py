@@ -11,7 +11,7 @@ from typing import Final
 
 from ca.names import check_name
 from grants.errors import PolicyRefused
-from grants.model import Restriction, Right, merge
+from grants.model import KEPT, Restriction, Right, merge
 from grants.names import check_pattern
 from grants.policy.index import Hit, Index, hits
 from grants.policy.model import DAY, HOUR, MINUTE, Clause, Effect, Policy, Rule, Subject
@@ -52,6 +52,11 @@ class Verdict:
     def rate(self) -> float | None:
         """At most so many messages a second, or None."""
         return min((c.rate for c in self.clauses if c.rate is not None), default=None)
+
+    @property
+    def keep_when_stale(self) -> bool:
+        """Whether every deciding rule says `on_stale: keep`."""
+        return len(self.rules) > 0 and all(rule.keep_when_stale for rule in self.rules)
 
     @property
     def headline(self) -> str:
@@ -155,6 +160,8 @@ def restriction_lines(verdict: Verdict) -> list[str]:
     lines = [line for restriction in verdict.restrictions for line in restriction.lines()]
     if verdict.rate is not None:
         lines.append(f"at most {verdict.rate:g} messages a second")
+    if verdict.keep_when_stale:
+        lines.append(KEPT)
     renewed = f", renewed until {span(verdict.renew_until)}" if verdict.renew_until else ""
     return [*dict.fromkeys(lines), f"valid {span(verdict.lifetime)}{renewed}"]
 

@@ -108,7 +108,14 @@ def permissions(verdict: Verdict) -> list[Permission]:
     restrictions: list[Restriction | None] = list(verdict.restrictions) or [None]
     if verdict.rate is not None:
         restrictions = [_limited(item, verdict.rate) for item in restrictions]
+    if verdict.keep_when_stale:
+        restrictions = [_kept(item) for item in restrictions]
     return [Permission(verdict.name, verdict.right, item) for item in restrictions]
+
+
+def _kept(restriction: Restriction | None) -> Restriction:
+    bare = Restriction(keep_when_stale=True)
+    return bare if restriction is None else replace(restriction, keep_when_stale=True)
 
 
 def _limited(restriction: Restriction | None, rate: float) -> Restriction:

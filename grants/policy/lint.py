@@ -51,6 +51,7 @@ def lint(policy: Policy, layout_of: LayoutOf) -> list[Finding]:
         found.update(_reasons(policy, rule))
         if rule.effect is not Effect.DENY:
             found.update(_wide(rule))
+            found.update(_kept(rule))
             found.update(_leaks(decider, rule, layout_of))
     found.update(_unused(policy))
     return sorted(found)
@@ -76,6 +77,15 @@ def _wide(rule: Rule) -> Iterator[Finding]:
             continue
         message = f"rule {rule.id}: {clause.right.label} on {clause.pattern} may move anything"
         yield Finding(rule.line, message, "name the topics and services one by one")
+
+
+def _kept(rule: Rule) -> Iterator[Finding]:
+    if rule.keep_when_stale:
+        what = ", ".join(sorted({clause.pattern for clause in rule.clauses}))
+        message = f"rule {rule.id}: a revocation that is held back leaves {what} connected"
+        yield Finding(
+            rule.line, message, "keep on_stale for what must not stop, as an emergency stop"
+        )
 
 
 def _owns(who: Who, pattern: str) -> bool:

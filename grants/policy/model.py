@@ -85,6 +85,7 @@ class Rule:
     Args:
         lifetime, renew_until: seconds; `renew_until` 0 is never. Already the policy's defaults
             where the rule names none; `own_lifetime` says whether it did.
+        keep_when_stale: its connections outlive missing news of revocations (`on_stale: keep`).
     """
 
     id: str
@@ -96,6 +97,7 @@ class Rule:
     lifetime: int = LIFETIME
     renew_until: int = 0
     own_lifetime: bool = False
+    keep_when_stale: bool = False
     line: int = 0
 
     def is_for(self, subject: Subject) -> bool:

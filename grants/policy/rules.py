@@ -28,7 +28,8 @@ from grants.presets import PRESETS, preset
 
 _ID: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,79}", re.ASCII)
 _EFFECTS: Final = tuple(effect.value for effect in Effect)
-_RESTRICTING: Final = ("when", "filter", "limit", "lifetime", "renew_until")
+_RESTRICTING: Final = ("when", "filter", "limit", "on_stale", "lifetime", "renew_until")
+_ON_STALE: Final = ("cut", "keep")
 _KEYS: Final = ("id", "why", "who", "except", *_EFFECTS, *_RESTRICTING)
 RIGHTS: Final = {right.label: right for right in ALL_RIGHTS}
 
@@ -77,6 +78,7 @@ class RuleReader:
             return None
         lifetime = words.duration(table.get("lifetime"), "lifetime", self._mistakes)
         renew = words.duration(table.get("renew_until"), "renew_until", self._mistakes, never=True)
+        stale = words.choice(table.get("on_stale"), "on_stale", _ON_STALE, self._mistakes)
         return Rule(
             id=name,
             effect=effect,
@@ -87,6 +89,7 @@ class RuleReader:
             lifetime=self._defaults.lifetime if lifetime is None else lifetime,
             renew_until=self._defaults.renew_until if renew is None else renew,
             own_lifetime=lifetime is not None,
+            keep_when_stale=stale == "keep",
             line=table.line,
         )
 
@@ -134,9 +137,8 @@ class RuleReader:
         clauses: list[Clause] = []
         for right, pattern, place in named:
             clauses += self._clause(right, pattern, place, conditions, filters, rate)
-        if (conditions or filters or rate) and any(
-            right & ~MESSAGE_RIGHTS for right, _, _ in named
-        ):
+        restricting = conditions or filters or rate or table.get("on_stale") is not None
+        if restricting and any(right & ~MESSAGE_RIGHTS for right, _, _ in named):
             self._mistakes.add(
                 rights,
                 f"rule {name}: parameters, graph and admin cannot be restricted by messages",

@@ -66,12 +66,13 @@ def _rule() -> dict[str, Any]:
             "when": _one_or_many(_TEXT),
             "filter": {"anyOf": [plain, topics]},
             "limit": _closed({"rate": {"type": "number", "exclusiveMinimum": 0}}, "rate"),
+            "on_stale": {"enum": ["cut", "keep"]},
             "lifetime": _DURATION,
             "renew_until": _RENEW,
         },
         "id", "who",
     )  # fmt: skip
-    restricting = ("when", "filter", "limit", "lifetime", "renew_until")
+    restricting = ("when", "filter", "limit", "on_stale", "lifetime", "renew_until")
     bare: dict[str, Any] = {"properties": dict.fromkeys(restricting, False)}
     return {
         "$defs": {"rights": rights},

@@ -97,6 +97,32 @@ class Credentials:
         return self.signer.sign(message)
 
 
+class LiveCredentials:
+    """Credentials that may be replaced: the next handshake shows the new ones."""
+
+    def __init__(self, current: Credentials) -> None:
+        self.current = current
+
+    @property
+    def id_cred(self) -> Value:
+        """As of `Credentials`."""
+        return self.current.id_cred
+
+    @property
+    def certificate(self) -> bytes:
+        """As of `Credentials`."""
+        return self.current.certificate
+
+    @property
+    def shared(self) -> bool:
+        """As of `Credentials`."""
+        return self.current.shared
+
+    def sign(self, message: bytes) -> bytes:
+        """As of `Credentials`; the key is the same before and after."""
+        return self.current.sign(message)
+
+
 def encode_id_cred(id_cred: Value) -> bytes:
     """What `encode` gives, at a third of the price for a chain of one."""
     certificate = id_cred.get(X5CHAIN) if isinstance(id_cred, dict) and len(id_cred) == 1 else None

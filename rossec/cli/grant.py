@@ -60,6 +60,14 @@ def grant() -> None:
     help="how long it holds",
 )
 @click.option(
+    "--renew-until",
+    "renewal",
+    type=Duration(MAX_DAYS),
+    default=0,
+    metavar="DURATION",
+    help="how long the master may renew it; see: rossec master delegate",
+)
+@click.option(
     "--out", type=click.Path(path_type=Path), help="also write the grant to this new file"
 )
 @passphrase.option
@@ -77,6 +85,7 @@ def sign(
     preset_name: str | None,
     when: tuple[str, ...],
     lifetime: int,
+    renewal: int,
     out: Path | None,
     passphrase_file: Path | None,
     **rights: tuple[str, ...],
@@ -99,7 +108,7 @@ def sign(
     signed = now()
     draft = Draft(
         domain=authority.domain, subject=node, holder=holder, not_before=signed - SKEW,
-        expires=signed + lifetime, cap=signed + lifetime,
+        expires=signed + lifetime, cap=signed + max(lifetime, renewal),
         serial=secrets.token_bytes(16), permissions=permissions,
     )  # fmt: skip
     number = authority.store.next_number()

@@ -16,8 +16,8 @@ from rossec.cli.voice import INTERRUPTED, REFUSED, UNDELIVERED, USAGE, fail, pri
 from rossec.errors import NotDelivered
 
 _NOUNS: Final = {  # a noun, and the modules whose COMMANDS are more of its verbs
-    "audit": (), "demo": (), "discover": (), "doctor": (), "explain": (), "master": (),
-    "grant": ("request",),
+    "audit": (), "demo": (), "discover": (), "doctor": (), "explain": (),
+    "grant": ("request",), "graph": (), "master": ("delegate",),
     "ca": ("ca_identities", "ca_backup", "ca_enroll", "ca_requests", "ca_intermediate", "ca_log"),
     "node": ("node_enroll",), "param": (), "policy": (), "privacy": (), "run": (),
     "service": (), "sidecar": (), "simulate": (), "topic": (),

@@ -8,15 +8,19 @@ import sys
 from collections.abc import Coroutine, Mapping
 from contextlib import ExitStack
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import click
 
+from ca.revocationtree import is_tree
 from rossec.channel import policy
+from rossec.cli import passphrase
 from rossec.cli.audit import AUDIT
 from rossec.cli.context import Environment, now, pass_environment
 from rossec.cli.voice import printable, say, say_json
+from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
 from rossec.master import config as configs
 from rossec.master.admin import AdminPort, ask
@@ -27,6 +31,7 @@ from rossec.master.metrics import Exporter
 from rossec.master.notify import READY, STOPPING, notify
 from rossec.master.server import MasterServer
 from rossec.master.start import master_of
+from rossec.master.trust import Renewer
 from rossec.ros import settings
 from rossec.ros.names import MASTER
 
@@ -46,6 +51,10 @@ _ADMIN = "admin.sock"
     type=click.Path(path_type=Path, dir_okay=False),
     help="append what nodes lack the right to, for: rossec policy learn --from-log",
 )
+@click.option(
+    "--renew-identities", is_flag=True, help="with the intermediate of this host: see rossec ca"
+)
+@passphrase.option
 @click.option(
     "--config",
     "config_file",
@@ -76,6 +85,8 @@ def master(
     admin: bool,
     announce: bool,
     metrics: int | None,
+    renew_identities: bool,
+    passphrase_file: Path | None,
     post_quantum: str | None,
 ) -> None:
     """Run the master, as the node /master. Ends with Ctrl-C."""
@@ -90,9 +101,11 @@ def master(
         _log_as(config.log)
         home = NodeHome.of(environment.home, MASTER)
         home.anchor()  # before anything is written there
+        settings.read((), environment.variables, default_name=MASTER)  # likewise
         if config.audit:
             _keep_audit(home.path / AUDIT, stack)
-        asyncio.run(_serve(environment, home, config, suites, as_json=as_json))
+        renewer = _renewer(environment, passphrase_file) if renew_identities else None
+        asyncio.run(_serve(environment, home, config, suites, renewer, as_json=as_json))
 
 
 @master.command()
@@ -160,6 +173,7 @@ async def _serve(
     home: NodeHome,
     config: Config,
     suites: tuple[int, ...],
+    renewer: Renewer | None,
     *,
     as_json: bool,
 ) -> None:
@@ -172,6 +186,8 @@ async def _serve(
         host=own.address,
         port=own.master_port if config.port is None else config.port,
         newest=_newest_list(environment),
+        entries=_entries(environment),
+        renewer=renewer,
         now=now(),
         complain=ComplainLog(config.complaints) if config.complaints is not None else unheard,
         limits=config.limits,
@@ -243,3 +259,32 @@ def _newest_list(environment: Environment) -> bytes | None:
     from rossec.authority import AuthorityHome  # noqa: PLC0415
 
     return AuthorityHome.at(environment.home).revocation_list()
+
+
+def _entries(environment: Environment) -> bytes | None:
+    """The entries of the authority's tree, when it lives on this host and needs one."""
+    newest = _newest_list(environment)
+    if newest is None or not is_tree(newest):
+        return None
+    from rossec.authority import AuthorityHome  # noqa: PLC0415 - as above
+
+    return AuthorityHome.at(environment.home).entries()
+
+
+def _renewer(environment: Environment, file: Path | None) -> Renewer:
+    """Renews identities with the intermediate of this host, which is unlocked here.
+
+    Raises:
+        ConfigurationError: there is none, or it is the root, whose key stays offline.
+    """
+    from rossec.authority import AuthorityHome  # noqa: PLC0415 - as above
+    from rossec.succession import renew  # noqa: PLC0415
+
+    home = AuthorityHome.at(environment.home)
+    authority = home.unlock(passphrase.read(file, environment.variables))
+    if authority.authority.is_root:
+        raise ConfigurationError(
+            f"{home.path} holds the root, which signs no renewals for a master",
+            "make an intermediate: rossec ca intermediate request",
+        )
+    return partial(renew, authority)

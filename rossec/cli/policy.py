@@ -19,16 +19,13 @@ from grants.policy.read import mistakes_in
 from grants.policy.sros2 import MAX_SIZE, import_sros2
 from rossec import files
 from rossec.authority import AuthorityHome
-from rossec.channel.policy import post_quantum
 from rossec.cli import options
 from rossec.cli.context import Environment, now, pass_environment
+from rossec.cli.reach import master_as, master_at
 from rossec.cli.voice import fail, note, say, say_json
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
-from rossec.net.rpc import RpcClient
-from rossec.net.stream import Flavour, connect
 from rossec.policyfile import PolicyFile, layout_of, parse_policy, place
-from rossec.ros import settings
 
 _FILE = click.Path(path_type=Path, exists=True, dir_okay=False)
 _JSON = click.option("--json", "as_json", is_flag=True, help="one line of JSON")
@@ -165,23 +162,10 @@ def _read_log(path: Path) -> list[Seen]:
 async def _look(environment: Environment, node: str) -> list[Seen]:
     """The graph, as `node` may see it."""
     home = NodeHome.of(environment.home, node)
-    uri = environment.variables.get("ROS_MASTER_URI", settings.DEFAULT_MASTER_URI)
-    host, port = settings.parse_uri(uri, "the master's URI")
-    stream = await connect(
-        host,
-        port,
-        home.credentials(),
-        home.anchor().verify,
-        opening=Flavour.HTTP,
-        suites=post_quantum(environment.variables),
-    )
-    try:
-        client = RpcClient(stream)
+    async with master_as(environment, home, master_at(environment)) as client:
         await client.ask("rossec.presentGrants", home.name, home.grants())
         state = await client.ask("getSystemState", home.name)
         types = await client.ask("getTopicTypes", home.name)
-    finally:
-        await stream.close()
     return [item for item in from_graph(state, types) if item.node != home.name]
 
 

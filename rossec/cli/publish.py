@@ -3,17 +3,15 @@
 from typing import Final
 
 from ca.errors import CertificateExpired, HintedError
-from ca.revocation import open_list
+from ca.revocation import open_statement
+from ca.revocationtree import is_tree
 from ca.store import Store
 from rossec.authority import AuthorityHome
-from rossec.channel.policy import post_quantum
 from rossec.cli.context import Environment, moment, now
+from rossec.cli.reach import master_as, master_at
 from rossec.cli.voice import note
 from rossec.errors import ConfigurationError, NotDelivered
-from rossec.net.rpc import RpcClient
-from rossec.net.stream import Flavour, connect
 from rossec.ros import settings
-from rossec.ros.names import MASTER
 
 _HINT = "the list is signed and kept; deliver it with: rossec ca publish"
 _SOON: Final = 7 * 86400
@@ -32,11 +30,29 @@ async def deliver(environment: Environment, master_uri: str | None) -> None:
         ConfigurationError: the list has expired.
         NotDelivered: the master is out of reach or refuses the list.
     """
-    uri = master_uri or environment.variables.get("ROS_MASTER_URI", settings.DEFAULT_MASTER_URI)
-    host, port = settings.parse_uri(uri, "the master's URI")
     home = AuthorityHome.at(environment.home)
-    node, data = home.node(), _young_list(home)
-    suites = post_quantum(environment.variables)
+    data = _young_list(home)
+    method = "rossec.updateRevocationTree" if is_tree(data) else "rossec.updateRevocations"
+    statement = (data, home.entries()) if is_tree(data) else (data,)
+    await carry(environment, master_uri, method, statement, "the list", _HINT)
+
+
+async def carry(
+    environment: Environment,
+    master_uri: str | None,
+    method: str,
+    statement: tuple[bytes, ...],
+    what: str,
+    hint: str,
+) -> None:
+    """Hand a signed statement to the master by `method`, as the authority's own node.
+
+    Raises:
+        NotDelivered: the master is out of reach or refuses `what`; `hint` says what then.
+    """
+    uri = master_at(environment, master_uri)
+    settings.parse_uri(uri, "the master's URI")
+    node = AuthorityHome.at(environment.home).node()
     try:
         node.identity(now())
     except CertificateExpired as error:
@@ -45,28 +61,16 @@ async def deliver(environment: Environment, master_uri: str | None) -> None:
             f"renew it: rossec ca renew {node.name}",
         ) from error
     try:
-        stream = await connect(
-            host,
-            port,
-            node.credentials(),
-            node.anchor().verify,
-            opening=Flavour.HTTP,
-            suites=suites,
-        )
-        try:
-            if stream.peer.name != MASTER:
-                raise ConfigurationError(f"{stream.peer.name} answers there", "see ROS_MASTER_URI")
-            await RpcClient(stream).ask("rossec.updateRevocations", node.name, data)
-        finally:
-            await stream.close()
+        async with master_as(environment, node, uri) as client:
+            await client.ask(method, node.name, *statement)
     except (HintedError, OSError, TimeoutError) as error:
-        raise NotDelivered(f"the master at {uri} did not take the list: {error}", _HINT) from error
+        raise NotDelivered(f"the master at {uri} did not take {what}: {error}", hint) from error
 
 
 def _young_list(home: AuthorityHome) -> bytes:
     """The newest list; with an expired one no grant would hold any more."""
     data = home.revocation_list()
-    expires = open_list(data, home.anchor().public_key).expires
+    expires = open_statement(data, home.anchor().public_key).expires
     if now() >= expires:
         raise ConfigurationError(
             f"the revocation list expired {moment(expires)} and is of no use to anybody",

@@ -16,13 +16,18 @@ from typing import Final, Protocol
 
 from ca.certificates import Identity
 from ca.errors import HintedError
-from rossec.errors import RossecError
+from ca.revocation import digest
+from rossec.channel.credentials import LiveCredentials
+from rossec.errors import AnswerRefused, RossecError
 from rossec.inprocess.links import Links
 from rossec.inprocess.member import Member
 from rossec.inprocess.registrations import Registrations
 from rossec.net.stream import SecureStream
 from rossec.net.tasks import TaskSet
 from rossec.node.dial import Dialer
+from rossec.node.identity import IdentityRenewal, renew_identity
+from rossec.node.proofs import prove
+from rossec.node.renewal import Renewals, renew
 from rossec.node.session import MasterSession
 from rossec.node.shelf import Shelf
 
@@ -66,7 +71,16 @@ class Guardian:
         self._shelf.take_new()
         self._dialer = self._new_dialer()
         self._session = MasterSession(
-            member.name, self._dial, process.take_revocations, self._restore
+            member.name,
+            self._dial,
+            process.take_revocations,
+            self._restore,
+            lambda: digest(member.revocations.data),
+            lambda call: prove(call, member),
+        )
+        self._renewals = Renewals(member.access)
+        self._identity_renewal = IdentityRenewal(
+            member.home, LiveCredentials(member.credentials), int(time.time())
         )
         self._thread = Thread(target=self._run, name="rossec guardian", daemon=True)
         self.on_publishers: Callable[[str, list[str]], None] = lambda _topic, _uris: None
@@ -157,6 +171,8 @@ class Guardian:
 
     async def _restore(self, session: MasterSession) -> None:
         """Everything again, for a master that may have been restarted."""
+        with contextlib.suppress(AnswerRefused):  # what is not renewed now is asked for later
+            await renew(session.call, self._renewals, int(time.time()))
         current = self._member.access.current(int(time.time()))
         await session.call("rossec.presentGrants", current[:_PRESENTED])
         for method, params in self._registrations.all():
@@ -194,7 +210,18 @@ class Guardian:
                 with contextlib.suppress(HintedError, OSError):  # else with the next connection
                     await self._use(new)
                 self._process.rights += 1
+            with contextlib.suppress(HintedError, OSError):
+                await self._renew()
             self._follow_identity()
+
+    async def _renew(self) -> None:
+        """Grants and identity, when they are due; and proofs, where revocations are a tree."""
+        call, now = self._session.call, int(time.time())
+        if await renew(call, self._renewals, now):
+            self._process.rights += 1
+        await renew_identity(call, self._identity_renewal, now)
+        if await prove(call, self._member):
+            self._process.cut()
 
     def _follow_identity(self) -> None:
         """A renewed identity counts for every connection from now on."""

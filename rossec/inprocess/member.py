@@ -8,12 +8,12 @@ import time
 from threading import RLock
 
 from ca.certificates import Identity, TrustAnchor
-from ca.revocation import Revocations, open_timestamp
+from ca.revocation import Revocations
 from grants.decision import Decision
 from grants.model import Right
 from rossec.channel.suites import PRODUCTION
 from rossec.home import NodeHome
-from rossec.node.access import Access
+from rossec.node.access import Access, Holding
 from rossec.node.links import Judged, why_cut
 
 
@@ -28,6 +28,16 @@ class SharedAccess(Access):
         """As of `Access`."""
         with self.lock:
             super().hold(data)
+
+    def hold_renewed(self, token: bytes, now: int) -> None:
+        """As of `Access`."""
+        with self.lock:
+            super().hold_renewed(token, now)
+
+    def holdings(self) -> list[Holding]:
+        """As of `Access`."""
+        with self.lock:
+            return super().holdings()
 
     def present(self, right: Right, name: str, now: int) -> bytes:
         """As of `Access`."""
@@ -74,15 +84,24 @@ class Member:
         self.access = SharedAccess(self.anchor, self.revocations)
 
     def take_revocations(self, data: bytes, timestamp: bytes, master: Identity) -> None:
-        """Take over the newest list and the master's word that it is the newest.
+        """Take over a list (empty: the one held) and the master's word that it is the newest.
 
         Raises:
             CAError: either does not hold. A list that does counts nevertheless.
         """
         with self.access.lock:
-            self.revocations.update(data, now(), self.home.save_revocations)
-            self.revocations.confirm(open_timestamp(timestamp, master.public_key), now())
-            self.revocations.check(master.thumbprint, now())
+            self.access.take_news(data, timestamp, master, now(), self.home.save_revocations)
+
+    @property
+    def wanted(self) -> list[bytes]:
+        """Entries of a tree of revocations that wait for a proof."""
+        with self.access.lock:
+            return self.revocations.wanted
+
+    def prove(self, entry: bytes, proof: bytes) -> None:
+        """As of `Revocations`."""
+        with self.access.lock:
+            self.revocations.prove(entry, proof)
 
     def refresh_identity(self) -> bool:
         """Speak with the certificate that is in the directory now; whether it is another one.

@@ -7,59 +7,41 @@ Texts and defaults for what stock rosmaster refuses are stock's; what only rosse
 
 import xmlrpc.client
 from collections.abc import Sequence
-from typing import Final, NamedTuple, Protocol
+from typing import Final, NamedTuple
 
-from ca.errors import HintedError
 from rossec.master import arguments as arg
 from rossec.master.arguments import ArgumentRefused
 from rossec.master.calls import (
+    CallRefused,
     Denied,
-    GrantsPresented,
     MasterEvent,
     Method,
     Methods,
     Reply,
     Request,
-    RevocationsChanged,
     StopMaster,
 )
-from rossec.master.gatekeeper import RULES, Caller, Gatekeeper, Peer, Refused, Scope
+from rossec.master.gatekeeper import RULES, Caller, Gatekeeper, Refused, Scope
 from rossec.master.graph import GraphCalls
 from rossec.master.paramcalls import ParameterCalls
 from rossec.master.params import Parameters
 from rossec.master.registry import Registry
+from rossec.master.standing import Statements
+from rossec.master.statementcalls import StatementCalls
+from rossec.master.watching import WATCH, WatchCalls
 
 Fault = xmlrpc.client.Fault
 MULTICALL: Final = "system.multicall"
 MULTICALL_LIMIT: Final = 4096  # roslaunch sets every parameter of a launch file in one
 MULTICALL_QUERIES: Final = 16  # answers over the whole graph; more in one call only amplifies
 MULTICALL_ONCE: Final = frozenset(  # each of these costs signatures or carries a whole list
-    {"rossec.presentGrants", "rossec.revocations", "rossec.updateRevocations"}
-)
-PRESENT_LIMIT: Final = 64
-
-
-class Presented(NamedTuple):
-    """How many grants of the caller are held now, and why others are not."""
-
-    held: int
-    refused: tuple[str, ...]
-
-
-class Statements(Protocol):
-    """What the master holds of the authority's statements; `rossec.master.trust` is it."""
-
-    def caller_of(self, peer: Peer, now: int) -> Caller | None:
-        """What a name and key seen before may do now; None: the key is revoked."""
-
-    def present(self, caller: Caller, tokens: Sequence[bytes], now: int) -> Presented:
-        """Keep a caller's grants."""
-
-    def current(self, now: int) -> tuple[bytes, bytes]:
-        """The revocation list and a timestamp of it; empty while there is none."""
-
-    def update(self, data: bytes, now: int) -> bool:
-        """Take a list; returns whether it is newer. Raises `HintedError`."""
+    {
+        "rossec.presentGrants", "rossec.renewGrants", "rossec.updateDelegation", WATCH,
+        "rossec.revocations", "rossec.revocationsSince", "rossec.updateRevocations", "rossec.trl",
+        "rossec.updateRevocationTree", "rossec.revocationProofs",
+        "rossec.renewIdentity",
+    }
+)  # fmt: skip
 
 
 class Outcome(NamedTuple):
@@ -75,6 +57,8 @@ class MasterApi:
     Args:
         name: the master's own certified name.
         uri, pid: what `getUri` and `getPid` answer.
+        instance: names this run of the master.
+        started: when it began, seconds since the epoch.
         parameters: what is set already.
     """
 
@@ -86,16 +70,21 @@ class MasterApi:
         name: str,
         uri: str,
         pid: int,
+        instance: str = "",
+        started: int = 0,
         parameters: Parameters | None = None,
     ) -> None:
-        self._statements = statements
         self._uri = uri
         self._pid = pid
         self._gatekeeper = Gatekeeper(registry, name)
+        self.watching = WatchCalls(registry, self._gatekeeper, instance)
         tree = Parameters() if parameters is None else parameters
+        self.parameters = ParameterCalls(tree, registry, statements.caller_of)
         self.methods: Methods = {
             **GraphCalls(registry, self._gatekeeper).methods(),
-            **ParameterCalls(tree, registry, statements.caller_of).methods(),
+            **self.parameters.methods(),
+            **self.watching.methods(),
+            **StatementCalls(statements, registry, name, started).methods(),
             **self._own_methods(),
         }
 
@@ -116,8 +105,11 @@ class MasterApi:
         except ArgumentRefused as refused:
             return Outcome([-1, str(refused), row.default])
         except Refused as refused:
-            denied = () if refused.wanted is None else (Denied(caller.name, *refused.wanted),)
-            return Outcome([-1, f"rossec: {refused}", row.default], denied)
+            status = f"rossec: {refused}"
+            events: list[MasterEvent] = [CallRefused(caller.title, method, status)]
+            if refused.wanted is not None:
+                events.append(Denied(caller.name, *refused.wanted))
+            return Outcome([-1, status, row.default], tuple(events))
         return Outcome([reply.code, reply.status, reply.value], reply.events)
 
     def _request(
@@ -169,42 +161,15 @@ class MasterApi:
         return self.call(method, params, caller, now)
 
     def _own_methods(self) -> Methods:
-        grants = arg.binaries("grants", PRESENT_LIMIT)
         return {
             "getUri": Method((), "", lambda _: Reply(self._uri)),
             "getPid": Method((), -1, lambda _: Reply(self._pid)),
             "shutdown": Method((arg.anything,), 0, self._shutdown),
-            "rossec.presentGrants": Method((grants,), 0, self._present),
-            "rossec.revocations": Method((), [], self._revocations),
-            "rossec.updateRevocations": Method((arg.binary("list"),), 0, self._update),
         }
 
     def _shutdown(self, request: Request) -> Reply:
         reason = f"{request.caller.name}: {request.arguments[1]}"
         return Reply(0, "shutdown", events=(StopMaster(reason),))
-
-    def _present(self, request: Request) -> Reply:
-        tokens = [token for token in _items(request.arguments[1]) if isinstance(token, bytes)]
-        presented = self._statements.present(request.caller, tokens, request.now)
-        refused = "; ".join(presented.refused)
-        # No error even if all are refused: a node whose grants have expired keeps its session, in
-        # which it will present new ones.
-        status = f"grants presented, but refused: {refused}" if refused else "grants accepted"
-        event = GrantsPresented(request.caller.name, presented.refused)
-        return Reply(presented.held, status, events=(event,))
-
-    def _revocations(self, request: Request) -> Reply:
-        return Reply(list(self._statements.current(request.now)), "revocations")
-
-    def _update(self, request: Request) -> Reply:
-        data = request.arguments[1]
-        try:
-            newer = isinstance(data, bytes) and self._statements.update(data, request.now)
-        except HintedError as error:
-            raise Refused(_one_line(error)) from error
-        if not newer:
-            return Reply(0, "not newer than the list in force")
-        return Reply(1, "revocations updated", events=(RevocationsChanged(),))
 
 
 def _method_of(element: object) -> str:
@@ -223,11 +188,3 @@ def _check_once(element: object, seen: set[str]) -> None:
         raise Fault(1, f"rossec: more than one {method} in a multicall")
     if method in MULTICALL_ONCE:
         seen.add(method)
-
-
-def _items(value: object) -> Sequence[object]:
-    return value if isinstance(value, list) else ()
-
-
-def _one_line(error: HintedError) -> str:
-    return f"{error} ({error.hint})" if error.hint else str(error)

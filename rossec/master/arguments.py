@@ -119,6 +119,28 @@ def uri(label: str, scheme: str) -> Check:
     return check
 
 
+def text(label: str) -> Check:
+    """Text, also empty."""
+
+    def check(value: object, _caller: str) -> str:
+        if not isinstance(value, str):
+            raise ArgumentRefused(f"ERROR: parameter [{label}] must be a string")
+        return value
+
+    return check
+
+
+def number(label: str) -> Check:
+    """An integer that is not negative."""
+
+    def check(value: object, _caller: str) -> int:
+        if not isinstance(value, int) or isinstance(value, bool) or value < 0:
+            raise ArgumentRefused(f"ERROR: parameter [{label}] must be a number")
+        return value
+
+    return check
+
+
 def binary(label: str) -> Check:
     """XML-RPC base64."""
 

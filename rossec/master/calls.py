@@ -50,6 +50,15 @@ class Denied:
 
 
 @dataclass(frozen=True)
+class CallRefused:
+    """A call was refused by rossec, alone or within a multicall: for the audit."""
+
+    node: str
+    method: str
+    status: str
+
+
+@dataclass(frozen=True)
 class ParameterKept:
     """A change to write down, so that it survives the master."""
 
@@ -64,6 +73,7 @@ MasterEvent = (
     | GrantsPresented
     | RevocationsChanged
     | Denied
+    | CallRefused
 )
 
 
@@ -89,6 +99,13 @@ class Request:
         value = self.arguments[index]
         if not isinstance(value, str):
             raise TypeError(f"argument {index} is not text")
+        return value
+
+    def binary(self, index: int) -> bytes:
+        """An argument whose check returned bytes."""
+        value = self.arguments[index]
+        if not isinstance(value, bytes):
+            raise TypeError(f"argument {index} is not bytes")
         return value
 
     def node(self, index: int) -> NodeRef:

@@ -1,16 +1,18 @@
 """What must go when rights end: registrations no valid grant covers any more. Pure.
 
 A grant may be revoked, expire, or belong to a revoked key; the registry is compared with what the
-nodes may do *now*, so none of these needs bookkeeping of its own. Parameter subscriptions stay:
-each update asks for the right again before it is sent.
+nodes may do *now*, so none of these needs bookkeeping of its own. A parameter subscription goes
+when nothing below it may be read any more; each update asks for the right again anyway.
 """
 
+from collections.abc import Callable
 from typing import Final, NamedTuple
 
 from grants.model import Right
-from rossec.master.api import Statements
 from rossec.master.calls import MasterEvent
+from rossec.master.gatekeeper import Caller
 from rossec.master.registry import Kind, NodeRef, Registry
+from rossec.master.standing import Statements
 
 _NEEDED: Final = {
     Kind.PUBLISHER: Right.PUBLISH,
@@ -41,13 +43,27 @@ def steps(registry: Registry) -> list[Step]:
     ]
 
 
-def enforce(registry: Registry, statements: Statements, step: Step, now: int) -> list[MasterEvent]:
-    """Remove the registrations of `step` that have no right any more, and say whom to tell."""
+def enforce(
+    registry: Registry,
+    statements: Statements,
+    step: Step,
+    now: int,
+    leaves: Callable[[str], list[str]],
+) -> list[MasterEvent]:
+    """Remove the registrations of `step` that have no right any more, and say whom to tell.
+
+    `leaves` says which parameters lie below a key.
+    """
     if not registry.is_current(step.node):
         return []
     caller = statements.caller_of(step.node, now)
     if caller is None:
         return [*registry.remove_node(step.node.name)]
-    right = _NEEDED.get(step.kind)
-    lost = () if right is None else [key for key in step.keys if not caller.may(right, key)]
+    lost = [key for key in step.keys if not _may_stay(caller, step.kind, key, leaves)]
     return [event for key in lost for event in registry.remove(step.kind, key, caller.name)]
+
+
+def _may_stay(caller: Caller, kind: Kind, key: str, leaves: Callable[[str], list[str]]) -> bool:
+    if kind is Kind.PARAMETER:
+        return any(caller.may(Right.PARAM_GET, leaf) for leaf in leaves(key))
+    return caller.may(_NEEDED[kind], key)

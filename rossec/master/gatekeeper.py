@@ -17,7 +17,8 @@ from grants.model import Right
 from rossec.master.registry import KEYS_LIMIT, Kind, NodeRef, Registry
 
 _ASK: Final = "ask the authority's operator for a grant"
-SEES_TOPICS: Final = (Right.PUBLISH, Right.SUBSCRIBE, Right.CALL, Right.PROVIDE, Right.GRAPH)
+# Who asks for the whole graph mostly has the right to: asked first.
+SEES_TOPICS: Final = (Right.GRAPH, Right.PUBLISH, Right.SUBSCRIBE, Right.CALL, Right.PROVIDE)
 
 
 class Refused(Exception):
@@ -162,8 +163,16 @@ RULES: Final[Mapping[str, Rule]] = {
     "getParamNames": Rule(Scope.FILTERED),
     "setParam": Rule(Scope.TREE, Right.PARAM_SET),
     "deleteParam": Rule(Scope.TREE, Right.PARAM_SET),
+    "rossec.watchGraph": Rule(Scope.MASTER, Right.GRAPH),  # of which it is shown its part
     "rossec.presentGrants": Rule(Scope.OPEN),
+    "rossec.renewGrants": Rule(Scope.OPEN),  # what is renewed is the caller's own, or refused
+    "rossec.renewIdentity": Rule(Scope.OPEN),  # the request is signed by the key that is renewed
+    "rossec.updateDelegation": Rule(Scope.OPEN),  # as a list, it carries the authority's signature
     "rossec.revocations": Rule(Scope.OPEN),
+    "rossec.revocationsSince": Rule(Scope.OPEN),
+    "rossec.updateRevocationTree": Rule(Scope.OPEN),
+    "rossec.revocationProofs": Rule(Scope.OPEN),  # whoever can ask about an entry knows it
+    "rossec.trl": Rule(Scope.FILTERED),  # what concerns the caller; all with ADMIN on the master
     "rossec.updateRevocations": Rule(Scope.OPEN),  # the list carries the authority's signature
 }
 

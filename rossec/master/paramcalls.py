@@ -54,6 +54,10 @@ class ParameterCalls:
             "unsubscribeParam": Method((api, key), 0, self._unsubscribe),
         }
 
+    def below(self, subscription: str) -> list[str]:
+        """The parameters that a subscription reaches."""
+        return self._parameters.leaves(subscription.removesuffix("/") or "/")
+
     def _get(self, request: Request) -> Reply:
         key = request.text(1)
         require_tree(request.caller, Right.PARAM_GET, key, self._parameters.leaves(key))

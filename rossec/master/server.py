@@ -9,6 +9,7 @@ import asyncio
 import contextlib
 import logging
 import os
+import secrets
 import time
 from collections import Counter
 from collections.abc import Callable
@@ -20,8 +21,9 @@ from rossec.channel.known import KnownCertificates
 from rossec.channel.records import Limits as ChannelLimits
 from rossec.channel.suites import PRODUCTION
 from rossec.errors import CallerMismatch
-from rossec.master.api import MasterApi, Statements
+from rossec.master.api import MasterApi
 from rossec.master.calls import (
+    CallRefused,
     Denied,
     GrantsPresented,
     MasterEvent,
@@ -35,9 +37,12 @@ from rossec.master.enforce import enforce, steps
 from rossec.master.gatekeeper import Caller, Certified, Peer
 from rossec.master.limits import Limits
 from rossec.master.memory import ParameterFile
+from rossec.master.news import WATCH_WAIT, News
 from rossec.master.params import Parameters
 from rossec.master.registry import Kind, NodeRef, PublishersChanged, Registry, ShutdownNode
+from rossec.master.standing import Statements
 from rossec.master.updates import Updates
+from rossec.master.watching import WATCH, no_news
 from rossec.net.halfopen import HalfOpen
 from rossec.net.rpc import RpcClient, serve_calls
 from rossec.net.stream import Flavour, SecureServer, SecureStream, connect, serve
@@ -126,6 +131,7 @@ class MasterServer:
         self._updates = Updates(self._dial)
         self._tasks = TaskSet()
         self._stopping = asyncio.Event()
+        self._news = News()
         self._calls = self._denials = 0
         self._changed = asyncio.Event()  # revocations: what follows must not wait for the beat
 
@@ -167,6 +173,8 @@ class MasterServer:
             name=self._name,
             uri=self.uri,
             pid=os.getpid(),
+            instance=secrets.token_hex(8),
+            started=self._now(),
             parameters=self._remember(),
         )
         self._tasks.spawn(self._beat(), name="rossec master timestamps")
@@ -233,6 +241,13 @@ class MasterServer:
             self._streams.discard(stream)
 
     async def _dispatch(self, method: str, params: tuple[object, ...], peer: ChannelPeer) -> object:
+        answer = self._answer(method, params, peer)
+        if method == WATCH and no_news(answer):
+            await self._news.wait(WATCH_WAIT)
+            answer = self._answer(method, params, peer)
+        return answer
+
+    def _answer(self, method: str, params: tuple[object, ...], peer: ChannelPeer) -> object:
         if self._api is None:
             raise RuntimeError("a call before the master was started")
         now = self._now()
@@ -242,14 +257,9 @@ class MasterServer:
             raise Fault(1, f"rossec: {error}") from error
         outcome = self._api.call(method, params, caller, now)
         self._calls += 1
-        match outcome.answer:
-            case [-1, str(status), _] if status.startswith("rossec: "):
-                self._denials += 1
-                _audit.warning("%s may not %s: %s", peer.name, method, printable(status))
-            case _:
-                pass
         for event in outcome.events:
             self._deliver(event)
+        self._news.tell(self._registry.version)
         return outcome.answer
 
     def _deliver(self, event: MasterEvent) -> None:
@@ -265,20 +275,24 @@ class MasterServer:
                 self._cut_revoked()
                 self._push_revocations()
                 self._changed.set()
-            case ParameterKept() | Denied() | GrantsPresented():
+            case ParameterKept() | Denied() | GrantsPresented() | CallRefused():
                 self._record(event)
             case StopMaster(reason):
                 _audit.warning("stopping: %s", printable(reason))
                 self._stopping.set()
 
-    def _record(self, event: ParameterKept | Denied | GrantsPresented) -> None:
+    def _record(self, event: ParameterKept | Denied | GrantsPresented | CallRefused) -> None:
         match event:
             case ParameterKept(change):
                 if self._memory is not None:
                     self._memory.write(change)
+            case CallRefused(node, method, status):
+                self._denials += 1
+                _audit.warning("%s may not %s: %s", node, method, printable(status))
             case Denied(node, right, name):
                 self._complain(self._now(), node, right, name)
             case GrantsPresented(name, refused):
+                self._news.tell()  # it may see other things now
                 if refused:
                     text = printable("; ".join(refused))
                     _audit.warning("%s presents grants that are refused: %s", name, text)
@@ -302,10 +316,15 @@ class MasterServer:
 
     async def _enforce(self) -> None:
         """Drop what is no longer allowed, tell those concerned; others are answered meanwhile."""
+        if self._api is None:
+            return
+        below = self._api.parameters.below
         for step in steps(self._registry):
-            for event in enforce(self._registry, self._standing, step, self._now()):
+            for event in enforce(self._registry, self._standing, step, self._now(), below):
                 self._deliver(event)
+            self._news.tell(self._registry.version)
             await asyncio.sleep(0)
+        self._news.tell()  # what lapsed without a registration may still have been seen
 
     def _cut_revoked(self) -> None:
         """Cut the connections of revoked identities, and tell them nothing more."""
@@ -326,14 +345,15 @@ class MasterServer:
         registered = {node.thumbprint for node in nodes}
         connected = {stream.peer.thumbprint for stream in self._streams}
         self._standing.keep_only(frozenset(registered | connected), self._now())
+        if self._api is not None:
+            self._api.watching.keep_only(frozenset(connected))
 
     def _push_revocations(self) -> None:
-        revocations, timestamp = self._standing.current(self._now())
-        if not revocations:
-            return
+        """Confirm the list to every node, and send it to those that do not hold it."""
         now, key = self._now(), ("rossec.revocationUpdate", "")
         for node in self._registry.nodes():
-            if self._standing.caller_of(node, now) is not None:
+            revocations, timestamp = self._standing.news_for(node, now)
+            if timestamp and self._standing.caller_of(node, now) is not None:
                 self._updates.post(node, key, self._name, revocations, timestamp)
 
     async def _dial(self, node: NodeRef) -> RpcClient:
@@ -364,6 +384,7 @@ class MasterServer:
             _audit.warning("%s is removed: %s answers at %s", node.name, found.name, node.uri)
             for event in self._registry.remove_node(node.name):
                 self._deliver(event)
+            self._news.tell(self._registry.version)
 
     def _now(self) -> int:
         return int(self._clock())

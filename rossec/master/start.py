@@ -1,17 +1,24 @@
 """Making a master from the directory of its node."""
 
+import contextlib
+import logging
 import socket
 from typing import Final
 
+from ca.errors import HintedError, RevocationRefused
 from ca.revocation import Revocations
+from ca.revocationtree import is_tree
 from rossec.channel.suites import PRODUCTION
 from rossec.home import NodeHome
 from rossec.master.complaints import Complain, unheard
 from rossec.master.limits import Limits
 from rossec.master.memory import ParameterFile
+from rossec.master.renewal import Delegate
 from rossec.master.server import MasterServer
-from rossec.master.trust import Trust
+from rossec.master.trust import Renewer, Trust
 from rossec.ros.settings import is_loopback
+
+_log = logging.getLogger(__name__)
 
 _LIMITS: Final = Limits()
 
@@ -23,6 +30,8 @@ def master_of(
     port: int,
     newest: bytes | None,
     now: int,
+    entries: bytes | None = None,
+    renewer: Renewer | None = None,
     complain: Complain = unheard,
     limits: Limits = _LIMITS,
     suites: tuple[int, ...] = PRODUCTION,
@@ -34,6 +43,8 @@ def master_of(
             loopback, as in ROS; None: this machine's name, and any address.
         newest: a revocation list that may be newer than the one saved, when the authority lives on
             this host; otherwise the master waits until one is published.
+        renewer: renews identities with an intermediate; never the root, whose key stays offline.
+        entries: where `newest` is a tree, all it was made of.
         complain: hears of every right that somebody lacks.
         limits: what one peer may cost.
         suites: the post-quantum policy (`rossec.channel.policy`).
@@ -49,7 +60,20 @@ def master_of(
         revocations.update(saved, now)
     if newest is not None:
         revocations.update(newest, now, home.save_revocations)
-    trust = Trust(anchor, credentials.signer, revocations, home.save_revocations)
+    delegate = Delegate(anchor, credentials.signer, home.save_delegation)
+    delegation = home.load_delegation()
+    if delegation is not None:
+        _take(delegate, delegation)
+    trust = Trust(
+        anchor,
+        credentials.signer,
+        revocations,
+        home.save_revocations,
+        delegate,
+        home.save_entries,
+        renewer,
+    )
+    _complete(trust, revocations, (entries, home.load_entries()), now)
     return MasterServer(
         credentials,
         anchor.verify,
@@ -63,3 +87,25 @@ def master_of(
         limits=limits,
         suites=suites,
     )
+
+
+def _take(delegate: Delegate, data: bytes) -> None:
+    """A master with a new key starts all the same; it just cannot renew until told so anew."""
+    try:
+        delegate.take(data)
+    except HintedError as error:
+        _log.warning("grants are not renewed: %s", error)
+
+
+def _complete(
+    trust: Trust, revocations: Revocations, found: tuple[bytes | None, ...], now: int
+) -> None:
+    """A tree is of use with its entries: those saved, or the authority's own, whichever fit."""
+    if not is_tree(revocations.data):
+        return
+    for entries in found:
+        if entries is not None:
+            with contextlib.suppress(RevocationRefused):
+                trust.update_tree(revocations.data, entries, now)
+                return
+    _log.warning("the entries of the revocation tree are missing: rossec ca publish")

@@ -7,29 +7,35 @@ holds. Grants are kept per key, verified once, bounded in number and size.
 """
 
 import hashlib
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
 from ca.certificates import TrustAnchor
-from ca.errors import HintedError, Revoked
+from ca.errors import HintedError, RenewalRefused, RevocationRefused, Revoked
 from ca.revocation import MAX_AGE, Revocations, Timestamp, digest, sign_timestamp
+from ca.revocationtree import Listing, is_tree, open_tree
 from ca.signer import Signer
 from grants.decision import Check, authorize
-from grants.document import open_grant
 from grants.errors import GrantError, GrantNotHeld
 from grants.model import Grant, Right
 from grants.reach import Reach
+from grants.token import Verifier
 from grants.validity import check_time
-from rossec.master.api import Presented
 from rossec.master.gatekeeper import Caller, Certified, Peer
+from rossec.master.renewal import Delegate, forget
+from rossec.master.standing import Presented, Renewed
 
+_PUBLISH: Final = "deliver it with: rossec ca publish"
 MAX_HELD: Final = 64
 MAX_HELD_BYTES: Final = 256 * 1024
+MAX_NAMES: Final = 16 * 1024  # nodes of which is known which list they hold
 MAX_FAILURES: Final = 256  # refused grants of one key in FAILURES_WITHIN; each costs a verification
 FAILURES_WITHIN: Final = 60  # seconds
 
 
+Renewer = Callable[[bytes, int, Check], bytes]
+"""Answers a renewal request (`ca.renewal`) with the node's new bundle."""
 _NOTHING: Final = Reach(())
 
 
@@ -94,6 +100,16 @@ class _Held:
             self.failures = 0
         return self.failures >= MAX_FAILURES
 
+    def put(self, token: bytes, grant: Grant) -> None:
+        """Keep a grant, in place of what was known of it: it may have been renewed."""
+        for key in [key for key, other in self.grants.items() if other.id == grant.id]:
+            if self.grants[key].expires > grant.expires:
+                return
+            del self.grants[key], self.sizes[key]
+        key = hashlib.sha256(token).digest()
+        self.grants[key], self.sizes[key] = grant, len(token)
+        self.version += 1
+
     def is_full_for(self, size: int) -> bool:
         return len(self.grants) >= MAX_HELD or sum(self.sizes.values()) + size > MAX_HELD_BYTES
 
@@ -102,7 +118,8 @@ def _holds(grant: Grant, now: int, revocations: Revocations) -> bool:
     """Whether `grants.decision` would take the grant now; it is bound to its holder already."""
     try:
         check_time(grant, now)
-        revocations.check(grant.id, now)
+        for entry in (grant.id, *grant.via):
+            revocations.check(entry, now)
     except HintedError:
         return False
     return True
@@ -116,6 +133,9 @@ class Trust:
         signer: the master's own identity key; signs timestamps.
         revocations: loaded with what was persisted, if anything.
         persist: makes a list durable; called before the list takes effect.
+        delegate: renews grants; by default the authority has not delegated that.
+        renewer: answers a request to renew an identity, `check` says what is revoked; None: nobody.
+        persist_entries: makes the entries of a tree durable, before the tree itself.
     """
 
     def __init__(
@@ -124,12 +144,21 @@ class Trust:
         signer: Signer,
         revocations: Revocations,
         persist: Callable[[bytes], None],
+        delegate: Delegate | None = None,
+        persist_entries: Callable[[bytes], None] = forget,
+        renewer: Renewer | None = None,
     ) -> None:
         self._anchor = anchor
         self._signer = signer
         self._revocations = revocations
         self._persist = persist
+        self._persist_entries = persist_entries
+        self._renewer = renewer
+        self._listing: Listing | None = None
+        self._delegate = Delegate(anchor, signer) if delegate is None else delegate
         self._held: dict[bytes, _Held] = {}
+        self._ended: dict[bytes, Grant] = {}
+        self._lists: dict[tuple[str, bytes], bytes] = {}
         self._chains: dict[bytes, tuple[bytes, ...]] = {}  # by the first key: all of an identity
         self._stamp: tuple[int, bytes] = (-1, b"")
         self._confirmed_at = -1
@@ -156,6 +185,7 @@ class Trust:
 
         Nothing is kept for a key that the tokens are not bound to.
         """
+        self._confirm(now)
         held = self._held.setdefault(caller.thumbprint, _Held())
         held.drop_expired(now)
         refused: list[str] = []
@@ -167,6 +197,65 @@ class Trust:
                 refused.append(str(error))
         return Presented(len(held.grants), tuple(refused))
 
+    def revoked(self) -> frozenset[bytes]:
+        """The whole list."""
+        return self._revocations.entries
+
+    def pertaining(self, caller: Caller, names: Iterable[str]) -> frozenset[bytes]:
+        """What of the list concerns a caller that is registered for `names`.
+
+        Its own grants; grants for these names, whoever holds them, and their holders' keys; what
+        renews grants. The master knows of grants that were presented to it: of others nobody here
+        could say whom they concern.
+        """
+        keys = frozenset(names)
+        concerned = {caller.thumbprint, self._delegate.id}
+        for grant in self._known():
+            if grant.holder == caller.thumbprint or _reaches(grant, keys):
+                concerned |= {grant.id, grant.holder}
+        return self._revocations.entries & concerned
+
+    def renew(self, caller: Caller, tokens: Sequence[bytes], now: int) -> Renewed:
+        """Tokens that hold longer, in the same order, empty where one is not renewed."""
+        self._confirm(now)
+        held = self._held.setdefault(caller.thumbprint, _Held())
+        held.drop_expired(now)
+        renewed: list[bytes] = []
+        refused: list[str] = []
+        for token in tokens:
+            try:
+                renewed.append(self._renew(held, caller, token, now))
+            except HintedError as error:
+                held.count_failure(now)
+                refused.append(str(error))
+                renewed.append(b"")
+        return Renewed(tuple(renewed), tuple(refused))
+
+    def renew_identity(self, caller: Caller, request: bytes, now: int) -> bytes:
+        """The bundle that succeeds an identity, by the intermediate of this host.
+
+        Raises:
+            CAError: not in order, or there is no intermediate here.
+        """
+        if self._renewer is None:
+            raise RenewalRefused("this master renews no identities", "ask the authority's operator")
+        self._confirm(now)
+        held = self._held.setdefault(caller.thumbprint, _Held())
+        self._check_failures(held, now)
+        try:
+            return self._renewer(request, now, self._revocations.check)
+        except HintedError:
+            held.count_failure(now)
+            raise
+
+    def delegated(self, data: bytes) -> bool:
+        """Take leave of the authority to renew grants; returns whether it is newer.
+
+        Raises:
+            GrantError: not the authority's, or not for this master.
+        """
+        return self._delegate.take(data)
+
     def current(self, now: int) -> tuple[bytes, bytes]:
         """The list and a timestamp of this second; empty while there is no list."""
         revocations = self._revocations.held
@@ -175,6 +264,19 @@ class Trust:
         if self._stamp[0] != now:
             self._stamp = now, sign_timestamp(self._signer, self._timestamp(now))
         return self._revocations.data, self._stamp[1]
+
+    def held_by(self, peer: Peer, held: bytes) -> None:
+        """A node says which list it holds, by its digest; believed only to spare it the list."""
+        if len(self._lists) >= MAX_NAMES:  # a wildcard identity goes by as many as it likes
+            self._lists.clear()
+        self._lists[peer.name, peer.thumbprint] = held
+
+    def news_for(self, peer: Peer, now: int) -> tuple[bytes, bytes]:
+        """As `current`, but without the list for a node that has said that it holds it."""
+        data, stamp = self.current(now)
+        return (
+            b"" if self._lists.get((peer.name, peer.thumbprint)) == digest(data) else data
+        ), stamp
 
     @property
     def number(self) -> int:
@@ -187,14 +289,48 @@ class Trust:
         Raises:
             RevocationRefused: forged, malformed, or older than one seen.
         """
+        if is_tree(data):
+            raise RevocationRefused("a tree of revocations comes with its entries", _PUBLISH)
         before = self._revocations.data
         self._revocations.update(data, now, self._persist)
+        self._listing = None
+        return self._updated(before)
+
+    def update_tree(self, data: bytes, entries: bytes, now: int) -> bool:
+        """Take a tree signed by the authority, and all it was made of; as `update`."""
+        listing = Listing.read(entries)
+        listing.check(open_tree(data, self._anchor.public_key))
+        before = self._revocations.data
+
+        def persist(data: bytes) -> None:
+            self._persist_entries(entries)
+            self._persist(data)
+
+        if data == before:  # after a restart without the entries
+            self._persist_entries(entries)
+        self._revocations.update(data, now, persist)
+        self._revocations.complete(listing)
+        self._listing = listing
+        return self._updated(before)
+
+    def proofs(self, entries: Sequence[bytes]) -> list[bytes]:
+        """What the tree shows of each entry; nothing while the whole list is at hand."""
+        return [] if self._listing is None else [self._listing.prove(item) for item in entries]
+
+    def _updated(self, before: bytes) -> bool:
+        """Forget what followed from the statement `before`; returns whether it is another now."""
+        self._ended = {
+            grant.id: grant
+            for grant in self._known()
+            if not self._revocations.entries.isdisjoint((grant.id, grant.holder))
+        }
         self._stamp, self._confirmed_at = (-1, b""), -1
         return self._revocations.data != before
 
     def keep_only(self, thumbprints: frozenset[bytes], now: int) -> None:
         """Forget the grants of all other keys, and what has expired of these."""
         self._held = {key: held for key, held in self._held.items() if key in thumbprints}
+        self._lists = {key: held for key, held in self._lists.items() if key[1] in thumbprints}
         self._chains = {key: keys for key, keys in self._chains.items() if key in thumbprints}
         for held in self._held.values():
             held.drop_expired(now)
@@ -210,21 +346,47 @@ class Trust:
         access = GrantAccess(grants, reach, peer.thumbprint, now, self._revocations.check)
         return Caller(peer.name, peer.thumbprint, access, wildcard)
 
+    def _known(self) -> Iterator[Grant]:
+        """Grants presented by those who are here, and those remembered because of the list."""
+        yield from self._ended.values()
+        for held in self._held.values():
+            yield from held.grants.values()
+
     def _keep(self, held: _Held, caller: Caller, token: bytes, now: int) -> None:
         key = hashlib.sha256(token).digest()
         if key in held.grants:
             return
+        self._check_failures(held, now)
+        if held.is_full_for(len(token)):
+            raise GrantError(f"the master holds at most {MAX_HELD} grants of one node")
+        grant = self._verifier().open(token, now)
+        if grant.holder != caller.thumbprint:
+            raise GrantNotHeld("a grant bound to another key", f"it was given to {grant.subject}")
+        held.put(token, grant)
+
+    def _renew(self, held: _Held, caller: Caller, token: bytes, now: int) -> bytes:
+        self._check_failures(held, now)
+        check = self._revocations.check
+        grant, renewed = self._delegate.renew(
+            token, caller.thumbprint, now, seq=self.number, check=check
+        )
+        if not held.is_full_for(len(renewed)):  # else its holder presents it when it has room
+            held.put(renewed, grant)
+        return renewed
+
+    @staticmethod
+    def _check_failures(held: _Held, now: int) -> None:
         if held.has_failed_too_often(now):
             raise GrantError(
                 "too many grants of this node were refused", f"wait {FAILURES_WITHIN} s"
             )
-        if held.is_full_for(len(token)):
-            raise GrantError(f"the master holds at most {MAX_HELD} grants of one node")
-        grant = open_grant(token, self._anchor.public_key, now, domain=self._anchor.domain)
-        if grant.holder != caller.thumbprint:
-            raise GrantNotHeld("a grant bound to another key", f"it was given to {grant.subject}")
-        held.grants[key], held.sizes[key] = grant, len(token)
-        held.version += 1
+
+    def _verifier(self) -> Verifier:
+        anchor = self._anchor
+        return Verifier(
+            anchor.public_key, anchor.domain, self._signer.public_key, self.number,
+            self._revocations.check,
+        )  # fmt: skip
 
     def _confirm(self, now: int) -> None:
         if self._revocations.held is not None and self._confirmed_at != now:
@@ -233,3 +395,11 @@ class Trust:
 
     def _timestamp(self, now: int) -> Timestamp:
         return Timestamp(self.number, digest(self._revocations.data), now, MAX_AGE)
+
+
+def _reaches(grant: Grant, names: frozenset[str]) -> bool:
+    return any(
+        permission.names(name, permission.rights)
+        for permission in grant.permissions
+        for name in names
+    )

@@ -5,23 +5,44 @@ grants this node holds, a peer is shown only those that cover what is being aske
 """
 
 from collections import OrderedDict
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from hashlib import sha256
 from typing import Final
+
+from cryptography.hazmat.primitives.asymmetric import ec
 
 from ca.certificates import Identity, TrustAnchor
 from ca.encoding import Value, decode, encode
 from ca.errors import EncodingError
-from ca.revocation import Revocations
+from ca.revocation import Revocations, open_timestamp
 from grants.decision import Decision, authorize
-from grants.document import open_grant, peek
+from grants.document import peek
 from grants.errors import GrantError, GrantMalformed, GrantMissing
 from grants.model import Grant, Right
+from grants.token import Verifier
 
 FIELD: Final = "rossec_grants"
 MAX_PRESENTED: Final = 40 * 1024  # a header field holds 48 KiB
 MAX_GRANTS: Final = 16
 _CACHE_SIZE: Final = 1024
+
+
+@dataclass(frozen=True)
+class Holding:
+    """A grant this node holds.
+
+    Args:
+        grant: what it says; `expires` as renewed.
+        original: as the authority signed it.
+        token: as it is presented.
+        since: when it was last renewed, or begins.
+    """
+
+    grant: Grant
+    original: bytes
+    token: bytes
+    since: int
 
 
 class Access:
@@ -32,37 +53,82 @@ class Access:
     ) -> None:
         self._anchor = anchor
         self._revocations = revocations
-        self._held: list[tuple[Grant, bytes]] = [(peek(data), data) for data in held]
+        self._held: dict[bytes, Holding] = {}
         self._opened: OrderedDict[bytes, Grant] = OrderedDict()
+        self._delegate: ec.EllipticCurvePublicKey | None = None
+        for data in held:
+            self.hold(data)
 
     def hold(self, data: bytes) -> None:
         """Add a grant to those this node can present."""
-        self._held.append((peek(data), data))
+        grant = peek(data)
+        self._held.setdefault(grant.id, Holding(grant, data, data, grant.not_before))
+
+    def hold_renewed(self, token: bytes, now: int) -> None:
+        """Take a grant this node holds as the master has renewed it.
+
+        Raises:
+            GrantError: it does not hold, or is none of this node's.
+        """
+        grant = self._verifier().open(token, now)
+        known = self._held.get(grant.id)
+        if known is None:
+            raise GrantMissing(f"grant {grant.short_id} is renewed, but was never held here")
+        self._held[grant.id] = Holding(grant, known.original, token, now)
+
+    def holdings(self) -> list[Holding]:
+        """All grants this node holds, expired ones too, but none that is known to be revoked."""
+        revoked = self._revocations.entries
+        return [held for held in self._held.values() if held.grant.id not in revoked]
+
+    @property
+    def epoch(self) -> int:
+        """The epoch of the list held: tickets of an earlier one know numbers this one has not."""
+        held = self._revocations.held
+        return 0 if held is None else held.epoch
+
+    def take_news(
+        self,
+        revocations: bytes,
+        timestamp: bytes,
+        master: Identity,
+        now: int,
+        persist: Callable[[bytes], None],
+    ) -> None:
+        """Take over a newer list (empty: the one held is the newest) and its confirmation.
+
+        A list that holds counts, whatever is wrong with the rest.
+
+        Raises:
+            CAError: one of the statements is refused, or the master's key is revoked.
+        """
+        if revocations:
+            self._revocations.update(revocations, now, persist)
+        self._revocations.confirm(open_timestamp(timestamp, master.public_key), now)
+        self.check_peer(master, now)
+        self._delegate = master.public_key
 
     def current(self, now: int) -> list[bytes]:
         """The grants that hold now and are not known to be revoked, the longest-lived first."""
-        return [data for _, data in self._current(now)]
+        return [held.token for held in self._current(now)]
 
     def present(self, right: Right, name: str, now: int) -> bytes:
         """Header field that proves `right` on `name`: the array of the grants that cover it.
 
         A peer takes a bounded number; the ones that end last are shown.
         """
-        covering = [data for grant, data in self._current(now) if _concerns(grant, right, name)]
+        covering = [held.token for held in self._current(now) if _concerns(held.grant, right, name)]
         return encode(list[Value](covering[:MAX_GRANTS]))
 
     def holds(self, right: Right, name: str, now: int) -> bool:
         """Whether a grant this node holds covers `right` on `name` now."""
-        return any(_concerns(grant, right, name) for grant, _ in self._current(now))
+        return any(_concerns(held.grant, right, name) for held in self._current(now))
 
-    def _current(self, now: int) -> list[tuple[Grant, bytes]]:
-        revoked = self._revocations.entries
+    def _current(self, now: int) -> list[Holding]:
         usable = [
-            (grant, data)
-            for grant, data in self._held
-            if grant.not_before <= now < grant.expires and grant.id not in revoked
+            held for held in self.holdings() if held.grant.not_before <= now < held.grant.expires
         ]
-        return sorted(usable, key=lambda item: item[0].expires, reverse=True)
+        return sorted(usable, key=lambda held: held.grant.expires, reverse=True)
 
     def check_peer(self, peer: Identity, now: int) -> None:
         """Raise a `CAError` when the identity of `peer` is revoked, or that is not known."""
@@ -112,11 +178,21 @@ class Access:
         if known is not None and known.not_before <= now < known.expires:
             self._opened.move_to_end(digest)
             return known
-        grant = open_grant(data, self._anchor.public_key, now, domain=self._anchor.domain)
+        grant = self._verifier().open(data, now)
         self._opened[digest] = grant
         if len(self._opened) > _CACHE_SIZE:
             self._opened.popitem(last=False)
         return grant
+
+    def _verifier(self) -> Verifier:
+        held = self._revocations.held
+        return Verifier(
+            self._anchor.public_key,
+            self._anchor.domain,
+            self._delegate,
+            0 if held is None else held.seq,
+            self._revocations.check,
+        )
 
 
 def _unpack(presented: bytes) -> list[bytes]:

@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable
 
 from ca.certificates import Identity, TrustAnchor
-from rossec.channel.credentials import Credentials
+from rossec.channel.credentials import OwnCredential
 from rossec.channel.known import KnownCertificates
 from rossec.channel.suites import PRODUCTION
 from rossec.errors import TopicRefused
@@ -26,7 +26,7 @@ class Dialer:
     def __init__(
         self,
         name: str,
-        credentials: Credentials,
+        credentials: OwnCredential,
         anchor: TrustAnchor,
         check_peer: CheckPeer,
         *,

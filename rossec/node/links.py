@@ -43,14 +43,32 @@ class Link(Judged, Protocol):
 
 
 def why_cut(link: Judged, revocations: Revocations, now: int) -> str | None:
-    """Why `link` must be cut now, or None while it may live."""
+    """Why `link` must be cut now, or None while it may live.
+
+    Missing news of revocations cuts after a while, unless every permission of the link says
+    `on_stale: keep`: an emergency stop must not depend on them. A revocation always cuts.
+    """
     if now >= link.ends:
         return "its grant or its certificate has expired"
+    reasons = {entry: _trouble(entry, revocations, now) for entry in _entries(link)}
+    for reason in reasons.values():  # before staleness, which the first meets as well as the last
+        if isinstance(reason, Revoked):
+            return str(reason)
+    if link.decision.keep_when_stale:
+        return None
+    for entry, reason in reasons.items():
+        if reason is not None and now >= revocations.known_until(entry) + STALE_GRACE:
+            return str(reason)
+    return None
+
+
+def _entries(link: Judged) -> tuple[bytes, ...]:
+    return (*link.stream.peer.keys, *link.decision.grant_ids)
+
+
+def _trouble(entry: bytes, revocations: Revocations, now: int) -> Revoked | RevocationsStale | None:
     try:
-        for entry in (*link.stream.peer.keys, *link.decision.grant_ids):
-            revocations.check(entry, now)
-    except Revoked as error:
-        return str(error)
-    except RevocationsStale as error:
-        return str(error) if now >= revocations.fresh_until + STALE_GRACE else None
+        revocations.check(entry, now)
+    except (Revoked, RevocationsStale) as error:
+        return error
     return None

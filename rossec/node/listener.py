@@ -14,7 +14,7 @@ from typing import Final
 
 from ca.certificates import Identity, TrustAnchor
 from ca.errors import HintedError, RevocationsStale
-from rossec.channel.credentials import Credentials
+from rossec.channel.credentials import OwnCredential
 from rossec.channel.known import KnownCertificates
 from rossec.channel.suites import PRODUCTION
 from rossec.errors import TopicRefused
@@ -41,7 +41,7 @@ class Listener:
     def __init__(
         self,
         name: str,
-        credentials: Credentials,
+        credentials: OwnCredential,
         anchor: TrustAnchor,
         access: Access,
         publishers: Mapping[str, Publisher],

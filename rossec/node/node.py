@@ -16,22 +16,26 @@ from typing import Final, Self
 
 from ca.certificates import Identity
 from ca.errors import HintedError
-from ca.revocation import Revocations, open_timestamp
+from ca.revocation import Revocations, digest
+from rossec.channel.credentials import LiveCredentials
 from rossec.channel.known import KnownCertificates
 from rossec.channel.policy import post_quantum
-from rossec.errors import NodeShutdown, ServiceUnavailable
+from rossec.errors import AnswerRefused, NodeShutdown, ServiceUnavailable
 from rossec.home import NodeHome, rossec_home
 from rossec.net.stream import SecureStream
 from rossec.net.tasks import TaskSet
 from rossec.node.access import Access
 from rossec.node.client import CALL_DEADLINE, ServiceClient
 from rossec.node.dial import Dialer
+from rossec.node.identity import IdentityRenewal, renew_identity
 from rossec.node.links import Link
 from rossec.node.listener import Listener
 from rossec.node.messages import message_type
 from rossec.node.params import Parameters
+from rossec.node.proofs import prove
 from rossec.node.provider import CONCURRENCY, HANDLER_DEADLINE, Handler, Service
 from rossec.node.publisher import Publisher
+from rossec.node.renewal import Renewals, renew
 from rossec.node.servicedesk import Services
 from rossec.node.session import MasterSession
 from rossec.node.shelf import Shelf
@@ -72,7 +76,7 @@ class Node:
         self.name = self.settings.name
         self.home = NodeHome.find(rossec_home(environ), self.name)
         self.anchor = self.home.anchor()
-        self.credentials = self.home.credentials()
+        self.credentials = LiveCredentials(self.home.credentials())
         self.identity = self.home.identity(int(time.time()))
         self.revocations = self._load_revocations()
         self.access = Access(self.anchor, self.revocations)
@@ -89,8 +93,14 @@ class Node:
         self._shelf.take_new()
         self._tasks = TaskSet(on_crash=self._crashed)
         self._session = MasterSession(
-            self.name, self._dial_master, self.revocations_arrived, self._restore
+            self.name,
+            self._dial_master,
+            self.revocations_arrived,
+            self._restore,
+            lambda: digest(self.revocations.data),
+            lambda call: prove(call, self.revocations),
         )
+        self._renewals = Renewals(self.access)
         standing = Standing(
             self.name,
             self.access,
@@ -104,6 +114,7 @@ class Node:
         self._topics = Topics(standing)
         self.services = Services(standing)
         self.params = Parameters(standing, self.settings.resolve)
+        self._identity_renewal = IdentityRenewal(self.home, self.credentials, int(time.time()))
         self._listener = Listener(
             self.name,
             self.credentials,
@@ -253,10 +264,8 @@ class Node:
     def revocations_arrived(self, revocations: bytes, timestamp: bytes, master: Identity) -> None:
         """Take over a newer list and a fresh timestamp, then cut what they end."""
         now = int(time.time())
-        self.revocations.update(revocations, now, self.home.save_revocations)
         try:
-            self.revocations.confirm(open_timestamp(timestamp, master.public_key), now)
-            self.access.check_peer(master, now)
+            self.access.take_news(revocations, timestamp, master, now, self.home.save_revocations)
         finally:  # what the list revokes ends, whatever is wrong with the timestamp
             self._watch.cut(now)
 
@@ -311,6 +320,8 @@ class Node:
         return await self._dialer.rpc(self.settings.master_host, self.settings.master_port)
 
     async def _restore(self, session: MasterSession) -> None:
+        with contextlib.suppress(AnswerRefused):  # what is not renewed now is asked for later
+            await renew(session.call, self._renewals, int(time.time()))
         current = self.access.current(int(time.time()))
         await session.call("rossec.presentGrants", current[:_PRESENTED])
         await self._register()
@@ -327,15 +338,20 @@ class Node:
         yield from self.services.links()
 
     async def _collect_grants(self) -> None:
-        """A grant that arrives in the node's directory counts without a restart."""
+        """A grant that arrives in the node's directory, or is renewed, counts without a restart."""
         while True:
             await asyncio.sleep(_COLLECT)
             new = self._shelf.take_new()
-            if new:
-                _log.info("%s: %d new grants", self.name, len(new))
-                with contextlib.suppress(HintedError, OSError):  # else with the next connection
+            with contextlib.suppress(HintedError, OSError):  # else with the next connection
+                if new:
+                    _log.info("%s: %d new grants", self.name, len(new))
                     await self._session.call("rossec.presentGrants", new)
+                renewed = await renew(self._session.call, self._renewals, int(time.time()))
+                if new or renewed:
                     await self._register()  # what was refused for want of it
+                await renew_identity(self._session.call, self._identity_renewal, int(time.time()))
+                if await prove(self._session.call, self.revocations):
+                    self._watch.cut(int(time.time()))
 
     def _crashed(self, error: BaseException) -> None:
         """A node whose watch has died must not go on: it would no longer cut anything."""

@@ -13,10 +13,11 @@ from collections.abc import Awaitable, Callable
 from typing import Final
 
 from ca.certificates import Identity
-from ca.errors import CAError, HintedError
+from ca.errors import CAError, HintedError, RevocationsStale
 from rossec.errors import ConfigurationError, RossecError
 from rossec.net.rpc import RpcClient
 from rossec.net.stream import SecureStream
+from rossec.node.renewal import Call
 from rossec.node.slave import MASTER
 
 HEARTBEAT: Final = 10.0
@@ -24,6 +25,11 @@ _FIRST_PAUSE: Final = 0.25
 _LONGEST_PAUSE: Final = 5.0
 
 _log = logging.getLogger("rossec.node")
+
+
+async def nothing_proved(_: Call) -> int:
+    """For a node that asks for no proofs: where revocations are a tree it stays refused."""
+    return 0
 
 
 class MasterSession:
@@ -34,6 +40,9 @@ class MasterSession:
         dial: opens a secure stream to the master.
         refresh: takes the newest revocation list and timestamp; raises when they are refused.
         restore: makes every registration again; called on each new connection.
+        held: digest of the revocation list this node holds, which then need not be sent; without
+            it every answer brings the list.
+        prove: asks for the proofs that are wanted; how many came.
     """
 
     def __init__(
@@ -42,11 +51,15 @@ class MasterSession:
         dial: Callable[[], Awaitable[SecureStream[Identity]]],
         refresh: Callable[[bytes, bytes, Identity], None],
         restore: Callable[["MasterSession"], Awaitable[None]],
+        held: Callable[[], bytes] | None = None,
+        prove: Callable[[Call], Awaitable[int]] = nothing_proved,
     ) -> None:
         self._name = name
         self._dial = dial
         self._refresh = refresh
         self._restore = restore
+        self._held = held
+        self._prove = prove
         self._client: RpcClient | None = None
         self._stream: SecureStream[Identity] | None = None
 
@@ -123,9 +136,17 @@ class MasterSession:
             await client.close()
 
     async def _beat(self) -> None:
-        answer = await self.call("rossec.revocations")
+        if self._held is None:
+            answer = await self.call("rossec.revocations")
+        else:
+            answer = await self.call("rossec.revocationsSince", self._held())
         match answer, self._stream:
             case [bytes() as revocations, bytes() as timestamp], SecureStream(peer=master):
-                self._refresh(revocations, timestamp, master)
+                try:
+                    self._refresh(revocations, timestamp, master)
+                except RevocationsStale:  # of a tree: the master's own key is still unproved
+                    if not await self._prove(self.call):
+                        raise
+                    self._refresh(b"", timestamp, master)
             case _:
                 raise CAError("the master has no revocation list", "give it one: rossec ca publish")

@@ -14,12 +14,13 @@ from typing import Final
 
 from ca.certificates import Identity
 from ca.errors import HintedError, RevocationsStale
-from ca.revocation import Revocations, open_timestamp
+from ca.revocation import Revocations, digest
 from grants.model import Right
+from rossec.channel.credentials import LiveCredentials
 from rossec.channel.known import KnownCertificates
 from rossec.channel.opening import Flavour
 from rossec.channel.suites import PRODUCTION
-from rossec.errors import CallRefused, HangUp, RossecError
+from rossec.errors import AnswerRefused, CallRefused, HangUp, RossecError
 from rossec.home import NodeHome
 from rossec.net.rpc import serve_calls
 from rossec.net.server import SecureServer, serve_now
@@ -27,7 +28,10 @@ from rossec.net.stream import SecureStream, connect
 from rossec.net.tasks import TaskSet
 from rossec.node.access import Access
 from rossec.node.guests import Guests
+from rossec.node.identity import IdentityRenewal, renew_identity
+from rossec.node.proofs import prove
 from rossec.node.questions import MASTER
+from rossec.node.renewal import Renewals, renew
 from rossec.node.session import MasterSession
 from rossec.node.shelf import Shelf
 from rossec.node.watch import Watch
@@ -77,7 +81,7 @@ class Agent:
         self._outside = outside
         self._suites, self._known = suites, KnownCertificates()
         self._anchor = home.anchor()
-        self._credentials = home.credentials()
+        self._credentials = LiveCredentials(home.credentials())
         self._revocations = Revocations(self._anchor.public_key)
         saved = home.load_revocations()
         if saved is not None:
@@ -88,8 +92,15 @@ class Agent:
         self._shelf = Shelf(home, access)
         self._shelf.take_new()
         self._session = MasterSession(
-            self.name, self._dial_master, self._revocations_arrived, self._restore
+            self.name,
+            self._dial_master,
+            self._revocations_arrived,
+            self._restore,
+            lambda: digest(self._revocations.data),
+            lambda call: prove(call, self._revocations),
         )
+        self._renewals = Renewals(access)
+        self._identity_renewal = IdentityRenewal(home, self._credentials, int(time.time()))
         self._guests = Guests()
         self._links: set[Link] = set()
         self._watch = Watch(self._revocations, lambda: tuple(self._links), self._guests)
@@ -390,6 +401,8 @@ class Agent:
         )
 
     async def _restore(self, session: MasterSession) -> None:
+        with contextlib.suppress(AnswerRefused):  # what is not renewed now is asked for later
+            await renew(session.call, self._renewals, int(time.time()))
         current = self.tenant.access.current(int(time.time()))
         await session.call("rossec.presentGrants", current[:_PRESENTED])
         visit = Visit(self)
@@ -400,10 +413,8 @@ class Agent:
 
     def _revocations_arrived(self, data: bytes, timestamp: bytes, master: Identity) -> None:
         now = int(time.time())
-        self._revocations.update(data, now, self.home.save_revocations)
         try:
-            self._revocations.confirm(open_timestamp(timestamp, master.public_key), now)
-            self._revocations.check(master.thumbprint, now)
+            self.tenant.access.take_news(data, timestamp, master, now, self.home.save_revocations)
         finally:  # what the list revokes ends, whatever is wrong with the timestamp
             self._watch.cut(now)
 
@@ -411,9 +422,13 @@ class Agent:
         while True:
             await asyncio.sleep(_COLLECT)
             new = self._shelf.take_new()
-            if new:
-                with contextlib.suppress(HintedError, OSError):  # else with the next connection
+            with contextlib.suppress(HintedError, OSError):  # else with the next connection
+                if new:
                     await self._session.call("rossec.presentGrants", new)
+                await renew(self._session.call, self._renewals, int(time.time()))
+                await renew_identity(self._session.call, self._identity_renewal, int(time.time()))
+                if await prove(self._session.call, self._revocations):
+                    self._watch.cut(int(time.time()))
 
     async def _let_go(
         self, remote: Endpoint, correspondent: Correspondent, old: Correspondent | None

@@ -14,6 +14,7 @@ from ca.revocation import (
     digest,
     sign_list,
 )
+from ca.revocationtree import Listing, RevocationTree, sign_tree
 from tests.support.pki import NOW, new_signer
 
 SIGNER = new_signer()
@@ -300,3 +301,94 @@ class Moving(RuleBasedStateMachine):
 
 TestMoving = Moving.TestCase
 TestMoving.settings = settings(max_examples=30, stateful_step_count=20, deadline=None)
+
+
+ENTRIES = frozenset(n.to_bytes(16) for n in range(1, 40, 3))
+LISTING = Listing(ENTRIES)
+
+
+def tree_data(seq: int = 9) -> bytes:
+    return sign_tree(SIGNER, RevocationTree(1, seq, NOW, NOW + 10_000, *LISTING.size_and_root))
+
+
+def with_tree(seq: int = 9) -> Revocations:
+    state = Revocations(SIGNER.public_key)
+    data = tree_data(seq)
+    state.update(data, NOW)
+    state.confirm(Timestamp(seq, digest(data), NOW, MAX_AGE), NOW)
+    return state
+
+
+REVOKED_ONE, OTHER = (4).to_bytes(16), (5).to_bytes(16)
+
+
+def test_of_a_tree_each_entry_must_be_proved() -> None:
+    state = with_tree()
+    for entry in (REVOKED_ONE, OTHER, OTHER):
+        with pytest.raises(RevocationsStale, match="no proof has come yet"):
+            state.check(entry, NOW)
+    assert state.wanted == [REVOKED_ONE, OTHER]
+    assert state.known_until(OTHER) == NOW + MAX_AGE
+    for entry in (REVOKED_ONE, OTHER):
+        state.prove(entry, LISTING.prove(entry))
+    assert state.wanted == []
+    state.check(OTHER, NOW)
+    with pytest.raises(Revoked):
+        state.check(REVOKED_ONE, NOW)
+    assert state.entries == {REVOKED_ONE}
+    with pytest.raises(RevocationRefused):
+        state.prove(bytes(16), LISTING.prove(OTHER))
+
+
+def test_what_was_proved_of_one_tree_is_not_of_the_next() -> None:
+    state = with_tree()
+    for entry in (REVOKED_ONE, OTHER):
+        state.prove(entry, LISTING.prove(entry))
+    data = tree_data(10)
+    assert state.update(data, NOW) == frozenset()
+    state.confirm(Timestamp(10, digest(data), NOW + 60, MAX_AGE), NOW + 60)
+    with pytest.raises(Revoked):
+        state.check(REVOKED_ONE, NOW + 60)
+    with pytest.raises(RevocationsStale):
+        state.check(OTHER, NOW + 60)
+    assert state.known_until(OTHER) == NOW + MAX_AGE
+    state.prove(OTHER, LISTING.prove(OTHER))
+    assert state.known_until(OTHER) == NOW + 60 + MAX_AGE
+
+
+def test_who_has_all_entries_needs_no_proof() -> None:
+    state = with_tree()
+    with pytest.raises(RevocationRefused, match="not those"):
+        state.complete(Listing([OTHER]))
+    state.complete(LISTING)
+    state.check(OTHER, NOW)
+    with pytest.raises(Revoked):
+        state.check(REVOKED_ONE, NOW)
+    with pytest.raises(RevocationRefused, match="none is held"):
+        Revocations(SIGNER.public_key).complete(LISTING)
+
+
+def test_a_list_after_a_tree_says_it_all_again() -> None:
+    state = with_tree()
+    with pytest.raises(RevocationsStale):
+        state.check(OTHER, NOW)
+    listed = sign_list(SIGNER, RevocationList(1, 10, NOW, NOW + 10_000, frozenset({REVOKED_ONE})))
+    assert state.update(listed, NOW) == {REVOKED_ONE}
+    state.prove(OTHER, b"which is late")
+    assert state.wanted == []
+    state.confirm(Timestamp(10, digest(listed), NOW, MAX_AGE), NOW)
+    state.check(OTHER, NOW)
+
+
+def test_what_is_remembered_of_a_tree_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("ca.revocation.MAX_PROVED", 2)
+    state = with_tree()
+    for n in (2, 3, 5):
+        with pytest.raises(RevocationsStale):
+            state.check(n.to_bytes(16), NOW)
+    assert len(state.wanted) == 2
+    for n in (2, 3, 5):
+        state.prove(n.to_bytes(16), LISTING.prove(n.to_bytes(16)))
+    state.check((5).to_bytes(16), NOW)
+    with pytest.raises(RevocationsStale):
+        state.check((2).to_bytes(16), NOW)

@@ -225,3 +225,13 @@ def test_a_parameter_right_covers_what_lies_below_and_nothing_above(
         else:
             with pytest.raises(GrantMissing):
                 decide(*found, right=right, name=name)
+
+
+def test_a_connection_outlives_staleness_only_if_every_permission_says_so() -> None:
+    keep = Permission("/stop", Right.SUBSCRIBE, Restriction(keep_when_stale=True))
+    slow = Permission("/stop", Right.SUBSCRIBE, Restriction(rate=1, keep_when_stale=True))
+    plain = Permission("/stop", Right.SUBSCRIBE)
+    kept = decide(granted(keep, slow), name="/stop")
+    assert (kept.keep_when_stale, kept.restrictions) == (True, (Restriction(rate=1),))
+    decide(granted(keep), name="/stop").require_unrestricted()
+    assert not decide(granted(keep, plain), name="/stop").keep_when_stale

@@ -3,6 +3,7 @@
 import hashlib
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -22,7 +23,16 @@ from grants.errors import (
     GrantNotYetValid,
 )
 from grants.model import ALL_RIGHTS, Permission, Restriction, Right, filter_rules
-from tests.grants.authority import CA, DRAFT, NOW, OTHER_CA, draft, signed_claims
+from tests.grants.authority import (
+    CA,
+    COARSE,
+    DRAFT,
+    NOW,
+    OTHER_CA,
+    draft,
+    granted,
+    signed_claims,
+)
 
 DATA = document.sign(CA, DRAFT)
 ORDER = 0xFFFFFFFF00000000FFFFFFFFFFFFFFFFBCE6FAADA7179E84F3B9CAC2FC632551  # of P-256
@@ -230,7 +240,8 @@ CLAIMS: dict[str, tuple[Callable[[Any], Any], str]] = {
     "negative right": (scope(["/a", -1]), "unknown or no right"),
     "huge right": (scope(["/a", 1 << 63]), "unknown or no right"),
     "restricted admin": (scope(["/a", 128, {1: ["true"]}]), "cannot be restricted"),
-    "unknown restriction": (restricted({4: {"rate": 1}, 1: ["true"]}), "unknown restriction 4"),
+    "unknown restriction": (restricted({5: {"rate": 1}, 1: ["true"]}), "unknown restriction 5"),
+    "on_stale is no word": (restricted({4: "cut", 1: ["true"]}), "on_stale of a grant is not keep"),
     "unknown limit": (restricted({3: {"delay": 1, "rate": 1}}), "unknown limit delay"),
     "empty limits": (restricted({3: {}, 1: ["true"]}), "an empty restriction"),
     "limits are a number": (restricted({3: 1}), "a restriction of a grant is of a wrong type"),
@@ -314,3 +325,9 @@ def test_noise_gives_our_errors(noise: bytes) -> None:
     for data in (noise, DATA[:40] + noise, b"\xd2" + noise):
         with pytest.raises((GrantForged, GrantMalformed)):
             opened(data)
+
+
+def test_on_stale_is_read_as_it_was_written() -> None:
+    for restriction in (Restriction(keep_when_stale=True), replace(COARSE, keep_when_stale=True)):
+        grant = granted(Permission("/stop", Right.SUBSCRIBE, restriction))
+        assert grant.permissions[0].restriction == restriction

@@ -124,3 +124,11 @@ def test_a_grant_is_a_draft_with_a_name() -> None:
     grant = Grant.of(Draft(**DRAFT), id=b"\xab" * 16, issuer=bytes(32))
     assert grant == Grant(**DRAFT, id=b"\xab" * 16, issuer=bytes(32))
     assert grant.short_id == "abababab"
+
+
+def test_keeping_when_stale_is_no_treatment_of_messages() -> None:
+    keep = Restriction(keep_when_stale=True)
+    both = Restriction(rate=2, keep_when_stale=True)
+    assert keep.lines() == ["kept when news of revocations fails to arrive"]
+    assert both.lines()[0] == "at most 2 messages a second"
+    assert merge([keep, both, None]) == (Restriction(rate=2),)

@@ -76,12 +76,13 @@ def test_the_same_grant_for_longer() -> None:
     with pytest.raises(GrantExpired):
         document.open_grant(DATA, CA.public_key, LATER)
     grant = renewed()
-    assert grant == replace(GRANT, expires=TICKET_FOR.expires)
+    assert grant.via[1] == thumbprint(MASTER.public_key)
+    assert grant == replace(GRANT, expires=TICKET_FOR.expires, via=grant.via)
     decided = authorize(
         [grant], Right.SUBSCRIBE, "/robot/pose", holder=HOLDER, now=LATER, check=lambda *_: None
     )
     assert decided.expires == TICKET_FOR.expires
-    assert decided.grant_ids == (GRANT.id,)
+    assert decided.grant_ids == (GRANT.id, *grant.via)
 
 
 def test_at_the_bounds() -> None:

@@ -4,7 +4,11 @@ import pytest
 
 from ca.errors import PassphraseRefused
 from ca.names import RESERVED
-from ca.revocation import open_list
+from ca.revocation import RevocationList, open_list, open_statement
+from ca.revocationtree import Listing, is_tree, open_tree
+from grants import document
+from grants.model import Draft, Permission, Right
+from grants.renewal import open_delegation
 from rossec.authority import OWN_NODE, AuthorityHome, fingerprint
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
@@ -91,3 +95,56 @@ def test_the_list_is_kept_young_while_the_key_is_at_hand(home: AuthorityHome) ->
 
 def test_the_names_nobody_may_share_are_the_masters_and_its_own() -> None:
     assert {MASTER, OWN_NODE} == RESERVED
+
+
+def test_a_revoked_grant_leaves_the_list_when_nothing_can_bring_it_back(
+    tmp_path: Path,
+) -> None:
+    opened = AuthorityHome.create(tmp_path, "home", PASSPHRASE, NOW).unlock(PASSPHRASE)
+    draft = Draft(
+        "home", "/a", bytes(32), NOW, NOW + 10, NOW + 1000, bytes(16),
+        (Permission("/t", Right.PUBLISH),),
+    )  # fmt: skip
+    entry = document.grant_id(opened.grant(draft, NOW))
+    opened.revoke(bytes(32), "", NOW)
+    assert opened.revoke(entry, "", NOW).entries == {entry, bytes(32)}
+    assert entry in opened.sign_list(NOW + 1000).entries
+    assert opened.sign_list(NOW + 1061).entries == {bytes(32)}
+    assert entry in opened.store.revoked_entries()
+
+
+def test_what_is_delegated_is_recorded_until_it_is_withdrawn(tmp_path: Path) -> None:
+    opened = AuthorityHome.create(tmp_path, "home", PASSPHRASE, NOW).unlock(PASSPHRASE)
+    with pytest.raises(ConfigurationError, match="no delegation is in force"):
+        opened.withdraw("", NOW)
+    living, expired = (
+        open_delegation(opened.delegate(bytes(32), days * 86400, 60, NOW), opened.signer.public_key)
+        for days in (2, 1)
+    )
+    listed, count = opened.withdraw("", NOW + 86400)
+    assert (listed.entries, count) == (frozenset({living.id}), 1)
+    assert expired.id not in listed.entries
+    with pytest.raises(ConfigurationError):
+        opened.withdraw("", NOW + 86400)
+
+
+def test_too_many_revocations_become_a_tree(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    home = AuthorityHome.create(tmp_path, "home", PASSPHRASE, NOW)
+    with pytest.raises(ConfigurationError, match="the entries of the tree are missing"):
+        home.entries()
+    opened = home.unlock(PASSPHRASE)
+    monkeypatch.setattr("rossec.authority.MAX_ENTRIES", 1)
+    assert not is_tree(opened_list(opened.revoke(bytes(32), "", NOW), home))
+    listed = opened.revoke(bytes(16), "", NOW)
+    tree = open_tree(opened_list(listed, home), home.anchor().public_key)
+    assert (tree.number, tree.size) == (listed.number, 2)
+    Listing.read(home.entries()).check(tree)
+
+
+def opened_list(listed: RevocationList, home: AuthorityHome) -> bytes:
+    """The statement that was signed with the number of `listed`."""
+    data = home.revocation_list()
+    assert open_statement(data, home.anchor().public_key).number == listed.number
+    return data

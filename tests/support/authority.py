@@ -13,6 +13,7 @@ from ca.revocation import RevocationList, Revocations, sign_list
 from ca.signer import KeySigner
 from grants.document import grant_id, sign
 from grants.model import Draft, Permission, Right
+from grants.renewal import Delegation, sign_delegation
 from rossec.channel.credentials import Credentials
 
 DAY = 86400
@@ -69,7 +70,13 @@ class Site:
         return Member(identity, Credentials(signer, (certificate,)))
 
     def grant(
-        self, to: Member, rights: Mapping[str, Right], *, lifetime: int = DAY, start: int = 0
+        self,
+        to: Member,
+        rights: Mapping[str, Right],
+        *,
+        lifetime: int = DAY,
+        start: int = 0,
+        cap: int = 0,
     ) -> bytes:
         begin = self.now + start
         draft = Draft(
@@ -78,15 +85,33 @@ class Site:
             holder=to.thumbprint,
             not_before=begin,
             expires=begin + lifetime,
-            cap=begin + lifetime,
+            cap=begin + max(lifetime, cap),
             serial=secrets.token_bytes(16),
             permissions=tuple(Permission(name, right) for name, right in rights.items()),
         )
         return sign(self.signer, draft)
 
+    def delegation(
+        self, to: Member, *, lifetime: int = DAY, start: int = -60, domain: str = ""
+    ) -> bytes:
+        """Let `to`, the master, renew grants for an hour at a time."""
+        begin = self.now + start
+        draft = Delegation(
+            domain or self.domain, to.thumbprint, begin, begin + lifetime, 3600,
+            secrets.token_bytes(16),
+        )  # fmt: skip
+        return sign_delegation(self.signer, draft)
+
     def revoke(self, *entries: bytes | Member, lifetime: int = DAY) -> bytes:
-        """The next list; entries are grants as signed, or members."""
-        ids = (e.thumbprint if isinstance(e, Member) else grant_id(e) for e in entries)
+        """The next list; entries are grants as signed, ids, or members."""
+        ids = (
+            entry.thumbprint
+            if isinstance(entry, Member)
+            else entry
+            if len(entry) in {16, 32}
+            else grant_id(entry)
+            for entry in entries
+        )
         return sign_list(
             self.signer,
             RevocationList(1, next(self._numbers), self.now, self.now + lifetime, frozenset(ids)),

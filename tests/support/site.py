@@ -4,6 +4,7 @@ import contextlib
 import secrets
 import time
 from collections.abc import AsyncIterator, Callable, Mapping
+from functools import partial
 from pathlib import Path
 
 from ca import keys
@@ -23,7 +24,9 @@ from rossec.master.start import master_of
 from rossec.node import Node
 from rossec.node.slave import MASTER
 from rossec.ros.settings import parse_uri
+from rossec.succession import renew
 
+HOUR = 3600
 DAY = 86400
 
 
@@ -45,6 +48,7 @@ class Site:
         self.authority.sign_list(now)
         self.master: MasterServer | None = None
         self.complain: Complain = unheard
+        self.intermediate: OpenAuthority | None = None
         self.host = "127.0.0.1"
         self.limits = Limits()
         self.variables: dict[str, str] = {}  # more of the environment
@@ -57,6 +61,12 @@ class Site:
     def anchor(self) -> TrustAnchor:
         """Whom the nodes trust."""
         return self.authority.authority.anchor
+
+    @property
+    def entries(self) -> bytes | None:
+        """The entries of the newest tree, if the authority has signed one."""
+        path = self.root / "revocations.entries"
+        return path.read_bytes() if path.exists() else None
 
     @property
     def environ(self) -> Mapping[str, str]:
@@ -94,6 +104,7 @@ class Site:
         *,
         restriction: Restriction | None = None,
         lifetime: int = DAY,
+        cap: int = 0,
         begin: int | None = None,
         holder: bytes | None = None,
     ) -> bytes:
@@ -104,12 +115,19 @@ class Site:
         draft = Draft(
             domain=self.anchor.domain, subject=name,
             holder=holder or self.identity(name).thumbprint,
-            not_before=begin, expires=now + lifetime, cap=now + lifetime,
+            not_before=begin, expires=now + lifetime, cap=now + max(lifetime, cap),
             serial=secrets.token_bytes(16),
             permissions=(Permission(pattern, right, restriction),),
         )  # fmt: skip
         data = self.authority.grant(draft, now)
         home.add_grant(document.grant_id(data), data)
+        return data
+
+    def delegate(self) -> bytes:
+        """Let the master renew grants, once it is started."""
+        home = self.enroll(MASTER)
+        data = self.authority.delegate(self.identity(MASTER).thumbprint, DAY, HOUR, self.now())
+        home.save_delegation(data)
         return data
 
     def publish(self, name: str, pattern: str, **options: int) -> bytes:
@@ -155,8 +173,9 @@ class Site:
         """Start a master on `port` of `host`."""
         self.master = master_of(
             self.enroll(MASTER), host=self.host, port=port,
-            newest=self.authority.store.newest_list(), now=self.now(), complain=self.complain,
-            limits=self.limits,
+            newest=self.authority.store.newest_list(), now=self.now(), entries=self.entries,
+            complain=self.complain, limits=self.limits,
+            renewer=None if self.intermediate is None else partial(renew, self.intermediate),
             suites=post_quantum(self.environ),
         )  # fmt: skip
         await self.master.start()

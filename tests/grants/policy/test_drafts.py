@@ -111,3 +111,18 @@ def test_the_lowest_rate_stands_in_every_restriction(policy: Policy) -> None:
 
 def test_effects_are_exhaustive() -> None:
     assert [str(effect) for effect in Effect] == ["deny", "allow", "prompt"]
+
+
+def test_on_stale_reaches_the_grant_when_every_rule_says_keep() -> None:
+    policy = rules(
+        "{id: a, who: /x, allow: {subscribe: [/stop, /pose]}, on_stale: keep}",
+        "{id: b, who: /x, allow: {subscribe: [/pose]}, when: now.getHours() >= 6, on_stale: cut}",
+        "{id: c, who: /x, allow: {subscribe: [/slow]}, limit: {rate: 1}, on_stale: keep}",
+    )
+    kept, slow, cut = (wish(policy, Right.SUBSCRIBE, name) for name in ("/stop", "/slow", "/pose"))
+    assert [item.restriction for item in permissions(kept)] == [Restriction(keep_when_stale=True)]
+    [limited] = permissions(slow)
+    assert limited.restriction == Restriction(rate=1, keep_when_stale=True)
+    assert "kept when news of revocations fails to arrive" in "".join(Decider(policy).explain(kept))
+    assert not cut.keep_when_stale
+    assert not wish(policy, Right.CALL, "/none").keep_when_stale

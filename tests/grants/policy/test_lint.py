@@ -134,3 +134,9 @@ def test_what_is_not_used() -> None:
     assert said(line, head=head) == [
         "filter f is used by no rule", "identity i is used by no rule",
     ]  # fmt: skip
+
+
+def test_staying_connected_without_news_is_pointed_out() -> None:
+    assert said("{id: a, who: /x, why: w, allow: {subscribe: /stop}, on_stale: keep}") == [
+        "rule a: a revocation that is held back leaves /stop connected"
+    ]

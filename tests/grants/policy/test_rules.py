@@ -150,3 +150,17 @@ def test_what_a_grant_refuses_is_a_mistake_here() -> None:
 
 def test_a_policy_is_only_ever_whole() -> None:
     assert policy().rules
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("{id: a, who: x, allow: {call: /b}, on_stale: stay}", "unknown on_stale: 'stay'"),
+        ("{id: a, who: x, deny: {call: /b}, on_stale: keep}",
+         "rule a: a denial has no 'on_stale', it always holds"),
+        ("{id: a, who: x, allow: {graph: /b}, on_stale: keep}",
+         "rule a: parameters, graph and admin cannot be restricted by messages"),
+    ],
+)  # fmt: skip
+def test_on_stale_where_it_does_not_belong(line: str, message: str) -> None:
+    assert [said for said, _ in found(line)] == [message]

@@ -45,7 +45,7 @@ def test_it_exists(where: str, command: str) -> None:
         or (noun in known and " " not in command)
         or (noun in known and not isinstance(rossec.commands[noun], click.Group))
         or (
-            command == f"{noun} &"
+            command.startswith((f"{noun} &", f"{noun} --"))
             and getattr(rossec.commands[noun], "invoke_without_command", False)
         )
     ), f"{where} names `rossec {command}`"

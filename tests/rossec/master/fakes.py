@@ -1,12 +1,12 @@
 """Callers with chosen rights, and an authority that never was, for the tests of the cores."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from grants.errors import GrantError
 from grants.model import Right
-from rossec.master.api import Presented
 from rossec.master.gatekeeper import Caller, Peer
+from rossec.master.standing import Presented, Renewed
 
 ALL = Right(255)
 
@@ -50,6 +50,7 @@ class FakeStatements:
     callers: dict[str, Caller] = field(default_factory=dict)
     lists: list[bytes] = field(default_factory=list)
     presented: list[bytes] = field(default_factory=list)
+    held: dict[str, bytes] = field(default_factory=dict)
 
     def caller_of(self, peer: Peer, now: int) -> Caller | None:
         known = self.callers.get(peer.name)
@@ -60,8 +61,41 @@ class FakeStatements:
         self.presented += good
         return Presented(len(self.presented), ("forged",) * (len(tokens) - len(good)))
 
+    def revoked(self) -> frozenset[bytes]:
+        return frozenset({b"one", b"two"})
+
+    def pertaining(self, caller: Caller, names: Iterable[str]) -> frozenset[bytes]:
+        return frozenset({b"one"}) if "/t" in names else frozenset()
+
+    def renew(self, caller: Caller, tokens: Sequence[bytes], now: int) -> Renewed:
+        good = [b"" if token == b"forged" else b"renewed " + token for token in tokens]
+        return Renewed(tuple(good), ("forged",) * good.count(b""))
+
+    def renew_identity(self, caller: Caller, request: bytes, now: int) -> bytes:
+        if request == b"forged":
+            raise GrantError("not signed by the old key")
+        return b"bundle of " + request
+
+    def delegated(self, data: bytes) -> bool:
+        if data == b"forged":
+            raise GrantError("the signature is not the authority's")
+        return data == b"newer"
+
     def current(self, now: int) -> tuple[bytes, bytes]:
         return (self.lists[-1], b"stamp") if self.lists else (b"", b"")
+
+    def update_tree(self, data: bytes, entries: bytes, now: int) -> bool:
+        return self.update(data + entries, now)
+
+    def proofs(self, entries: Sequence[bytes]) -> list[bytes]:
+        return [b"proof of " + entry for entry in entries]
+
+    def held_by(self, peer: Peer, held: bytes) -> None:
+        self.held[peer.name] = held
+
+    def news_for(self, peer: Peer, now: int) -> tuple[bytes, bytes]:
+        data, stamp = self.current(now)
+        return (b"" if self.held.get(peer.name) == data else data), stamp
 
     def update(self, data: bytes, now: int) -> bool:
         if data == b"forged":

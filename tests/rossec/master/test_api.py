@@ -4,8 +4,9 @@ from typing import Any
 
 import pytest
 
-from rossec.master.api import MULTICALL_LIMIT, PRESENT_LIMIT, Fault, MasterApi
-from rossec.master.calls import GrantsPresented, RevocationsChanged
+from grants.model import Right
+from rossec.master.api import MULTICALL_LIMIT, Fault, MasterApi
+from rossec.master.calls import CallRefused, Denied
 from rossec.master.gatekeeper import Caller
 from rossec.master.registry import KEYS_LIMIT, Registry
 from tests.rossec.master.fakes import FakeStatements, caller, everything
@@ -119,37 +120,15 @@ def test_a_multicall_is_bounded(api: MasterApi, params: list[object]) -> None:
         api.call("system.multicall", params, caller("/a"), 0)
 
 
-def test_presenting_grants(api: MasterApi, statements: FakeStatements) -> None:
-    outcome = api.call("rossec.presentGrants", ("/a", [b"one", b"two"]), caller("/a"), 0)
-    assert outcome.answer == [1, "grants accepted", 2]
-    assert outcome.events == (GrantsPresented("/a"),)
-    assert statements.presented == [b"one", b"two"]
-    good_and_bad = ask(api, caller("/a"), "rossec.presentGrants", "/a", [b"forged", b"three"])
-    assert good_and_bad == [1, "grants presented, but refused: forged", 3]
-
-
-def test_a_node_without_one_good_grant_keeps_its_session(api: MasterApi) -> None:
-    outcome = api.call("rossec.presentGrants", ("/a", [b"forged"] * 2), caller("/a"), 0)
-    assert outcome.answer == [1, "grants presented, but refused: forged; forged", 0]
-    assert outcome.events == (GrantsPresented("/a", ("forged", "forged")),)
-
-
-@pytest.mark.parametrize("value", [5, b"x", ["text"], [b"x"] * (PRESENT_LIMIT + 1)])
-def test_grants_are_a_bounded_list_of_base64(api: MasterApi, value: object) -> None:
-    code, status, _ = ask(api, caller("/a"), "rossec.presentGrants", "/a", value)
-    assert code == -1
-    assert status.startswith("ERROR: parameter [grants] must")
-
-
-def test_revocations(api: MasterApi) -> None:
-    who = caller("/a")
-    assert ask(api, who, "rossec.revocations", "/a")[2] == [b"", b""]
-    outcome = api.call("rossec.updateRevocations", ("/a", b"list 2"), who, 0)
-    assert outcome.answer == [1, "revocations updated", 1]
-    assert outcome.events == (RevocationsChanged(),)
-    again = api.call("rossec.updateRevocations", ("/a", b"list 1"), who, 0)
-    assert again.answer == [1, "not newer than the list in force", 0]
-    assert again.events == ()
-    assert ask(api, who, "rossec.revocations", "/a")[2] == [b"list 2", b"stamp"]
-    assert ask(api, who, "rossec.updateRevocations", "/a", b"forged")[0] == -1
-    assert ask(api, who, "rossec.updateRevocations", "/a", "text")[1].endswith("must be base64")
+def test_refusals_are_told_one_by_one_also_within_a_multicall(api: MasterApi) -> None:
+    who = caller("/a", {})
+    calls = [
+        element("setParam", "/a", "/x", 1), element("getUri", "/victim"), element("getUri", "/a"),
+    ]  # fmt: skip
+    events = api.call("system.multicall", [calls], who, 0).events
+    refused = [event for event in events if isinstance(event, CallRefused)]
+    assert [(event.node, event.method) for event in refused] == [
+        ("/a", "setParam"), ("/a", "getUri"),
+    ]  # fmt: skip
+    assert all(event.status.startswith("rossec: ") for event in refused)
+    assert Denied("/a", Right.PARAM_SET, "/x") in events

@@ -141,18 +141,22 @@ TABLES: dict[str, list[Call]] = {
 }  # fmt: skip
 
 
-# Where ours differs on purpose. Each is explained in docs/spec/master.md.
-DIFFERENCES: list[tuple[Call, list[Any]]] = [
+# Where ours differs on purpose, by the name under which docs/spec/master.md explains it.
+BY_NAME: dict[str, list[tuple[Call, list[Any]]]] = {
     # Stock trips over its own tree walk; the parameter is simply not there.
-    (("deleteParam", "/a", "/tree/a/b/c"), [-1, "parameter [/tree/a/b/c] is not set", 0]),
+    "delete-below-value": [
+        (("deleteParam", "/a", "/tree/a/b/c"), [-1, "parameter [/tree/a/b/c] is not set", 0]),
+    ],
     # Rights are matched on names, so names must be names.
-    (("registerSubscriber", "/a", "/my-topic", "*", A), [
-        -1, "ERROR: parameter [topic] contains illegal chars", [],
-    ]),
-    (("registerService", "/a", "/1s", S1, A), [
-        -1, "ERROR: parameter [service] contains illegal chars", 0,
-    ]),
-    *(
+    "topic-names": [
+        (("registerSubscriber", "/a", "/my-topic", "*", A), [
+            -1, "ERROR: parameter [topic] contains illegal chars", [],
+        ]),
+        (("registerService", "/a", "/1s", S1, A), [
+            -1, "ERROR: parameter [service] contains illegal chars", 0,
+        ]),
+    ],
+    "parameter-names": [
         ((method, "/a", *before, key, *after), [
             -1, "ERROR: parameter [key] contains illegal chars", default,
         ])
@@ -161,25 +165,30 @@ DIFFERENCES: list[tuple[Call, list[Any]]] = [
             ("deleteParam", (), (), 0), ("subscribeParam", (A,), (), 0),
         )
         for key in ("/my-param", "/a\nb", "has space", A)
-    ),
+    ],
     # Stock finds the tree /http: that setParam made of the URI above.
-    (("searchParam", "/a", A), [-1, f"Cannot find parameter [{A}] in an upwards search", ""]),
+    "search-odd-names": [
+        (("searchParam", "/a", A), [-1, f"Cannot find parameter [{A}] in an upwards search", ""]),
+    ],
     # The master dials slave APIs: without a port, or at a service's URI, it cannot.
-    (("registerPublisher", "/a", "/t", T, "http://h/"), [
-        -1, "ERROR: parameter [caller_api] is not an RPC URI", [],
-    ]),
-    (("registerPublisher", "/a", "/t", T, S1), [
-        -1, "ERROR: parameter [caller_api] is not an RPC URI", [],
-    ]),
+    "undialable-api": [
+        (("registerPublisher", "/a", "/t", T, uri), [
+            -1, "ERROR: parameter [caller_api] is not an RPC URI", [],
+        ])
+        for uri in ("http://h/", S1)
+    ],
     # Stock stores such a name where no getParam finds it.
-    (("setParam", "/a", "/y", {"b/c": 1}), [
-        -1, "Error: invalid arguments: 'b/c' cannot be the name of a parameter in a tree", 0,
-    ]),
+    "tree-names": [
+        (("setParam", "/a", "/y", {"b/c": 1}), [
+            -1, "Error: invalid arguments: 'b/c' cannot be the name of a parameter in a tree", 0,
+        ]),
+    ],
     # Stock keeps the type of a topic that nobody publishes or subscribes to any more.
-    (("getTopicTypes", "/gone"), [1, "current system state", []]),
+    "types-of-the-gone": [(("getTopicTypes", "/gone"), [1, "current system state", []])],
     # A service that another node took over keeps the old node in stock's list for ever.
-    (("lookupNode", "/b", "/old"), [-1, "unknown node [/old]", ""]),
-]  # fmt: skip
+    "replaced-provider": [(("lookupNode", "/b", "/old"), [-1, "unknown node [/old]", ""])],
+}  # fmt: skip
+DIFFERENCES = [difference for group in BY_NAME.values() for difference in group]
 TABLES["differences"] = [
     ("registerService", "/old", "/s", S1, A2),
     ("registerService", "/b", "/s", S2, B),

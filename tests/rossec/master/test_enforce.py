@@ -10,7 +10,11 @@ A, B = NodeRef("/a", "http://h:1/", b"/a"), NodeRef("/b", "http://h:2/", b"/b")
 
 
 def judge(state: Registry, statements: FakeStatements) -> list[MasterEvent]:
-    return [event for step in steps(state) for event in enforce(state, statements, step, 0)]
+    return [event for step in steps(state) for event in enforce(state, statements, step, 0, below)]
+
+
+def below(key: str) -> list[str]:
+    return [f"{key}one", f"{key}two"]
 
 
 def registry() -> Registry:
@@ -24,7 +28,15 @@ def registry() -> Registry:
 
 
 BOTH = {
-    "/a": caller("/a", {"/t": Right.PUBLISH, "/u": Right.PUBLISH, "/s": Right.PROVIDE}),
+    "/a": caller(
+        "/a",
+        {
+            "/t": Right.PUBLISH,
+            "/u": Right.PUBLISH,
+            "/s": Right.PROVIDE,
+            "/p/one": Right.PARAM_GET,
+        },
+    ),
     "/b": caller("/b", {"/t": Right.SUBSCRIBE}),
 }
 
@@ -33,6 +45,7 @@ def test_nothing_goes_while_the_rights_hold() -> None:
     state = registry()
     assert judge(state, FakeStatements(dict(BOTH))) == []
     assert len(list(state.nodes())) == 2
+    assert state.members(Kind.PARAMETER, "/p/") == (A,)
 
 
 def test_only_what_lost_its_right_goes() -> None:
@@ -41,6 +54,7 @@ def test_only_what_lost_its_right_goes() -> None:
     assert judge(state, FakeStatements(callers)) == [PublishersChanged("/t", (B,), ())]
     assert state.keys_of("/a", Kind.PUBLISHER) == ("/u",)
     assert state.service_uri("/s") is None
+    assert state.members(Kind.PARAMETER, "/p/") == ()
 
 
 def test_a_revoked_node_goes_with_all_it_registered() -> None:
@@ -58,9 +72,9 @@ def test_a_step_is_small_and_judges_what_is_there_when_it_is_taken() -> None:
     first, second = steps(state)
     assert (len(first.keys), len(second.keys)) == (BATCH, 1)
     nobody = FakeStatements()
-    assert enforce(state, nobody, Step(A._replace(uri="http://h:9/"), *first[1:]), 0) == []
+    assert enforce(state, nobody, Step(A._replace(uri="http://h:9/"), *first[1:]), 0, below) == []
     assert len(state.keys_of("/a", Kind.PUBLISHER)) == BATCH + 1
     nothing = FakeStatements({"/a": caller("/a")})
-    assert len(enforce(state, nothing, second, 0)) == 1
-    assert enforce(state, nothing, second, 0) == []
+    assert len(enforce(state, nothing, second, 0, below)) == 1
+    assert enforce(state, nothing, second, 0, below) == []
     assert len(state.keys_of("/a", Kind.PUBLISHER)) == BATCH

@@ -327,3 +327,39 @@ async def test_denials_are_audited(world: World, caplog: pytest.LogCaptureFixtur
     with pytest.raises(AnswerRefused):
         await eve.ask("registerPublisher", "/t", T, eve.uri)
     assert "/eve may not registerPublisher: rossec: /eve needs the right publish" in caplog.text
+
+
+async def test_a_watcher_waits_until_there_is_news(
+    world: World, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    watcher, camera = await world.node("/watcher"), await world.node("/camera")
+    whole = await watcher.ask("rossec.watchGraph", "", 0)
+    assert whole["whole"]
+    question = whole["instance"], whole["cursor"]
+    waiting = asyncio.ensure_future(watcher.ask("rossec.watchGraph", *question))
+    await camera.ask("registerPublisher", "/image", T, camera.uri)
+    news = await waiting
+    assert ["publisher", "/image", "/camera"] in news["added"]
+    assert (news["whole"], news["instance"]) == (False, whole["instance"])
+    assert news["version"] > whole["version"]
+    monkeypatch.setattr("rossec.master.server.WATCH_WAIT", 0.05)
+    quiet = await watcher.ask("rossec.watchGraph", news["instance"], news["cursor"])
+    assert (quiet["added"], quiet["removed"], quiet["cursor"]) == ([], [], news["cursor"])
+
+
+async def test_a_watcher_hears_that_a_node_was_revoked(world: World) -> None:
+    watcher, camera = await world.node("/watcher"), await world.node("/camera")
+    await camera.ask("registerPublisher", "/image", T, camera.uri)
+    whole = await watcher.ask("rossec.watchGraph", "", 0)
+    question = whole["instance"], whole["cursor"]
+    waiting = asyncio.ensure_future(watcher.ask("rossec.watchGraph", *question))
+    other = await world.node("/other")
+    await other.ask("rossec.updateRevocations", world.site.revoke(camera.member))
+    gone: list[list[str]] = []
+    async with asyncio.timeout(20):
+        while ["publisher", "/image", "/camera"] not in gone:
+            news = await waiting
+            gone += news["removed"]
+            question = news["instance"], news["cursor"]
+            waiting = asyncio.ensure_future(watcher.ask("rossec.watchGraph", *question))
+    waiting.cancel()

@@ -6,9 +6,13 @@ import pytest
 
 from ca.errors import RevocationRefused, Revoked
 from ca.revocation import RevocationList, digest, open_timestamp, sign_list
+from ca.revocationtree import Listing, RevocationTree, is_revoked, open_tree, sign_tree
 from ca.signer import KeySigner
+from grants.document import grant_id
 from grants.errors import GrantError
 from grants.model import Right
+from rossec.master import trust as module
+from rossec.master.registry import NodeRef
 from rossec.master.trust import FAILURES_WITHIN, MAX_FAILURES, MAX_HELD, Trust
 from tests.support.authority import DAY, Site
 
@@ -194,6 +198,67 @@ def test_forgetting(world: World) -> None:
     assert not world.may(Right.PUBLISH, "/t")
 
 
+def delegated(world: World) -> World:
+    assert world.trust.delegated(world.site.delegation(world.master))
+    return world
+
+
+def renew(world: World, *tokens: bytes) -> tuple[tuple[bytes, ...], tuple[str, ...]]:
+    return world.trust.renew(world.trust.caller(world.node, world.now), tokens, world.now)
+
+
+def test_a_renewed_grant_counts_at_once_and_when_it_is_presented(world: World) -> None:
+    data = world.site.grant(world.node, {"/t": Right.PUBLISH}, lifetime=60, cap=DAY)
+    world.present(data)
+    (token,), refused = renew(delegated(world), data)
+    assert refused == ()
+    assert world.may(Right.PUBLISH, "/t", later=61)
+    assert world.present(data, token) == (1, ())
+    assert world.may(Right.PUBLISH, "/t", later=61)
+    world.trust.keep_only(frozenset(), world.now)
+    assert not world.may(Right.PUBLISH, "/t", later=61)
+    assert world.present(token) == (1, ())
+    assert world.may(Right.PUBLISH, "/t", later=61)
+    world.trust.update(world.site.revoke(data), world.now)
+    assert not world.may(Right.PUBLISH, "/t")
+    assert renew(world, token)[0] == (b"",)
+
+
+def test_one_that_is_not_renewed_does_not_spoil_the_others(world: World) -> None:
+    good = world.site.grant(world.node, {"/t": Right.PUBLISH}, lifetime=60, cap=DAY)
+    tokens, refused = renew(delegated(world), b"garbage", good)
+    assert (tokens[0], len(refused)) == (b"", 1)
+    assert tokens[1] != b""
+    renew(world, *[b"garbage"] * MAX_FAILURES)
+    assert renew(world, good)[1] == ("too many grants of this node were refused",)
+
+
+def test_a_renewed_grant_is_not_kept_when_there_is_no_room(world: World) -> None:
+    tokens = [world.site.grant(world.node, {f"/t{n}": Right.CALL}) for n in range(MAX_HELD)]
+    world.present(*tokens)
+    (token,), _ = renew(
+        delegated(world), world.site.grant(world.node, {"/t": Right.PUBLISH}, lifetime=60, cap=DAY)
+    )
+    assert token
+    assert not world.may(Right.PUBLISH, "/t")
+
+
+def test_a_node_that_holds_the_list_is_not_sent_it(world: World) -> None:
+    data, stamp = world.trust.current(world.now)
+    assert world.trust.news_for(world.node, world.now) == (data, stamp)
+    world.trust.held_by(world.node, digest(data))
+    assert world.trust.news_for(world.node, world.now) == (b"", stamp)
+    assert world.trust.news_for(world.master, world.now) == (data, stamp)
+    other = NodeRef("/anonymous", "http://h:1/", world.node.thumbprint)
+    assert world.trust.news_for(other, world.now) == (data, stamp)
+    newer = world.site.revoke(world.master)
+    world.trust.update(newer, world.now)
+    assert world.trust.news_for(world.node, world.now)[0] == newer
+    world.trust.held_by(world.node, digest(newer))
+    world.trust.keep_only(frozenset(), world.now)
+    assert world.trust.news_for(world.node, world.now)[0] == newer
+
+
 def test_a_caller_is_what_its_certificate_says(world: World) -> None:
     assert not world.trust.caller(world.node, world.now).wildcard
     rviz = world.site.enroll("/rviz", wildcard=True)
@@ -201,3 +266,63 @@ def test_a_caller_is_what_its_certificate_says(world: World) -> None:
     registered = world.trust.caller_of(rviz, world.now)
     assert registered is not None
     assert not registered.wildcard  # a name in the registry is that name alone
+
+
+def test_what_is_remembered_of_nodes_is_bounded(
+    world: World, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "MAX_NAMES", 2)
+    for n in range(5):
+        world.trust.held_by(NodeRef(f"/n{n}", "http://h:1/", world.node.thumbprint), bytes(32))
+        assert len(world.trust._lists) <= 2
+
+
+def test_what_of_the_list_concerns_a_node(world: World) -> None:
+    other, third = world.site.enroll("/other"), world.site.enroll("/third")
+    own, near, far, unseen = (
+        world.site.grant(who, {name: Right.SUBSCRIBE})
+        for who, name in (
+            (world.node, "/own"), (other, "/t"), (third, "/far"), (other, "/unseen"),
+        )
+    )  # fmt: skip
+    delegated(world)
+    id_ = world.trust._delegate.id
+    assert id_ is not None
+    for who, token in ((world.node, own), (other, near), (third, far)):
+        world.trust.present(world.trust.caller(who, world.now), [token], world.now)
+    world.trust.update(world.site.revoke(own, near, far, unseen, other, id_), world.now)
+    world.trust.keep_only(frozenset(), world.now)
+    caller = world.trust.caller(world.node, world.now)
+    mine = {grant_id(own), id_}
+    assert world.trust.pertaining(caller, []) == mine
+    assert world.trust.pertaining(caller, ["/t"]) == mine | {grant_id(near), other.thumbprint}
+    assert len(world.trust.revoked()) == 6
+    world.trust.update(world.site.revoke(far), world.now)
+    assert world.trust.pertaining(caller, ["/t", "/far"]) == {grant_id(far)}
+
+
+def tree_of(world: World, *entries: bytes) -> tuple[bytes, bytes]:
+    listing = Listing([*entries, *(n.to_bytes(16) for n in range(9))])
+    tree = RevocationTree(1, 90, world.now, world.now + DAY, *listing.size_and_root)
+    return sign_tree(world.site.signer, tree), listing.encoded()
+
+
+def test_a_tree_takes_the_place_of_the_list(world: World) -> None:
+    data = world.site.grant(world.node, {"/t": Right.PUBLISH})
+    world.present(data)
+    tree, entries = tree_of(world, grant_id(data))
+    with pytest.raises(RevocationRefused, match="comes with its entries"):
+        world.trust.update(tree, world.now)
+    with pytest.raises(RevocationRefused, match="not those of the signed tree"):
+        world.trust.update_tree(tree, tree_of(world, bytes(32))[1], world.now)
+    assert world.may(Right.PUBLISH, "/t")
+    assert world.trust.proofs([bytes(16)]) == []
+    assert world.trust.update_tree(tree, entries, world.now)
+    assert not world.trust.update_tree(tree, entries, world.now)
+    assert world.persisted[-1] == tree
+    assert not world.may(Right.PUBLISH, "/t")
+    assert world.trust.current(world.now)[0] == tree
+    signed = open_tree(tree, world.site.anchor.public_key)
+    asked = [grant_id(data), b"x" * 16]
+    shown = zip(asked, world.trust.proofs(asked), strict=True)
+    assert [is_revoked(signed, entry, proof) for entry, proof in shown] == [True, False]

@@ -15,9 +15,9 @@ KEY, ABOVE = b"k" * 32, b"i" * 32
 
 
 class Linked:
-    def __init__(self, ends: int = NOW + 1000) -> None:
+    def __init__(self, ends: int = NOW + 1000, keep: bool = False) -> None:
         self.stream: Any = SimpleNamespace(peer=SimpleNamespace(keys=(KEY, ABOVE)))
-        self.decision: Any = SimpleNamespace(grant_ids=(GRANT,))
+        self.decision: Any = SimpleNamespace(grant_ids=(GRANT,), keep_when_stale=keep)
         self.ends = ends
 
 
@@ -63,3 +63,22 @@ def test_silence_is_borne_for_a_while(site: Site) -> None:
 def test_without_any_list_nothing_lives(site: Site) -> None:
     never = Revocations(site.anchor.public_key)
     assert why_cut(Linked(), never, NOW) is not None
+
+
+def test_what_must_not_stop_outlives_silence_but_neither_revocation_nor_expiry(site: Site) -> None:
+    never = Revocations(site.anchor.public_key)
+    held = revocations(site)
+    long_after = held.fresh_until + 10 * STALE_GRACE
+    assert why_cut(Linked(keep=True), never, NOW) is None
+    assert why_cut(Linked(ends=long_after + 1, keep=True), held, long_after) is None
+    assert why_cut(Linked(keep=True), held, NOW + 1000) is not None
+    site.authority.revoke(GRANT, "", NOW)
+    assert why_cut(Linked(ends=long_after + 1, keep=True), revocations(site), long_after) == (
+        f"{GRANT.hex()} is revoked"
+    )
+
+
+def test_a_revoked_grant_cuts_while_silence_is_still_borne(site: Site) -> None:
+    site.authority.revoke(GRANT, "", NOW)
+    held = revocations(site)
+    assert why_cut(Linked(), held, held.fresh_until + 1) == f"{GRANT.hex()} is revoked"

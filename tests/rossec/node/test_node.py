@@ -11,7 +11,9 @@ import pytest
 
 from ca.encoding import Value
 from ca.errors import CAError, CertificateExpired
+from ca.revocationtree import is_tree
 from grants.model import Restriction, Right, filter_rules
+from grants.renewal import open_delegation
 from rossec.channel.known import KnownCertificates
 from rossec.errors import (
     ConfigurationError,
@@ -21,7 +23,7 @@ from rossec.errors import (
     RossecError,
 )
 from rossec.node import Node, Publisher, Subscriber
-from tests.support.site import Site, coarse
+from tests.support.site import DAY, HOUR, Site, coarse
 
 POSE = "geometry_msgs/PoseStamped"
 
@@ -283,7 +285,10 @@ async def test_a_node_refuses_an_older_list_after_its_own_restart(site: Site) ->
 
 
 async def tell_master(site: Site, node: Node, revocations: bytes) -> None:
-    await node._session.call("rossec.updateRevocations", revocations)
+    if is_tree(revocations):
+        await node._session.call("rossec.updateRevocationTree", revocations, site.entries)
+    else:
+        await node._session.call("rossec.updateRevocations", revocations)
 
 
 async def test_graph_right_is_a_right_of_its_own(site: Site) -> None:
@@ -433,3 +438,31 @@ async def test_an_expired_identity_is_noticed_at_once(site: Site) -> None:
     await asyncio.sleep(2.1)
     with pytest.raises(CertificateExpired, match="/robot"):
         Node("/robot", environ=site.environ)
+
+
+async def test_a_node_that_was_off_for_long_has_its_grants_renewed(tmp_path: Path) -> None:
+    site = Site(tmp_path / "site")
+    delegation = site.delegate()
+    old: dict[str, Any] = {"begin": site.now() - HOUR, "lifetime": -60, "cap": DAY}
+    site.grant("/robot", Right.PUBLISH, "/robot/pose", **old)
+    site.grant("/viewer", Right.SUBSCRIBE, "/robot/pose", **old)
+    async with site.running(), site.node("/robot") as robot, site.node("/viewer") as viewer:
+        publisher = await robot.publisher("/robot/pose", POSE, latch=True)
+        publisher.publish(pose(publisher))
+        subscriber = await viewer.subscriber("/robot/pose", POSE)
+        await first(subscriber)
+        [link] = publisher.links
+        assert len(link.decision.grant_ids) == 3  # the grant, the delegation and the delegate
+        id_ = open_delegation(delegation, site.anchor.public_key).id
+        site.authority.revoke(id_, "withdrawn", site.now())
+        data = site.authority.store.newest_list()
+        await robot._session.call("rossec.updateRevocations", data)
+        await until(lambda: not publisher.links and not subscriber.links)
+
+
+async def test_without_a_delegation_an_expired_grant_stays_expired(site: Site) -> None:
+    site.grant("/robot", Right.PUBLISH, "/robot/pose", begin=site.now() - HOUR, lifetime=-60,
+               cap=DAY)  # fmt: skip
+    async with site.node("/robot") as robot:
+        with pytest.raises(RossecError, match="publish"):
+            await robot.publisher("/robot/pose", POSE)

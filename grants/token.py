@@ -1,0 +1,92 @@
+"""What a node presents: a grant as the authority signed it, or one with the ticket that renews it.
+
+A renewed grant travels as the deterministic CBOR array [grant, ticket, delegation], each as signed.
+The verifier needs nothing else but the key of the delegate, which is its master's: it does not come
+with the token, so whoever presents one cannot choose who renewed it.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final, NamedTuple
+
+from cryptography.hazmat.primitives.asymmetric import ec
+
+from ca.encoding import MAX_SIZE as MAX_GRANT
+from ca.encoding import decode, encode
+from ca.errors import EncodingError
+from grants.document import open_grant, verify
+from grants.errors import GrantMalformed, RenewalForOther
+from grants.model import Grant
+from grants.renewal import MAX_STATEMENT, open_delegation, renew
+
+MAX_TOKEN: Final = MAX_GRANT + 2 * MAX_STATEMENT + 16
+_ARRAY_OF_3: Final = b"\x83"  # a grant begins with its tag, 0xd2
+
+
+class Parts(NamedTuple):
+    """A token taken apart; a grant that was not renewed has empty `ticket` and `delegation`."""
+
+    grant: bytes
+    ticket: bytes = b""
+    delegation: bytes = b""
+
+
+@dataclass(frozen=True)
+class Verifier:
+    """What a token is judged by.
+
+    Args:
+        ca_key, domain: the authority, and the trust domain the grant must be for.
+        delegate: the master's key; None while it is not known: then nothing renewed holds.
+        seq: number of the newest revocation list held.
+        check: called as `check(id, now)`; raises when a grant or delegation is revoked.
+    """
+
+    ca_key: ec.EllipticCurvePublicKey
+    domain: str
+    delegate: ec.EllipticCurvePublicKey | None
+    seq: int
+    check: Callable[[bytes, int], None]
+
+    def open(self, token: bytes, now: int) -> Grant:
+        """Verify a token and return the grant, until the moment to which it was renewed.
+
+        Raises:
+            GrantError: as `document.open_grant`, and for a renewed one as `renewal.renew`.
+        """
+        parts = unpack(token)
+        if not parts.ticket:
+            return open_grant(parts.grant, self.ca_key, now, domain=self.domain)
+        if self.delegate is None:
+            raise RenewalForOther(
+                "a renewed grant, and the master is not known here", "connect to the master first"
+            )
+        grant = verify(parts.grant, self.ca_key, domain=self.domain)
+        delegation = open_delegation(parts.delegation, self.ca_key)
+        return renew(
+            grant, parts.ticket, delegation, self.delegate, now=now, seq=self.seq, check=self.check
+        )
+
+
+def pack(grant: bytes, ticket: bytes, delegation: bytes) -> bytes:
+    """The token of a renewed grant."""
+    return encode([grant, ticket, delegation])
+
+
+def unpack(token: bytes) -> Parts:
+    """Take a token apart; nothing is verified.
+
+    Raises:
+        GrantMalformed: an array that is not one of a grant, a ticket and a delegation.
+    """
+    if not token.startswith(_ARRAY_OF_3):
+        return Parts(token)
+    try:
+        value = decode(token, limit=MAX_TOKEN)
+    except EncodingError as error:
+        raise GrantMalformed(f"not a renewed grant: {error}") from None
+    match value:
+        case [bytes() as grant, bytes() as ticket, bytes() as delegation] if all(value):
+            return Parts(grant, ticket, delegation)
+        case _:
+            raise GrantMalformed("a renewed grant is [grant, ticket, delegation]")

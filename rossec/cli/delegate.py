@@ -1,0 +1,75 @@
+"""`rossec master delegate`: what the authority lets the master do in its stead: renew grants."""
+
+import asyncio
+from pathlib import Path
+from typing import Final
+
+import click
+
+from grants.renewal import MAX_DELEGATION, MAX_TICKET, open_delegation
+from rossec.cli import passphrase
+from rossec.cli.context import Duration, Environment, moment, now, pass_environment
+from rossec.cli.voice import say
+from rossec.node.slave import MASTER
+
+DAY: Final = 86400
+_HINT: Final = "it is signed and kept in {}; start the master and run this again"
+
+
+@click.command()
+@click.option(
+    "--for",
+    "lifetime",
+    type=Duration(MAX_DELEGATION // DAY),
+    default="90d",
+    show_default=True,
+    help="how long the master may renew grants",
+)
+@click.option(
+    "--ticket",
+    type=Duration(MAX_TICKET // DAY),
+    default="8h",
+    show_default=True,
+    help="how long a renewed grant holds before it is renewed again",
+)
+@click.option("--withdraw", is_flag=True, help="revoke what was delegated before instead")
+@click.option("--master", "master_uri", help="master to tell, instead of ROS_MASTER_URI")
+@passphrase.option
+@pass_environment
+def delegate(
+    environment: Environment,
+    lifetime: int,
+    ticket: int,
+    withdraw: bool,
+    master_uri: str | None,
+    passphrase_file: Path | None,
+) -> None:
+    """Let the master renew grants, unchanged and up to their caps, while the authority is away.
+
+    A revoked grant is not renewed. With --withdraw, what the master has renewed ends at once.
+    """
+    # Not carried by a running master, which has this command beside it.
+    from rossec.authority import AuthorityHome  # noqa: PLC0415
+    from rossec.cli.publish import carry, deliver  # noqa: PLC0415
+
+    home = AuthorityHome.at(environment.home)
+    store = home.store()
+    authority = home.unlock(passphrase.read(passphrase_file, environment.variables))
+    if withdraw:
+        listed, count = authority.withdraw("withdrawn", now())
+        say(f"withdrew {count} delegation{'s' * (count != 1)} (list {listed.seq})")
+        asyncio.run(deliver(environment, master_uri))
+        say("the master has the new list")
+        return
+    data = authority.delegate(
+        store.live_certificate(MASTER, now()).thumbprint, lifetime, ticket, now()
+    )
+    opened = open_delegation(data, authority.signer.public_key)
+    say(f"{MASTER} may renew grants until {moment(opened.expires)} (delegation {opened.id.hex()})")
+    hint = _HINT.format(home.path / "delegations")
+    given = carry(environment, master_uri, "rossec.updateDelegation", (data,), "it", hint)
+    asyncio.run(given)
+    say("the master has the delegation")
+
+
+COMMANDS: Final = (delegate,)

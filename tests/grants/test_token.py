@@ -1,0 +1,85 @@
+"""What is presented: plain grants and renewed ones, and every way in which a token is none."""
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+from cryptography.hazmat.primitives.asymmetric import ec
+
+from ca.encoding import encode
+from ca.errors import Revoked
+from ca.publickey import thumbprint
+from ca.signer import KeySigner
+from grants import document
+from grants.decision import authorize
+from grants.errors import GrantExpired, GrantMalformed, GrantRevoked, RenewalForOther
+from grants.model import Right
+from grants.renewal import Delegation, Ticket, sign_delegation, sign_ticket
+from grants.token import Parts, Verifier, pack, unpack
+from tests.grants.authority import CA, DRAFT, HOLDER, NOW
+
+MASTER = KeySigner(ec.generate_private_key(ec.SECP256R1()))
+DATA = document.sign(CA, DRAFT)
+ID = document.grant_id(DATA)
+LATER = DRAFT.expires + 5
+LEAVE = sign_delegation(
+    CA, Delegation("home", thumbprint(MASTER.public_key), NOW - 10, NOW + 5000, 600, bytes(16))
+)
+TICKET = sign_ticket(MASTER, Ticket(ID, LATER - 5, LATER + 300, seq=7))
+TOKEN = pack(DATA, TICKET, LEAVE)
+
+
+def accept(*_: object) -> None:
+    """Nothing is revoked."""
+
+
+VERIFIER = Verifier(CA.public_key, "home", MASTER.public_key, 7, accept)
+
+
+def test_a_plain_grant_is_its_own_token() -> None:
+    assert unpack(DATA) == Parts(DATA)
+    assert VERIFIER.open(DATA, NOW) == document.open_grant(DATA, CA.public_key, NOW)
+    with pytest.raises(GrantExpired):
+        VERIFIER.open(DATA, LATER)
+
+
+def test_a_renewed_grant_holds_until_its_ticket_ends() -> None:
+    assert unpack(TOKEN) == Parts(DATA, TICKET, LEAVE)
+    grant = VERIFIER.open(TOKEN, LATER)
+    assert (grant.id, grant.expires) == (ID, LATER + 300)
+
+
+def test_without_knowing_the_master_nothing_renewed_holds() -> None:
+    with pytest.raises(RenewalForOther, match="the master is not known here"):
+        replace(VERIFIER, delegate=None).open(TOKEN, LATER)
+
+
+@pytest.mark.parametrize("which", [0, 1])
+def test_a_revoked_delegation_or_delegate_ends_what_it_renewed(which: int) -> None:
+    grant = VERIFIER.open(TOKEN, LATER)
+
+    def check(entry: bytes, _: int) -> None:
+        if entry == grant.via[which]:
+            raise Revoked("it is on the list")
+
+    with pytest.raises(GrantRevoked):
+        replace(VERIFIER, check=check).open(TOKEN, LATER)
+    question: dict[str, Any] = {"holder": HOLDER, "now": LATER}
+    decided = authorize([grant], Right.SUBSCRIBE, "/robot/pose", **question, check=accept)
+    assert decided.grant_ids == (ID, *grant.via)
+    with pytest.raises(GrantRevoked):
+        authorize([grant], Right.SUBSCRIBE, "/robot/pose", **question, check=check)
+
+
+@pytest.mark.parametrize(
+    "broken",
+    [
+        encode([DATA, TICKET, b""]),
+        encode([DATA, TICKET, 5]),
+        encode([DATA, TICKET, LEAVE]) + b"\0",
+        b"\x83",
+    ],
+)
+def test_a_token_that_is_none(broken: bytes) -> None:
+    with pytest.raises(GrantMalformed, match="renewed grant"):
+        unpack(broken)

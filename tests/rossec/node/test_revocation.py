@@ -1,0 +1,30 @@
+"""On revocation both ends cut: services as topics, and nothing more of parameters arrives."""
+
+from collections.abc import AsyncIterator
+from pathlib import Path
+
+import pytest
+
+from grants.model import Right
+from rossec.master.registry import Kind
+from tests.rossec.node.test_node import tell_master, until
+from tests.support.site import Site
+
+
+@pytest.fixture
+async def site(tmp_path: Path) -> AsyncIterator[Site]:
+    async with Site(tmp_path / "site").running() as site:
+        yield site
+
+
+async def test_a_parameter_subscription_ends_with_its_grant(site: Site) -> None:
+    right = site.grant("/reader", Right.PARAM_GET, "/speed")
+    site.grant("/writer", Right.PARAM_SET, "/speed")
+    assert site.master is not None
+    registry = site.master._registry
+    async with site.node("/reader") as reader, site.node("/writer") as writer:
+        await reader._session.call("subscribeParam", reader.uri, "/speed")
+        assert registry.members(Kind.PARAMETER, "/speed/") != ()
+        await tell_master(site, writer, site.revoke(right))
+        await until(lambda: registry.members(Kind.PARAMETER, "/speed/") == (), within=20)
+        await writer._session.call("setParam", "/speed", 3)
