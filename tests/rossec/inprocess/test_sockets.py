@@ -142,8 +142,10 @@ def test_a_caller_too_many_is_dropped(member: Member) -> None:
     accepted.close()
     third = socket.create_connection(sock.getsockname())
     thread.join(10)
-    for one in (first, second, third, sock, *later):
-        one.close()
+    for caller in (first, second, third):
+        caller.close()
+    for ours in (sock, *later):
+        ours.close()
     assert len(later) == 1
 
 
