@@ -7,7 +7,7 @@ import secrets
 import select
 import socket
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 from ca.certificates import Identity
 from rossec.channel.connection import Connection
@@ -91,17 +91,19 @@ class SecureLine(Line):
         return b"".join(event.data for event in self._receive() if isinstance(event, UnitReceived))
 
 
-def drive(lines: Sequence[Line], work: Callable[[int, int], bytes], each: int) -> None:
-    """Let every line ask `each` times, all at once, each waiting for its answer.
+def drive(lines: Sequence[Line], requests: Sequence[Sequence[bytes]]) -> None:
+    """Let every line ask its requests, all lines at once, each waiting for its answer.
 
-    `work(line, round)` is the request. Every answer must be a success.
+    They are encoded before, and answers are looked at afterwards: the load must cost less than
+    what it loads. Every answer must be a success.
     """
     poll = select.epoll()
     asked = dict.fromkeys(range(len(lines)), 1)
     where = {line.sock.fileno(): number for number, line in enumerate(lines)}
+    bodies: list[bytes] = []
     for number, line in enumerate(lines):
         poll.register(line.sock.fileno(), select.EPOLLIN)
-        line.send(work(number, 0))
+        line.send(requests[number][0])
     with poll:
         while asked:
             for fd, _ in poll.poll():
@@ -109,9 +111,11 @@ def drive(lines: Sequence[Line], work: Callable[[int, int], bytes], each: int) -
                 body = lines[number].answer()
                 if body is None:
                     continue
-                assert b"<int>1</int>" in body or b"<i4>1</i4>" in body, body
-                if asked[number] == each:
+                bodies.append(body)
+                if asked[number] == len(requests[number]):
                     del asked[number]
                     continue
-                lines[number].send(work(number, asked[number]))
+                lines[number].send(requests[number][asked[number]])
                 asked[number] += 1
+    for body in bodies:
+        assert b"<int>1</int>" in body or b"<i4>1</i4>" in body, body

@@ -20,7 +20,7 @@ from ca.log import digest_of
 from ca.merkle import Tree
 from ca.signer import KeySigner
 from ca.store import Store
-from rossec.authority import OpenAuthority
+from rossec.unlocked import OpenAuthority
 
 NOW = 1_800_000_000
 SIZES = (100, 10_000)

@@ -75,8 +75,9 @@ class Side:
 
     def run(self, name: str, work: Work, each: int) -> None:
         """One block: calls per second of wall clock and of the master's processor time."""
+        requests = [[work(k, i) for i in range(each)] for k in range(len(self.lines))]
         begin, used = time.perf_counter(), self.master.cpu()
-        drive(self.lines, work, each)
+        drive(self.lines, requests)
         calls = each * len(self.lines)
         self.wall[name].append(calls / (time.perf_counter() - begin))
         self.cpu[name].append(max(self.master.cpu() - used, 0.005) / calls)

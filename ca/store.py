@@ -5,6 +5,7 @@ nothing is ever changed or deleted (triggers refuse it) but requests, which end.
 appends its entry to the log in the same transaction, and is on the disk when the call returns.
 """
 
+import sqlite3
 from pathlib import Path
 from typing import Any, Self
 
@@ -69,7 +70,8 @@ class Store:
         """Record an identity before it is handed out.
 
         `request` is the digest of the approved request it answers, or of the renewal; `replace_key`
-        and `renews` allow another key (`ca.identitybook`).
+        and `renews` allow another key (`ca.identitybook`). What `replace_key` replaces is revoked
+        in the same step: no crash leaves two keys to one name.
 
         Raises:
             KeyChanged, RenewalRefused: the name lives with another key.
@@ -91,6 +93,9 @@ class Store:
             if request is not None and renews is None:
                 self.requests.settle(db, request, now)
             self.identities.add(db, row, now, request)
+            if replace_key is not None:
+                for key in sorted(self.live_keys(row.name, now) - {row.thumbprint}):
+                    _revoke(db, key, f"{row.name} has a new key", now)
 
     def certificates(self) -> list[CertificateRow]:
         """Every identity signed, oldest first."""
@@ -144,12 +149,7 @@ class Store:
     def revoke(self, entry: bytes, reason: str, now: int) -> None:
         """Record that a grant id or key thumbprint is revoked; twice is once."""
         with self._database.changing() as db:
-            done = db.execute(
-                "INSERT INTO revocation VALUES (?, ?, ?) ON CONFLICT DO NOTHING",
-                (entry, reason, now),
-            )
-            if done.rowcount:
-                record(db, now, "revocation", entry.hex(), reason, digest_of((entry, reason)))
+            _revoke(db, entry, reason, now)
 
     def revocations(self) -> list[RevocationRow]:
         """Everything revoked, oldest first."""
@@ -180,6 +180,13 @@ class Store:
         found = self._newest("data")
         return None if found is None else bytes(found[0])
 
+    def is_list_behind(self) -> bool:
+        """Whether something was revoked after the newest list was signed."""
+        newest = self._database.rows(
+            "SELECT what FROM log WHERE what IN ('revocation', 'list') ORDER BY number DESC LIMIT 1"
+        )
+        return newest == [("revocation",)]
+
     def note(self, what: str, subject: str, detail: str, now: int) -> None:
         """Write into the log what changes nothing else in the record, such as a restoration."""
         with self._database.changing() as db:
@@ -190,3 +197,11 @@ class Store:
             f"SELECT {columns} FROM list ORDER BY epoch DESC, seq DESC LIMIT 1"  # noqa: S608  (constants)
         )
         return rows[0] if rows else None
+
+
+def _revoke(db: sqlite3.Connection, entry: bytes, reason: str, now: int) -> None:
+    done = db.execute(
+        "INSERT INTO revocation VALUES (?, ?, ?) ON CONFLICT DO NOTHING", (entry, reason, now)
+    )
+    if done.rowcount:
+        record(db, now, "revocation", entry.hex(), reason, digest_of((entry, reason)))

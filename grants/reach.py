@@ -14,30 +14,53 @@ from grants.model import TREE_RIGHTS, Permission, Right
 class Reach:
     """For each right the exact names, the beginnings of names, and the other permissions."""
 
-    __slots__ = ("_by_right",)
+    __slots__ = ("_any", "_by_right")
 
     def __init__(self, permissions: Iterable[Permission]) -> None:
         held = tuple(permissions)
-        self._by_right = {int(right): _sorted(held, right) for right in Right}
+        shared: dict[Sorted, Sorted] = {}  # many rights mostly reach the same
+        found = {int(right): _sorted(held, right) for right in Right}
+        self._by_right = {right: shared.setdefault(each, each) for right, each in found.items()}
+        self._any: dict[int, Sorted] = {}
 
     def covers(self, right: Right, name: str) -> bool:
         """Whether some permission gives `right`, exactly one, on `name`; what is no name: no."""
         found = self._by_right.get(int(right))
+        return found is not None and _covers(found, name)
+
+    def covers_any(self, rights: Right, name: str) -> bool:
+        """Whether one of `rights`, any number of them, is given on `name`; what is no name: no."""
+        found = self._any.get(int(rights))
         if found is None:
-            return False
-        exact, beginnings, others = found
-        try:
-            check_name(name)
-        except NameRefused:
-            return False
-        return (
-            name in exact
-            or name.startswith(beginnings)
-            or any(permission.covers(right, name) for permission in others)
-        )
+            found = self._any[int(rights)] = _joined(
+                self._by_right[int(right)] for right in Right if right in rights
+            )
+        return _covers(found, name)
 
 
-Sorted = tuple[frozenset[str], tuple[str, ...], tuple[Permission, ...]]
+Sorted = tuple[frozenset[str], tuple[str, ...], tuple[tuple[Right, Permission], ...]]
+
+
+def _covers(found: Sorted, name: str) -> bool:
+    exact, beginnings, others = found
+    try:
+        check_name(name)
+    except NameRefused:
+        return False
+    return (
+        name in exact
+        or name.startswith(beginnings)
+        or any(permission.covers(right, name) for right, permission in others)
+    )
+
+
+def _joined(parts: Iterable[Sorted]) -> Sorted:
+    exact, beginnings, others = set[str](), set[str](), list[tuple[Right, Permission]]()
+    for part in parts:
+        exact |= part[0]
+        beginnings.update(part[1])
+        others += part[2]
+    return frozenset(exact), tuple(sorted(beginnings)), tuple(others)
 
 
 def _sorted(permissions: tuple[Permission, ...], right: Right) -> Sorted:
@@ -47,7 +70,7 @@ def _sorted(permissions: tuple[Permission, ...], right: Right) -> Sorted:
             continue
         plain = permission.pattern.removesuffix("/**")
         if "*" in plain:
-            others.append(permission)
+            others.append((right, permission))
         elif plain != permission.pattern:
             beginnings.add(f"{plain}/")
         else:

@@ -11,14 +11,18 @@ import contextlib
 import secrets
 import shutil
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
 from typing import Final
 
 from ca import backup
-from ca.errors import BackupRefused
+from ca.certificates import TrustAnchor
+from ca.errors import BackupRefused, HintedError
+from ca.log import Entry
 from ca.revocation import open_list
 from rossec import files
-from rossec.authority import AuthorityHome, OpenAuthority
+from rossec.authority import AuthorityHome
+from rossec.unlocked import OpenAuthority
 
 _SKIPPED: Final = ("ca.db", "ca.db-wal", "ca.db-shm")  # the record goes in as a snapshot
 _PUBLIC: Final = ".pem"
@@ -36,10 +40,10 @@ class Restored:
 def back_up(home: AuthorityHome, passphrase: str) -> bytes:
     """The backup of an authority, of this moment, under `passphrase`."""
     content = {
-        str(path.relative_to(home.path)): path.read_bytes()
-        for path in sorted(home.path.rglob("*"))
-        if path.is_file() and path.name not in _SKIPPED and not path.name.startswith(".")
-        and "grants" not in path.parts
+        str(path): (home.path / path).read_bytes()
+        for path in sorted(each.relative_to(home.path) for each in home.path.rglob("*"))
+        if (home.path / path).is_file() and path.name not in _SKIPPED
+        and not path.name.startswith(".") and "grants" not in path.parts
     }  # fmt: skip
     with contextlib.closing(home.store()) as store:
         content["ca.db"] = store.snapshot()
@@ -87,7 +91,8 @@ def restore(
         revived = _bring_up_to_date(authority, newest_list, entries, now)
         authority.store.close()
         if place.exists():
-            place.rename(place.with_name(f"ca.replaced.{now}"))
+            aside = (place.with_name(f"ca.replaced.{number}") for number in count(now))
+            place.rename(next(path for path in aside if not path.exists()))
         files.settle(begun, place)
     except BaseException:
         shutil.rmtree(begun, ignore_errors=True)
@@ -104,18 +109,18 @@ def _write(directory: Path, content: dict[str, bytes]) -> None:
 
 def _check_over(there: AuthorityHome, found: OpenAuthority, over: str | None, forget: int) -> None:
     """The one that is there gives way to the backup only knowingly."""
-    if over != there.domain:
+    anchor, held = _read(there)
+    if over != anchor.domain:
         raise BackupRefused(
             f"there is an authority in {there.path}",
             f"to replace it with the backup say --over {there.domain}",
         )
-    if there.anchor().thumbprint != found.authority.anchor.thumbprint:
+    if anchor.thumbprint != found.authority.anchor.thumbprint:
         raise BackupRefused(
             f"the authority in {there.path} is another one than that of the backup",
             "restore it into another ROSSEC_HOME",
         )
-    with contextlib.closing(there.store()) as store:
-        held, backed = store.journal.entries(), found.store.journal.entries()
+    backed = found.store.journal.entries()
     shared = sum(1 for ours, theirs in zip(held, backed, strict=False) if ours == theirs)
     lost = len(held) - shared
     if lost != forget:
@@ -123,6 +128,18 @@ def _check_over(there: AuthorityHome, found: OpenAuthority, over: str | None, fo
             f"the backup lacks {lost} entries of the log in {there.path}",
             f"it is older; to lose them for good say --forget {lost}",
         )
+
+
+def _read(there: AuthorityHome) -> tuple[TrustAnchor, list[Entry]]:
+    """Who is there, and what it did."""
+    try:
+        with contextlib.closing(there.store()) as store:
+            return there.anchor(), store.journal.entries()
+    except HintedError as error:
+        raise BackupRefused(
+            f"what is in {there.path} is no whole authority: {error}",
+            "move that directory away and restore again: its newest entries cannot be compared",
+        ) from error
 
 
 def _bring_up_to_date(

@@ -20,8 +20,9 @@ from grants.policy.drafts import approve, drafts
 from grants.policy.model import Effect, Subject
 from grants.request import GrantRequest, open_request, peek_request
 from rossec import inbox
-from rossec.authority import AuthorityHome, OpenAuthority
+from rossec.authority import AuthorityHome
 from rossec.inbox import Asked, Inbox
+from rossec.unlocked import OpenAuthority
 
 MAX_ASKED: Final = 16  # prompts one node may have waiting
 GRANTED, DENIED, LATE, TOO_MANY = "granted", "denied", "no answer", "too many"

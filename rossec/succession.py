@@ -15,8 +15,9 @@ from ca.renewal import open_renewal, renew_at
 from ca.requests import build_request
 from ca.signer import KeySigner
 from ca.store import CertificateRow
-from rossec.authority import INTERMEDIATE, OWN_LIFETIME, OWN_NODE, OpenAuthority, certificate_row
+from rossec.authority import OWN_LIFETIME
 from rossec.home import NodeHome
+from rossec.unlocked import INTERMEDIATE, OWN_NODE, OpenAuthority, certificate_row
 
 SEASON: Final = 90 * DAY
 

@@ -1,7 +1,9 @@
 """The receive buffer: the socket writes into it, frames are parsed and decrypted from it in place.
 
 Bytes are moved only when an incomplete frame has reached the end of the buffer. It grows when a
-frame's header, already checked against the limits, says that the frame will not fit.
+frame's header, already checked against the limits, says that the frame will not fit. An idle
+connection has none: an empty buffer is given back, but not one for large frames in the middle of
+many.
 """
 
 from typing import Final
@@ -10,14 +12,20 @@ SMALL: Final = 2 * 1024
 """Before authentication; a stranger costs no more than this until its frames are plausible."""
 
 
+_GIVE_BACK: Final = 64 * 1024  # what is larger costs too much to get again
+_NOTHING: Final = bytearray()
+_NO_VIEW: Final = memoryview(_NOTHING)
+
+
 class ReceiveBuffer:
     """A byte queue whose free tail is lent to the reader of the socket."""
 
-    __slots__ = ("_data", "_end", "_start", "_view")
+    __slots__ = ("_data", "_end", "_least", "_start", "_view")
 
     def __init__(self, capacity: int = SMALL) -> None:
-        self._data = bytearray(capacity)
-        self._view = memoryview(self._data)
+        self._least = capacity
+        self._data = _NOTHING
+        self._view = _NO_VIEW
         self._start = 0
         self._end = 0
 
@@ -48,6 +56,10 @@ class ReceiveBuffer:
     def consume(self, count: int) -> None:
         """Drop `count` bytes from the front."""
         self._start += count
+        empty = self._start == self._end
+        if empty and count <= self._least and len(self._data) <= _GIVE_BACK:
+            self._start = self._end = 0
+            self._data, self._view = _NOTHING, _NO_VIEW
 
     def reserve(self, count: int, grow_to: int = 0) -> None:
         """Make room so that `count` bytes from the front fit, by moving or by growing."""
@@ -55,7 +67,7 @@ class ReceiveBuffer:
             return
         unread, length = self.unread(), len(self)
         if count > len(self._data):
-            self._data = bytearray(max(count, grow_to, 2 * len(self._data)))
+            self._data = bytearray(max(count, grow_to, 2 * len(self._data), self._least))
             self._view = memoryview(self._data)
         self._view[:length] = unread
         self._start, self._end = 0, length

@@ -214,6 +214,8 @@ class Connection(Outbound[PeerT]):
             self._session = self._negotiation.session(self._limits, self._now)
             self._events.append(Authenticated(step.peer))
         self._out.append(step.reply)
+        if step.state is State.OPEN:
+            self._negotiation.forget()
         return step.state
 
     # -- records: the rows of the table for an open connection

@@ -119,6 +119,10 @@ class Exporter:
         """EDHOC_Exporter (RFC 9528 section 4.2.1)."""
         return kdf(self._prk_exporter, label, context, length)
 
+    def bare(self) -> "Exporter":
+        """The same without what was prepared for `export`: it is not needed for long."""
+        return Exporter(self.prk_out)
+
     def update(self, context: bytes) -> "Exporter":
         """EDHOC_KeyUpdate (RFC 9528 section 4.2.2): forward secrecy, not healing."""
         return Exporter(kdf(Secret(self.prk_out), Label.KEY_UPDATE, context, HASH_LENGTH))

@@ -185,9 +185,10 @@ class Epochs:
 
     def _derive(self, epoch: int) -> tuple[Direction, Direction]:
         own, peer = self._labels
+        exporter, self._exporter = self._exporter, self._exporter.bare()
         return (
-            Direction(self._suite, self._exporter, own, epoch),
-            Direction(self._suite, self._exporter, peer, epoch),
+            Direction(self._suite, exporter, own, epoch),
+            Direction(self._suite, exporter, peer, epoch),
         )
 
     def _advance(self) -> tuple[Direction, Direction]:

@@ -10,13 +10,15 @@ from ca.authority import DAY, MAX_LIFETIME
 from ca.certificates import Request, check_request
 from ca.hsm import KeyUri
 from ca.names import check_wildcard, spiffe_id
-from rossec.authority import OWN_NODE, AuthorityHome, fingerprint, grouped
+from rossec import files
+from rossec.authority import AuthorityHome, fingerprint, grouped
 from rossec.cli import passphrase
 from rossec.cli.context import Duration, Environment, confirm, moment, now, pass_environment
 from rossec.cli.publish import deliver, remind
 from rossec.cli.voice import printable, say
 from rossec.errors import ConfigurationError
 from rossec.succession import own_is_due, renew_own
+from rossec.unlocked import OWN_NODE
 
 _MAX_REQUEST = 16 * 1024
 
@@ -118,7 +120,7 @@ def sign(
         replace_key = request.name if request.name in replaced else None
         bundle = authority.issue(data, now(), lifetime, replace_key=replace_key, wildcard=anonymous)
         target = path.with_name("node.pem" if path.name == "node.csr" else f"{path.stem}.pem")
-        target.write_bytes(bundle)
+        files.replace(target, bundle, 0o644)
         say(f"signed {request.name}: {target}")
     if authority.store.revoked_entries() != revoked:
         say("the replaced key is revoked")

@@ -16,6 +16,7 @@ from ca.enrollment import NONCE_SIZE
 from ca.enrollment.authority import AuthorityEnrollment
 from ca.enrollment.messages import Delivery, write
 from ca.enrollment.transcript import grouped as spaced
+from ca.errors import HintedError
 from ca.lifecycle import RequestRow, State
 from ca.requests import MAX_REQUEST
 from rossec import files
@@ -30,6 +31,7 @@ from rossec.cli.context import (
     pass_environment,
     reraise_interrupt,
 )
+from rossec.cli.publish import remind
 from rossec.cli.voice import say
 from rossec.enrolling import address
 from rossec.enrolling.calling import deliver, fetch
@@ -122,7 +124,11 @@ def enroll(
     if where is None:
         _write(csr_file, bundle)
     else:
-        _hand_over(core, bundle, where)
+        try:
+            _hand_over(core, bundle, where)
+        except HintedError:
+            remind(authority.store, number)
+            raise
         say(f"enrolled {row.name}")
     tell_of_replaced(environment, authority, revoked, number, master_uri)
 

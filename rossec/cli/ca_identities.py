@@ -9,13 +9,14 @@ from ca.authority import DAY, MAX_LIFETIME
 from ca.rows import CertificateRow
 from ca.store import Store
 from rossec import files
-from rossec.authority import INTERMEDIATE, OWN_NODE, AuthorityHome, fingerprint, grouped
+from rossec.authority import AuthorityHome, fingerprint, grouped
 from rossec.cli import passphrase
 from rossec.cli.context import Duration, Environment, moment, now, pass_environment
 from rossec.cli.publish import remind
 from rossec.cli.voice import say, say_json
 from rossec.errors import ConfigurationError
 from rossec.succession import renew_by_name, renew_own
+from rossec.unlocked import INTERMEDIATE, OWN_NODE
 
 
 def states(store: Store, at: int) -> list[tuple[CertificateRow, str]]:

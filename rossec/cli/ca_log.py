@@ -90,7 +90,10 @@ def prove(environment: Environment, entry: int | None, since: Path | None) -> No
     if (entry is None) == (since is None):
         raise ConfigurationError("there is nothing to prove, or too much", "--entry N or --since F")
     journal = home.store().journal
-    signed = journal.heads()[-1]
+    heads = journal.heads()
+    if not heads:
+        raise ConfigurationError("no state of the log was signed yet", "next: rossec ca log head")
+    signed = heads[-1]
     newest, tree = open_head(signed, home.own_key()), journal.tree()
     shown: dict[str, Any] = {"size": newest.size, "root": newest.root.hex()}
     if entry is not None:

@@ -13,7 +13,7 @@ from ca.store import Store
 from grants.policy.model import Subject
 from grants.policy.prospects import prospects
 from rossec import files
-from rossec.authority import AuthorityHome, OpenAuthority, grouped
+from rossec.authority import AuthorityHome, grouped
 from rossec.cli import passphrase
 from rossec.cli.ca import warn_of_tail
 from rossec.cli.context import Duration, Environment, moment, now, pass_environment
@@ -21,6 +21,7 @@ from rossec.cli.publish import deliver, remind
 from rossec.cli.voice import printable, say, say_json
 from rossec.errors import ConfigurationError
 from rossec.policyfile import PolicyFile, place
+from rossec.unlocked import OpenAuthority
 
 _SHORT: Final = 8
 

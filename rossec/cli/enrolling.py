@@ -4,6 +4,7 @@ import asyncio
 import os
 import signal
 import sys
+import termios
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -79,7 +80,7 @@ class Session:
         text = self._core.code(where)
         for path, picture in ((self._png, qr.png), (self._svg, qr.svg)):
             if path is not None:
-                files.replace(path, picture(text), 0o644)
+                files.replace(path, picture(text), 0o644 if self._label else 0o600)
         if not self._label:
             say(qr.terminal(text))
         say(text)
@@ -109,6 +110,8 @@ class Session:
             say(f"the same at the authority? then: rossec node confirm {self._home.name} DIGITS")
             yield
             return
+        # What was typed before the digits were there is no answer to them.
+        termios.tcflush(sys.stdin, termios.TCIFLUSH)
         sys.stderr.write("does the authority show the same digits? [y/N]: ")
         sys.stderr.flush()
         loop, stdin = asyncio.get_running_loop(), sys.stdin.fileno()

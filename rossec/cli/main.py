@@ -5,7 +5,6 @@ import logging
 import os
 import sys
 from collections.abc import Mapping, Sequence
-from importlib.metadata import version
 from typing import Any, Final, NoReturn
 
 import click
@@ -50,7 +49,7 @@ def _complete(noun: str) -> click.Command:
 
 
 @click.group(cls=Nouns, context_settings={"help_option_names": ["-h", "--help"]})
-@click.version_option(version("rossec"), prog_name="rossec", message="%(prog)s %(version)s")
+@click.version_option(package_name="rossec", prog_name="rossec", message="%(prog)s %(version)s")
 @click.option("--verbose", "-v", is_flag=True, help="log what happens")
 def rossec(verbose: bool) -> None:
     """Security and access grants for ROS 1."""

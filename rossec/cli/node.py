@@ -5,6 +5,7 @@ from pathlib import Path
 import click
 
 from ca import qr
+from rossec import files
 from rossec.authority import fingerprint, grouped
 from rossec.cli.context import Environment, confirm, moment, now, pass_environment
 from rossec.cli.voice import say
@@ -45,9 +46,9 @@ def code(
     """Show the QR code of NAME's request, for the authority to scan."""
     payload = qr.label_code(NodeHome.of(environment.home, name).request())
     if svg is not None:
-        svg.write_bytes(qr.svg(payload))
+        files.replace(svg, qr.svg(payload), 0o644)
     if png is not None:
-        png.write_bytes(qr.png(payload))
+        files.replace(png, qr.png(payload), 0o644)
     if not text:
         say(qr.terminal(payload))
     say(payload)

@@ -19,13 +19,14 @@ from grants.policy.model import Subject
 from grants.policy.patterns import meets
 from grants.policy.privacy import Access, Row
 from rossec import files
-from rossec.authority import AuthorityHome, OpenAuthority
+from rossec.authority import AuthorityHome
 from rossec.cli import options, passphrase
 from rossec.cli.context import Environment, moment, now, pass_environment
 from rossec.cli.grant import hand_over
 from rossec.cli.publish import deliver
 from rossec.cli.voice import say, say_json
 from rossec.policyfile import layout_of
+from rossec.unlocked import OpenAuthority
 
 
 @click.group(invoke_without_command=True)

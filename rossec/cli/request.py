@@ -17,7 +17,7 @@ from grants.policy.model import Effect, Policy
 from grants.presets import PRESETS, preset
 from grants.request import GrantRequest, sign_request
 from rossec import files, inbox
-from rossec.authority import AuthorityHome, OpenAuthority
+from rossec.authority import AuthorityHome
 from rossec.cli import options, passphrase
 from rossec.cli.context import Environment, moment, now, pass_environment
 from rossec.cli.grant import hand_over
@@ -26,6 +26,7 @@ from rossec.desk import Change, Desk, Question, today
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
 from rossec.policyfile import PolicyFile, layout_of
+from rossec.unlocked import OpenAuthority
 
 _ASKABLE = ("publish", "subscribe", "call", "provide", "param-get", "param-set", "graph")
 

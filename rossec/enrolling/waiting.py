@@ -147,10 +147,14 @@ class WaitingNode:
                 async with asyncio.timeout(self._wait_for(writer)):
                     data = await wire.receive(reader)
                 self._answer(writer, data)
+                async with asyncio.timeout(self._patience):  # who does not read is not written to
+                    await writer.drain()
         except EnrollmentRefused as error:
             self._complain(printable(f"{address}: {error}"))
             wire.send(writer, _abort(error))
-        except (OSError, EOFError, TimeoutError):
+        except TimeoutError:
+            writer.transport.abort()  # to close would wait for who does not read
+        except (OSError, EOFError):
             pass  # whoever hangs up may call again
         finally:
             self._callers.settle(address)

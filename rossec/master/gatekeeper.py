@@ -17,8 +17,7 @@ from grants.model import Right
 from rossec.master.registry import KEYS_LIMIT, Kind, NodeRef, Registry
 
 _ASK: Final = "ask the authority's operator for a grant"
-# Who asks for the whole graph mostly has the right to: asked first.
-SEES_TOPICS: Final = (Right.GRAPH, Right.PUBLISH, Right.SUBSCRIBE, Right.CALL, Right.PROVIDE)
+SEES_TOPICS: Final = Right.PUBLISH | Right.SUBSCRIBE | Right.CALL | Right.PROVIDE | Right.GRAPH
 
 
 class Refused(Exception):
@@ -40,6 +39,9 @@ class Access(Protocol):
 
     def covers(self, right: Right, name: str) -> bool:
         """Whether `require` would return."""
+
+    def covers_any(self, rights: Right, name: str) -> bool:
+        """Whether `require` would return for one of `rights`."""
 
 
 class Peer(Protocol):
@@ -109,7 +111,7 @@ class Caller:
 
     def may_see(self, name: str) -> bool:
         """Whether a topic, service or node name may appear in an answer to this caller."""
-        return any(self.may(right, name) for right in SEES_TOPICS)
+        return self.access.covers_any(SEES_TOPICS, name)
 
 
 class Scope(Enum):
@@ -229,11 +231,11 @@ class Gatekeeper:
         if rule.scope is Scope.MASTER and rule.right is not None:
             require(caller, rule.right, self._master)
 
-    def nodes_shown(self, caller: Caller, key: str, nodes: tuple[str, ...]) -> list[str]:
+    def nodes_shown(self, caller: Caller, key: str, nodes: tuple[str, ...]) -> tuple[str, ...]:
         """Which of the nodes registered for `key` the caller is shown."""
         if caller.may_see(key):
-            return list(nodes)
-        return [name for name in nodes if name == caller.name]
+            return nodes
+        return (caller.name,) if caller.name in nodes else ()
 
     def node_shown(self, caller: Caller, name: str) -> bool:
         """A node is shown to itself, with a right to see it, and to those who share a topic."""

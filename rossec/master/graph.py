@@ -4,10 +4,16 @@ State queries are filtered by the gatekeeper: a caller sees its own entries and 
 grants cover.
 """
 
+from typing import Final
+
 from rossec.master import arguments as arg
 from rossec.master.calls import Method, Methods, Reply, Request
 from rossec.master.gatekeeper import Caller, Gatekeeper, require_room
 from rossec.master.registry import Kind, Registry
+from rossec.ros.xmlwrite import Written
+
+_STATES_KEPT: Final = 16
+_ENTRIES_KEPT: Final = 8192
 
 
 class GraphCalls:
@@ -16,6 +22,9 @@ class GraphCalls:
     def __init__(self, registry: Registry, gatekeeper: Gatekeeper) -> None:
         self._registry = registry
         self._gatekeeper = gatekeeper
+        self._entries: dict[tuple[str, tuple[str, ...]], Written] = {}
+        self._states: dict[int, tuple[Caller, Written]] = {}  # by identity of the caller
+        self._version = -1
 
     def methods(self) -> Methods:
         """The rows of the method table."""
@@ -87,15 +96,39 @@ class GraphCalls:
         return Reply(uri, f"rosrpc URI: [{uri}]")
 
     def _system_state(self, request: Request) -> Reply:
-        kinds = (Kind.PUBLISHER, Kind.SUBSCRIBER, Kind.SERVICE)
-        return Reply([self._shown(kind, request.caller) for kind in kinds], "current system state")
+        return Reply(self._state(request.caller), "current system state")
 
-    def _shown(self, kind: Kind, caller: Caller) -> list[list[object]]:
-        entries = (
-            (key, self._gatekeeper.nodes_shown(caller, key, names))
-            for key, names in self._registry.entries(kind)
-        )
-        return [[key, names] for key, names in entries if names]
+    def _state(self, caller: Caller) -> Written:
+        """What the caller is shown; the same while neither the registry nor the caller changed."""
+        if self._version != self._registry.version:
+            self._version = self._registry.version
+            self._states.clear()
+        known = self._states.get(id(caller))
+        if known is not None and known[0] is caller:
+            return known[1]
+        kinds = (Kind.PUBLISHER, Kind.SUBSCRIBER, Kind.SERVICE)
+        state = Written([self._shown(kind, caller) for kind in kinds])
+        if len(self._states) >= _STATES_KEPT:
+            self._states.clear()
+        self._states[id(caller)] = caller, state
+        return state
+
+    def _shown(self, kind: Kind, caller: Caller) -> list[object]:
+        shown = self._gatekeeper.nodes_shown
+        return [
+            self._entry(key, names)
+            for key, nodes in self._registry.entries(kind)
+            if (names := shown(caller, key, nodes))
+        ]
+
+    def _entry(self, key: str, names: tuple[str, ...]) -> Written:
+        """One name with its nodes, written once for all who are shown it."""
+        entry = self._entries.get((key, names))
+        if entry is None:
+            if len(self._entries) >= _ENTRIES_KEPT:
+                self._entries.clear()
+            entry = self._entries[key, names] = Written([key, list(names)])
+        return entry
 
     def _topic_types(self, request: Request) -> Reply:
         types = self._registry.topic_types()

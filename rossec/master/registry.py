@@ -22,6 +22,8 @@ REPLACED: Final = "new node registered with same name"
 class Kind(Enum):
     """What a node can be registered as, for a name."""
 
+    __hash__ = object.__hash__  # members are alone of their kind; Enum's own is no C function
+
     PUBLISHER = "publisher"
     SUBSCRIBER = "subscriber"
     SERVICE = "service"

@@ -11,7 +11,6 @@ import logging
 import os
 import secrets
 import time
-from collections import Counter
 from collections.abc import Callable
 from typing import Final, Protocol
 
@@ -219,8 +218,9 @@ class MasterServer:
             self._memory.close()
 
     async def _handle(self, stream: SecureStream[ChannelPeer]) -> None:
-        held = Counter(other.peer.thumbprint for other in self._streams)
-        if held[stream.peer.thumbprint] >= self._limits.connections_per_identity:
+        own = stream.peer.thumbprint
+        held = sum(other.peer.thumbprint == own for other in self._streams)
+        if held >= self._limits.connections_per_identity:
             _audit.warning("%s has too many connections", stream.peer.name)
             stream.abort("too many connections of one identity")
             return
@@ -240,12 +240,15 @@ class MasterServer:
         finally:
             self._streams.discard(stream)
 
-    async def _dispatch(self, method: str, params: tuple[object, ...], peer: ChannelPeer) -> object:
+    def _dispatch(self, method: str, params: tuple[object, ...], peer: ChannelPeer) -> object:
         answer = self._answer(method, params, peer)
         if method == WATCH and no_news(answer):
-            await self._news.wait(WATCH_WAIT)
-            answer = self._answer(method, params, peer)
+            return self._watch(method, params, peer)
         return answer
+
+    async def _watch(self, method: str, params: tuple[object, ...], peer: ChannelPeer) -> object:
+        await self._news.wait(WATCH_WAIT)
+        return self._answer(method, params, peer)
 
     def _answer(self, method: str, params: tuple[object, ...], peer: ChannelPeer) -> object:
         if self._api is None:

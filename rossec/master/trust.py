@@ -53,6 +53,10 @@ class GrantAccess:
         """Whether a grant that holds covers `right` on `name`."""
         return self.reach.covers(right, name)
 
+    def covers_any(self, rights: Right, name: str) -> bool:
+        """Whether a grant that holds covers one of `rights` on `name`."""
+        return self.reach.covers_any(rights, name)
+
     def require(self, right: Right, name: str) -> None:
         """Raise the `GrantError` that says what is missing."""
         if not self.reach.covers(right, name):
@@ -71,6 +75,22 @@ class _Held:
     _reach: Reach = _NOTHING
     _reach_at: tuple[object, ...] = ()
     _holding: tuple[bytes, ...] = ()
+    _caller: Caller | None = None
+
+    def caller(self, peer: Peer, now: int, revocations: Revocations, *, wildcard: bool) -> Caller:
+        """Who calls; the very same as before while nothing has changed, within one second."""
+        before, caller = self._reach_at, self._caller
+        reach = self.reach(now, revocations)
+        if (
+            caller is None
+            or self._reach_at is not before
+            or (caller.name, caller.wildcard) != (peer.name, wildcard)
+        ):
+            access = GrantAccess(
+                self.grants.values(), reach, peer.thumbprint, now, revocations.check
+            )
+            caller = self._caller = Caller(peer.name, peer.thumbprint, access, wildcard)
+        return caller
 
     def reach(self, now: int, revocations: Revocations) -> Reach:
         """What the grants that hold now reach; worked out anew when the answer may differ."""
@@ -341,9 +361,9 @@ class Trust:
     def _caller(self, peer: Peer, now: int, *, wildcard: bool = False) -> Caller:
         self._confirm(now)
         held = self._held.get(peer.thumbprint)
-        grants = () if held is None else held.grants.values()
-        reach = _NOTHING if held is None else held.reach(now, self._revocations)
-        access = GrantAccess(grants, reach, peer.thumbprint, now, self._revocations.check)
+        if held is not None:
+            return held.caller(peer, now, self._revocations, wildcard=wildcard)
+        access = GrantAccess((), _NOTHING, peer.thumbprint, now, self._revocations.check)
         return Caller(peer.name, peer.thumbprint, access, wildcard)
 
     def _known(self) -> Iterator[Grant]:

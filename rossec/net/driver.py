@@ -52,12 +52,12 @@ class Driver(Generic[PeerT]):
         self._loop = asyncio.get_running_loop()
         self._timer: asyncio.TimerHandle | None = None
         self._cut_at = 0.0
-        self._units: deque[bytes] = deque()
+        self._units: deque[bytes] | None = None  # None: an empty one has its price
         self._unread = 0
         self._waiting: list[asyncio.Future[None]] = []
         self._when_writable: list[Callable[[], None]] = []
-        self._lost = asyncio.Event()
-        self.ended = asyncio.Event()
+        self.on_ready: Callable[[], None] | None = None
+        self._lost = False
         self.authenticated = False
         self.error: ChannelError | None = None
         self.address = address
@@ -79,6 +79,8 @@ class Driver(Generic[PeerT]):
         self.flush()
         for event in events:
             if isinstance(event, UnitReceived):
+                if self._units is None:
+                    self._units = deque()
                 self._units.append(event.data)
                 self._unread += len(event.data)
             elif isinstance(event, Authenticated):
@@ -89,7 +91,7 @@ class Driver(Generic[PeerT]):
                 self._end(ChannelClosed("the peer closed the connection"))
                 self.transport.finish()  # both sides have said their last word
         if self._units:
-            self._wake()
+            self._tell()
             if self._unread > _PAUSE_ABOVE and self.error is None:
                 self.transport.pause_reading()
 
@@ -113,7 +115,8 @@ class Driver(Generic[PeerT]):
         if self.error is None:
             self.eof()
             self._end(ChannelClosed("the connection is closed"))
-        self._lost.set()
+        self._lost = True
+        self._wake()
 
     # -- called by the stream
 
@@ -169,15 +172,39 @@ class Driver(Generic[PeerT]):
         Raises:
             ChannelError: there will be none.
         """
-        while not self._units:
+        while (unit := self.take()) is None:
+            await self._wait()
+        return unit
+
+    @property
+    def has_unit(self) -> bool:
+        """Whether a unit has arrived that nobody took."""
+        return self._units is not None
+
+    def take(self) -> bytes | None:
+        """Return the next unit if it has arrived.
+
+        Raises:
+            ChannelError: there will be none.
+        """
+        if self._units is None:
             if self.error is not None:
                 raise self.error
-            await self._wait()
+            return None
         unit = self._units.popleft()
+        if not self._units:
+            self._units = None
         self._unread -= len(unit)
         if self._unread <= _PAUSE_ABOVE // 2 and self.error is None:
             self.transport.resume_reading()
         return unit
+
+    def _tell(self) -> None:
+        """There is something to take, or there will never be."""
+        if self.on_ready is not None:
+            self.on_ready()
+        if self._waiting:
+            self._wake()
 
     async def _wait(self) -> None:
         """Wait for anything to happen; the caller looks whether it was for it."""
@@ -197,7 +224,13 @@ class Driver(Generic[PeerT]):
             self.connection.close()
             self.flush()
             self._end(ChannelClosed("the connection was closed"))
-        await self._lost.wait()
+        while not self._lost:
+            await self._wait()
+
+    async def wait_ended(self) -> None:
+        """Return when the connection is at its end."""
+        while self.error is None:
+            await self._wait()
 
     def abort(self, error: ChannelError) -> None:
         """Cut the connection; the peer sees a truncation."""
@@ -214,10 +247,9 @@ class Driver(Generic[PeerT]):
         if self.error is not None:
             return
         self.error = error
-        self.ended.set()
-        self._wake()
         self._linger()
         self._on_end(self, error)
+        self._tell()
 
     def _linger(self) -> None:
         """End this side; wait for the peer's end, or the reset would swallow the last flight."""

@@ -7,31 +7,20 @@ connection, as in HTTP/1.1 without pipelining; a request that has begun must end
 
 import asyncio
 import contextlib
-import logging
-from collections.abc import Awaitable
-from typing import Final, Generic, Protocol, TypeVar
+from typing import Final, Protocol, TypeVar
 
-from rossec.errors import HangUp, HttpRefused, RossecError, XmlRpcRefused
+from rossec.errors import RossecError
+from rossec.net.callloop import CallLoop, Dispatch, ServedStream
 from rossec.ros import xmlrpc
-from rossec.ros.http import HttpClient, HttpServer
-from rossec.ros.xmlrpc import Fault
+from rossec.ros.http import HttpClient
 
 REQUEST_DEADLINE: Final = 10.0  # seconds from the first byte of a request to its last
 CALL_DEADLINE: Final = 10.0
-_FAULT_CODE: Final = 1  # the only one stock ROS uses
-
-_log = logging.getLogger(__name__)
 PeerT = TypeVar("PeerT")
-PeerT_co = TypeVar("PeerT_co", covariant=True)
-PeerT_contra = TypeVar("PeerT_contra", contravariant=True)
 
 
-class Stream(Protocol[PeerT_co]):
-    """What is used of `rossec.net.stream.SecureStream`."""
-
-    @property
-    def peer(self) -> PeerT_co:
-        """The authenticated identity at the other end."""
+class Stream(Protocol):
+    """What a client uses of `rossec.net.stream.SecureStream`."""
 
     async def send(self, *pieces: bytes) -> None:
         """Send one unit."""
@@ -43,21 +32,12 @@ class Stream(Protocol[PeerT_co]):
         """Close in order."""
 
 
-class Dispatch(Protocol[PeerT_contra]):
-    """Answers one call: returns the value, or raises `Fault`; `HangUp` ends the connection."""
-
-    def __call__(
-        self, method: str, params: tuple[object, ...], peer: PeerT_contra, /
-    ) -> Awaitable[object]:
-        """The value to answer with."""
-
-
 class CallFailed(RossecError):
     """A call got no answer: the connection ended or the deadline passed."""
 
 
 async def serve_calls(
-    stream: Stream[PeerT],
+    stream: ServedStream[PeerT],
     dispatch: Dispatch[PeerT],
     *,
     limit: int = xmlrpc.BODY_LIMIT,
@@ -66,85 +46,14 @@ async def serve_calls(
 ) -> None:
     """Answer the calls on `stream` until the peer closes it or breaks the protocol.
 
+    `dispatch` may return an awaitable; whatever else it returns is answered at once.
     `idle_deadline` is how long it may take from one answer to the next, reading it included.
     """
-    connection = _ServerLoop(
-        stream, dispatch, HttpServer(limit=limit), request_deadline, idle_deadline
-    )
+    calls = CallLoop(stream, dispatch, limit=limit, deadline=request_deadline, idle=idle_deadline)
     try:
-        await connection.run()
+        await calls.run()
     finally:
         await stream.close()
-
-
-class _ServerLoop(Generic[PeerT]):
-    """One connection being served."""
-
-    def __init__(
-        self,
-        stream: Stream[PeerT],
-        dispatch: Dispatch[PeerT],
-        http: HttpServer,
-        deadline: float,
-        idle: float | None,
-    ) -> None:
-        self._stream = stream
-        self._dispatch = dispatch
-        self._http = http
-        self._deadline = deadline
-        self._idle = idle
-
-    async def run(self) -> None:
-        now, set_at = asyncio.get_running_loop().time, 0.0
-        with contextlib.suppress(TimeoutError):
-            async with asyncio.timeout(self._idle) as idle:
-                while not self._http.closing and await self._serve_one():
-                    if self._idle is not None and now() > set_at + self._idle / 64:
-                        set_at = now()  # not for each call: a timer costs more than many a call
-                        idle.reschedule(set_at + self._idle)
-
-    async def _serve_one(self) -> bool:
-        """Answer one call; whether there may be another one."""
-        try:
-            body = await self._next_request()
-            response = await self._answer(body)
-        except HttpRefused as error:
-            await self._stream.send(self._http.refuse(error.status))
-            return False
-        except RossecError:  # closed by the peer: no answer
-            return False
-        await self._stream.send(self._http.respond(response))
-        return True
-
-    async def _next_request(self) -> bytes:
-        if (body := self._http.next_request()) is not None:
-            return body
-        self._http.feed(await self._stream.receive())
-        if (body := self._http.next_request()) is not None:  # nearly always
-            return body
-        async with asyncio.timeout(self._deadline):
-            while (body := self._http.next_request()) is None:
-                self._http.feed(await self._stream.receive())
-        return body
-
-    async def _answer(self, body: bytes) -> bytes:
-        try:
-            call = xmlrpc.load_call(body)
-            return xmlrpc.dump_response(await self._value(call))
-        except XmlRpcRefused as error:
-            return xmlrpc.dump_response(Fault(_FAULT_CODE, str(error)))
-
-    async def _value(self, call: xmlrpc.Call) -> object:
-        try:
-            return await self._dispatch(call.method, call.params, self._stream.peer)
-        except Fault as fault:
-            return fault
-        except HangUp:
-            raise
-        except Exception:  # noqa: BLE001
-            # A fault of ours must neither end the other calls nor tell the peer about our inside.
-            _log.exception("a call failed inside")
-            return Fault(_FAULT_CODE, "rossec: internal error")
 
 
 class RpcClient:
@@ -156,7 +65,7 @@ class RpcClient:
 
     def __init__(
         self,
-        stream: Stream[object],
+        stream: Stream,
         *,
         host: str = "rossec",
         deadline: float = CALL_DEADLINE,

@@ -6,7 +6,7 @@ as a stream of bytes that never breaks inside what was sent together.
 """
 
 import asyncio
-from collections.abc import Coroutine, Iterator, Sequence
+from collections.abc import Callable, Coroutine, Iterator, Sequence
 from contextlib import suppress
 from types import TracebackType
 from typing import Any, Final, Generic, Self
@@ -165,6 +165,45 @@ class SecureStream(Generic[PeerT]):
             driver.fail(error)
             raise
 
+    def send_at_once(self, unit: bytes) -> bool:
+        """Send a unit now, unless something is queued before it, or the peer lags.
+
+        Returns whether it did; if not, `send` it.
+
+        Raises:
+            ChannelError: the connection is at its end.
+            LimitExceeded: the unit is too long; the connection is untouched.
+        """
+        driver = self._driver
+        if self._queue or self._turn.locked() or not driver.transport.writable:
+            return False
+        if driver.error is not None:
+            raise driver.error
+        if len(unit) > self._small:
+            driver.connection.check_unit((unit,))
+        self._write_now(unit)
+        return True
+
+    def on_ready(self, callback: Callable[[], None] | None) -> None:
+        """Call back whenever `next_unit` has something new to say: instead of `receive`.
+
+        `callback` must not raise.
+        """
+        self._driver.on_ready = callback
+
+    @property
+    def has_unit(self) -> bool:
+        """Whether `next_unit` would return a unit."""
+        return self._driver.has_unit
+
+    def next_unit(self) -> bytes | None:
+        """Return the next unit, if it is there.
+
+        Raises:
+            ChannelError: as `receive`.
+        """
+        return self._driver.take()
+
     def receive(self) -> Coroutine[Any, Any, bytes]:
         """Return the next unit.
 
@@ -176,7 +215,7 @@ class SecureStream(Generic[PeerT]):
 
     async def wait_ended(self) -> None:
         """Return when the connection is at its end, whoever ended it; takes no unit."""
-        await self._driver.ended.wait()
+        await self._driver.wait_ended()
 
     def abort(self, reason: str) -> None:
         """Cut the connection at once, for example because the peer's right was revoked."""

@@ -63,7 +63,7 @@ class Transport:
         self._fd = sock.fileno()
         self._owner = owner
         self._loop = asyncio.get_running_loop()
-        self._pending: deque[memoryview] = deque()
+        self._pending: deque[memoryview] | None = None  # None: an empty one has its price
         self.backlog = 0
         self.closed = False
         self._closing = self._eof_due = self._reading = False
@@ -121,11 +121,12 @@ class Transport:
         if self.closed:
             return
         sent = 0
-        if not self._pending:
+        if self._pending is None:
             sent = self._send(data)
             if sent == len(data) or self.closed:
                 return
             self._loop.add_writer(self._fd, self._flush)
+            self._pending = deque()
         self._pending.append(memoryview(bytes(memoryview(data)[sent:])))
         self.backlog += len(data) - sent
 
@@ -149,6 +150,7 @@ class Transport:
                 pending[0] = pending[0][sent:]
                 return
             pending.popleft()
+        self._pending = None
         self._loop.remove_writer(self._fd)
         if self._eof_due:
             self._shut()
@@ -184,7 +186,7 @@ class Transport:
         self.pause_reading()
         if self._pending:
             self._loop.remove_writer(self._fd)
-            self._pending.clear()
+            self._pending = None
             self.backlog = 0
         self._socket.close()
         self._loop.call_soon(self._owner.lost)

@@ -9,6 +9,7 @@ hold this module against one.
 """
 
 import re
+from functools import lru_cache
 from typing import Final, NamedTuple
 
 from rossec.errors import HttpRefused
@@ -22,6 +23,7 @@ _REASONS: Final = {
     413: b"Content Too Large",
     431: b"Request Header Fields Too Large",
 }
+_REMEMBERED: Final = 512  # bytes of a head worth remembering what it says
 _END: Final = b"\r\n\r\n"
 _TOKEN: Final = rb"[!#$%&'*+.^_`|~0-9A-Za-z-]+"
 _REQUEST: Final = re.compile(rb"(%s) ([\x21-\x7e]+) HTTP/1\.([01])" % _TOKEN)
@@ -157,17 +159,33 @@ class HttpServer:
         return _message(b"HTTP/1.1 %d %s" % (status, _REASONS[status]), b"", close=True)
 
     def _begin(self, data: bytes) -> None:
-        line, _, rest = data.partition(b"\r\n")
-        request = _REQUEST.fullmatch(line)
-        if request is None:
-            raise HttpRefused("malformed HTTP")
-        if request[1] != b"POST":
-            raise HttpRefused("an HTTP request that is not POST", status=405)
-        head = _Head(request[3], _fields(rest))
-        if head.minor == b"1" and b"host" not in head.fields:
-            raise HttpRefused("malformed HTTP")
-        self._reader.expect(data, _length(head.fields))
+        head = _request_head(data) if len(data) > _REMEMBERED else _request_head_again(data)
+        self._reader.expect(data, head.length)
         self._last = head.closes
+
+
+class _RequestHead(NamedTuple):
+    """What the head of a request says."""
+
+    length: int
+    closes: bool
+
+
+def _request_head(data: bytes) -> _RequestHead:
+    line, _, rest = data.partition(b"\r\n")
+    request = _REQUEST.fullmatch(line)
+    if request is None:
+        raise HttpRefused("malformed HTTP")
+    if request[1] != b"POST":
+        raise HttpRefused("an HTTP request that is not POST", status=405)
+    head = _Head(request[3], _fields(rest))
+    if head.minor == b"1" and b"host" not in head.fields:
+        raise HttpRefused("malformed HTTP")
+    return _RequestHead(_length(head.fields), head.closes)
+
+
+_request_head_again = lru_cache(256)(_request_head)
+"""One client's heads are the same bytes again and again; what was refused is judged anew."""
 
 
 class HttpClient:

@@ -20,6 +20,8 @@ def canonical(name: str) -> str:
     """`name` without doubled and trailing slashes; a leading one stays."""
     if not name or name == SEPARATOR:
         return name
+    if name[-1] != SEPARATOR and "//" not in name:  # nearly always
+        return name
     lead = SEPARATOR if name.startswith(SEPARATOR) else ""
     return lead + SEPARATOR.join(part for part in name.split(SEPARATOR) if part)
 

@@ -12,6 +12,7 @@ from typing import Final, NamedTuple, NoReturn
 from xml.parsers import expat
 
 from rossec.errors import AnswerMalformed, AnswerRefused, XmlRpcRefused
+from rossec.ros import xmlwrite
 from rossec.ros.text import printable
 from rossec.ros.xmlscan import Body, scan
 
@@ -23,6 +24,7 @@ DEPTH_LIMIT: Final = 40  # nested arrays and structs; stock parameter trees stay
 _TAGS_PER_LEVEL: Final = 3  # value, array, data; or value, struct, member
 _TAGS_AROUND: Final = 6
 _METHOD_LIMIT: Final = 256
+_UNCARRIABLE: Final = (TypeError, OverflowError, ValueError, RecursionError)
 
 
 class Call(NamedTuple):
@@ -44,7 +46,10 @@ def dump_call(method: str, params: Sequence[object]) -> bytes:
     Raises:
         XmlRpcRefused: a parameter cannot be carried (None, an integer beyond 32 bits, ...).
     """
-    return _dump(tuple(params), method=method)
+    try:
+        return xmlwrite.call(method, params).encode()
+    except _UNCARRIABLE as error:
+        raise XmlRpcRefused(f"a value that XML-RPC cannot carry: {error}") from error
 
 
 def dump_response(value: object) -> bytes:
@@ -55,9 +60,12 @@ def dump_response(value: object) -> bytes:
     """
     if isinstance(value, Encoded):
         return value.body
-    if isinstance(value, Fault):
-        return _dump(value)
-    return _dump((value,), response=True)
+    try:
+        if isinstance(value, Fault):
+            return xmlrpc.client.dumps(value).encode()
+        return xmlwrite.response(value).encode()
+    except _UNCARRIABLE as error:
+        raise XmlRpcRefused(f"a value that XML-RPC cannot carry: {error}") from error
 
 
 def load_call(data: bytes, *, limit: int = BODY_LIMIT) -> Call:
@@ -113,16 +121,6 @@ def value_of(answer: object) -> object:
     if code != 1:
         raise AnswerRefused(printable(status) or "refused without a reason", code=code)
     return value
-
-
-def _dump(
-    params: "tuple[object, ...] | Fault", method: str | None = None, response: bool | None = None
-) -> bytes:
-    try:
-        text = xmlrpc.client.dumps(params, method, response)  # type: ignore[arg-type]
-        return text.encode()
-    except (TypeError, OverflowError, ValueError, RecursionError) as error:
-        raise XmlRpcRefused(f"a value that XML-RPC cannot carry: {error}") from error
 
 
 def _check_size(data: bytes, limit: int) -> None:

@@ -16,6 +16,15 @@ _PROLOG: Final = re.compile(
 )
 # The text excludes what XML gives a meaning ('<', '&', ']]>') and what it does not allow.
 _TOKEN: Final = re.compile(r"<(/?[A-Za-z0-9]+)>([\t\n\r\x20-\x25\x27-\x3b\x3d-\x5c\x5e-\x7e]*)")
+_TEXT: Final = r"[\t\n\x20-\x25\x27-\x3b\x3d-\x5c\x5e-\x7e]*"
+# A call as rospy and roscpp send nearly all of theirs: parameters without parts.
+_FLAT: Final = re.compile(
+    rf"(?:<\?xml version=(['\"])1\.0\1\?>[ \t\n]*)?<methodCall>[ \t\n]*"
+    rf"<methodName>({_TEXT})</methodName>[ \t\n]*<params>[ \t\n]*"
+    rf"((?:<param>[ \t\n]*<value>(?:<(string|int|i4|boolean|double)>{_TEXT}</\4>|{_TEXT})</value>"
+    rf"[ \t\n]*</param>[ \t\n]*)*)</params>[ \t\n]*</methodCall>[ \t\n]*"
+)
+_FLAT_VALUE: Final = re.compile(rf"<value>(?:<([a-z0-9]+)>)?({_TEXT})<")
 _INT: Final = re.compile(r"-?[0-9]{1,18}")
 _TRUTH: Final = {"0": False, "1": True}
 
@@ -38,6 +47,10 @@ def scan(data: bytes, depth: int) -> Body | None:
     """What the body `data` says; None when it is not plain, or nested deeper than `depth`."""
     try:
         text = data.decode("ascii")
+        flat = _FLAT.fullmatch(text)
+        if flat is not None:
+            values = tuple([_SCALARS[kind](part) for kind, part in _FLAT_VALUE.findall(flat[3])])
+            return Body(values, flat[2], "methodCall")
         prolog = _PROLOG.match(text)
         begin = 0 if prolog is None else prolog.end()
         pairs = _TOKEN.findall(text, begin)
@@ -156,6 +169,7 @@ def _boolean(text: str) -> bool:
 
 
 _SCALARS: Final[dict[str, Callable[[str], object]]] = {
+    "": _string,
     "string": _string,
     "int": _int,
     "i4": _int,

@@ -6,6 +6,7 @@ Its buffer is small until a program fills it: fifty quiet nodes must not cost fi
 
 import asyncio
 import socket
+from collections.abc import Callable
 from typing import Final
 
 from rossec.channel.records import Bytes
@@ -27,6 +28,7 @@ class PlainStream:
         self._end = 0
         self._ended = False
         self._waiting: asyncio.Future[None] | None = None
+        self._callback: Callable[[], None] | None = None
         self._drained = asyncio.Event()
         self._lost = asyncio.Event()
         self._transport = Transport(sock, self)
@@ -90,6 +92,43 @@ class PlainStream:
         if full and not self._ended:
             self._transport.resume_reading()
 
+    def on_ready(self, callback: Callable[[], None] | None) -> None:
+        """Whom to call whenever `next_unit` has something new to say, as of `SecureStream`."""
+        self._callback = callback
+
+    @property
+    def has_unit(self) -> bool:
+        """Whether `next_unit` would return something."""
+        return self._end > 0
+
+    def next_unit(self) -> bytes | None:
+        """What has arrived, copied; None: nothing yet.
+
+        Raises:
+            ChannelClosed: the program sends nothing more.
+        """
+        if self._end == 0:
+            if self._ended:
+                raise ChannelClosed("the program closed the connection")
+            return None
+        view = self._buffer[: self._end]
+        data = bytes(view)
+        self.taken(view)
+        return data
+
+    def send_at_once(self, unit: bytes) -> bool:
+        """Send, unless the program lags; whether it did.
+
+        Raises:
+            ChannelClosed: the connection is closed.
+        """
+        if self._transport.closed:
+            raise ChannelClosed("the program closed the connection")
+        writable = self._transport.writable
+        if writable:
+            self._transport.write(unit)
+        return writable
+
     async def receive(self) -> bytes:
         """The next bytes, copied.
 
@@ -134,3 +173,5 @@ class PlainStream:
     def _wake(self) -> None:
         if self._waiting is not None and not self._waiting.done():
             self._waiting.set_result(None)
+        if self._callback is not None:
+            self._callback()

@@ -11,9 +11,9 @@ from ca.errors import Revoked
 from ca.intermediates import build_intermediate_request
 from ca.keys import generate
 from ca.signer import KeySigner
-from rossec.authority import OpenAuthority
 from rossec.errors import ChannelError
 from rossec.succession import sign_intermediate
+from rossec.unlocked import OpenAuthority
 from tests.support.attacker import EVE, call, expect_refused, fields_for, knock, revoke, signed
 from tests.support.site import Site
 from tests.support.witness import POSE, TOPIC, Witness, until

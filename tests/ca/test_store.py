@@ -151,7 +151,7 @@ def test_the_newest_live_certificate(store: Store) -> None:
 
 def test_living_keys_are_neither_expired_nor_revoked(store: Store) -> None:
     store.add_certificate(certificate(), NOW)
-    store.add_certificate(certificate(2, key=OTHER), NOW, replace_key="/a")
+    store.add_certificate(certificate(2, key=OTHER), NOW, renews=KEY)
     store.add_certificate(certificate(3, "/b", b"b" * 32), NOW)
     assert store.live_keys("/a", NOW) == {KEY, OTHER}
     store.revoke(OTHER, "lost", NOW)
@@ -334,3 +334,18 @@ def test_the_name_an_anonymous_node_is_certified_under(store: Store) -> None:
     assert store.certified("/rviz_1", NOW + DAY + 1) == "/rviz_1"
     store.revoke(KEY, "lost", NOW)
     assert store.certified("/rviz_1", NOW) == "/rviz_1"
+
+
+def test_the_key_that_is_replaced_is_revoked_in_the_same_step(store: Store) -> None:
+    store.add_certificate(certificate(1), NOW)
+    store.add_certificate(certificate(2, key=OTHER), NOW, replace_key="/a")
+    assert store.revoked_entries() == {certificate(1).thumbprint}
+    assert store.live_keys("/a", NOW) == {certificate(2, key=OTHER).thumbprint}
+
+
+def test_a_list_is_behind_what_was_revoked_since(store: Store) -> None:
+    assert not store.is_list_behind()
+    store.revoke(KEY, "lost", NOW)
+    assert store.is_list_behind()
+    store.save_list((1, 1), b"signed", NOW)
+    assert not store.is_list_behind()

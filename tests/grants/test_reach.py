@@ -23,6 +23,14 @@ def test_it_agrees_with_the_permissions(held: list[Permission], right: Right, na
     assert Reach(held).covers(right, name) == expected
 
 
+@given(st.lists(permissions, max_size=4), st.integers(0, int(ALL_RIGHTS)).map(Right), names)
+def test_any_of_some_rights(held: list[Permission], rights: Right, name: str) -> None:
+    reach = Reach(held)
+    expected = any(reach.covers(right, name) for right in Right if right in rights)
+    assert reach.covers_any(rights, name) == expected
+    assert reach.covers_any(rights, name) == expected  # what was worked out is remembered
+
+
 @pytest.mark.parametrize(("pattern", "name"), COVERED)
 def test_covered(pattern: str, name: str) -> None:
     assert Reach([Permission(pattern, Right.PUBLISH)]).covers(Right.PUBLISH, name)

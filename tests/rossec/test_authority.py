@@ -9,10 +9,11 @@ from ca.revocationtree import Listing, is_tree, open_tree
 from grants import document
 from grants.model import Draft, Permission, Right
 from grants.renewal import open_delegation
-from rossec.authority import OWN_NODE, AuthorityHome, fingerprint
+from rossec.authority import AuthorityHome, fingerprint
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
 from rossec.node.slave import MASTER
+from rossec.unlocked import OWN_NODE
 
 NOW = 1_800_000_000
 PASSPHRASE = "four random words here"
@@ -97,6 +98,15 @@ def test_the_names_nobody_may_share_are_the_masters_and_its_own() -> None:
     assert {MASTER, OWN_NODE} == RESERVED
 
 
+def test_a_list_that_was_not_signed_for_a_revocation_is_signed_next(home: AuthorityHome) -> None:
+    unlocked = home.unlock(PASSPHRASE)
+    unlocked.store.revoke(b"d" * 32, "then it was killed", NOW)
+    with pytest.raises(ConfigurationError, match="no living identity") as caught:
+        unlocked.revoke_identity("/robot7", "again", NOW)
+    assert "rossec ca publish" in caught.value.hint
+    assert b"d" * 32 in open_list(home.revocation_list(), home.own_key()).entries
+
+
 def test_a_revoked_grant_leaves_the_list_when_nothing_can_bring_it_back(
     tmp_path: Path,
 ) -> None:
@@ -135,7 +145,7 @@ def test_too_many_revocations_become_a_tree(
     with pytest.raises(ConfigurationError, match="the entries of the tree are missing"):
         home.entries()
     opened = home.unlock(PASSPHRASE)
-    monkeypatch.setattr("rossec.authority.MAX_ENTRIES", 1)
+    monkeypatch.setattr("rossec.unlocked.MAX_ENTRIES", 1)
     assert not is_tree(opened_list(opened.revoke(bytes(32), "", NOW), home))
     listed = opened.revoke(bytes(16), "", NOW)
     tree = open_tree(opened_list(listed, home), home.anchor().public_key)

@@ -58,7 +58,10 @@ def test_a_new_epoch_beats_what_was_signed_since(home: AuthorityHome, tmp_path: 
     before = home.unlock(PASSPHRASE).sign_list(NOW)
     restored = restore(tmp_path / "new", data, PASSPHRASE, NOW).home
     after = open_list(restored.revocation_list(), home.own_key())
-    assert after.number == (before.epoch + 1, 1)
+    assert after.number == (NOW, 1)
+    assert after.number > before.number
+    again = restore(tmp_path / "other", data, PASSPHRASE, NOW + 1).home
+    assert open_list(again.revocation_list(), home.own_key()).number > after.number
 
 
 def test_revocations_since_then_come_back_from_a_list(home: AuthorityHome, tmp_path: Path) -> None:
@@ -101,6 +104,8 @@ def test_nothing_is_overwritten_unless_it_is_said(home: AuthorityHome) -> None:
     assert content(home) == before
     restore(root, data, PASSPHRASE, NOW, over="home")
     assert (root / f"ca.replaced.{NOW}" / "ca.key").read_bytes() == before["ca.key"]
+    restore(root, data, PASSPHRASE, NOW, over="home", forget=2)  # in the same second
+    assert (root / f"ca.replaced.{NOW + 1}").exists()
 
 
 def test_an_older_state_is_refused_unless_it_is_said(home: AuthorityHome) -> None:
@@ -162,3 +167,21 @@ def test_at_the_command_line(shell: Shell, tmp_path: Path) -> None:
     assert empty.code == 0
     assert "taken over" not in empty.out
     assert shell("ca", "log", "verify").code == 0
+
+
+def test_a_home_below_a_directory_called_grants(authority: Path, tmp_path: Path) -> None:
+    home = AuthorityHome(tmp_path / "grants" / "ca")
+    shutil.copytree(authority, home.path)
+    done = restore(tmp_path / "new", back_up(home, PASSPHRASE), PASSPHRASE, NOW)
+    assert content(done.home) == content(home)
+
+
+@pytest.mark.parametrize("lost", ["ca.db", "ca.pem"])
+def test_what_is_damaged_is_moved_away_by_hand(home: AuthorityHome, lost: str) -> None:
+    data = back_up(home, PASSPHRASE)
+    (home.path / lost).unlink()
+    with pytest.raises(BackupRefused, match="is no whole authority") as caught:
+        restore(home.path.parent, data, PASSPHRASE, NOW, over="home")
+    assert "move that directory away" in caught.value.hint
+    home.path.rename(home.path.with_name("damaged"))
+    assert restore(home.path.parent, data, PASSPHRASE, NOW).home.domain == "home"

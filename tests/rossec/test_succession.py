@@ -11,7 +11,7 @@ from ca.keys import generate
 from ca.renewal import sign_renewal
 from ca.signer import KeySigner
 from ca.store import Store
-from rossec.authority import OWN_LIFETIME, OWN_NODE, AuthorityHome, OpenAuthority
+from rossec.authority import OWN_LIFETIME, AuthorityHome
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
 from rossec.succession import (
@@ -22,6 +22,7 @@ from rossec.succession import (
     renew_own,
     sign_intermediate,
 )
+from rossec.unlocked import OWN_NODE, OpenAuthority
 from tests.support.site import Site
 
 NOW, DAY = 1_800_000_000, 86_400

@@ -23,8 +23,8 @@ from ca.lifecycle import DAY, State
 from ca.renewal import sign_renewal
 from ca.signer import KeySigner
 from ca.store import Store
-from rossec.authority import OpenAuthority
 from rossec.succession import renew
+from rossec.unlocked import OpenAuthority
 from tests.support.killing import run_killed
 from tests.support.oldstore import write_version_1
 

@@ -14,7 +14,6 @@ from ca.signer import KeySigner
 from ca.store import Store
 from grants import document
 from grants.model import Draft, Permission, Restriction, Right, filter_rules
-from rossec.authority import OpenAuthority
 from rossec.channel.policy import post_quantum
 from rossec.home import NodeHome
 from rossec.master.complaints import Complain, unheard
@@ -25,6 +24,7 @@ from rossec.node import Node
 from rossec.node.slave import MASTER
 from rossec.ros.settings import parse_uri
 from rossec.succession import renew
+from rossec.unlocked import OpenAuthority
 
 HOUR = 3600
 DAY = 86400

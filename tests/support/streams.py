@@ -1,6 +1,7 @@
 """Two ends of an in-memory secure stream: units go in at one end and come out at the other."""
 
 import asyncio
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -19,12 +20,42 @@ class MemoryStream:
     inbox: "asyncio.Queue[bytes | None]" = field(default_factory=asyncio.Queue)
     other: "MemoryStream | None" = None
     closed: bool = False
+    lagging: bool = False
+    callback: Callable[[], None] | None = None
 
-    async def send(self, *pieces: bytes) -> None:
+    def on_ready(self, callback: Callable[[], None] | None) -> None:
+        self.callback = callback
+
+    @property
+    def has_unit(self) -> bool:
+        return not self.inbox.empty()
+
+    def next_unit(self) -> bytes | None:
+        unit = (
+            b"" if self.closed else None if self.inbox.empty() else self.inbox.get_nowait() or b""
+        )
+        if unit == b"":
+            raise MemoryClosed("closed")
+        return unit
+
+    def send_at_once(self, unit: bytes) -> bool:
+        if not self.lagging:
+            self.put(unit)
+        return not self.lagging
+
+    def put(self, unit: bytes) -> None:
         assert self.other is not None
         if self.closed or self.other.closed:
             raise MemoryClosed("closed")
-        self.other.inbox.put_nowait(b"".join(pieces))
+        self.other.arrive(unit)
+
+    def arrive(self, unit: bytes | None) -> None:
+        self.inbox.put_nowait(unit)
+        if self.callback is not None:
+            self.callback()
+
+    async def send(self, *pieces: bytes) -> None:
+        self.put(b"".join(pieces))
 
     async def receive(self) -> bytes:
         unit = None if self.closed else await self.inbox.get()
@@ -36,8 +67,8 @@ class MemoryStream:
     def abort(self, reason: str = "") -> None:
         assert self.other is not None
         self.closed = True
-        self.inbox.put_nowait(None)
-        self.other.inbox.put_nowait(None)
+        self.arrive(None)
+        self.other.arrive(None)
 
     async def close(self) -> None:
         if not self.closed:

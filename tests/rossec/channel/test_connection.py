@@ -437,8 +437,11 @@ def test_a_forged_record_ends_the_connection_for_ever() -> None:
 
 def test_secrets_do_not_appear_in_representations() -> None:
     w: Wire = joined()
-    side = w.left.core._negotiation._side
-    assert repr(side.exporter) == "Exporter(...)"
+    session = w.left.core._session
+    assert session is not None
+    assert repr(session._epochs._exporter) == "Exporter(...)"
+    with pytest.raises(HandshakeFailed):  # an open connection needs it no more
+        _ = w.left.core._negotiation._side.exporter
 
 
 def test_the_short_way_for_small_units() -> None:

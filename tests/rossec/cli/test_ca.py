@@ -236,3 +236,14 @@ def test_an_anonymous_node_goes_with_its_identity(shell: Shell) -> None:
     shell.unlocked("ca", "sign", request, "--yes", "--anonymous")
     revoke = ("ca", "revoke", "/rviz_17", "--master", "http://127.0.0.1:1")
     refused(shell.unlocked(*revoke), "/rviz_17 has no living", "nodes of /rviz: revoking that ends")
+
+
+def test_a_link_beside_a_request_is_not_followed(shell: Shell, tmp_path: Path) -> None:
+    shell("node", "request", "/robot")
+    request, target = tmp_path / "node.csr", tmp_path / "target"
+    request.write_bytes((shell.node("/robot") / "node.csr").read_bytes())
+    target.write_bytes(b"precious")
+    (tmp_path / "node.pem").symlink_to(target)
+    assert shell.unlocked("ca", "sign", str(request), "--yes").code == 0
+    assert target.read_bytes() == b"precious"
+    assert not (tmp_path / "node.pem").is_symlink()

@@ -123,6 +123,16 @@ def test_another_key_for_a_known_name(shell: Shell) -> None:
     assert len(robot.trusted) == 1
 
 
+def test_a_replaced_key_is_not_forgotten_when_the_node_refuses(shell: Shell) -> None:
+    with WaitingRobot(Robot()) as robot:
+        assert enroll(shell, robot).code == 0
+    with WaitingRobot(Robot(), person=lambda _: "no digits") as robot:
+        said = enroll(shell, robot, "--replace-key", "/robot1/camera")
+    assert said.code == 1
+    assert "deliver it with: rossec ca publish\nrossec: error: the node has ended the" in said.err
+    assert len(AuthorityHome.at(shell.root).store().revoked_entries()) == 1
+
+
 def test_anonymous_nodes(shell: Shell) -> None:
     with WaitingRobot(Robot("/rviz", wildcard=True)) as robot:
         refused(enroll(shell, robot), "all names that begin with /rviz_", "--anonymous")

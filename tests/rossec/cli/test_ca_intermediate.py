@@ -106,3 +106,11 @@ def test_only_what_fits_is_installed(
     assert home.unlock(PASSPHRASE).authority.may_enroll
     with pytest.raises(CertificateRefused):
         home.anchor().read_intermediate(home.anchor().certificate)
+
+
+def test_a_host_signs_no_grants(shell: Shell, host: Shell) -> None:
+    installed(shell, host)
+    host.enroll("/robot")
+    said = host.unlocked("grant", "sign", "/robot", "--subscribe", "/a", "--for", "1d")
+    refused(said, "an intermediate cannot sign grants", "do it there")
+    assert AuthorityHome.at(host.root).store().grants() == []

@@ -71,3 +71,9 @@ def test_what_cannot_be_proved(shell: Shell) -> None:
     refused(shell(*prove, "--entry", "99"), "there is no leaf 99 in a tree of")
     (shell.root / "none").write_bytes(b"nothing")
     refused(shell(*prove, "--since", str(shell.root / "none")), "this is no signed head")
+
+
+def test_nothing_was_signed_yet(shell: Shell) -> None:
+    with closing(sqlite3.connect(shell.root / "ca" / "ca.db")) as db:
+        db.executescript("DROP TRIGGER head_no_DELETE; DELETE FROM head")
+    refused(shell("ca", "log", "prove", "--entry", "0"), "no state of the log", "ca log head")

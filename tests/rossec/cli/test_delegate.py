@@ -66,7 +66,7 @@ def test_nothing_to_withdraw_and_too_long(site: Shell) -> None:
 async def test_a_tree_is_delivered_with_its_entries(
     site: Shell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("rossec.authority.MAX_ENTRIES", 0)
+    monkeypatch.setattr("rossec.unlocked.MAX_ENTRIES", 0)
     home = NodeHome.of(site.root, "/master")
     server = master_of(home, host="127.0.0.1", port=0, newest=None, now=int(time.time()))
     await server.start()
@@ -83,7 +83,7 @@ async def test_a_tree_is_delivered_with_its_entries(
 def test_a_master_begins_with_the_tree_it_had(
     site: Shell, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setattr("rossec.authority.MAX_ENTRIES", 0)
+    monkeypatch.setattr("rossec.unlocked.MAX_ENTRIES", 0)
     site.enroll("/robot")
     site.unlocked("ca", "revoke", "/robot", *NOBODY)
     home, authority = NodeHome.of(site.root, "/master"), AuthorityHome.at(site.root)

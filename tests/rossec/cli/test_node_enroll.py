@@ -2,10 +2,12 @@ import asyncio
 import os
 import re
 import secrets
+import signal
 import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 import pytest
 
@@ -165,12 +167,33 @@ def keyboard(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
     os.close(written)
 
 
+@contextmanager
+def typist(keyboard: int, answer: str) -> Iterator[Callable[..., None]]:
+    """Gives what makes a person answer, again and again: what comes before a question is lost."""
+    asked, ended = threading.Event(), threading.Event()
+
+    def types() -> None:
+        asked.wait()
+        while not ended.wait(0.05):
+            os.write(keyboard, answer.encode())
+
+    person = threading.Thread(target=types)
+    person.start()
+    try:
+        yield lambda *_: asked.set()
+    finally:
+        ended.set()
+        asked.set()
+        person.join()
+
+
 @pytest.mark.parametrize(("answer", "code"), [("y\n", 0), ("n\n", 1), ("\n", 1)])
 def test_the_person_at_the_terminal(empty: Shell, keyboard: int, answer: str, code: int) -> None:
-    operator = Operator(empty, lambda *_: os.write(keyboard, answer.encode()))
-    operator.start()
-    said = empty(*operator.words)
-    operator.join()
+    with typist(keyboard, answer) as begins:
+        operator = Operator(empty, begins)
+        operator.start()
+        said = empty(*operator.words)
+        operator.join()
     assert said.code == code, said.err
     assert "does the authority show the same digits? [y/N]: " in said.err
     assert re.search(r"[45]:[0-9]{2} left ", said.err)
@@ -330,3 +353,24 @@ def test_a_request_of_another_key(empty: Shell) -> None:
     request = (empty.node("/door") / "node.csr").read_bytes()
     (empty.node("/robot") / "node.csr").write_bytes(request)
     refused(empty("node", "labels", "/robot", "--out", str(empty.root / "x")), "for another key")
+
+
+def test_what_was_typed_before_the_digits_confirms_nothing(empty: Shell, keyboard: int) -> None:
+    os.write(keyboard, b"y\n")
+    with typist(keyboard, "n\n") as begins:
+        operator = Operator(empty, begins)
+        operator.start()
+        said = empty(*operator.words)
+        operator.join()
+    assert "rossec: error: the digits were not confirmed" in said.err
+    assert not (operator.node / "ca.pem").exists()
+
+
+@pytest.mark.parametrize("label", [False, True])
+def test_a_picture_with_a_secret_is_for_the_owner_alone(empty: Shell, label: bool) -> None:
+    picture = empty.root / "code.png"
+    words = ("node", "enroll", "/robot", "--address", "127.0.0.1", "--png", str(picture))
+    stopper = after(lambda: os.kill(os.getpid(), signal.SIGTERM), picture.exists)
+    refused(empty(*words, *["--label", "--port", "0"] * label), "the enrollment was stopped")
+    stopper.join()
+    assert picture.stat().st_mode & 0o777 == (0o644 if label else 0o600)

@@ -285,3 +285,16 @@ async def test_who_is_gone_before_being_seen() -> None:
         stage.node._accept(asyncio.StreamReader(), Gone())  # type: ignore[arg-type]  # a writer
         assert Gone.transport.aborted
         assert server.is_serving()
+
+
+async def test_who_asks_and_does_not_read_is_not_written_to_for_ever() -> None:
+    async with waiting(patience=0.5) as stage:
+        caller = await stage.caller()
+        caller.writer.transport.pause_reading()  # type: ignore[attr-defined]
+        many = frame(write(Fetch())) * 1000
+        with suppress(ConnectionError):
+            async with asyncio.timeout(60):
+                while True:
+                    caller.writer.write(many)
+                    await caller.writer.drain()
+        assert stage.core.state is State.SHOWING

@@ -29,6 +29,9 @@ class FakeAccess:
                 return True
         return False
 
+    def covers_any(self, rights: Right, name: str) -> bool:
+        return any(self.covers(right, name) for right in Right if right in rights)
+
 
 def caller(name: str, rights: Mapping[str, Right] | None = None) -> Caller:
     return Caller(name, name.encode(), FakeAccess(rights or {}))

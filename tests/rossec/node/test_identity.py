@@ -12,7 +12,6 @@ from ca.intermediates import build_intermediate_request
 from ca.keys import generate
 from ca.signer import KeySigner
 from ca.store import Store
-from rossec.authority import OpenAuthority
 from rossec.channel.credentials import LiveCredentials
 from rossec.errors import AnswerMalformed, AnswerRefused
 from rossec.home import NodeHome
@@ -24,6 +23,7 @@ from rossec.node.identity import (
     renew_identity_blocking,
 )
 from rossec.succession import renew, sign_intermediate
+from rossec.unlocked import OpenAuthority
 from tests.rossec.node.test_node import POSE, first, pose, until
 from tests.support.site import DAY, Site
 

@@ -89,7 +89,7 @@ def test_a_link_lives_as_long_without_a_proof_as_without_news(held: Revocations)
 @pytest.fixture
 async def site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[Site]:
     """A site whose authority signs trees, as from the 4097th revocation on."""
-    monkeypatch.setattr("rossec.authority.MAX_ENTRIES", 0)
+    monkeypatch.setattr("rossec.unlocked.MAX_ENTRIES", 0)
     site = Site(tmp_path / "site")
     site.revoke(bytes(32))
     async with site.running():
