@@ -13,6 +13,7 @@ import socket
 import statistics
 import subprocess
 import tempfile
+import time
 from collections import defaultdict
 from collections.abc import AsyncIterator
 from pathlib import Path
@@ -119,12 +120,20 @@ socket = r:TCP_NODELAY=1
 """
 
 
+def _cpu(pid: int) -> float:
+    return time.clock_gettime(~pid << 3 | 2)  # clock_getcpuclockid(3), which Python does not have
+
+
 class Pair:
     """A publisher and its subscribers, of one kind."""
 
     def __init__(self, publisher: Program, subscribers: list[Program]) -> None:
         self.publisher = publisher
         self.subscribers = subscribers
+
+    def cpu(self) -> float:
+        """Seconds of processor time that all its programs have used."""
+        return sum(_cpu(p.process.pid) for p in (self.publisher, *self.subscribers))
 
     async def burst(self, kind: str, size: int, count: int) -> float:
         """Seconds from the first message published to the last one received."""
@@ -254,6 +263,7 @@ async def pairs(folder: Path) -> AsyncIterator[tuple[dict[str, Pair], dict[str, 
 async def _sample(folder: Path, seconds: float) -> dict[str, Any]:
     times: dict[tuple[str, str], list[float]] = defaultdict(list)
     delays: dict[str, list[float]] = defaultdict(list)
+    work: dict[tuple[str, str], list[float]] = defaultdict(list)
     async with pairs(folder) as (made, fans):
         loop = asyncio.get_running_loop()
         end, rounds = loop.time() + seconds, 0
@@ -263,19 +273,24 @@ async def _sample(folder: Path, seconds: float) -> dict[str, Any]:
                     kind, length = ("image", IMAGE) if size == "image" else ("text", int(size))
                     if rounds == 0:
                         await made[mode].burst(kind, length, max(1, count // 4))  # warm
+                    before = made[mode].cpu()
                     times[size, mode].append(await made[mode].burst(kind, length, count))
+                    work[size, mode].append(made[mode].cpu() - before)
             for mode in ("stock", "rossec"):
+                before = fans[mode].cpu()
                 times["fanout", mode].append(await fans[mode].burst("pose", 0, FANOUT))
+                work["fanout", mode].append(fans[mode].cpu() - before)
                 delays[mode] += await made[mode].delays()
             rounds += 1
-    return _figures(times, delays)
+    return _figures(times, work, delays)
 
 
-def _figures(
-    times: dict[tuple[str, str], list[float]], delays: dict[str, list[float]]
-) -> dict[str, Any]:
-    def ratio(size: str, other: str) -> float:
-        pairs = zip(times[size, other], times[size, "rossec"], strict=True)
+Samples = dict[tuple[str, str], list[float]]
+
+
+def _figures(times: Samples, work: Samples, delays: dict[str, list[float]]) -> dict[str, Any]:
+    def ratio(size: str, other: str, samples: Samples = times) -> float:
+        pairs = zip(samples[size, other], samples[size, "rossec"], strict=True)
         return round(statistics.median(theirs / ours for theirs, ours in pairs), 3)
 
     def rate(size: str, mode: str) -> float:
@@ -288,6 +303,7 @@ def _figures(
         "throughput_vs_stock": {size: ratio(size, "stock") for size in SIZES},
         "throughput_vs_stunnel": {size: ratio(size, "stunnel") for size in SIZES},
         "fanout10_vs_stock": ratio("fanout", "stock"),
+        "cpu_vs_stock": {size: ratio(size, "stock", work) for size in (*SIZES, "fanout")},
         "latency_added_us_p50": round(percentile("rossec", 50) - percentile("stock", 50), 1),
         "latency_added_us_p99": round(percentile("rossec", 99) - percentile("stock", 99), 1),
         "latency_stock_us_p50": round(percentile("stock", 50), 1),

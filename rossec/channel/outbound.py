@@ -144,6 +144,11 @@ class Outbound(Generic[PeerT]):
         out, self._out = self._out, []
         return out[0] if len(out) == 1 else b"".join(out)
 
+    def put_back(self, rest: Bytes) -> None:
+        """What could not be written yet goes first."""
+        if rest:
+            self._out.insert(0, rest)
+
     def close(self) -> None:
         """Queue the authenticated close; what the peer still sends is thrown away."""
         if self.state in SENDING:

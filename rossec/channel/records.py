@@ -7,10 +7,12 @@ no window: whatever is replayed, reordered or left out fails the tag. When to se
 what to do about a failure, is the connection's business.
 """
 
+from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from io import BytesIO
+from io import SEEK_END, BytesIO
+from sys import getrefcount
 from typing import Final, TypeAlias
 
 from cryptography.exceptions import InvalidTag
@@ -26,6 +28,8 @@ TAG: Final = 16
 MAX_PLAINTEXT: Final = 256 * 1024  # the measured optimum, and the bound on what waits for its tag
 _JOIN_BELOW: Final = 16 * 1024
 _INTO_FROM: Final = 4 * 1024  # from here on encrypting in place beats one more copy
+_KEEP: Final = 16 * 1024 * 1024  # memory of larger units is given back at once
+_ITS_OWN: Final = 2  # references: the buffer's, and the argument of the question
 
 _RECORD_AEADS: Final = (AESGCM, ChaCha20Poly1305)
 
@@ -221,14 +225,16 @@ class UnitAssembly:
     """The unit being received, handed out only when its last record has verified.
 
     `BytesIO` because it gives a writable view to decrypt into, and then the very same memory as
-    `bytes`, without a copy. It grows only as authenticated bytes arrive.
+    `bytes`, without a copy. It grows only as authenticated bytes arrive. Memory that the reader of
+    a unit has let go of is used again: new pages cost about as much as decrypting into them.
     """
 
-    __slots__ = ("_buffer", "_last", "_limit", "_room", "length")
+    __slots__ = ("_buffer", "_handed_out", "_last", "_limit", "_room", "length")
 
     def __init__(self, limit: int) -> None:
         self._limit = limit
         self._buffer = BytesIO()
+        self._handed_out: deque[BytesIO] = deque(maxlen=2)  # the next unit comes before one is read
         self._room = 0
         self._last = 0  # a peer that sent so much once, verified, will do so again
         self.length = 0
@@ -241,6 +247,8 @@ class UnitAssembly:
             LimitExceeded: the unit is longer than allowed.
         """
         end = self._end(body)
+        if self.length == 0:
+            self._begin()
         if end > self._room:
             self._grow(end)
         with self._buffer.getbuffer() as view, view[self.length : end] as target:
@@ -248,7 +256,7 @@ class UnitAssembly:
         self.length = end
 
     def finish(self, direction: Direction, head: bytes, body: memoryview) -> bytes:
-        """Verify the last record of the unit, return the unit and begin the next.
+        """Verify the last record of the unit and return the unit.
 
         Raises:
             RecordForged, LimitExceeded: as for `add`.
@@ -259,8 +267,9 @@ class UnitAssembly:
         self.add(direction, head, body)
         self._buffer.truncate(self.length)
         unit = self._buffer.getvalue()
-        self._buffer, self._last = BytesIO(), self.length
-        self._room = self.length = 0
+        if self.length <= _KEEP:
+            self._handed_out.append(self._buffer)
+        self._last, self.length = self.length, 0
         return unit
 
     def _end(self, body: memoryview) -> int:
@@ -268,6 +277,14 @@ class UnitAssembly:
         if end > self._limit:
             raise LimitExceeded(f"the peer sends a unit of more than {self._limit} bytes")
         return end
+
+    def _begin(self) -> None:
+        self._buffer, self._room = BytesIO(), 0
+        # Only whether it pays depends on the count: a `BytesIO` never writes into bytes that
+        # somebody holds, it moves to a copy of its own first.
+        if self._handed_out and getrefcount(self._handed_out[0].getvalue()) == _ITS_OWN:
+            self._buffer = self._handed_out.popleft()
+            self._room = self._buffer.seek(0, SEEK_END)
 
     def _grow(self, needed: int) -> None:
         self._room = min(self._limit, max(needed, 2 * self.length, self._last))

@@ -26,6 +26,7 @@ from rossec.ros.settings import is_loopback
 
 _CLEAR: Final = "\r\x1b[K"
 _MAX_LINE: Final = 256
+_MAX_COMPLAINTS: Final = 10  # whoever reaches the port could fill the screen
 
 
 class Session:
@@ -44,6 +45,7 @@ class Session:
         self._core = core
         self._label = label
         self._png, self._svg = png, svg
+        self._complaints = 0
         self._node = WaitingNode(core, now, self._complain)
 
     async def run(self, host: str, port: int) -> None:
@@ -84,8 +86,9 @@ class Session:
         if not self._label:
             say(qr.terminal(text))
         say(text)
-        command = "rossec ca enroll 'CODE'" + f" --address {where}" * self._label
-        say(f"{self._home.name} waits at {where}; at the authority: {command}")
+        # Without the code: an argument is seen by every user of that host.
+        command = "rossec ca enroll" + f" --address {where}" * self._label
+        say(f"{self._home.name} waits at {where}; at the authority, which asks for it: {command}")
 
     def _countdown(self, left: int) -> None:
         if is_live():
@@ -98,8 +101,12 @@ class Session:
             sys.stderr.write(_CLEAR)
 
     def _complain(self, what: str) -> None:
-        self._line()
-        note(f"refused {what}")
+        self._complaints += 1
+        if self._complaints <= _MAX_COMPLAINTS:
+            self._line()
+            note(f"refused {what}")
+        if self._complaints == _MAX_COMPLAINTS:
+            note("further callers are refused without a word")
 
     @contextmanager
     def _person(self) -> Iterator[None]:

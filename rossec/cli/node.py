@@ -5,10 +5,11 @@ from pathlib import Path
 import click
 
 from ca import qr
+from ca.certificates import Identity
 from rossec import files
 from rossec.authority import fingerprint, grouped
 from rossec.cli.context import Environment, confirm, moment, now, pass_environment
-from rossec.cli.voice import say
+from rossec.cli.voice import say, say_json
 from rossec.home import NodeHome
 
 _MAX_BUNDLE = 64 * 1024
@@ -71,13 +72,30 @@ def install(environment: Environment, bundle: Path, yes: bool) -> None:
 
 @node.command()
 @click.argument("name")
+@click.option("--json", "as_json", is_flag=True, help="a line of JSON")
 @pass_environment
-def show(environment: Environment, name: str) -> None:
+def show(environment: Environment, name: str, as_json: bool) -> None:
     """Show the identity of NAME and how many grants it holds."""
     home = NodeHome.of(environment.home, name)
     identity = home.identity(now())
+    if as_json:
+        say_json(_shown(home, identity))
+        return
     say(f"{identity.name} of {identity.domain} until {moment(identity.not_after)}")
     if identity.wildcard:
         say(f"also for anonymous nodes, {identity.name}_*")
     say(f"fingerprint {grouped(identity.thumbprint)}")
     say(f"{len(home.grants())} grants in {home.path}")
+
+
+def _shown(home: NodeHome, identity: Identity) -> dict[str, object]:
+    return {
+        "name": identity.name,
+        "domain": identity.domain,
+        "anonymous": identity.wildcard,
+        "not_before": identity.not_before,
+        "not_after": identity.not_after,
+        "key": identity.thumbprint.hex(),
+        "grants": len(home.grants()),
+        "path": str(home.path),
+    }

@@ -219,6 +219,7 @@ class Guardian:
         call, now = self._session.call, int(time.time())
         if await renew(call, self._renewals, now):
             self._process.rights += 1
+            await self._register_refused()
         await renew_identity(call, self._identity_renewal, now)
         if await prove(call, self._member):
             self._process.cut()
@@ -238,5 +239,8 @@ class Guardian:
 
     async def _use(self, new: list[bytes]) -> None:
         await self._session.call("rossec.presentGrants", new)
+        await self._register_refused()
+
+    async def _register_refused(self) -> None:
         for method, params in self._registrations.refused():
             await self._register(self._session, method, params)

@@ -121,8 +121,9 @@ class Member:
             return why_cut(link, self.revocations, now())
 
     def is_revoked(self, peer: Identity) -> bool:
-        """Whether the key of `peer` is on the list."""
-        return peer.thumbprint in self.revocations.entries
+        """Whether the key of `peer`, or one that vouches for it, is on the list."""
+        with self.access.lock:
+            return not self.revocations.entries.isdisjoint(peer.keys)
 
 
 def now() -> int:

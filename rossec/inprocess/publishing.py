@@ -10,13 +10,15 @@ import struct
 import time
 from collections import deque
 from collections.abc import Hashable, Iterable, Iterator
-from contextlib import suppress
-from threading import Condition, Lock, Thread
+from contextlib import contextmanager, suppress
+from threading import Condition, Thread
 from typing import Any, Final
 
 from rospy.core import is_shutdown
 from rospy.exceptions import ROSException, TransportTerminated
+from rospy.impl.tcpros_service import TCPROSServiceClient
 from rospy.msg import serialize_message
+from rospy.service import ServiceException
 
 from ca.errors import HintedError
 from grants.errors import GrantError
@@ -28,6 +30,8 @@ from rossec.inprocess.sockets import RosSocket
 _LENGTH: Final = struct.Struct("<I")
 _BATCH: Final = 256 * 1024  # beyond this a unit only adds latency
 _ALONE: Final = 128 * 1024
+_SMALL: Final = 16 * 1024  # the kernel has room for it, or is full
+_PAUSE: Final = 0.001  # seconds; messages that follow faster are worth a batch
 _log = logging.getLogger("rossec.rospy")
 
 Pieces = bytes | tuple[Bytes, ...]
@@ -113,21 +117,26 @@ def _treat(name: str, link: Link, data: bytes, moment: int) -> Pieces | None:
         return None
     if pieces is None:
         return None
-    return (_LENGTH.pack(sum(map(len, pieces))), *pieces)
+    size = sum(map(len, pieces))
+    whole = (_LENGTH.pack(size), *pieces)
+    return whole if size > _ALONE else b"".join(whole)  # once, not for each connection
 
 
 class Outbox:
     """A connection with a queue: `write_data` never waits; a full queue drops the oldest.
 
     The sender takes all that waits and sends it as one unit. It is woken, and given its turn, only
-    when it has nothing to do: a publisher that is faster than the wire makes larger batches.
+    when it has nothing to do: a publisher that is faster than the wire makes larger batches. A
+    small message after a pause goes out in the publisher's thread, where that cannot wait: two
+    threads taking turns cost more time than the encryption.
     """
 
     def __init__(self, connection: Any, queue_size: int) -> None:
         self._connection = connection
         self._queue: deque[Pieces] = deque(maxlen=queue_size if queue_size > 0 else None)
-        self._filled = Condition(Lock())
+        self._filled = Condition()
         self._idle = False
+        self._last = 0.0
         self._error: Exception | None = None
         self._connection.set_cleanup_callback(self._closed)
         self._thread = Thread(target=self._run, name="rossec outbox")
@@ -147,12 +156,30 @@ class Outbox:
         if self._error is not None:
             error, self._error = self._error, None
             raise error
+        last, self._last = self._last, time.monotonic()
+        if self._last > last + _PAUSE and self._send_now(data):
+            return True
         self._queue.append(data)
-        if self._idle:
+        idle = self._idle
+        if idle:
             with self._filled:
                 self._idle = False
                 self._filled.notify()
+        if idle or _size(data) > _ALONE:  # while a large one waits, its memory is not used again
             time.sleep(0)  # as rospy: the sender's turn
+        return True
+
+    def _send_now(self, data: Pieces) -> bool:
+        """Whether `data` was sent past the queue: nobody waits, and nothing is before it."""
+        if not isinstance(data, bytes) or len(data) > _SMALL:
+            return False
+        with self._filled:  # the sender is asleep meanwhile
+            if not self._idle or self._queue or not write_now(self._connection, data):
+                return False
+            if self._connection.socket.unsent:
+                self._queue.append(())  # a message of nothing: sending it sends the rest
+                self._idle = False
+                self._filled.notify()
         return True
 
     def _closed(self, _: Any) -> None:
@@ -178,6 +205,10 @@ class Outbox:
         self._idle = False
 
 
+def _size(message: Pieces) -> int:
+    return len(message) if isinstance(message, bytes) else sum(map(len, message))
+
+
 def _batches(queue: deque[Pieces]) -> Iterator[list[Pieces]]:
     """Take messages from the front, as many as make a unit; others may be added meanwhile."""
     batch: list[Pieces] = []
@@ -186,7 +217,7 @@ def _batches(queue: deque[Pieces]) -> Iterator[list[Pieces]]:
         while True:
             message = queue.popleft()
             batch.append(message)
-            size += len(message) if isinstance(message, bytes) else sum(map(len, message))
+            size += _size(message)
             if size >= _BATCH:
                 yield batch
                 batch, size = [], 0
@@ -200,15 +231,35 @@ def write(transport: Any, messages: list[Pieces]) -> None:
     Raises:
         TransportTerminated: the connection is at its end; it is closed.
     """
+    with _socket(transport) as sock:
+        transport.stat_bytes += _send(sock, messages)
+    transport.stat_num_msg += len(messages)
+
+
+def write_now(transport: Any, message: bytes) -> bool:
+    """Send a small message where that needs no waiting (`RosSocket.send_now`).
+
+    Raises:
+        TransportTerminated: as of `write`.
+    """
+    with _socket(transport) as sock:
+        if not sock.send_now(message):
+            return False
+        transport.stat_bytes += len(message)
+        transport.stat_num_msg += not sock.unsent  # else it counts with the rest
+    return True
+
+
+@contextmanager
+def _socket(transport: Any) -> Iterator[RosSocket]:
     sock = transport.socket
     if sock is None or transport.done:
         raise TransportTerminated("connection closed")
     try:
-        transport.stat_bytes += _send(sock, messages)
+        yield sock
     except (HintedError, OSError) as error:
         transport.close()
         raise TransportTerminated(str(error)) from error
-    transport.stat_num_msg += len(messages)
 
 
 def _send(sock: RosSocket, messages: list[Pieces]) -> int:
@@ -237,6 +288,18 @@ def _flat(messages: list[Pieces]) -> list[Bytes]:
 
 
 def write_data(transport: Any, data: Pieces) -> bool:
-    """As `TCPROSTransport.write_data`: for publishers without a queue, and for services."""
-    write(transport, [data])
+    """As `TCPROSTransport.write_data`: for publishers without a queue, and for services.
+
+    Raises:
+        ServiceException: a call over a kept connection that was cut; rospy's own socket takes the
+            request and fails with this when there is no response.
+        TransportTerminated: any other connection is at its end.
+    """
+    calls = isinstance(transport.protocol, TCPROSServiceClient)
+    try:
+        write(transport, [data])
+    except TransportTerminated as error:
+        if calls:
+            raise ServiceException(f"transport error completing service call: {error}") from error
+        raise
     return True

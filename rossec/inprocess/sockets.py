@@ -235,10 +235,29 @@ class RosSocket:
             ChannelError, OSError: as of `SecureSocket`.
         """
         stream = self.stream
-        if stream.awaits_peer or time.monotonic() >= self._pump_at:
+        if self._pump_is_due(stream):
             stream.pump()
             self._pump_at = time.monotonic() + _PUMP_EVERY
         stream.sendall(*pieces)
+
+    def send_now(self, data: bytes) -> bool:
+        """Send a small unit where this needs no waiting; False: nothing has happened.
+
+        Raises:
+            ChannelError: the connection is at its end.
+        """
+        stream = self._stream
+        if not isinstance(stream, SecureSocket) or self._pump_is_due(stream):
+            return False
+        return stream.send_now(data)
+
+    @property
+    def unsent(self) -> bool:
+        """Whether `send_now` left something, for `send_unit` to send."""
+        return isinstance(self._stream, SecureSocket) and self._stream.unsent
+
+    def _pump_is_due(self, stream: Stream | PlainStream) -> bool:
+        return stream.awaits_peer or time.monotonic() >= self._pump_at
 
     # -- options and ends
 

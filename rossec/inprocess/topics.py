@@ -248,6 +248,7 @@ class Connections:
                 return
             conn.stat_bytes += len(unit)
             messages = [make().deserialize(data) for data in frames.feed(unit)[-keep:]]
+            del unit  # its memory is used for the next one
             if not messages:
                 continue
             conn.stat_num_msg += len(messages)

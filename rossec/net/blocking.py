@@ -9,27 +9,20 @@ import os
 import secrets
 import select
 import socket
-import struct
 import time
-from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import suppress
-from threading import Lock
-from typing import Any, Final, Generic
+from typing import Any
 
 from rossec.channel.connection import Connection
 from rossec.channel.credentials import OwnCredential, PeerT, Verify
 from rossec.channel.records import Bytes
-from rossec.channel.states import DEAD, Authenticated, UnitReceived
-from rossec.errors import ChannelClosed, ChannelError
-from rossec.net.options import SocketOptions
-
-_LONGEST_WAIT: Final = 3600.0  # then look at the clock again: the host's may be set
-_SLICE: Final = struct.pack("ll", 5, 0)  # a struct timeval: how long the kernel waits in one go
-_AT_ONCE: Final = socket.MSG_DONTWAIT
+from rossec.channel.states import DEAD
+from rossec.errors import ChannelClosed
+from rossec.net.carrier import AT_ONCE, Carrier
 
 
-class SecureSocket(SocketOptions, Generic[PeerT]):
+class SecureSocket(Carrier[PeerT]):
     """A connection over a connected TCP socket, which it owns.
 
     The handshake happens in the first `recv` or `send`, or in `do_handshake`. Two threads may use
@@ -47,20 +40,7 @@ class SecureSocket(SocketOptions, Generic[PeerT]):
         core: Connection[PeerT],
         on_settled: Callable[[], None] = lambda: None,
     ) -> None:
-        self.peer: PeerT | None = None
-        self._timeout = sock.gettimeout()
-        sock.settimeout(None)
-        for option in (socket.SO_RCVTIMEO, socket.SO_SNDTIMEO):
-            sock.setsockopt(socket.SOL_SOCKET, option, _SLICE)
-        sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        self._socket = sock
-        self._core = core
-        self._on_settled: Callable[[], None] | None = on_settled
-        self._units: deque[memoryview] = deque()
-        self._error: ChannelError | None = None
-        self._core_lock = Lock()
-        self._reading = Lock()
-        self._writing = Lock()
+        super().__init__(sock, core, on_settled)
         self._closed = False
         self._event = -1
         self._flagged = False
@@ -108,6 +88,16 @@ class SecureSocket(SocketOptions, Generic[PeerT]):
                 self._flag()
             return self._epoll.fileno()
 
+    def _flag(self) -> None:
+        """Keep the eventfd readable exactly while decrypted bytes wait here."""
+        wanted = len(self._units) > 0
+        if wanted != self._flagged and self._epoll is not None:
+            self._flagged = wanted
+            if wanted:
+                os.eventfd_write(self._event, 1)
+            else:
+                os.eventfd_read(self._event)
+
     # -- bytes
 
     def do_handshake(self) -> PeerT:
@@ -150,7 +140,7 @@ class SecureSocket(SocketOptions, Generic[PeerT]):
         """
         end = self._end()
         with self._reading:
-            while self._error is None and self._take_in(end, _AT_ONCE):
+            while self._error is None and self._take_in(end, AT_ONCE):
                 self._units.clear()
 
     def _take(self, size: int) -> memoryview:
@@ -186,150 +176,28 @@ class SecureSocket(SocketOptions, Generic[PeerT]):
                 self._push_unit(pieces, end)
         self._flush(end)
 
-    def _push_small(self, pieces: tuple[Bytes, ...], end: float | None) -> bool:
-        """The short way of a small unit: one record, where nothing else has to be done."""
-        if len(pieces) != 1 or not isinstance(pieces[0], bytes):
+    def send_now(self, data: bytes) -> bool:
+        """Send a small unit where this needs no waiting; False: nothing has happened.
+
+        What the kernel did not take is `unsent`, and goes before anything else.
+        """
+        if self.peer is None or not self._writing.acquire(blocking=False):
             return False
-        with self._core_lock:
-            record = self._core.seal_small(pieces[0])
-        if record is not None:
-            self._push(record, end)
+        try:
+            self._raise_if_over()
+            self._tick()
+            with self._core_lock:
+                record = self._core.seal_small(data)
+                if record is not None:
+                    self._core.put_back(self._offer(record))
+        finally:
+            self._writing.release()
         return record is not None
 
-    def _push_unit(self, pieces: tuple[Bytes, ...], end: float | None) -> None:
-        with self._core_lock:
-            records = self._core.seal_unit(*pieces, reuse=True)
-        while True:
-            with self._core_lock:
-                record = self._guarded(lambda: next(records, None))
-            if record is None:
-                return
-            self._push(record, end)
-
-    # -- the core and the socket
-
-    def _receive(self, end: float | None) -> None:
-        """Move bytes from the socket to the core, once; the caller is the one reader."""
-        self._flush(end)
-        self._tick()
-        # One system call where there is no deadline to meet: the kernel waits, a slice at a time.
-        flags = 0 if end is None and self.peer is not None else _AT_ONCE
-        if not self._take_in(end, flags) and flags:
-            self._wait(select.POLLIN, end)
-
-    def _take_in(self, end: float | None, flags: int) -> bool:
-        """Whether something had arrived."""
-        try:
-            count = self._socket.recv_into(self._core.get_buffer(), 0, flags)
-        except BlockingIOError:
-            return False
-        except OSError:
-            count = 0
-        with self._core_lock:
-            if count == 0:
-                self._guarded(self._core.receive_eof)
-                self._fail(ChannelClosed("the peer closed the connection"))
-            else:
-                self._note(self._guarded(lambda: self._core.buffer_updated(count, _now())))
-        if self._error is None:
-            self._flush(end)
-        else:
-            self._send_last(self._core.data_to_send())  # the peer may be gone
-        return True
-
-    def _note(self, events: Sequence[object]) -> None:
-        for event in events:
-            if isinstance(event, UnitReceived):
-                self._units.append(memoryview(event.data))
-            elif isinstance(event, Authenticated):
-                self.peer = event.identity
-                self._settle()
-            else:
-                self._fail(ChannelClosed("the peer closed the connection"))
-
-    def _guarded(self, step: Callable[[], Any]) -> Any:
-        try:
-            return step()
-        except ChannelError as error:
-            self._fail(error)
-            self._send_last(self._core.data_to_send())
-            raise
-
-    def _send_last(self, flight: Bytes) -> None:
-        with suppress(OSError):
-            self._socket.send(flight, _AT_ONCE)
-
-    def _fail(self, error: ChannelError) -> None:
-        self._error = self._error or error
-        self._settle()
-
-    def _settle(self) -> None:
-        settled, self._on_settled = self._on_settled, None
-        if settled is not None:
-            settled()
-
-    def _raise_if_over(self) -> None:
-        if self._error is not None:
-            raise self._error
-
-    def _tick(self) -> None:
-        with self._core_lock:
-            self._guarded(lambda: self._core.tick(_now()))
-
-    def _flush(self, end: float | None) -> None:
-        """Write what the core queued; whoever is writing looks again when it is done."""
-        while self._core.has_data_to_send:
-            if not self._writing.acquire(blocking=False):
-                return
-            try:
-                with self._core_lock:
-                    data = self._core.data_to_send()
-                self._push(data, end)
-            finally:
-                self._writing.release()
-
-    def _push(self, data: Bytes, end: float | None) -> None:
-        rest = memoryview(data)
-        flags = 0 if end is None else _AT_ONCE
-        try:
-            while rest:
-                try:
-                    rest = rest[self._socket.send(rest, flags) :]
-                except BlockingIOError:
-                    self._wait(select.POLLOUT, end)
-        except BaseException as error:
-            self._fail(ChannelClosed("a message was given up half-way"))
-            if isinstance(error, OSError) and not isinstance(error, TimeoutError | BlockingIOError):
-                raise ChannelClosed("the connection is closed") from error
-            raise
-
-    # -- waiting
-
-    def _end(self) -> float | None:
-        return None if self._timeout is None else time.monotonic() + self._timeout
-
-    def _wait(self, event: int, end: float | None) -> None:
-        """Wait for the socket, for the caller's deadline, or for the core's."""
-        left = _LONGEST_WAIT if end is None else end - time.monotonic()
-        if left <= 0:
-            raise BlockingIOError if self._timeout == 0 else TimeoutError("timed out")
-        deadline = self._core.deadline()
-        if deadline is not None:
-            left = min(left, max(0.0, deadline - time.time()) + 0.001)
-        poll = select.poll()
-        poll.register(self._socket.fileno(), event)
-        poll.poll(left * 1000)
-        self._tick()
-
-    def _flag(self) -> None:
-        """Keep the eventfd readable exactly while decrypted bytes wait here."""
-        wanted = len(self._units) > 0
-        if wanted != self._flagged and self._epoll is not None:
-            self._flagged = wanted
-            if wanted:
-                os.eventfd_write(self._event, 1)
-            else:
-                os.eventfd_read(self._event)
+    @property
+    def unsent(self) -> bool:
+        """Whether `send_now` left something: `sendall`, even of nothing, sends it."""
+        return self._core.has_data_to_send
 
     # -- ends
 
@@ -372,7 +240,3 @@ class SecureSocket(SocketOptions, Generic[PeerT]):
 
     def __exit__(self, *_: object) -> None:
         self.close()
-
-
-def _now() -> int:
-    return int(time.time())

@@ -9,6 +9,7 @@ import logging
 import time
 from collections.abc import Callable, Iterable
 from typing import Final, Protocol
+from weakref import WeakSet
 
 from ca.revocation import Revocations
 from rossec.node.links import Link, why_cut
@@ -34,20 +35,25 @@ class Watch:
         self._revocations = revocations
         self._links = links
         self._listener = listener
+        self._done: WeakSet[Link] = WeakSet()  # cut, and not yet taken off by who serves them
 
     async def run(self) -> None:
         """Look again and again, until cancelled."""
         while True:
             now = time.time()
-            soonest = min((link.ends for link in self._links()), default=now + PERIOD)
+            soonest = min((link.ends for link in self._live()), default=now + PERIOD)
             await asyncio.sleep(max(0.0, min(PERIOD, soonest - now)))
             self.cut(int(time.time()))
 
     def cut(self, now: int) -> None:
         """Cut every link that must end at `now`, and every connection of a revoked key."""
-        for link in self._links():
+        for link in self._live():
             reason = why_cut(link, self._revocations, now)
             if reason is not None:
+                self._done.add(link)
                 _log.warning("cut %s: %s", link.stream.peer.name, reason)
                 link.stream.abort(reason)
         self._listener.cut(self._revocations.entries)
+
+    def _live(self) -> list[Link]:
+        return [link for link in self._links() if link not in self._done]

@@ -20,6 +20,7 @@ from rossec.ros import settings
 from rossec.ros.text import printable
 from rossec.sidecar import child
 from rossec.sidecar.callers import Callers
+from rossec.sidecar.quiet import Quiet
 from rossec.sidecar.server import Sidecar
 
 _REFUSED = 1
@@ -32,6 +33,9 @@ def main() -> int:
         level=logging.INFO if options["verbose"] else logging.WARNING,
         format="rossec: %(levelname)s: %(message)s",
     )
+    if not options["verbose"]:
+        for handler in logging.getLogger().handlers:
+            handler.addFilter(Quiet())
     try:
         return asyncio.run(_run(options))
     except child.NoSuchProgram as error:

@@ -27,6 +27,7 @@ from rossec.net.server import SecureServer, serve_now
 from rossec.net.stream import SecureStream, connect
 from rossec.net.tasks import TaskSet
 from rossec.node.access import Access
+from rossec.node.fields import text
 from rossec.node.guests import Guests
 from rossec.node.identity import IdentityRenewal, renew_identity
 from rossec.node.proofs import prove
@@ -37,6 +38,7 @@ from rossec.node.shelf import Shelf
 from rossec.node.watch import Watch
 from rossec.ros import header
 from rossec.ros.settings import Settings, is_loopback
+from rossec.ros.xmlrpc import Fault
 from rossec.sidecar import headers, mastercalls, pump, slavecalls
 from rossec.sidecar.addresses import Doors, Endpoint
 from rossec.sidecar.callers import Callers
@@ -44,6 +46,7 @@ from rossec.sidecar.doorways import Doorways
 from rossec.sidecar.headers import Joined
 from rossec.sidecar.layers import Tenant
 from rossec.sidecar.loopback import LoopbackPort, free_port
+from rossec.sidecar.lost import Lost
 from rossec.sidecar.plain import PlainStream
 from rossec.sidecar.pump import Link, split_header
 from rossec.sidecar.visit import Correspondent, Visit
@@ -104,6 +107,7 @@ class Agent:
         self._identity_renewal = IdentityRenewal(home, self._credentials, int(time.time()))
         self._guests = Guests()
         self._links: set[Link] = set()
+        self._lost = Lost()
         self._watch = Watch(self._revocations, lambda: tuple(self._links), self._guests)
         self._tasks = TaskSet()
         self._watching = TaskSet(self._blind)
@@ -191,8 +195,14 @@ class Agent:
         )  # fmt: skip
 
     async def ask_master(self, method: str, params: tuple[object, ...]) -> object:
-        """The master's answer."""
-        return await self._session.answer(method, *params)
+        """The master's answer; a program that is refused may not show why."""
+        answer = await self._session.answer(method, *params)
+        match answer:
+            case [code, str(status), *_] if code != 1 and status.startswith("rossec: "):
+                _log.warning("the master refuses %s: %s", method, status.removeprefix("rossec: "))
+            case _:
+                pass
+        return answer
 
     def proof(self, right: Right, name: str) -> bytes:
         """Grants that prove `right` on `name`."""
@@ -351,7 +361,10 @@ class Agent:
                 await program.close()
                 return
             if visit.stream is not None:
+                began = time.monotonic()
                 await self._inward(joined, program, visit.stream, early, visit.first)
+                if not joined.service:
+                    self._topic_ended(text(fields, "topic"), began)
         except (RossecError, TimeoutError) as error:
             _log.info("a connection to %s ended: %s", remote.uri, error)
         finally:
@@ -371,6 +384,14 @@ class Agent:
                 await pump.exchange(program, stream, early, first)
             else:
                 await pump.subscribe(program, stream, first)
+
+    def _topic_ended(self, topic: str, began: float) -> None:
+        self._lost.add(topic, began, time.monotonic())
+        if not self._may_subscribe(topic):
+            _log.warning("%s: no grant for subscribe on %s any more", self.name, topic)
+
+    def _may_subscribe(self, topic: str) -> bool:
+        return self.tenant.access.holds(Right.SUBSCRIBE, topic, int(time.time()))
 
     @contextlib.contextmanager
     def _linked(self, stream: SecureStream[Identity], joined: Joined) -> Iterator[None]:
@@ -403,6 +424,7 @@ class Agent:
             self._tasks.spawn(self._session.keep(), f"{self.name}: master session")
             self._watching.spawn(self._watch.run(), f"{self.name}: watch")
             self._tasks.spawn(self._collect_grants(), f"{self.name}: grants")
+            self._tasks.spawn(self._return_to_topics(), f"{self.name}: lost topics")
 
     def _blind(self, _: BaseException) -> None:
         """The watch has died: what it would no longer cut must not go on."""
@@ -445,6 +467,18 @@ class Agent:
                 await renew_identity(self._session.call, self._identity_renewal, int(time.time()))
                 if await prove(self._session.call, self._revocations):
                     self._watch.cut(int(time.time()))
+
+    async def _return_to_topics(self) -> None:
+        while True:
+            await asyncio.sleep(_COLLECT)
+            for topic in self._lost.take_due(time.monotonic(), self._may_subscribe):
+                visit = Visit(self)
+                try:
+                    await visit.run(mastercalls.resubscribe(self.tenant, topic))
+                except (HintedError, OSError, Fault) as error:
+                    _log.info("%s: cannot subscribe %s again: %s", self.name, topic, error)
+                finally:
+                    await visit.close()
 
     async def _let_go(
         self, remote: Endpoint, correspondent: Correspondent, old: Correspondent | None

@@ -57,13 +57,14 @@ class Rule:
         return self.api is not None and self.undoes is None
 
 
+_SUBSCRIBE: Final = "registerSubscriber"
 RULES: Final = {
     "registerPublisher": Rule(api=3, key=1, result=Result.NODES),
-    "registerSubscriber": Rule(api=3, key=1, result=Result.NODES),
+    _SUBSCRIBE: Rule(api=3, key=1, result=Result.NODES),
     "registerService": Rule(api=3, service=2, key=1),
     "subscribeParam": Rule(api=1, key=2),
     "unregisterPublisher": Rule(api=2, key=1, undoes="registerPublisher"),
-    "unregisterSubscriber": Rule(api=2, key=1, undoes="registerSubscriber"),
+    "unregisterSubscriber": Rule(api=2, key=1, undoes=_SUBSCRIBE),
     "unregisterService": Rule(service=2, key=1, undoes="registerService"),
     "unsubscribeParam": Rule(api=1, key=2, undoes="subscribeParam"),
     "lookupNode": Rule(key=1, result=Result.NODE),
@@ -237,15 +238,29 @@ def restore(tenant: Tenant) -> Layer[None]:
     """Make every registration again, for a master that was restarted."""
     for own, program in tuple(tenant.programs.items()):
         for (method, key), params in tuple(program.registrations.items()):
-            event = yield AskMaster(method, params)
-            match event:
-                case Answered(value=[1, _, value]) if method == "registerSubscriber":
-                    uris = yield from tenant.bring_all(value, own)
-                    yield from tell(tenant, own, "publisherUpdate", (MASTER, key, uris))
-                case Silent(reason=reason):
-                    raise HangUp(reason)
-                case _:
-                    pass
+            yield from _again(tenant, own, method, key, params)
+
+
+def resubscribe(tenant: Tenant, topic: str) -> Layer[None]:
+    """Name the publishers of `topic` again to who subscribes: rospy gives up what has ended."""
+    for own, program in tuple(tenant.programs.items()):
+        params = program.registrations.get((_SUBSCRIBE, topic))
+        if params is not None:
+            yield from _again(tenant, own, _SUBSCRIBE, topic, params)
+
+
+def _again(
+    tenant: Tenant, own: Endpoint, method: str, key: str, params: tuple[object, ...]
+) -> Layer[None]:
+    event = yield AskMaster(method, params)
+    match event:
+        case Answered(value=[1, _, value]) if method == _SUBSCRIBE:
+            uris = yield from tenant.bring_all(value, own)
+            yield from tell(tenant, own, "publisherUpdate", (MASTER, key, uris))
+        case Silent(reason=reason):
+            raise HangUp(reason)
+        case _:
+            pass
 
 
 def tell(tenant: Tenant, own: Endpoint, method: str, params: tuple[object, ...]) -> Layer[None]:

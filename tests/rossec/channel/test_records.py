@@ -181,6 +181,32 @@ def test_a_unit_comes_out_whole_and_the_next_begins_afresh() -> None:
         assert unit.length == 0
 
 
+def test_a_unit_that_is_held_is_never_written_to() -> None:
+    """The memory of units is used again, once nobody holds them."""
+    unit, sender, receiver = UnitAssembly(100_000_000), direction(), direction()
+
+    def take(*parts: bytes) -> bytes:
+        done = None
+        for number, part in enumerate(parts):
+            record = memoryview(sender.seal(Frame.DATA, part))
+            last = number == len(parts) - 1
+            done = (unit.finish if last else unit.add)(receiver, bytes(record[:4]), record[4:])
+        assert done is not None
+        return done
+
+    parts = [bytes([letter]) * 100_000 for letter in range(20)]
+    held = [take(part, part) for part in parts[:6]]
+    views = [memoryview(take(part, part)) for part in parts[6:12]]
+    for length in (1, 50_000, 100_000):
+        for part in parts[12:]:
+            assert take(part, part[:length]) == part + part[:length]
+    large = take(*parts * 9)
+    assert large == b"".join(parts * 9)
+    assert take(b"a", b"b") == b"ab"
+    assert held == [part * 2 for part in parts[:6]]
+    assert views == [part * 2 for part in parts[6:12]]
+
+
 def test_a_forged_part_is_not_part_of_the_unit() -> None:
     unit = UnitAssembly(1000)
     with pytest.raises(RecordForged):

@@ -1,4 +1,5 @@
 import io
+import json
 from pathlib import Path
 
 import pytest
@@ -34,6 +35,8 @@ def test_an_installed_node_shows_itself(shell: Shell) -> None:
     refused(shell("node", "show", "/robot"), "has no ca.pem", "rossec node request /robot")
     shell.enroll("/robot")
     assert shell("node", "show", "/robot").out.startswith("/robot of home until ")
+    row = json.loads(shell("node", "show", "/robot", "--json").out)
+    assert (row["name"], row["domain"], row["grants"]) == ("/robot", "home", 0)
 
 
 def test_installing_shows_the_authority_and_asks(

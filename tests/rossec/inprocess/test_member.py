@@ -1,3 +1,4 @@
+import dataclasses
 import time
 from pathlib import Path
 
@@ -63,3 +64,12 @@ def test_a_renewed_identity_is_taken_over(site: Site) -> None:
     assert member.refresh_identity()
     assert member.credentials.chain != before.chain
     assert member.identity.not_after <= site.now() + 3600
+
+
+def test_a_key_that_vouches_for_a_peer_ends_it_too(site: Site) -> None:
+    member = Member(site.enroll("/robot"), "/robot")
+    peer = dataclasses.replace(site.identity("/viewer"), issuers=(b"i" * 32,))
+    assert not member.is_revoked(peer)
+    member.revocations.update(site.revoke(b"i" * 32), site.now())
+    assert member.is_revoked(peer)
+    assert not member.is_revoked(site.identity("/viewer"))

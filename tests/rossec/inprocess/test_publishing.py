@@ -22,6 +22,13 @@ class Sock:
         self.gate = threading.Event()
         self.gate.set()
         self.error: Exception | None = None
+        self.at_once = False
+        self.unsent = False
+
+    def send_now(self, data: bytes) -> bool:
+        if self.at_once:
+            self.send_unit(data)
+        return self.at_once
 
     def send_unit(self, *pieces: Any) -> None:
         self.gate.wait(10)
@@ -32,7 +39,13 @@ class Sock:
 
 def connection(link: object = None) -> Any:
     made: Any = SimpleNamespace(
-        socket=Sock(link), done=False, stat_bytes=0, stat_num_msg=0, endpoint_id="/x", callback=None
+        socket=Sock(link),
+        protocol=None,
+        done=False,
+        stat_bytes=0,
+        stat_num_msg=0,
+        endpoint_id="/x",
+        callback=None,
     )
 
     def close() -> None:
@@ -55,6 +68,21 @@ def test_a_whole_message_a_treated_one_and_many() -> None:
         b"\4\0\0\0abcd", b"\1\0\0\0a\1\0\0\0b", b"\2\0\0\0xy", b"\1\0\0\0a\1\0\0\0c",
     ]  # fmt: skip
     assert (made.stat_num_msg, made.stat_bytes) == (6, 34)
+
+
+def test_a_call_over_a_connection_that_was_cut_fails_as_services_do() -> None:
+    tcpros = pytest.importorskip("rospy.impl.tcpros_service")
+    service = pytest.importorskip("rospy.service")
+    for protocol, expected in (
+        (None, exceptions.TransportTerminated),
+        (object.__new__(tcpros.TCPROSServiceClient), service.ServiceException),
+    ):
+        made = connection()
+        made.protocol = protocol
+        made.socket.error = ChannelClosed("cut")
+        with pytest.raises(expected, match="cut"):
+            publishing.write_data(made, b"\0\0\0\0")
+        assert made.done
 
 
 def test_a_large_message_follows_its_length() -> None:
@@ -112,6 +140,33 @@ async def test_what_waits_goes_out_as_one() -> None:
         outbox.write_data(b"y")
     outbox._thread.join(10)
     assert not outbox._thread.is_alive()
+
+
+async def test_a_message_after_a_pause_does_not_wait_for_the_sender(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(publishing, "_PAUSE", 0.0)
+    made = connection()
+    made.socket.at_once = True
+    outbox = publishing.Outbox(made, 0)
+    await until(lambda: outbox._idle)
+    outbox.write_data(b"1")
+    assert made.socket.units == [b"1"], "in this thread"
+    assert (made.stat_num_msg, made.stat_bytes) == (1, 1)
+    made.socket.unsent = True
+    outbox.write_data(b"2")
+    await until(lambda: made.socket.units == [b"1", b"2", b""])
+    await until(lambda: made.stat_num_msg == 2)
+    made.socket.unsent = False
+    await until(lambda: outbox._idle)
+    for message in (bytes(20_000), (b"a", b"b")):
+        outbox.write_data(message)
+        await until(lambda: outbox._idle and not outbox._queue)
+    assert made.socket.units[3:] == [bytes(20_000), b"ab"]
+    made.socket.error = ChannelClosed("gone")
+    with pytest.raises(exceptions.TransportTerminated, match="gone"):
+        outbox.write_data(b"x")
+    outbox._thread.join(10)
 
 
 async def test_a_full_queue_drops_the_oldest() -> None:

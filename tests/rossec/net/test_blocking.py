@@ -2,6 +2,7 @@
 
 import contextlib
 import dataclasses
+import secrets
 import select
 import socket
 import struct
@@ -10,6 +11,7 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
+from rossec.channel.connection import Connection
 from rossec.channel.records import Limits
 from rossec.errors import (
     ChannelClosed,
@@ -339,7 +341,7 @@ def test_a_reader_without_a_deadline_meets_the_cores(
     listener: SecureListener[FakeIdentity], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The kernel waits a slice at a time; between two the clock is looked at."""
-    monkeypatch.setattr("rossec.net.blocking._SLICE", struct.pack("ll", 0, 20_000))
+    monkeypatch.setattr("rossec.net.carrier._SLICE", struct.pack("ll", 0, 20_000))
     left, right = pair(listener)
     with left, right:
         left.settimeout(None)
@@ -354,3 +356,41 @@ def test_a_reader_without_a_deadline_meets_the_cores(
         left._core._peer = dataclasses.replace(live(BOB.chain, 0), not_after=0)
         assert expired.wait(10)
         thread.join(10)
+
+
+def test_what_is_sent_at_once_waits_for_nobody(listener: SecureListener[FakeIdentity]) -> None:
+    left, right = pair(listener)
+    with left, right:
+        assert left.send_now(b"0000")
+        with left._writing:
+            assert not left.send_now(b"busy")
+        assert not left.send_now(bytes(100_000)), "more than one record"
+        number = 0
+        while not left.unsent:
+            number += 1
+            assert left.send_now(b"%04d" % number * 1000)
+        assert not left.send_now(b"later")
+        sender = background(left.sendall)
+        got = read(right, 4 + number * 4000)
+        sender.join(5)
+        assert not vars(left._core)["_out"]
+        assert got == b"0000" + b"".join(b"%04d" % count * 1000 for count in range(1, number + 1))
+        left.sendall(b"after")
+        assert right.recv(10) == b"after"
+
+
+def test_nothing_is_sent_at_once_without_a_peer(listener: SecureListener[FakeIdentity]) -> None:
+    sock = socket.create_connection(listener.getsockname())
+    core = Connection[FakeIdentity].initiator(ALICE, live, random=secrets.token_bytes, now=0)
+    with SecureSocket(sock, core) as secure:
+        assert not secure.send_now(b"x")
+
+
+def test_sending_at_once_notices_the_end(listener: SecureListener[FakeIdentity]) -> None:
+    left, right = pair(listener)
+    with right, left:
+        left._socket.shutdown(socket.SHUT_RDWR)
+        with pytest.raises(ChannelClosed, match="closed"):
+            left.send_now(b"x")
+        with pytest.raises(ChannelClosed):
+            left.send_now(b"x")

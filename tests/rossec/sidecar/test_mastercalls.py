@@ -11,7 +11,7 @@ from rossec.sidecar.addresses import Endpoint, inside
 from rossec.sidecar.commands import AskLocal, AskMaster, Export, Import, Rest
 from rossec.sidecar.events import Answered, Done, Opened, Passed, Silent
 from rossec.sidecar.layers import Unforeseen
-from rossec.sidecar.mastercalls import MULTICALL_LIMIT, RULES, call, restore
+from rossec.sidecar.mastercalls import MULTICALL_LIMIT, RULES, call, restore, resubscribe
 from tests.rossec.sidecar.playbook import HOST, MASTER_URI, Stage, play
 
 OWN = "http://localhost:5000"  # as a program may spell it
@@ -95,6 +95,23 @@ def test_restoring_ends_with_the_connection_and_bears_refusals(stage: Stage) -> 
     play(restore(stage.tenant), (ask, Answered([-1, "no right", []])))
     with pytest.raises(HangUp):
         play(restore(stage.tenant), (ask, Silent("cut")))
+
+
+def test_a_lost_topic_has_its_publishers_named_again(stage: Stage) -> None:
+    register(stage)
+    play(
+        resubscribe(stage.tenant, "/scan"),
+        (
+            AskMaster("registerSubscriber", ("/robot", "/scan", "pkg/Type", OUTSIDE)),
+            Answered([1, "ok", [PEER.uri]]),
+        ),
+        (Import(PEER), Opened(8000)),
+        (
+            AskLocal(SLAVE, "publisherUpdate", ("/master", "/scan", ["http://127.0.0.1:8000/"])),
+            Answered([1, "", 0]),
+        ),
+    )
+    assert play(resubscribe(stage.tenant, "/unknown")) is None
 
 
 def test_a_program_may_not_register_under_another_name(stage: Stage) -> None:

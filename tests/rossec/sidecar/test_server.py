@@ -219,6 +219,20 @@ async def test_old_doors_make_room(pair: Pair, monkeypatch: pytest.MonkeyPatch) 
     assert await heard(stream, len(word("still"))) == word("still")
 
 
+async def test_a_program_returns_to_a_topic_that_it_lost(pair: Pair) -> None:
+    """Stock rospy waits until the publisher is named again."""
+    stream, source = await connect(pair)
+    before = len(pair.listener.calls)
+    source.abort()  # type: ignore[attr-defined]
+    await ends(stream)
+
+    def named() -> list[object]:
+        calls = pair.listener.calls[before:]
+        return [params[1] for method, params in calls if method == "publisherUpdate"]
+
+    await until(lambda: named() == ["/word"], within=20)
+
+
 async def test_a_program_that_died_is_refused_as_a_dead_node_is(pair: Pair) -> None:
     site = pair.site
     site.grant("/listener", Right.GRAPH, "/talker")

@@ -1,0 +1,193 @@
+"""rospy with two lines more, built-in nodes, and programs behind a sidecar: each with each.
+
+Nine pairs for topics and nine for services, with the same master; what one form of rossec refuses,
+cuts or filters, every other one does.
+"""
+
+import asyncio
+import contextlib
+import itertools
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import pytest
+
+from grants.model import Right
+from rossec.sidecar.loopback import free_port
+from tests.integration.sidecarworld import ROSSEC, Running, World, wait
+from tests.support.attacker import call, credentials
+from tests.support.hosts import Host, Hosts
+from tests.support.kinds import HEARERS, KINDS, SEEN, SPEAKERS, command
+from tests.support.site import Site, coarse
+
+pytestmark = [pytest.mark.ros, pytest.mark.timeout(240)]
+BRIEF: Final = 12  # seconds
+PAIRS: Final = tuple(itertools.product(KINDS, KINDS))
+pairs = pytest.mark.parametrize(
+    ("source", "sink"), PAIRS, ids=[f"{source}-to-{sink}" for source, sink in PAIRS]
+)
+
+
+@dataclass(frozen=True)
+class Cast:
+    """Everybody who runs, the grants that will be revoked, and the file that hearers wait for."""
+
+    world: World
+    speakers: Mapping[str, Running]
+    hearers: Mapping[str, Running]
+    words: Mapping[str, bytes]
+    calls: Mapping[str, bytes]
+    signal: Path
+
+    @property
+    def everybody(self) -> list[Running]:
+        return [*self.speakers.values(), *self.hearers.values()]
+
+    def revoke(self, grants: Mapping[str, bytes]) -> None:
+        """Revoke a grant of every hearer; the master tells them all."""
+        site = self.world.site
+        data = [site.revoke(grant) for grant in grants.values()][-1]
+        uri = f"http://127.0.0.1:{self.world.port}/"
+        own = credentials(site, "/carrier")
+        answer = asyncio.run(call(uri, own, "rossec.updateRevocations", "/carrier", data))
+        assert isinstance(answer, list)
+        assert answer[0] == 1, answer
+
+
+@pytest.fixture(scope="module")
+def cast(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cast]:
+    directory = tmp_path_factory.mktemp("pairings")
+    loopback = Host((), "127.0.0.1", "::1")
+    site = Site(directory / "site")
+    world = World(Hosts(loopback, loopback, real=False), site, directory, port=free_port())
+    signal = directory / "follow"
+    words, calls = {}, {}
+    for kind in KINDS:
+        world.enroll(f"/{kind}_speaker", publish=f"/{kind}/*", provide=f"/{kind}/*")
+        hearer = f"/{kind}_hearer"
+        world.enroll(hearer, subscribe="/*/latched")
+        site.subscribe(hearer, "/*/pose", coarse())
+        words[kind] = site.subscribe(hearer, "/*/words")
+        calls[kind] = site.grant(hearer, Right.CALL, "/*/switch")
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(world.master())
+
+        def start(kind: str, source: str, *more: str) -> Running:
+            line = command(kind, sys.executable, ROSSEC, source, *more)
+            return stack.enter_context(world.started(loopback, *line))
+
+        speakers = {kind: start(kind, SPEAKERS[kind]) for kind in KINDS}
+        for speaker in speakers.values():
+            speaker.wait_for("READY")
+        told = " ".join(KINDS), str(signal)
+        hearers = {kind: start(kind, HEARERS[kind], *told) for kind in KINDS}
+        yield Cast(world, speakers, hearers, words, calls, signal)
+
+
+@pairs
+def test_messages_arrive(cast: Cast, source: str, sink: str) -> None:
+    cast.hearers[sink].wait_for(f"HEARD {source} words {source} ")
+
+
+@pairs
+def test_a_late_subscriber_hears_what_is_latched(cast: Cast, source: str, sink: str) -> None:
+    cast.hearers[sink].wait_for(f"HEARD {source} latched {source} kept")
+
+
+@pairs
+def test_publishers_filter_and_withhold(cast: Cast, source: str, sink: str) -> None:
+    """Whoever publishes applies the restriction, to whomever."""
+    about = f"HEARD {source} pose "
+    hearer = cast.hearers[sink]
+    wait(lambda: hearer.said.count(about) > 5)
+    poses = {line.removeprefix(about).strip() for line in hearer.lines if line.startswith(about)}
+    assert poses == {SEEN}
+
+
+@pairs
+def test_services_answer(cast: Cast, source: str, sink: str) -> None:
+    cast.hearers[sink].wait_for(f"CALLED {source} {source} answers")
+
+
+@pairs
+def test_persistent_services_answer_again_and_again(cast: Cast, source: str, sink: str) -> None:
+    hearer = cast.hearers[sink]
+    wait(lambda: hearer.said.count(f"KEPT {source} {source} answers") >= 3)
+    assert "NOT KEPT" not in hearer.said
+    assert "NOT CALLED" not in hearer.said
+
+
+def test_every_kind_follows_the_end_of_a_grant(cast: Cast) -> None:
+    """Granted for some seconds while the programs run; cut at both ends when they are over."""
+    end = int(time.time()) + BRIEF
+    for kind in KINDS:
+        cast.world.site.grant(f"/{kind}_hearer", Right.SUBSCRIBE, "/*/brief", lifetime=BRIEF)
+    time.sleep(2.5)  # every directory of grants has been looked at: an entry is made once
+    cast.signal.touch()
+    for source, sink in PAIRS:
+        cast.hearers[sink].wait_for(f"HEARD {source} brief {source} ")
+    for speaker in cast.speakers.values():
+        wait(lambda speaker=speaker: "brief 0" in last(speaker, "LISTENERS"))  # type: ignore[misc]
+    assert time.time() >= end
+    _is_silent(cast, "brief")
+
+
+def test_a_revoked_right_to_subscribe_is_cut_at_both_ends(cast: Cast) -> None:
+    before = {running: len(running.lines) for running in cast.everybody}
+    cast.revoke(cast.words)
+    for speaker in cast.speakers.values():
+        wait(lambda speaker=speaker: "words 0" in last(speaker, "LISTENERS"))  # type: ignore[misc]
+    _is_silent(cast, "words")
+    for hearer in cast.hearers.values():
+        hearer.wait_for("no grant for subscribe on ")
+    _nobody_spins(before)
+
+
+def test_a_new_grant_brings_the_messages_back(cast: Cast) -> None:
+    """Also to a program that itself gives up what has ended, as stock rospy does."""
+    heard = _from_now(cast)
+    for kind in KINDS:
+        cast.world.site.subscribe(f"/{kind}_hearer", "/*/words")
+    for source, sink in PAIRS:
+        wait(lambda source=source, sink=sink: f"HEARD {source} words" in heard(sink))  # type: ignore[misc]
+
+
+def test_a_revoked_right_to_call_ends_kept_connections_too(cast: Cast) -> None:
+    before = {running: len(running.lines) for running in cast.everybody}
+    cast.revoke(cast.calls)
+    for source, sink in PAIRS:
+        cast.hearers[sink].wait_for(f"NOT CALLED {source} ")
+        cast.hearers[sink].wait_for(f"NOT KEPT {source} ")
+    for hearer in cast.hearers.values():
+        hearer.wait_for("needs the right call on ")
+    _nobody_spins(before)
+
+
+def last(running: Running, words: str) -> str:
+    return next(line for line in reversed(running.lines) if words in line)
+
+
+def _is_silent(cast: Cast, topic: str) -> None:
+    """While poses arrive in every pairing, nothing of `topic` does."""
+    heard = _from_now(cast)
+    for source, sink in PAIRS:
+        wait(lambda source=source, sink=sink: heard(sink).count(f"HEARD {source} pose") >= 3)  # type: ignore[misc]
+        assert f"HEARD {source} {topic}" not in heard(sink)
+
+
+def _from_now(cast: Cast) -> Callable[[str], str]:
+    """What the hearer of a kind has said since."""
+    begins = {kind: len(hearer.lines) for kind, hearer in cast.hearers.items()}
+    return lambda kind: "".join(cast.hearers[kind].lines[begins[kind] :])
+
+
+def _nobody_spins(before: Mapping[Running, int]) -> None:
+    """What was refused is tried again, ever more slowly, and said some times at most."""
+    own = ("HEARD", "CALLED", "KEPT", "NOT", "LISTENERS")
+    for running, begin in before.items():
+        lines = [line for line in running.lines[begin:] if not line.startswith(own)]
+        assert len(lines) <= 40, "".join(lines)

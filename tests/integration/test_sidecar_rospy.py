@@ -1,0 +1,94 @@
+"""rospy programs as they are, and the libraries of ROS above it, each behind a sidecar of its own.
+
+What asks is run twice: behind a sidecar, and with the two lines that secure it from inside.
+"""
+
+import contextlib
+import sys
+from collections.abc import Iterator
+
+import pytest
+
+from rossec.sidecar.loopback import free_port
+from tests.integration.sidecarworld import Running, World, wait
+from tests.support import rospyuse
+from tests.support.fleet import SECURE
+from tests.support.hosts import Host, Hosts
+from tests.support.site import Site
+
+pytestmark = [pytest.mark.ros, pytest.mark.timeout(180)]
+
+
+@pytest.fixture(scope="module")
+def world(tmp_path_factory: pytest.TempPathFactory) -> Iterator[World]:
+    directory = tmp_path_factory.mktemp("sidecar_rospy")
+    loopback = Host((), "127.0.0.1", "::1")
+    site = Site(directory / "site")
+    world = World(Hosts(loopback, loopback, real=False), site, directory, port=free_port())
+    world.enroll("/basics", publish="/basics/*", provide="/basics/*", param_set="/basics/*")
+    world.enroll("/asker", subscribe="/basics/*", call="/basics/*", param_set="/asker/*")
+    world.enroll(
+        "/worker", subscribe="/work/goal /work/cancel",
+        publish="/work/status /work/feedback /work/result",
+    )  # fmt: skip
+    world.enroll(
+        "/boss", publish="/work/goal /work/cancel",
+        subscribe="/work/status /work/feedback /work/result",
+    )  # fmt: skip
+    world.enroll("/mount", publish="/tf /tf_static")
+    own = "/looker/tf2_frames"  # of tf2's buffer, which looks whether it is there already
+    world.enroll("/looker", subscribe="/tf /tf_static", provide=own, call=own)
+    world.enroll("/drive", publish="/drive/*", provide="/drive/*", param_set="/drive/*")
+    world.enroll("/tuner", subscribe="/drive/*", call="/drive/*")
+    with world.master():
+        yield world
+
+
+@contextlib.contextmanager
+def serving(world: World, source: str, ready: str = "READY") -> Iterator[Running]:
+    with world.secured(world.hosts.near, sys.executable, "-c", source) as running:
+        running.wait_for(ready)
+        yield running
+
+
+def said(world: World, source: str) -> Iterator[list[str]]:
+    """What a program prints behind a sidecar, then what it prints secured from inside."""
+    yield world.tool(sys.executable, "-c", source).splitlines()
+    with world.started(world.hosts.near, sys.executable, "-c", SECURE + source) as running:
+        wait(lambda: running.process.poll() is not None)
+    yield running.said.splitlines()
+
+
+def test_messages_services_and_parameters(world: World) -> None:
+    source = rospyuse.BASICS_SERVER
+    with world.secured(world.hosts.near, sys.executable, "-c", source):
+        for lines in said(world, rospyuse.BASICS_CLIENT):
+            assert lines[0].startswith("HEARD word ")
+            assert lines[1:] == [
+                "ANSWERED /basics", "KEPT [True, False]", "COLOUR [1, 2.5, True]",
+                "OWN 7 False /asker/mine", "DELETED gone", "IN ORDER True",
+            ]  # fmt: skip
+
+
+def test_an_action_reaches_its_goal_or_is_cancelled(world: World) -> None:
+    with serving(world, rospyuse.ACTION_SERVER):
+        for lines in said(world, rospyuse.ACTION_CLIENT):
+            assert lines == [
+                "SERVER True", "FINISHED True", "RESULT 42  [0, 1, 2]",
+                "FINISHED True", "CANCELLED True",
+            ]  # fmt: skip
+
+
+def test_transforms_static_ones_latched(world: World) -> None:
+    with serving(world, rospyuse.TF_BROADCASTER):
+        for lines in said(world, rospyuse.TF_LISTENER):
+            assert lines == ["CAMERA AT 2.5"]
+
+
+def test_a_node_is_reconfigured(world: World) -> None:
+    """Its configuration is latched; 9 is beyond what it allows."""
+    with serving(world, rospyuse.RECONFIGURE_SERVER) as drive:
+        before = ["1.5", "3.0"]
+        for was, lines in zip(before, said(world, rospyuse.RECONFIGURE_CLIENT), strict=True):
+            assert lines == [f"BEFORE {was}", "AFTER 3.0"]
+        drive.wait_for("SPEED 3.0")

@@ -1,0 +1,94 @@
+"""A rospy process stays in good standing by itself: renewals, and an end when news stay away."""
+
+import time
+from pathlib import Path
+
+import pytest
+
+from grants.model import Right
+from rossec.master import trust
+from tests.rossec.node.test_identity import BEGIN, LIFE, below
+from tests.support.fleet import SECURE, environment, program
+from tests.support.site import DAY, HOUR, Site
+from tests.support.witness import until
+
+pytestmark = pytest.mark.ros
+
+WORDS = "/robot/words"
+TYPE = "std_msgs/String"
+LISTENER = (
+    SECURE
+    + """
+import rospy
+from std_msgs.msg import String
+rospy.init_node("listener")
+rospy.Subscriber("/robot/words", String, lambda message: print("HEARD", message.data, flush=True))
+print("READY", flush=True)
+rospy.spin()
+"""
+)
+HASTY = (
+    """
+import rossec.node.links
+from rossec.inprocess.process import Process
+rossec.node.links.STALE_GRACE = 1
+take = Process.take_revocations
+def take_and_tell(*news):
+    take(*news)
+    print("NEWS", flush=True)
+Process.take_revocations = take_and_tell
+"""
+    + LISTENER
+)
+
+
+async def test_what_has_ended_or_soon_will_is_renewed(tmp_path: Path) -> None:
+    """A grant that expired while the program was off, an identity at two thirds of its life."""
+    site = Site(tmp_path / "site", clock=lambda: BEGIN)
+    for name in ("/robot", "/listener", "/master"):
+        site.enroll(name, LIFE)
+    before = site.identity("/listener")
+    site._clock = time.time
+    site.intermediate = below(site)
+    site.delegate()
+    site.publish("/robot", WORDS)
+    site.grant("/listener", Right.SUBSCRIBE, WORDS, begin=site.now() - HOUR, lifetime=-60, cap=DAY)
+    async with site.running(), site.node("/robot") as robot:
+        publisher = await robot.publisher(WORDS, TYPE, latch=True)
+        publisher.publish(publisher.create(data="hello"))
+        async with program(environment(site, tmp_path), LISTENER) as listener:
+            await listener.hears("HEARD hello")
+            [link] = publisher.links
+            assert len(link.decision.grant_ids) == 3  # the grant, the delegation, the delegate
+            await until(lambda: site.identity("/listener").not_after > before.not_after, within=30)
+            assert site.identity("/listener").issuers == (
+                site.intermediate.authority.issuer.thumbprint,
+            )
+            for old in tuple(publisher.links):
+                old.stream.abort("a test")
+            await until(
+                lambda: any(link.stream.peer.issuers for link in publisher.links), within=30
+            )
+            await listener.hears("HEARD hello")
+    assert "Traceback" not in listener.said
+
+
+async def test_connections_end_when_nobody_confirms_the_list(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    site = Site(tmp_path / "site")
+    site.publish("/robot", WORDS)
+    site.subscribe("/listener", WORDS)
+    async with site.running(), site.node("/robot") as robot:
+        publisher = await robot.publisher(WORDS, TYPE, latch=True)
+        publisher.publish(publisher.create(data="hello"))
+        async with program(environment(site, tmp_path), HASTY) as listener:
+            await listener.hears("HEARD hello")
+            monkeypatch.setattr(trust, "MAX_AGE", 1)  # of what the master says from now on
+            await robot._session.call("rossec.updateRevocations", site.revoke(bytes(32)))
+            await listener.hears("NEWS")
+            assert site.master is not None
+            await site.master.close()
+            cut = await listener.hears("cut /robot (/robot/words): ", within=90)
+            assert "the last confirmation ran out" in cut
+    assert "Traceback" not in listener.said

@@ -1,0 +1,234 @@
+"""What rospy takes for a socket, with both ends in this process."""
+
+import errno
+import socket
+from collections.abc import Iterator
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from rossec.errors import ChannelClosed, ChannelError
+from rossec.inprocess import plainsocket, sockets
+from rossec.inprocess.member import Member
+from rossec.inprocess.plain import Plain
+from rossec.inprocess.sockets import Doors, RosSocket, Stand
+from rossec.net.halfopen import HalfOpen
+from tests.rossec.net.test_blocking import background
+from tests.support.site import Site
+
+
+class Owner:
+    """A process as far as a socket sees it."""
+
+    def __init__(self, member: Member, plain: Plain, half_open: HalfOpen) -> None:
+        self.doors = Doors(member, half_open)
+        self.plain = plain
+        self.over: list[RosSocket] = []
+
+    def gone(self, sock: RosSocket) -> None:
+        self.over.append(sock)
+
+    def failed(self, address: tuple[str, int], error: ChannelError) -> Exception:
+        return ConnectionError(f"{address[1] > 0} {error}")
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Site:
+    directory: Path = tmp_path_factory.mktemp("member")
+    return Site(directory / "site")
+
+
+@pytest.fixture(scope="module")
+def member(site: Site) -> Member:
+    return Member(site.enroll("/robot"), "/robot")
+
+
+def owner(member: Member, plain: Plain | None = None, half_open: HalfOpen | None = None) -> Owner:
+    return Owner(member, plain or Plain(()), half_open or HalfOpen())
+
+
+@pytest.fixture
+def listening(site: Site) -> Iterator[RosSocket]:
+    viewer = Member(site.enroll("/viewer"), "/viewer")
+    sock = RosSocket(owner(viewer), socket.socket())
+    sock.bind(("127.0.0.1", 0))
+    sock.listen(1)
+    yield sock
+    sock.close()
+
+
+def connected(member: Member, listening: RosSocket) -> tuple[RosSocket, RosSocket]:
+    accepted: list[RosSocket] = []
+
+    def accept() -> None:
+        sock, _ = listening.accept()
+        sock.handshake()
+        accepted.append(sock)
+
+    thread = background(accept)
+    sock = RosSocket(owner(member), socket.socket())
+    sock.connect(listening.getsockname())
+    thread.join(10)
+    return sock, accepted[0]
+
+
+def test_a_socket_of_rospys(member: Member, listening: RosSocket) -> None:
+    left, right = connected(member, listening)
+    assert (left.peer.name, right.peer.name, left.is_plain) == ("/viewer", "/robot", False)
+    assert left.fileno() > 0
+    left.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+    assert left.getsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE) == 1
+    assert left.getpeername() == right.getsockname()
+    assert left.send(b"hello") == 5
+    buffer = bytearray(5)
+    assert right.recv_into(buffer) == 5
+    right.sendall(bytes(buffer))
+    assert left.recv(10) == b"hello"
+    assert not left.send_now(b"x") or left.send_now(b"y")
+    left.setblocking(False)
+    assert left.gettimeout() == 0.0
+    with pytest.raises(BlockingIOError):
+        left.recv(1)
+    assert not left.unsent
+    right.shutdown()
+    left.abort()
+    with pytest.raises(ConnectionResetError, match="rossec: "):
+        left.sendall(b"x")
+    for sock in (left, right):
+        sock.close()
+        assert sock.fileno() == -1
+        sock.abort()
+
+
+def test_nothing_goes_past_the_queue_while_the_peer_may_have_words(
+    member: Member, listening: RosSocket
+) -> None:
+    left, right = connected(member, listening)
+    assert not left.send_now(b"first"), "the peer's side was never looked at"
+    left.sendall(b"first")
+    assert left.send_now(b"second")
+    assert right.recv(10) + right.recv(10) == b"firstsecond"
+    for sock in (left, right):
+        sock.close()
+
+
+def test_what_is_not_connected_says_so(member: Member) -> None:
+    sock = RosSocket(owner(member), socket.socket())
+    with pytest.raises(ChannelClosed, match="not connected"):
+        _ = sock.stream
+    sock.settimeout(1.0)
+    assert sock.gettimeout() == 1.0
+    assert not sock.unsent
+    assert not sock.send_now(b"x")
+    sock.shutdown()
+    sock.close()
+
+
+def test_a_caller_too_many_is_dropped(member: Member) -> None:
+    sock = RosSocket(owner(member, half_open=HalfOpen(total=1, per_address=1)), socket.socket())
+    sock.bind(("127.0.0.1", 0))
+    sock.listen()
+    first = socket.create_connection(sock.getsockname())
+    accepted, _ = sock.accept()
+    with pytest.raises(ChannelClosed, match="not authenticated"):
+        _ = accepted.peer
+    second = socket.create_connection(sock.getsockname())
+    later: list[RosSocket] = []
+    thread = background(lambda: later.append(sock.accept()[0]))
+    second.settimeout(10)
+    assert second.recv(1) == b""
+    accepted.close()
+    third = socket.create_connection(sock.getsockname())
+    thread.join(10)
+    for caller in (first, second, third):
+        caller.close()
+    for ours in (sock, *later):
+        ours.close()
+    assert len(later) == 1
+
+
+def test_a_host_without_descriptors_rests_and_goes_on(
+    member: Member, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sockets, "_REST", 0.0)
+    answers: list[Any] = [
+        OSError(errno.EMFILE, "too many"), OSError(errno.EBADF, "closed"),
+    ]  # fmt: skip
+
+    def accept() -> None:
+        raise answers.pop(0)
+
+    sock = RosSocket(owner(member), SimpleNamespace(accept=accept))  # type: ignore[arg-type]
+    with pytest.raises(OSError, match="closed"):
+        sock.accept()
+    assert answers == []
+
+
+@pytest.fixture
+def stock() -> Iterator[tuple[str, int]]:
+    """A plain ROS node, as far as two connections see it."""
+    server = socket.create_server(("127.0.0.1", 0))
+
+    def serve() -> None:
+        for _ in range(2):
+            caller, _ = server.accept()
+            with caller:
+                if caller.recv(1, socket.MSG_PEEK) == b"s":
+                    caller.sendall(b"plain")
+                else:
+                    caller.sendall(b"\4\0\0\0nope")
+                caller.recv(100)
+
+    background(serve)
+    yield server.getsockname()
+    server.close()
+
+
+def test_a_peer_that_is_plain_is_refused_or_named(member: Member, stock: tuple[str, int]) -> None:
+    sock = RosSocket(owner(member), socket.socket())
+    with pytest.raises(ConnectionError, match="plain"):
+        sock.connect(stock)
+    sock.close()
+
+
+def test_a_plain_peer_that_may_stay_so(member: Member, stock: tuple[str, int]) -> None:
+    sock = RosSocket(owner(member, Plain(["/x"])), socket.socket())
+    sock.connect(stock)
+    assert sock.is_plain
+    with pytest.raises(ChannelClosed, match="proves nothing"):
+        sock.handshake()
+    assert not sock.send_now(b"s")
+    assert not sock.unsent
+    sock.sendall(b"s")
+    assert sock.recv(10) == b"plain"
+    sock.settimeout(5)
+    assert sock.gettimeout() == 5
+    sock.shutdown()
+    sock.close()
+
+
+def test_a_plain_caller_is_looked_at_and_left(member: Member) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        for sent, seen in (
+            (b"POST / HTTP/1.1\r\n", b"POST"),
+            (b"\x06\0\0\0\x02\0\0\0a=", b"\x06\0\0\0\x02\0\0\0a="),
+            (b"\xff\xff\xff\xff\xff", b""),
+        ):
+            caller = socket.create_connection(server.getsockname())
+            sock, _ = server.accept()
+            caller.sendall(sent)
+            caller.shutdown(socket.SHUT_WR)
+            assert plainsocket.peek(sock) == seen
+            caller.close()
+            sock.close()
+    assert plainsocket.plain_fields(b"\x06\0\0\0\x02\0\0\0a=") == {"a": b""}
+    assert plainsocket.plain_fields(b"abc") == {}
+    assert plainsocket.plain_fields(b"\x01\0\0\0a") == {}
+
+
+def test_a_stand_is_the_module_but_for_some_names() -> None:
+    stand = Stand(socket, socket=dict)
+    assert stand.socket is dict
+    assert stand.AF_INET == socket.AF_INET

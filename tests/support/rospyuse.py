@@ -1,0 +1,131 @@
+"""Ordinary rospy programs that know nothing of rossec: what a robot's own are made of."""
+
+from typing import Final
+
+BASICS_SERVER: Final = """
+import rospy
+from std_msgs.msg import String
+from std_srvs.srv import SetBool
+rospy.init_node("basics")
+rospy.set_param("~colour", {"red": [1, 2.5, True]})
+rospy.Service("~switch", SetBool, lambda asked: (asked.data, rospy.get_name()))
+words = rospy.Publisher("/basics/words", String, queue_size=10)
+number = 0
+while not rospy.is_shutdown():
+    words.publish(f"word {number}")
+    number += 1
+    rospy.rostime.wallsleep(0.05)
+"""
+
+BASICS_CLIENT: Final = """
+import rospy
+from std_msgs.msg import String
+from std_srvs.srv import SetBool
+rospy.init_node("asker")
+print("HEARD", rospy.wait_for_message("/basics/words", String, timeout=20).data)
+rospy.wait_for_service("/basics/switch", timeout=20)
+print("ANSWERED", rospy.ServiceProxy("/basics/switch", SetBool)(True).message)
+kept = rospy.ServiceProxy("/basics/switch", SetBool, persistent=True)
+print("KEPT", [kept(on).success for on in (True, False)])
+print("COLOUR", rospy.get_param("/basics/colour/red"))
+rospy.set_param("~mine", 7)
+print("OWN", rospy.get_param("~mine"), rospy.has_param("~none"), rospy.search_param("mine"))
+rospy.delete_param("~mine")
+print("DELETED", rospy.get_param("~mine", "gone"))
+seen = []
+rospy.Subscriber("/basics/words", String, lambda message: seen.append(message.data))
+while len(seen) < 5:
+    rospy.rostime.wallsleep(0.02)
+print("IN ORDER", seen == sorted(seen, key=lambda word: int(word.split()[1])))
+"""
+
+ACTION_SERVER: Final = """
+import actionlib, rospy
+from actionlib.msg import TestAction, TestFeedback, TestResult
+rospy.init_node("worker")
+def work(goal):
+    for step in range(3):
+        server.publish_feedback(TestFeedback(step))
+        rospy.rostime.wallsleep(0.05)
+    while goal.goal >= 100 and not server.is_preempt_requested():
+        rospy.rostime.wallsleep(0.02)
+    if goal.goal >= 100:
+        server.set_preempted(TestResult(-1))
+    else:
+        server.set_succeeded(TestResult(2 * goal.goal))
+server = actionlib.SimpleActionServer("work", TestAction, work, auto_start=False)
+server.start()
+print("READY", flush=True)
+rospy.spin()
+"""
+
+ACTION_CLIENT: Final = """
+import actionlib, rospy
+from actionlib.msg import TestAction, TestGoal
+rospy.init_node("boss")
+client = actionlib.SimpleActionClient("work", TestAction)
+print("SERVER", client.wait_for_server(rospy.Duration(20)))
+steps = []
+client.send_goal(TestGoal(21), feedback_cb=lambda feedback: steps.append(feedback.feedback))
+print("FINISHED", client.wait_for_result(rospy.Duration(20)))
+print("RESULT", client.get_result().result, client.get_goal_status_text(), steps)
+client.send_goal(TestGoal(100), feedback_cb=lambda feedback: client.cancel_goal())
+print("FINISHED", client.wait_for_result(rospy.Duration(20)))
+print("CANCELLED", client.get_state() == actionlib.GoalStatus.PREEMPTED)
+"""
+
+TF_BROADCASTER: Final = """
+import rospy, tf2_ros
+from geometry_msgs.msg import TransformStamped
+rospy.init_node("mount")
+def transform(parent, child, x):
+    made = TransformStamped()
+    made.header.stamp, made.header.frame_id, made.child_frame_id = rospy.Time.now(), parent, child
+    made.transform.translation.x, made.transform.rotation.w = x, 1.0
+    return made
+static = tf2_ros.StaticTransformBroadcaster()
+static.sendTransform(transform("base", "camera", 0.5))
+moving = tf2_ros.TransformBroadcaster()
+print("READY", flush=True)
+while not rospy.is_shutdown():
+    moving.sendTransform(transform("map", "base", 2.0))
+    rospy.rostime.wallsleep(0.05)
+"""
+
+TF_LISTENER: Final = """
+import rospy, tf2_ros
+rospy.init_node("looker")
+buffer = tf2_ros.Buffer()
+tf2_ros.TransformListener(buffer)
+while not buffer.can_transform("map", "camera", rospy.Time(0)):
+    rospy.rostime.wallsleep(0.02)
+print("CAMERA AT", buffer.lookup_transform("map", "camera", rospy.Time(0)).transform.translation.x)
+"""
+
+RECONFIGURE_SERVER: Final = """
+import rospy
+from dynamic_reconfigure.server import Server
+class Speed:  # as the generator writes it from a .cfg file
+    defaults, min, max = {"speed": 1.5}, {"speed": 0.0}, {"speed": 3.0}
+    config_description = {
+        "name": "Default", "id": 0, "parent": 0, "type": "", "state": True, "groups": [],
+        "parameters": [{"name": "speed", "type": "double", "level": 1, "description": "in m/s",
+                        "edit_method": ""}],
+    }
+rospy.init_node("drive")
+def changed(config, level):
+    print("SPEED", config["speed"], flush=True)
+    return config
+Server(Speed, changed)
+print("READY", flush=True)
+rospy.spin()
+"""
+
+RECONFIGURE_CLIENT: Final = """
+import rospy
+from dynamic_reconfigure.client import Client
+rospy.init_node("tuner")
+client = Client("drive", timeout=20)
+print("BEFORE", client.get_configuration(timeout=20)["speed"])
+print("AFTER", client.update_configuration({"speed": 9.0})["speed"])
+"""
