@@ -72,7 +72,7 @@ def test_the_demo_does_what_it_says(played: Played) -> None:
     assert played.said.count("done in") == 7
     figure = re.search(r"last image (-?\d+) ms after the command was given", played.said)
     assert figure is not None
-    assert int(figure[1]) < 1000
+    assert int(figure[1]) < 10_000  # it ended by itself: the image's grant holds for days
 
 
 def test_the_recording_is_complete(played: Played) -> None:

@@ -41,11 +41,11 @@ rospy.Subscriber("/plain/words", String, lambda message: print("HEARD", message,
 try:
     rospy.ServiceProxy("/plain/work", Trigger)()
 except rospy.ServiceException as error:
-    print("FAILED", error, flush=True)
+    print(f"FAILED {error}", flush=True)
 try:
     rospy.wait_for_service("/plain/work", timeout=1)
 except rospy.ROSException as error:
-    print("WAITED", error, flush=True)
+    print(f"WAITED {error}", flush=True)
 rospy.spin()
 """
 )
@@ -56,7 +56,7 @@ from std_srvs.srv import Trigger
 try:
     rospy.ServiceProxy("/robot/reset", Trigger)()
 except rospy.ServiceException as error:
-    print("FAILED", error, flush=True)
+    print(f"FAILED {error}", flush=True)
 """
 
 SECURED_LOST = (
@@ -66,7 +66,7 @@ import rospy
 try:
     rospy.get_param("/anything")
 except Exception as error:
-    print("FAILED", error, flush=True)
+    print(f"FAILED {error}", flush=True)
 rospy.init_node("client")
 """
 )
