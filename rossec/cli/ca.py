@@ -6,14 +6,13 @@ from pathlib import Path
 import click
 
 from ca import qr
-from ca.authority import DAY, MAX_LIFETIME
 from ca.certificates import Request, check_request
 from ca.hsm import KeyUri
 from ca.names import check_wildcard, spiffe_id
 from rossec import files
 from rossec.authority import AuthorityHome, fingerprint, grouped
-from rossec.cli import passphrase
-from rossec.cli.context import Duration, Environment, confirm, moment, now, pass_environment
+from rossec.cli import options, passphrase
+from rossec.cli.context import Environment, confirm, moment, now, pass_environment
 from rossec.cli.publish import deliver, remind
 from rossec.cli.voice import printable, say
 from rossec.errors import ConfigurationError
@@ -62,27 +61,10 @@ def init(
 @click.option(
     "--code", "codes", multiple=True, help="text of the QR code the node shows; one per request"
 )
-@click.option(
-    "--for",
-    "lifetime",
-    type=Duration(MAX_LIFETIME // DAY),
-    default="30d",
-    show_default=True,
-    help="how long the identity lasts",
-)
-@click.option(
-    "--replace-key",
-    "replaced",
-    multiple=True,
-    metavar="NAME",
-    help="let the known name NAME come with another key; revokes the old one",
-)
-@click.option(
-    "--anonymous",
-    is_flag=True,
-    help="for anonymous nodes too: /rviz also as /rviz_1234_1700000000000",
-)
-@click.option("--master", "master_uri", help="master to tell, instead of ROS_MASTER_URI")
+@options.identity_lifetime
+@options.replace_key(multiple=True)
+@options.anonymous
+@options.master_to_tell
 @click.option("--yes", is_flag=True, help="do not ask")
 @passphrase.option
 @pass_environment
@@ -130,7 +112,7 @@ def sign(
 
 
 @ca.command()
-@click.option("--master", "master_uri", help="master to tell, instead of ROS_MASTER_URI")
+@options.master_to_tell
 @pass_environment
 def publish(environment: Environment, master_uri: str | None) -> None:
     """Give the newest revocation list to the master."""
@@ -139,7 +121,7 @@ def publish(environment: Environment, master_uri: str | None) -> None:
 
 
 @ca.command()
-@click.option("--master", "master_uri", help="master to tell, instead of ROS_MASTER_URI")
+@options.master_to_tell
 @passphrase.option
 @pass_environment
 def refresh(environment: Environment, master_uri: str | None, passphrase_file: Path | None) -> None:
@@ -159,7 +141,7 @@ def refresh(environment: Environment, master_uri: str | None, passphrase_file: P
 @ca.command()
 @click.argument("name")
 @click.option("--reason", default="", help="why, for the record")
-@click.option("--master", "master_uri", help="master to tell, instead of ROS_MASTER_URI")
+@options.master_to_tell
 @passphrase.option
 @pass_environment
 def revoke(

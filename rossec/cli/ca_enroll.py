@@ -10,7 +10,6 @@ from typing import Final
 import click
 
 from ca import qr
-from ca.authority import DAY, MAX_LIFETIME
 from ca.certificates import from_pem
 from ca.enrollment import NONCE_SIZE
 from ca.enrollment.authority import AuthorityEnrollment
@@ -21,10 +20,9 @@ from ca.lifecycle import RequestRow, State
 from ca.requests import MAX_REQUEST
 from rossec import files
 from rossec.authority import AuthorityHome
-from rossec.cli import passphrase
+from rossec.cli import options, passphrase
 from rossec.cli.ca_requests import introduce, tell_of_replaced
 from rossec.cli.context import (
-    Duration,
     Environment,
     agrees,
     now,
@@ -56,23 +54,11 @@ _DENIED: Final = "no, at the authority"
     help="no code: this request, whose fingerprint you have compared",
 )
 @click.option("--address", "told", help="where the node waits, for a label: host, or host:port")
-@click.option(
-    "--for",
-    "lifetime",
-    type=Duration(MAX_LIFETIME // DAY),
-    default="30d",
-    show_default=True,
-    help="how long the identity lasts",
-)
-@click.option(
-    "--replace-key",
-    "replaced",
-    metavar="NAME",
-    help="let the known name NAME come with another key; revokes the old one",
-)
-@click.option("--anonymous", is_flag=True, help="for anonymous nodes too: NAME and NAME_*")
+@options.identity_lifetime
+@options.replace_key()
+@options.anonymous
 @click.option("--later", is_flag=True, help="only record who asks; decide with: rossec ca approve")
-@click.option("--master", "master_uri", help="master to tell, instead of ROS_MASTER_URI")
+@options.master_to_tell
 @click.option("--yes", is_flag=True, help="do not ask")
 @passphrase.option
 @pass_environment

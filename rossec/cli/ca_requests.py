@@ -6,7 +6,6 @@ from typing import Final
 
 import click
 
-from ca.authority import DAY, MAX_LIFETIME
 from ca.lifecycle import OPEN, RequestRow, State
 from ca.names import spiffe_id
 from ca.store import Store
@@ -14,9 +13,9 @@ from grants.policy.model import Subject
 from grants.policy.prospects import prospects
 from rossec import files
 from rossec.authority import AuthorityHome, grouped
-from rossec.cli import passphrase
+from rossec.cli import options, passphrase
 from rossec.cli.ca import warn_of_tail
-from rossec.cli.context import Duration, Environment, moment, now, pass_environment
+from rossec.cli.context import Environment, moment, now, pass_environment
 from rossec.cli.publish import deliver, remind
 from rossec.cli.voice import printable, say, say_json
 from rossec.errors import ConfigurationError
@@ -48,23 +47,11 @@ def requests(environment: Environment, everything: bool, as_json: bool) -> None:
 
 @click.command()
 @click.argument("request_id")
-@click.option(
-    "--for",
-    "lifetime",
-    type=Duration(MAX_LIFETIME // DAY),
-    default="30d",
-    show_default=True,
-    help="how long the identity lasts",
-)
-@click.option(
-    "--replace-key",
-    "replaced",
-    metavar="NAME",
-    help="let the known name NAME come with another key; revokes the old one",
-)
-@click.option("--anonymous", is_flag=True, help="for anonymous nodes too: NAME and NAME_*")
+@options.identity_lifetime
+@options.replace_key()
+@options.anonymous
 @click.option("--out", type=click.Path(path_type=Path), help="write the identity to this new file")
-@click.option("--master", "master_uri", help="master to tell, instead of ROS_MASTER_URI")
+@options.master_to_tell
 @passphrase.option
 @pass_environment
 def approve(

@@ -12,7 +12,7 @@ from grants import document
 from grants.model import Draft
 from grants.presets import PRESETS
 from rossec.authority import AuthorityHome
-from rossec.cli import grantoptions, passphrase
+from rossec.cli import grantoptions, options, passphrase
 from rossec.cli.context import Duration, Environment, moment, now, pass_environment
 from rossec.cli.publish import deliver, remind
 from rossec.cli.voice import note, printable, say, say_json
@@ -174,7 +174,7 @@ def install(environment: Environment, file: Path) -> None:
 @grant.command()
 @click.argument("grant_id")
 @click.option("--reason", default="", help="why, for the record")
-@click.option("--master", "master_uri", help="master to tell, instead of ROS_MASTER_URI")
+@options.master_to_tell
 @passphrase.option
 @pass_environment
 def revoke(

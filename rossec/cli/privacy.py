@@ -70,7 +70,7 @@ def privacy(
 @privacy.command("opt-out")
 @click.argument("name")
 @click.option("--node", "is_node", is_flag=True, help="NAME is a node, enrolled or not")
-@click.option("--master", "master_uri", help="master to tell, instead of ROS_MASTER_URI")
+@options.master_to_tell
 @options.policy
 @passphrase.option
 @pass_environment

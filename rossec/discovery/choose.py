@@ -1,12 +1,13 @@
 """`ROS_MASTER_URI=discover:`: the master is found when the program starts, and then kept."""
 
+import time
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
 
 from ca.certificates import TrustAnchor
 from ca.names import check_name
-from ca.statements import open_list
+from ca.revocation import Revocations
 from rossec.discovery.candidates import Candidate
 from rossec.discovery.finder import PATIENCE, find
 from rossec.errors import ConfigurationError
@@ -77,5 +78,7 @@ def _nodes(home: Path) -> list[NodeHome]:
 
 def _revoked(node: NodeHome, anchor: TrustAnchor) -> frozenset[bytes]:
     """What the newest list says, however old: the handshake asks for a fresh one."""
-    saved = node.load_revocations()
-    return frozenset() if saved is None else open_list(saved, anchor.public_key).entries
+    revocations, saved = Revocations(anchor.public_key), node.load_revocations()
+    if saved is not None:
+        revocations.update(saved, int(time.time()))
+    return revocations.entries

@@ -4,7 +4,6 @@ A shell. Hop limit 255 is sent and required: a router would have lowered it, so 
 sent on the link itself (RFC 5082).
 """
 
-import errno
 import ipaddress
 import socket
 import struct
@@ -62,10 +61,8 @@ class MulticastSocket:
         while True:
             try:
                 data, ancillary, flags, where = self._socket.recvmsg(_LONGEST, _ANCILLARY)
-            except OSError as error:
-                if error.errno in {errno.EAGAIN, errno.EWOULDBLOCK}:
-                    return
-                continue
+            except OSError:  # nothing more, or a link that went down: to go on could be for ever
+                return
             if not flags & socket.MSG_TRUNC and _is_local(where[0], ancillary):
                 yield data, Source(where[0], where[3])
 

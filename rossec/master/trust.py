@@ -7,8 +7,7 @@ holds. Grants are kept per key, verified once, bounded in number and size.
 """
 
 import hashlib
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Final
 
 from ca.certificates import TrustAnchor
@@ -16,133 +15,21 @@ from ca.errors import HintedError, RenewalRefused, RevocationRefused, Revoked
 from ca.revocation import MAX_AGE, Revocations, Timestamp, digest, sign_timestamp
 from ca.revocationtree import Listing, is_tree, open_tree
 from ca.signer import Signer
-from grants.decision import Check, authorize
+from grants.decision import Check
 from grants.errors import GrantError, GrantNotHeld
-from grants.model import Grant, Right
-from grants.reach import Reach
+from grants.model import Grant
 from grants.token import Verifier
-from grants.validity import check_time
 from rossec.master.gatekeeper import Caller, Certified, Peer
+from rossec.master.holdings import FAILURES_WITHIN, MAX_HELD, NOTHING, GrantAccess, Held
 from rossec.master.renewal import Delegate, forget
 from rossec.master.standing import Presented, Renewed
 
 _PUBLISH: Final = "deliver it with: rossec ca publish"
-MAX_HELD: Final = 64
-MAX_HELD_BYTES: Final = 256 * 1024
 MAX_NAMES: Final = 16 * 1024  # nodes of which is known which list they hold
-MAX_FAILURES: Final = 256  # refused grants of one key in FAILURES_WITHIN; each costs a verification
-FAILURES_WITHIN: Final = 60  # seconds
 
 
 Renewer = Callable[[bytes, int, Check], bytes]
 """Answers a renewal request (`ca.renewal`) with the node's new bundle."""
-_NOTHING: Final = Reach(())
-
-
-@dataclass(frozen=True)
-class GrantAccess:
-    """What one key may do at one moment: `reach` is of those `grants` that hold at `now`."""
-
-    grants: Collection[Grant]
-    reach: Reach
-    holder: bytes
-    now: int
-    check: Check
-
-    def covers(self, right: Right, name: str) -> bool:
-        """Whether a grant that holds covers `right` on `name`."""
-        return self.reach.covers(right, name)
-
-    def covers_any(self, rights: Right, name: str) -> bool:
-        """Whether a grant that holds covers one of `rights` on `name`."""
-        return self.reach.covers_any(rights, name)
-
-    def require(self, right: Right, name: str) -> None:
-        """Raise the `GrantError` that says what is missing."""
-        if not self.reach.covers(right, name):
-            authorize(self.grants, right, name, holder=self.holder, now=self.now, check=self.check)
-
-
-@dataclass(slots=True)
-class _Held:
-    """Verified grants of one key by the digest of their bytes, and their size."""
-
-    grants: dict[bytes, Grant] = field(default_factory=dict)
-    sizes: dict[bytes, int] = field(default_factory=dict)
-    failures: int = 0
-    failing_since: int = 0
-    version: int = 0
-    _reach: Reach = _NOTHING
-    _reach_at: tuple[object, ...] = ()
-    _holding: tuple[bytes, ...] = ()
-    _caller: Caller | None = None
-
-    def caller(self, peer: Peer, now: int, revocations: Revocations, *, wildcard: bool) -> Caller:
-        """Who calls; the very same as before while nothing has changed, within one second."""
-        before, caller = self._reach_at, self._caller
-        reach = self.reach(now, revocations)
-        if (
-            caller is None
-            or self._reach_at is not before
-            or (caller.name, caller.wildcard) != (peer.name, wildcard)
-        ):
-            access = GrantAccess(
-                self.grants.values(), reach, peer.thumbprint, now, revocations.check
-            )
-            caller = self._caller = Caller(peer.name, peer.thumbprint, access, wildcard)
-        return caller
-
-    def reach(self, now: int, revocations: Revocations) -> Reach:
-        """What the grants that hold now reach; worked out anew when the answer may differ."""
-        at = now, revocations.data, revocations.fresh_until, self.version
-        if self._reach_at != at:
-            held = [grant for grant in self.grants.values() if _holds(grant, now, revocations)]
-            holding = tuple(grant.id for grant in held)
-            if holding != self._holding:
-                self._reach = Reach(
-                    permission for grant in held for permission in grant.permissions
-                )
-            self._reach_at, self._holding = at, holding
-        return self._reach
-
-    def drop_expired(self, now: int) -> None:
-        for key in [key for key, grant in self.grants.items() if grant.expires <= now]:
-            del self.grants[key], self.sizes[key]
-            self.version += 1
-
-    def count_failure(self, now: int) -> None:
-        self.failures += 1
-        if self.failures == 1:
-            self.failing_since = now
-
-    def has_failed_too_often(self, now: int) -> bool:
-        if not 0 <= now - self.failing_since < FAILURES_WITHIN:
-            self.failures = 0
-        return self.failures >= MAX_FAILURES
-
-    def put(self, token: bytes, grant: Grant) -> None:
-        """Keep a grant, in place of what was known of it: it may have been renewed."""
-        for key in [key for key, other in self.grants.items() if other.id == grant.id]:
-            if self.grants[key].expires > grant.expires:
-                return
-            del self.grants[key], self.sizes[key]
-        key = hashlib.sha256(token).digest()
-        self.grants[key], self.sizes[key] = grant, len(token)
-        self.version += 1
-
-    def is_full_for(self, size: int) -> bool:
-        return len(self.grants) >= MAX_HELD or sum(self.sizes.values()) + size > MAX_HELD_BYTES
-
-
-def _holds(grant: Grant, now: int, revocations: Revocations) -> bool:
-    """Whether `grants.decision` would take the grant now; it is bound to its holder already."""
-    try:
-        check_time(grant, now)
-        for entry in (grant.id, *grant.via):
-            revocations.check(entry, now)
-    except HintedError:
-        return False
-    return True
 
 
 class Trust:
@@ -176,7 +63,7 @@ class Trust:
         self._renewer = renewer
         self._listing: Listing | None = None
         self._delegate = Delegate(anchor, signer) if delegate is None else delegate
-        self._held: dict[bytes, _Held] = {}
+        self._held: dict[bytes, Held] = {}
         self._ended: dict[bytes, Grant] = {}
         self._lists: dict[tuple[str, bytes], bytes] = {}
         self._chains: dict[bytes, tuple[bytes, ...]] = {}  # by the first key: all of an identity
@@ -206,7 +93,7 @@ class Trust:
         Nothing is kept for a key that the tokens are not bound to.
         """
         self._confirm(now)
-        held = self._held.setdefault(caller.thumbprint, _Held())
+        held = self._held.setdefault(caller.thumbprint, Held())
         held.drop_expired(now)
         refused: list[str] = []
         for token in tokens:
@@ -238,7 +125,7 @@ class Trust:
     def renew(self, caller: Caller, tokens: Sequence[bytes], now: int) -> Renewed:
         """Tokens that hold longer, in the same order, empty where one is not renewed."""
         self._confirm(now)
-        held = self._held.setdefault(caller.thumbprint, _Held())
+        held = self._held.setdefault(caller.thumbprint, Held())
         held.drop_expired(now)
         renewed: list[bytes] = []
         refused: list[str] = []
@@ -260,7 +147,7 @@ class Trust:
         if self._renewer is None:
             raise RenewalRefused("this master renews no identities", "ask the authority's operator")
         self._confirm(now)
-        held = self._held.setdefault(caller.thumbprint, _Held())
+        held = self._held.setdefault(caller.thumbprint, Held())
         self._check_failures(held, now)
         try:
             return self._renewer(request, now, self._revocations.check)
@@ -363,7 +250,7 @@ class Trust:
         held = self._held.get(peer.thumbprint)
         if held is not None:
             return held.caller(peer, now, self._revocations, wildcard=wildcard)
-        access = GrantAccess((), _NOTHING, peer.thumbprint, now, self._revocations.check)
+        access = GrantAccess((), NOTHING, peer.thumbprint, now, self._revocations.check)
         return Caller(peer.name, peer.thumbprint, access, wildcard)
 
     def _known(self) -> Iterator[Grant]:
@@ -372,7 +259,7 @@ class Trust:
         for held in self._held.values():
             yield from held.grants.values()
 
-    def _keep(self, held: _Held, caller: Caller, token: bytes, now: int) -> None:
+    def _keep(self, held: Held, caller: Caller, token: bytes, now: int) -> None:
         key = hashlib.sha256(token).digest()
         if key in held.grants:
             return
@@ -384,7 +271,7 @@ class Trust:
             raise GrantNotHeld("a grant bound to another key", f"it was given to {grant.subject}")
         held.put(token, grant)
 
-    def _renew(self, held: _Held, caller: Caller, token: bytes, now: int) -> bytes:
+    def _renew(self, held: Held, caller: Caller, token: bytes, now: int) -> bytes:
         self._check_failures(held, now)
         check = self._revocations.check
         grant, renewed = self._delegate.renew(
@@ -395,7 +282,7 @@ class Trust:
         return renewed
 
     @staticmethod
-    def _check_failures(held: _Held, now: int) -> None:
+    def _check_failures(held: Held, now: int) -> None:
         if held.has_failed_too_often(now):
             raise GrantError(
                 "too many grants of this node were refused", f"wait {FAILURES_WITHIN} s"

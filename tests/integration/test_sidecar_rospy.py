@@ -28,12 +28,12 @@ def world(tmp_path_factory: pytest.TempPathFactory) -> Iterator[World]:
     world.enroll("/basics", publish="/basics/*", provide="/basics/*", param_set="/basics/*")
     world.enroll("/asker", subscribe="/basics/*", call="/basics/*", param_set="/asker/*")
     world.enroll(
-        "/worker", subscribe="/work/goal /work/cancel",
-        publish="/work/status /work/feedback /work/result",
+        "/worker", subscribe="/chore/goal /chore/cancel",
+        publish="/chore/status /chore/feedback /chore/result",
     )  # fmt: skip
     world.enroll(
-        "/boss", publish="/work/goal /work/cancel",
-        subscribe="/work/status /work/feedback /work/result",
+        "/boss", publish="/chore/goal /chore/cancel",
+        subscribe="/chore/status /chore/feedback /chore/result",
     )  # fmt: skip
     world.enroll("/mount", publish="/tf /tf_static")
     own = "/looker/tf2_frames"  # of tf2's buffer, which looks whether it is there already

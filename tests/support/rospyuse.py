@@ -53,7 +53,7 @@ def work(goal):
         server.set_preempted(TestResult(-1))
     else:
         server.set_succeeded(TestResult(2 * goal.goal))
-server = actionlib.SimpleActionServer("work", TestAction, work, auto_start=False)
+server = actionlib.SimpleActionServer("chore", TestAction, work, auto_start=False)
 server.start()
 print("READY", flush=True)
 rospy.spin()
@@ -63,7 +63,7 @@ ACTION_CLIENT: Final = """
 import actionlib, rospy
 from actionlib.msg import TestAction, TestGoal
 rospy.init_node("boss")
-client = actionlib.SimpleActionClient("work", TestAction)
+client = actionlib.SimpleActionClient("chore", TestAction)
 print("SERVER", client.wait_for_server(rospy.Duration(20)))
 steps = []
 client.send_goal(TestGoal(21), feedback_cb=lambda feedback: steps.append(feedback.feedback))

@@ -12,8 +12,9 @@ from grants.document import grant_id
 from grants.errors import GrantError
 from grants.model import Right
 from rossec.master import trust as module
+from rossec.master.holdings import FAILURES_WITHIN, MAX_FAILURES, MAX_HELD
 from rossec.master.registry import NodeRef
-from rossec.master.trust import FAILURES_WITHIN, MAX_FAILURES, MAX_HELD, Trust
+from rossec.master.trust import Trust
 from tests.support.authority import DAY, Site
 
 
