@@ -317,7 +317,7 @@ def _restriction(value: Value) -> Restriction:
     rules = filter_rules(filters)
     if rules:
         # The operators carry numpy, which a process that never meets a filter need not.
-        from grants.operators import treatment  # noqa: PLC0415
+        from grants.operators import treatment  # noqa: PLC0415 - loaded for grants with filters only
 
         for rule in rules:
             treatment(rule)

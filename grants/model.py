@@ -236,7 +236,7 @@ class Grant(Draft):
     via: tuple[bytes, ...] = ()
 
     @classmethod
-    def of(cls, draft: Draft, *, id: bytes, issuer: bytes) -> Self:  # noqa: A002
+    def of(cls, draft: Draft, *, id: bytes, issuer: bytes) -> Self:  # noqa: A002 - the field has that name
         """The signed form of `draft`."""
         return cls(**vars(draft), id=id, issuer=issuer)
 

@@ -49,8 +49,8 @@ def delegate(
     A revoked grant is not renewed. With --withdraw, what the master has renewed ends at once.
     """
     # Not carried by a running master, which has this command beside it.
-    from rossec.authority import AuthorityHome  # noqa: PLC0415
-    from rossec.cli.publish import carry, deliver  # noqa: PLC0415
+    from rossec.authority import AuthorityHome  # noqa: PLC0415 - not carried by a running master
+    from rossec.cli.publish import carry, deliver  # noqa: PLC0415 - not carried by a running master
 
     home = AuthorityHome.at(environment.home)
     store = home.store()

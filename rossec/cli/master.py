@@ -256,7 +256,7 @@ def _newest_list(environment: Environment) -> bytes | None:
     if not (environment.home / "ca" / "ca.pem").exists():
         return None
     # Not carried by a master elsewhere: a database, and the policy's reader.
-    from rossec.authority import AuthorityHome  # noqa: PLC0415
+    from rossec.authority import AuthorityHome  # noqa: PLC0415 - as above
 
     return AuthorityHome.at(environment.home).revocation_list()
 
@@ -278,7 +278,7 @@ def _renewer(environment: Environment, file: Path | None) -> Renewer:
         ConfigurationError: there is none, or it is the root, whose key stays offline.
     """
     from rossec.authority import AuthorityHome  # noqa: PLC0415 - as above
-    from rossec.succession import renew  # noqa: PLC0415
+    from rossec.succession import renew  # noqa: PLC0415 - as above
 
     home = AuthorityHome.at(environment.home)
     authority = home.unlock(passphrase.read(file, environment.variables))

@@ -80,7 +80,7 @@ def check_in_time() -> None:
     base, core = rospy.impl.tcpros_base, rospy.core
     if core.is_initialized() or rospy.client._init_node_args:  # noqa: SLF001 - rospy has no question for it
         raise ConfigurationError("rossec.secure() comes after rospy.init_node()", _LATE)
-    if base._tcpros_server is not None or core._xmlrpc_cache:  # noqa: SLF001
+    if base._tcpros_server is not None or core._xmlrpc_cache:  # noqa: SLF001 - rospy's
         raise ConfigurationError("rospy has connected already, without rossec", _LATE)
     topics = rospy.impl.registration.get_topic_manager()
     if topics.get_topics():
@@ -131,7 +131,7 @@ def hooks(process: Process, start_node: StartNode) -> list[Hook]:
             ("conn", "dest_addr", "dest_port", "pub_uri", "receive_cb", "resolved_topic_name"),
         ),
         Hook(
-            rospy.topics._PublisherImpl, "publish", publish,  # noqa: SLF001
+            rospy.topics._PublisherImpl, "publish", publish,  # noqa: SLF001 - rospy's
             ("self", "message", "connection_override"),
         ),
         Hook(rospy.topics, "QueuedConnection", Outbox, ("self", "connection", "queue_size")),

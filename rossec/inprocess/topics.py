@@ -108,7 +108,7 @@ class Connections:
             decision.require_unrestricted()
             return decision
         kind = protocol.recv_data_class
-        endpoint = Endpoint(name, MessageType(kind._type, kind._md5sum, kind._full_text))  # noqa: SLF001
+        endpoint = Endpoint(name, MessageType(kind._type, kind._md5sum, kind._full_text))  # noqa: SLF001 - rospy's
         return admit_publisher(fields, peer, endpoint.expected, access, now())
 
     def _refused(self, protocol: Any, error: HintedError) -> TransportInitError:
@@ -194,8 +194,8 @@ class Connections:
             return None
         kind = published.data_class
         shape = layout.parse(kind._type, kind._full_text)  # noqa: SLF001 - rospy's own
-        if shape.md5 != kind._md5sum:  # noqa: SLF001
-            raise DefinitionRefused(f"the definition of {kind._type} is not that of its messages")  # noqa: SLF001
+        if shape.md5 != kind._md5sum:  # noqa: SLF001 - rospy's
+            raise DefinitionRefused(f"the definition of {kind._type} is not that of its messages")  # noqa: SLF001 - rospy's
         keys = {
             name: self._member.home.filter_key(name) for name in needed_keys(decision.restrictions)
         }

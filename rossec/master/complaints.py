@@ -27,7 +27,7 @@ class ComplainLog:
 
     def __init__(self, path: Path) -> None:
         # Only here: learning a policy takes its reader, which a master without this log need not.
-        from grants.policy.learn import log_line  # noqa: PLC0415
+        from grants.policy.learn import log_line  # noqa: PLC0415 - a master without complaints need not carry it
 
         self._line = log_line
         flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW

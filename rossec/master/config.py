@@ -73,7 +73,7 @@ def parse(text: str, name: str) -> Config:
 
 def _yaml(text: str, name: str) -> Mapping[object, Any]:
     from ruamel.yaml import YAML  # noqa: PLC0415 - a master without a file need not carry it
-    from ruamel.yaml.error import YAMLError  # noqa: PLC0415
+    from ruamel.yaml.error import YAMLError  # noqa: PLC0415 - as above
 
     try:
         tree = YAML(typ="rt").load(text)

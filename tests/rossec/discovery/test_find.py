@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+from ca.revocationtree import is_tree
 from rossec.discovery import announcer, choose, finder, multicast
 from rossec.discovery.candidates import Candidates, Source
 from rossec.errors import AnnouncementRefused, ConfigurationError, MasterNotFound
@@ -248,6 +249,25 @@ def test_what_is_known_to_be_revoked_counts(home: Site) -> None:
     assert newest is not None
     robot.save_revocations(newest)
     assert home.identity("/master").thumbprint in choose.trusted(home.root, "/robot")[1]
+
+
+def test_a_tree_of_revocations_leaves_it_to_the_handshake(
+    elsewhere: Site, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rossec.unlocked.MAX_ENTRIES", 0)
+    robot = elsewhere.enroll("/robot")
+    elsewhere.revoke(elsewhere.identity("/master").thumbprint)
+    newest = elsewhere.authority.store.newest_list()
+    assert newest is not None
+    assert is_tree(newest)
+    robot.save_revocations(newest)
+    assert choose.trusted(elsewhere.root, "/robot")[1] == frozenset()
+
+
+def test_an_error_of_the_socket_ends_a_look() -> None:
+    group = multicast.MulticastSocket(listen=False)
+    group.close()
+    assert list(group.receive()) == []
 
 
 async def test_a_uri_that_is_set_is_kept(home: Site) -> None:
