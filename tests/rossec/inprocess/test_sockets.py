@@ -1,5 +1,6 @@
 """What rospy takes for a socket, with both ends in this process."""
 
+import contextlib
 import errno
 import socket
 from collections.abc import Iterator
@@ -168,22 +169,27 @@ def test_a_host_without_descriptors_rests_and_goes_on(
 
 @pytest.fixture
 def stock() -> Iterator[tuple[str, int]]:
-    """A plain ROS node, as far as two connections see it."""
+    """A plain ROS node, as far as its callers see it, until the test ends."""
     server = socket.create_server(("127.0.0.1", 0))
 
     def serve() -> None:
-        for _ in range(2):
-            caller, _ = server.accept()
-            with caller:
-                if caller.recv(1, socket.MSG_PEEK) == b"s":
-                    caller.sendall(b"plain")
-                else:
-                    caller.sendall(b"\4\0\0\0nope")
-                caller.recv(100)
+        with contextlib.suppress(OSError):  # how the shutdown below appears
+            while True:
+                answer(server.accept()[0])
 
-    background(serve)
+    def answer(caller: socket.socket) -> None:
+        with caller, contextlib.suppress(ConnectionError):
+            if caller.recv(1, socket.MSG_PEEK) == b"s":
+                caller.sendall(b"plain")
+            else:
+                caller.sendall(b"\4\0\0\0nope")
+            caller.recv(100)
+
+    thread = background(serve)
     yield server.getsockname()
+    server.shutdown(socket.SHUT_RDWR)  # wakes the accept; a close alone would not
     server.close()
+    thread.join(10)
 
 
 def test_a_peer_that_is_plain_is_refused_or_named(member: Member, stock: tuple[str, int]) -> None:
