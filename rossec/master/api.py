@@ -24,16 +24,19 @@ from rossec.master.calls import (
 from rossec.master.gatekeeper import RULES, Caller, Gatekeeper, Refused, Scope
 from rossec.master.graph import GraphCalls
 from rossec.master.paramcalls import ParameterCalls
-from rossec.master.params import Parameters
+from rossec.master.params import SIZE_LIMIT, Parameters
 from rossec.master.registry import Registry
 from rossec.master.standing import Statements
 from rossec.master.statementcalls import StatementCalls
+from rossec.master.values import weight
 from rossec.master.watching import WATCH, WatchCalls
+from rossec.ros.xmlrpc import BODY_LIMIT
 
 Fault = xmlrpc.client.Fault
 MULTICALL: Final = "system.multicall"
 MULTICALL_LIMIT: Final = 4096  # roslaunch sets every parameter of a launch file in one
 MULTICALL_QUERIES: Final = 16  # answers over the whole graph; more in one call only amplifies
+MULTICALL_ANSWER: Final = BODY_LIMIT  # bytes, about; else 4096 questions for one large parameter
 MULTICALL_ONCE: Final = frozenset(  # each of these costs signatures or carries a whole list
     {
         "rossec.presentGrants", "rossec.renewGrants", "rossec.updateDelegation", WATCH,
@@ -60,6 +63,7 @@ class MasterApi:
         instance: names this run of the master.
         started: when it began, seconds since the epoch.
         parameters: what is set already.
+        parameter_bytes: how much room all parameters together may take.
     """
 
     def __init__(
@@ -73,13 +77,14 @@ class MasterApi:
         instance: str = "",
         started: int = 0,
         parameters: Parameters | None = None,
+        parameter_bytes: int = SIZE_LIMIT,
     ) -> None:
         self._uri = uri
         self._pid = pid
         self._gatekeeper = Gatekeeper(registry, name)
         self.watching = WatchCalls(registry, self._gatekeeper, instance)
         tree = Parameters() if parameters is None else parameters
-        self.parameters = ParameterCalls(tree, registry, statements.caller_of)
+        self.parameters = ParameterCalls(tree, registry, statements.caller_of, parameter_bytes)
         self.methods: Methods = {
             **GraphCalls(registry, self._gatekeeper).methods(),
             **self.parameters.methods(),
@@ -140,7 +145,8 @@ class MasterApi:
         answers: list[object] = []
         events: list[MasterEvent] = []
         seen: set[str] = set()
-        for element in calls:
+        room = MULTICALL_ANSWER
+        for number, element in enumerate(calls, 1):
             try:
                 _check_once(element, seen)
                 outcome = self._element(element, caller, now)
@@ -149,6 +155,9 @@ class MasterApi:
             else:
                 answers.append([outcome.answer])
                 events += outcome.events
+            room -= weight(answers[-1])
+            if room < 0:  # what was done is done: its events must go out
+                return Outcome(_too_long(number, len(calls)), tuple(events))
         return Outcome(answers, tuple(events))
 
     def _element(self, element: object, caller: Caller, now: int) -> Outcome:
@@ -180,6 +189,14 @@ def _method_of(element: object) -> str:
 def _is_query(element: object) -> bool:
     rule = RULES.get(_method_of(element))
     return rule is not None and rule.scope is Scope.FILTERED
+
+
+def _too_long(made: int, of: int) -> Fault:
+    return Fault(
+        1,
+        f"rossec: the answers of this multicall are too long: {made} of its {of} calls were made, "
+        "ask for less at a time",
+    )
 
 
 def _check_once(element: object, seen: set[str]) -> None:

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+from rossec.master.params import SIZE_LIMIT
 from rossec.ros.xmlrpc import BODY_LIMIT
 
 
@@ -10,7 +11,8 @@ class Limits:
     """The defaults fit a site of a thousand nodes.
 
     Args:
-        body: bytes of one call.
+        body: bytes of one call, and of one answer.
+        parameters: bytes of all parameters together.
         connections_per_identity: open at a time.
         handshake_seconds: from the first byte of a connection to an authenticated peer.
         request_seconds: from the first byte of a call to its last.
@@ -19,6 +21,7 @@ class Limits:
     """
 
     body: int = BODY_LIMIT
+    parameters: int = SIZE_LIMIT
     connections_per_identity: int = 16
     handshake_seconds: int = 5
     request_seconds: int = 10

@@ -121,6 +121,9 @@ class MasterServer:
         self._complain = complain
         self._memory = memory
         self._limits = limits
+        self._channel_limits = ChannelLimits(
+            unit=limits.body + HEADERS_LIMIT, handshake_seconds=limits.handshake_seconds
+        )
         self._suites = suites
         self._known = KnownCertificates()
         self._registry = Registry()
@@ -159,9 +162,7 @@ class MasterServer:
             self._credentials,
             self._verify,
             accept={Flavour.HTTP},
-            limits=ChannelLimits(
-                unit=limits.body + HEADERS_LIMIT, handshake_seconds=limits.handshake_seconds
-            ),
+            limits=self._channel_limits,
             half_open=HalfOpen(limits.unfinished_per_address, limits.unfinished),
             suites=self._suites,
             known=self._known,
@@ -175,6 +176,7 @@ class MasterServer:
             instance=secrets.token_hex(8),
             started=self._now(),
             parameters=self._remember(),
+            parameter_bytes=limits.parameters,
         )
         self._tasks.spawn(self._beat(), name="rossec master timestamps")
 
@@ -307,15 +309,21 @@ class MasterServer:
     async def _beat(self) -> None:
         while True:
             self._changed.clear()
-            self._cut_revoked()
-            await self._enforce()
-            self._push_revocations()
-            self._forget_the_gone()
-            if self._memory is not None:
-                self._memory.sync()
+            try:
+                await self._look_around()
+            except Exception:  # noqa: BLE001 - one fault must not end freshness and enforcement
+                _log.exception("looking after rights failed; it is done again")
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(self._timestamp_every):
                     await self._changed.wait()
+
+    async def _look_around(self) -> None:
+        self._cut_revoked()
+        await self._enforce()
+        self._push_revocations()
+        self._forget_the_gone()
+        if self._memory is not None:
+            self._memory.sync()
 
     async def _enforce(self) -> None:
         """Drop what is no longer allowed, tell those concerned; others are answered meanwhile."""
@@ -368,6 +376,7 @@ class MasterServer:
             self._credentials,
             self._verify,
             opening=Flavour.HTTP,
+            limits=self._channel_limits,
             suites=self._suites,
             known=self._known,
         )

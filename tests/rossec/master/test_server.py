@@ -363,3 +363,22 @@ async def test_a_watcher_hears_that_a_node_was_revoked(world: World) -> None:
             question = news["instance"], news["cursor"]
             waiting = asyncio.ensure_future(watcher.ask("rossec.watchGraph", *question))
     waiting.cancel()
+
+
+async def test_a_fault_of_ours_does_not_end_freshness(
+    world: World, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Timestamps go on, and rights are enforced, whatever one round of it met."""
+    node = await world.node("/node")
+    await node.ask("registerSubscriber", "/t", T, node.uri)
+    told = world.trust.news_for
+
+    def crash(*_: object) -> Any:
+        monkeypatch.setattr(world.trust, "news_for", told)
+        raise RuntimeError("a fault of ours")
+
+    monkeypatch.setattr(world.trust, "news_for", crash)
+    world.server._changed.set()
+    await until(lambda: "a fault of ours" in caplog.text)
+    world.server._changed.set()
+    await until(lambda: node.heard("rossec.revocationUpdate") != [])
