@@ -93,19 +93,27 @@ class MasterApi:
             **self._own_methods(),
         }
 
-    def call(self, method: str, params: Sequence[object], caller: Caller, now: int) -> Outcome:
-        """Answer one call.
+    def call(
+        self,
+        method: str,
+        params: Sequence[object],
+        caller: Caller,
+        now: int,
+        *,
+        near: bool = True,
+    ) -> Outcome:
+        """Answer one call; `near`: it comes from the master's own host.
 
         Raises:
             Fault: no such method, or a multicall that is none.
         """
         if method == MULTICALL:
-            return self._multicall(params, caller, now)
+            return self._multicall(params, caller, now, near=near)
         row = self.methods.get(method)
         if row is None:
             raise Fault(1, f"<class 'Exception'>:method \"{method}\" is not supported")
         try:
-            request = self._request(method, row, params, caller, now)
+            request = self._request(method, row, params, caller, now, near=near)
             reply = row.handler(request)
         except ArgumentRefused as refused:
             return Outcome([-1, str(refused), row.default])
@@ -118,7 +126,14 @@ class MasterApi:
         return Outcome([reply.code, reply.status, reply.value], reply.events)
 
     def _request(
-        self, method: str, row: Method, params: Sequence[object], caller: Caller, now: int
+        self,
+        method: str,
+        row: Method,
+        params: Sequence[object],
+        caller: Caller,
+        now: int,
+        *,
+        near: bool,
     ) -> Request:
         if not params:
             raise ArgumentRefused("missing required caller_id parameter")
@@ -132,10 +147,12 @@ class MasterApi:
             check(value, caller_id) for check, value in zip(row.checks, params[1:], strict=True)
         )
         request = Request(acting, (caller_id, *checked), now)
-        self._gatekeeper.check(method, acting, request.arguments)
+        self._gatekeeper.check(method, acting, request.arguments, near=near)
         return request
 
-    def _multicall(self, params: Sequence[object], caller: Caller, now: int) -> Outcome:
+    def _multicall(
+        self, params: Sequence[object], caller: Caller, now: int, *, near: bool
+    ) -> Outcome:
         """Each element is a call of its own, with its own rights; nesting is refused."""
         calls = params[0] if len(params) == 1 else None
         if not isinstance(calls, list) or len(calls) > MULTICALL_LIMIT:
@@ -149,7 +166,7 @@ class MasterApi:
         for number, element in enumerate(calls, 1):
             try:
                 _check_once(element, seen)
-                outcome = self._element(element, caller, now)
+                outcome = self._element(element, caller, now, near=near)
             except Fault as fault:
                 answers.append({"faultCode": fault.faultCode, "faultString": fault.faultString})
             else:
@@ -160,14 +177,14 @@ class MasterApi:
                 return Outcome(_too_long(number, len(calls)), tuple(events))
         return Outcome(answers, tuple(events))
 
-    def _element(self, element: object, caller: Caller, now: int) -> Outcome:
+    def _element(self, element: object, caller: Caller, now: int, *, near: bool) -> Outcome:
         method = element.get("methodName") if isinstance(element, dict) else None
         params = element.get("params") if isinstance(element, dict) else None
         if not isinstance(method, str) or not isinstance(params, list):
             raise Fault(1, "rossec: a multicall element needs methodName and params")
         if method == MULTICALL:
             raise Fault(1, "rossec: a multicall inside a multicall")
-        return self.call(method, params, caller, now)
+        return self.call(method, params, caller, now, near=near)
 
     def _own_methods(self) -> Methods:
         return {

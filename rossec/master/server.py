@@ -12,6 +12,7 @@ import os
 import secrets
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Final, Protocol
 
 from ca.errors import HintedError
@@ -40,14 +41,14 @@ from rossec.master.news import WATCH_WAIT, News
 from rossec.master.params import Parameters
 from rossec.master.registry import Kind, NodeRef, PublishersChanged, Registry, ShutdownNode
 from rossec.master.standing import Statements
-from rossec.master.updates import Updates
+from rossec.master.updates import LEAVING, Updates
 from rossec.master.watching import WATCH, no_news
 from rossec.net.halfopen import HalfOpen
 from rossec.net.rpc import RpcClient, serve_calls
 from rossec.net.stream import Flavour, SecureServer, SecureStream, connect, serve
 from rossec.net.tasks import TaskSet
 from rossec.ros.http import HEADERS_LIMIT
-from rossec.ros.settings import parse_uri
+from rossec.ros.settings import is_loopback, parse_uri
 from rossec.ros.text import printable
 from rossec.ros.xmlrpc import Fault
 
@@ -126,11 +127,11 @@ class MasterServer:
         )
         self._suites = suites
         self._known = KnownCertificates()
-        self._registry = Registry()
+        self._registry = Registry(limits.nodes_per_identity)
         self._api: MasterApi | None = None
         self._server: SecureServer[ChannelPeer] | None = None
         self._streams: set[SecureStream[ChannelPeer]] = set()
-        self._updates = Updates(self._dial)
+        self._updates = Updates(self._dial, limits.nodes_per_identity + LEAVING)
         self._tasks = TaskSet()
         self._stopping = asyncio.Event()
         self._news = News()
@@ -229,9 +230,10 @@ class MasterServer:
         self._streams.add(stream)
         try:
             self._standing.caller(stream.peer, self._now())
+            near = is_loopback(stream.address) or stream.address == stream.local_address
             await serve_calls(
                 stream,
-                self._dispatch,
+                partial(self._dispatch, near),
                 limit=self._limits.body,
                 request_deadline=self._limits.request_seconds,
                 idle_deadline=self._limits.idle_seconds,
@@ -242,17 +244,23 @@ class MasterServer:
         finally:
             self._streams.discard(stream)
 
-    def _dispatch(self, method: str, params: tuple[object, ...], peer: ChannelPeer) -> object:
-        answer = self._answer(method, params, peer)
+    def _dispatch(
+        self, near: bool, method: str, params: tuple[object, ...], peer: ChannelPeer
+    ) -> object:
+        answer = self._answer(near, method, params, peer)
         if method == WATCH and no_news(answer):
-            return self._watch(method, params, peer)
+            return self._watch(near, method, params, peer)
         return answer
 
-    async def _watch(self, method: str, params: tuple[object, ...], peer: ChannelPeer) -> object:
+    async def _watch(
+        self, near: bool, method: str, params: tuple[object, ...], peer: ChannelPeer
+    ) -> object:
         await self._news.wait(WATCH_WAIT)
-        return self._answer(method, params, peer)
+        return self._answer(near, method, params, peer)
 
-    def _answer(self, method: str, params: tuple[object, ...], peer: ChannelPeer) -> object:
+    def _answer(
+        self, near: bool, method: str, params: tuple[object, ...], peer: ChannelPeer
+    ) -> object:
         if self._api is None:
             raise RuntimeError("a call before the master was started")
         now = self._now()
@@ -260,7 +268,7 @@ class MasterServer:
             caller = self._standing.caller(peer, now)
         except HintedError as error:  # revoked a moment ago: the connection is being cut
             raise Fault(1, f"rossec: {error}") from error
-        outcome = self._api.call(method, params, caller, now)
+        outcome = self._api.call(method, params, caller, now, near=near)
         self._calls += 1
         for event in outcome.events:
             self._deliver(event)

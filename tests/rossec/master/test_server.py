@@ -382,3 +382,19 @@ async def test_a_fault_of_ours_does_not_end_freshness(
     await until(lambda: "a fault of ours" in caplog.text)
     world.server._changed.set()
     await until(lambda: node.heard("rossec.revocationUpdate") != [])
+
+
+async def test_m8_a_node_elsewhere_does_not_live_on_the_masters_host(
+    world: World, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    near, far = await world.node("/near"), world.site.enroll("/far")
+    monkeypatch.setattr(SecureStream, "address", "192.0.2.7")
+    client = await world.call_as(far)
+    await client.ask("rossec.presentGrants", "/far", [world.site.grant(far, EVERYTHING)])
+    with pytest.raises(AnswerRefused, match="on the master's host, and the caller is not"):
+        await client.ask("registerPublisher", "/far", "/t", T, "http://127.0.0.1:9/")
+    assert await client.ask("registerPublisher", "/far", "/t", T, "http://192.0.2.7:9/") == []
+    monkeypatch.setattr(SecureStream, "local_address", "192.0.2.7")  # by another of its addresses
+    same = await world.call_as(far)
+    assert await same.ask("registerPublisher", "/far", "/t", T, "http://localhost:9/") == []
+    assert await near.ask("registerPublisher", "/t", T, near.uri) == []
