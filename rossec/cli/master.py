@@ -32,6 +32,7 @@ from rossec.master.metrics import Exporter
 from rossec.master.notify import READY, STOPPING, notify
 from rossec.master.server import MasterServer
 from rossec.master.start import master_of
+from rossec.master.throttle import DENIALS, Throttle
 from rossec.master.trust import Renewer
 from rossec.ros import settings
 from rossec.ros.names import MASTER
@@ -102,6 +103,7 @@ def master(
     with ExitStack() as stack:
         _log_as(config.log)
         _allow_descriptors()
+        _bound_denials(stack)
         home = NodeHome.of(environment.home, MASTER)
         home.anchor()  # before anything is written there
         settings.read((), environment.variables, default_name=MASTER)  # likewise
@@ -157,6 +159,12 @@ def _log_as(form: str) -> None:
         handler = logging.StreamHandler(sys.stderr)
         handler.setFormatter(JsonLines())
         logging.basicConfig(level=logging.INFO, handlers=[handler], force=True)
+
+
+def _bound_denials(stack: ExitStack) -> None:
+    throttle, log = Throttle(), logging.getLogger(DENIALS)
+    log.addFilter(throttle)
+    stack.callback(log.removeFilter, throttle)
 
 
 def _keep_audit(path: Path, stack: ExitStack) -> None:

@@ -12,6 +12,7 @@ from typing import Final, NamedTuple
 from rossec.master import arguments as arg
 from rossec.master.arguments import ArgumentRefused
 from rossec.master.calls import (
+    Administered,
     CallRefused,
     Denied,
     MasterEvent,
@@ -119,11 +120,14 @@ class MasterApi:
             return Outcome([-1, str(refused), row.default])
         except Refused as refused:
             status = f"rossec: {refused}"
-            events: list[MasterEvent] = [CallRefused(caller.title, method, status)]
-            if refused.wanted is not None:
-                events.append(Denied(caller.name, *refused.wanted))
-            return Outcome([-1, status, row.default], tuple(events))
-        return Outcome([reply.code, reply.status, reply.value], reply.events)
+            denied = () if refused.wanted is None else (Denied(caller.name, *refused.wanted),)
+            refusal = CallRefused(caller.title, method, status)
+            return Outcome([-1, status, row.default], (refusal, *denied))
+        events: list[MasterEvent] = [*reply.events]
+        if request.caller.thumbprint != caller.thumbprint:  # only an administrator gets so far
+            what = f"calls {method} for {request.caller.name}: {reply.status}"
+            events.append(Administered(caller.title, what))
+        return Outcome([reply.code, reply.status, reply.value], tuple(events))
 
     def _request(
         self,

@@ -94,6 +94,11 @@ class Caller:
         """Who it is, for people."""
         return f"{self.name} (certified as {self.certified})" if self.certified else self.name
 
+    @property
+    def identity(self) -> str:
+        """The certified name."""
+        return self.certified or self.name
+
     def acting_as(self, name: str) -> "Caller":
         """The caller as the node `name`, which has entries of its own in the registry.
 

@@ -23,6 +23,7 @@ from rossec.channel.suites import PRODUCTION
 from rossec.errors import CallerMismatch
 from rossec.master.api import MasterApi
 from rossec.master.calls import (
+    Administered,
     CallRefused,
     Denied,
     GrantsPresented,
@@ -41,6 +42,7 @@ from rossec.master.news import WATCH_WAIT, News
 from rossec.master.params import Parameters
 from rossec.master.registry import Kind, NodeRef, PublishersChanged, Registry, ShutdownNode
 from rossec.master.standing import Statements
+from rossec.master.throttle import DENIALS
 from rossec.master.updates import LEAVING, Updates
 from rossec.master.watching import WATCH, no_news
 from rossec.net.halfopen import HalfOpen
@@ -59,6 +61,7 @@ PEER_CONNECTIONS: Final = _LIMITS.connections_per_identity
 
 _log = logging.getLogger(__name__)
 _audit = logging.getLogger("rossec.audit")
+_denials = logging.getLogger(DENIALS)
 
 
 class ChannelPeer(Certified, PeerIdentity, Protocol):
@@ -224,7 +227,7 @@ class MasterServer:
         own = stream.peer.thumbprint
         held = sum(other.peer.thumbprint == own for other in self._streams)
         if held >= self._limits.connections_per_identity:
-            _audit.warning("%s has too many connections", stream.peer.name)
+            _denials.warning("%s has too many connections", stream.peer.name)
             stream.abort("too many connections of one identity")
             return
         self._streams.add(stream)
@@ -239,7 +242,7 @@ class MasterServer:
                 idle_deadline=self._limits.idle_seconds,
             )
         except HintedError as error:
-            _audit.warning("%s is cut off: %s", stream.peer.name, printable(error))
+            _denials.warning("%s is cut off: %s", stream.peer.name, printable(error))
             stream.abort(str(error))
         finally:
             self._streams.discard(stream)
@@ -284,10 +287,13 @@ class MasterServer:
                 self._tell(node, "paramUpdate", key, value)
             case ShutdownNode(node, reason):
                 self._tell(node, "shutdown", f"[{node.name}] Reason: {reason}")
-            case RevocationsChanged():
+            case RevocationsChanged(by):
+                _audit.info("%s brought revocation list %d", by, self._standing.number)
                 self._cut_revoked()
                 self._push_revocations()
                 self._changed.set()
+            case Administered(by, what):
+                _audit.info("%s %s", by, printable(what))
             case ParameterKept() | Denied() | GrantsPresented() | CallRefused():
                 self._record(event)
             case StopMaster(reason):
@@ -301,14 +307,14 @@ class MasterServer:
                     self._memory.write(change)
             case CallRefused(node, method, status):
                 self._denials += 1
-                _audit.warning("%s may not %s: %s", node, method, printable(status))
+                _denials.warning("%s may not %s: %s", node, method, printable(status))
             case Denied(node, right, name):
                 self._complain(self._now(), node, right, name)
             case GrantsPresented(name, refused):
                 self._news.tell()  # it may see other things now
                 if refused:
                     text = printable("; ".join(refused))
-                    _audit.warning("%s presents grants that are refused: %s", name, text)
+                    _denials.warning("%s presents grants that are refused: %s", name, text)
 
     def _tell(self, node: NodeRef, method: str, subject: object, *rest: object) -> None:
         about = subject if isinstance(subject, str) and rest else ""
@@ -353,6 +359,7 @@ class MasterServer:
                 self._standing.caller(stream.peer, now)
             except HintedError as error:
                 _audit.warning("%s is cut off: %s", stream.peer.name, printable(error))
+                self._streams.discard(stream)  # its handler ends in a later turn of the loop
                 stream.abort(str(error))
         for node in self._updates.nodes:
             if self._standing.caller_of(node, now) is None:
@@ -401,7 +408,7 @@ class MasterServer:
         """
         self._updates.drop(node)
         if self._registry.is_current(node):
-            _audit.warning("%s is removed: %s answers at %s", node.name, found.name, node.uri)
+            _denials.warning("%s is removed: %s answers at %s", node.name, found.name, node.uri)
             for event in self._registry.remove_node(node.name):
                 self._deliver(event)
             self._news.tell(self._registry.version)

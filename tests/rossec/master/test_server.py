@@ -398,3 +398,22 @@ async def test_m8_a_node_elsewhere_does_not_live_on_the_masters_host(
     same = await world.call_as(far)
     assert await same.ask("registerPublisher", "/far", "/t", T, "http://localhost:9/") == []
     assert await near.ask("registerPublisher", "/t", T, near.uri) == []
+
+
+async def test_what_is_administered_is_audited(
+    world: World, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level("INFO", "rossec.audit")
+    admin, robot = await world.node("/admin"), await world.node("/robot", {"/t": Right.PUBLISH})
+    await robot.ask("registerPublisher", "/t", T, robot.uri)
+    await admin.client.ask("unregisterPublisher", "/robot", "/t", robot.uri)
+    await admin.ask("rossec.updateRevocations", world.site.revoke(robot.member))
+    await admin.ask("rossec.updateDelegation", world.site.delegation(world.master))
+    lines = [record.getMessage() for record in caplog.records if record.name == "rossec.audit"]
+    number = world.trust.number
+    assert lines == [
+        "/admin calls unregisterPublisher for /robot: Unregistered [/robot] as provider of [/t]",
+        f"/admin brought revocation list {number}",
+        "/robot is cut off: the key of /robot is revoked",
+        "/admin brought a delegation to renew grants",
+    ]
