@@ -95,6 +95,7 @@ class MasterServer:
         memory: where parameters survive a restart.
         limits: what one peer may cost.
         suites: the post-quantum policy (`rossec.channel.policy`).
+        look_after_self: called with the time at every beat (`rossec.master.own`).
     """
 
     def __init__(
@@ -113,7 +114,9 @@ class MasterServer:
         memory: ParameterFile | None = None,
         limits: Limits = _LIMITS,
         suites: tuple[int, ...] = PRODUCTION,
+        look_after_self: Callable[[int], None] = lambda _: None,
     ) -> None:
+        self._look_after_self = look_after_self
         self._credentials = credentials
         self._verify = verify
         self._standing = standing
@@ -336,6 +339,7 @@ class MasterServer:
         await self._enforce()
         self._push_revocations()
         self._forget_the_gone()
+        self._look_after_self(self._now())
         if self._memory is not None:
             self._memory.sync()
 
