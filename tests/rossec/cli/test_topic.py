@@ -146,5 +146,5 @@ def test_a_complaint_is_written_down(site: Site, tmp_path: Path) -> None:
     echo = ("topic", "echo", "/secret", STRING, "--as", "/listener")
     start(site, {"ROS_MASTER_URI": uri}, *echo).communicate(timeout=30)
     process.send_signal(signal.SIGTERM)
-    process.communicate(timeout=10)
+    process.communicate(timeout=60)
     assert '"node": "/listener", "right": "subscribe", "name": "/secret"' in log.read_text()
