@@ -98,7 +98,8 @@ try:
     rospy.get_param("/x")
 except Exception as error:
     print("NAMELESS", error)
-attempt("twice")
+attempt("again with other options", allow_plain=["/x"])
+rossec.secure()
 kept = rospy.topics.QueuedConnection
 rospy.topics.QueuedConnection = None
 try:
@@ -106,7 +107,6 @@ try:
 except SystemExit:
     print("REPLACED")
 rospy.topics.QueuedConnection = kept
-rospy.client._init_node_args = None
 try:
     rospy.init_node("stranger")
 except SystemExit as error:
@@ -117,12 +117,41 @@ os._exit(0)
     )
     env = env_of(site, tmp_path, PYTHONUNBUFFERED="1")
     _, said = await said_by(env, source)
-    for word in ("connected", "late", "a topic", "version", "another rospy", "twice"):
+    for word in ("connected", "late", "a topic", "version", "another rospy"):
         assert f"{word}: ConfigurationError" in said, said
+    assert "again with other options: ConfigurationError" in said
     assert "good:" not in said
     assert "NAMELESS this program has no name yet" in said
     assert "REPLACED" in said
     assert "STOPPED /stranger has no ca.pem" in said
+
+
+async def test_whoever_catches_the_stop_starts_no_node(site: Site, tmp_path: Path) -> None:
+    """As a notebook does, or a thread; a later attempt that succeeds counts."""
+    site.enroll("/robot")
+    source = """
+import rossec, rospy, os
+def attempt(function, *arguments):
+    try:
+        function(*arguments)
+        print("DONE", function.__name__, flush=True)
+    except SystemExit:
+        pass
+home = os.environ["ROSSEC_HOME"]
+os.environ["ROSSEC_HOME"] = "/nonexistent/x"
+attempt(rossec.secure)
+attempt(rospy.init_node, "robot")
+attempt(rospy.init_node, "robot")
+os.environ["ROSSEC_HOME"] = home
+attempt(rossec.secure)
+attempt(rospy.init_node, "stranger")
+"""
+    env = env_of(site, tmp_path, PYTHONUNBUFFERED="1")
+    _, said = await said_by(env, source)
+    assert said.count("rossec: error: no node is enrolled in /nonexistent/x\n") == 3, said
+    assert said.count("DONE secure") == 1
+    assert "DONE init_node" not in said
+    assert "rossec: error: /stranger has no ca.pem" in said
 
 
 async def test_two_names_for_one_program(site: Site, tmp_path: Path) -> None:

@@ -270,8 +270,10 @@ def test_a_caller_that_is_gone_does_not_end_the_accepting(
     callers = [socket.create_connection(sock.getsockname()) for _ in range(2)]
     accepted, where = sock.accept()
     assert where == callers[1].getsockname()
-    for one in (*callers, accepted, sock):
-        one.close()
+    for caller in callers:
+        caller.close()
+    for ours in (accepted, sock):
+        ours.close()
 
 
 def test_a_silent_caller_is_not_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
