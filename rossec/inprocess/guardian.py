@@ -133,6 +133,8 @@ class Guardian:
         try:
             return waiting.result(_CALL_DEADLINE)
         except (RossecError, TimeoutError, asyncio.CancelledError) as error:
+            if isinstance(error.__cause__, (OverflowError, TypeError)):
+                raise error.__cause__ from None  # no value of XML-RPC's, as stock's clients say it
             text = str(error) or "no answer from the master"
             raise ConnectionRefusedError(errno.ECONNREFUSED, f"rossec: {text}") from error
 

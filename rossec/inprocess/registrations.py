@@ -6,7 +6,7 @@ Also here: which publishers the master named last, for a subscriber that lost on
 what is looked through is a copy, made in one step.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Final
 
 _UNDO: Final = {
@@ -16,6 +16,10 @@ _UNDO: Final = {
     "unsubscribeParam": "subscribeParam",
 }
 _DO: Final = frozenset(_UNDO.values())
+REGISTRATIONS: Final[Mapping[str, object]] = {
+    "registerPublisher": [], "registerSubscriber": [], "registerService": 1,
+}  # fmt: skip
+"""What is registered for the program, with what the master answers where there is nobody else."""
 REFUSED: Final = "rossec: "
 
 # What rospy asks for by itself. Without a right to it the program goes on, and is not bothered.

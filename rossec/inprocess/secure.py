@@ -2,8 +2,9 @@
 
 It stops the program when it cannot: called too late, without an identity, with a rospy it does not
 know, or a second time with other options (modules of one program may each call it). What catches
-the stop, as a notebook does, can start no node afterwards. The node's identity is found when its name is known: from the options, or when
-`rospy.init_node` has worked it out from remappings and namespaces.
+the stop, as a notebook does, can start no node afterwards. The node's identity is found when its
+name is known: from the options, or when `rospy.init_node` has worked it out from remappings and
+namespaces.
 """
 
 import importlib
@@ -67,6 +68,7 @@ class _Secured:
         """`rospy.impl.init.start_node`: now the name is known for certain."""
         try:
             self.hooks.check(self.table)
+            self.hooks.set_tools(self.process)
             if not self.process.has_begun:
                 self._begin(self._member(resolved_name))
             elif resolved_name != self.process.member.name:
@@ -143,7 +145,7 @@ class _Bar:
     def lower(self, error: HintedError) -> None:
         """From now on `rospy.init_node` says why, and stops."""
         try:
-            init = importlib.import_module("rospy.impl.init")
+            init: Any = importlib.import_module("rospy.impl.init")
         except ImportError:
             return  # nothing to bar
         self._stock = init.start_node
@@ -152,8 +154,8 @@ class _Bar:
     def lift(self) -> None:
         """Another attempt is made."""
         if self._stock is not None:
-            importlib.import_module("rospy.impl.init").start_node = self._stock
-            self._stock = None
+            init: Any = importlib.import_module("rospy.impl.init")
+            init.start_node, self._stock = self._stock, None
 
 
 _bar: Final = _Bar()
@@ -181,7 +183,8 @@ def stop(error: HintedError) -> NoReturn:
 
 def _refuse_start(error: HintedError) -> NoReturn:
     # rospy would take the next `init_node` for a repetition, and do nothing.
-    importlib.import_module("rospy.client")._init_node_args = None
+    client: Any = importlib.import_module("rospy.client")
+    client._init_node_args = None  # noqa: SLF001 - rospy's
     stop(error)
 
 

@@ -116,6 +116,7 @@ class RosSocket:
     Attributes:
         link: what the peer was admitted by; None while it is not admitted.
         ended: it was cut; what had arrived before does not count any more.
+        left: this side has closed it; what fails after that is no news.
     """
 
     def __init__(self, owner: Owner, sock: socket.socket, stream: Stream | None = None) -> None:
@@ -124,6 +125,7 @@ class RosSocket:
         self._stream: Stream | PlainStream | None = stream
         self.link: Link | PlainLink | None = None
         self.ended = False
+        self.left = False
         self._pump_at = 0.0
 
     @property
@@ -192,6 +194,8 @@ class RosSocket:
             self._socket = socket.create_connection(address, CONNECT_TIMEOUT)
             self._stream = PlainStream(self._socket)
         except ChannelError as error:
+            if self.left:
+                raise ConnectionAbortedError(errno.ECONNABORTED, "closed") from error
             raise self._owner.failed(address, error) from error
 
     def bind(self, address: tuple[str, int]) -> None:
@@ -314,6 +318,7 @@ class RosSocket:
 
     def shutdown(self, how: int = socket.SHUT_RDWR) -> None:
         """Close in order."""
+        self.left = True
         if self._stream is not None:
             self._stream.shutdown(how)
         else:
@@ -330,6 +335,7 @@ class RosSocket:
 
     def close(self) -> None:
         """As of sockets."""
+        self.left = True
         self._owner.gone(self)
         if self._stream is not None:
             self._stream.close()

@@ -68,7 +68,7 @@ class Connections:
             data = header.encode(self._fields(protocol, sock))
             sock.send_unit(data)
         except HintedError as error:
-            raise self._refused(protocol, error) from error
+            raise self._refused(protocol, error, sock) from error
         transport.stat_bytes += len(data)
 
     def _fields(self, protocol: Any, sock: RosSocket) -> dict[str, str | bytes]:
@@ -94,7 +94,7 @@ class Connections:
             fields = headers.receive(sock)
             link = None if sock.is_plain else Link(sock, self._admit_server(protocol, fields, sock))
         except HintedError as error:
-            raise self._refused(protocol, error) from error
+            raise self._refused(protocol, error, sock) from error
         transport._validate_header(headers.for_rospy(fields))  # noqa: SLF001 - rospy's own
         if link is not None:
             self._process.watch(sock, link)
@@ -110,8 +110,9 @@ class Connections:
         endpoint = Endpoint(name, MessageType(kind._type, kind._md5sum, kind._full_text))  # noqa: SLF001 - rospy's
         return admit_publisher(fields, peer, endpoint.expected, access, now())
 
-    def _refused(self, protocol: Any, error: HintedError) -> TransportInitError:
-        self._process.reporter.warn(_what(protocol), error)
+    def _refused(self, protocol: Any, error: HintedError, sock: RosSocket) -> TransportInitError:
+        if not sock.left:
+            self._process.reporter.warn(_what(protocol), error)
         return TransportInitError(f"rossec: {error}")
 
     # -- callers

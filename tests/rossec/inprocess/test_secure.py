@@ -243,3 +243,39 @@ async def test_each_receiver_sees_what_its_grant_allows(tmp_path: Path, topic: s
             await until(lambda: rounded.received > 3)
     assert exact_one.pose.position.x == 3.3
     assert (rounded_one.pose.position.x, rounded_one.header.frame_id) == (4.0, "")
+
+
+TOOLS = """
+import rosgraph.impl.graph, rosnode, rospy, rosservice, rossec
+rossec.secure()
+rospy.init_node("operator")
+print("PING", rosnode.rosnode_ping("/robot", max_count=1), flush=True)
+rosnode.rosnode_info("/robot")
+print("TYPE", rosservice.get_service_type("/robot/reset"), flush=True)
+graph = rosgraph.impl.graph.Graph()
+graph.update()
+print("BAD", graph.bad_nodes, flush=True)
+try:
+    rospy.set_param("/operator/much", 2**40)
+except OverflowError as error:
+    print("NO", error, flush=True)
+print("KILLED", rosnode.kill_nodes(["/robot"]), flush=True)
+"""
+
+
+async def test_the_tools_of_ros_in_the_same_program(tmp_path: Path) -> None:
+    """They connect to nodes by themselves; what they ask has its own right."""
+    async with attacked(tmp_path) as victim:
+        site = victim.site
+        for right in (Right.GRAPH, Right.ADMIN):
+            site.grant("/operator", right, "/robot")
+        site.grant("/operator", Right.GRAPH, "/**")
+        site.grant("/operator", Right.CALL, "/robot/reset")
+        async with program(environment(site, tmp_path / "o"), TOOLS) as operator:
+            await operator.hears("PING True")
+            await operator.hears(f"Pid: {victim.program.process.pid}")
+            await operator.hears("TYPE std_srvs/Trigger")
+            await operator.hears("BAD {}")
+            await operator.hears("NO int exceeds XML-RPC limits")
+            await operator.hears("KILLED (['/robot'], [])")
+        await until(lambda: "ENDED" in victim.said)
