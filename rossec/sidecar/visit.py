@@ -13,7 +13,7 @@ from typing import Final, Protocol, assert_never
 
 from ca.certificates import Identity
 from grants.model import Right
-from rossec.errors import PeerUnreachable, RossecError, XmlRpcRefused
+from rossec.errors import PeerUnreachable, RossecError
 from rossec.net.dial import dial
 from rossec.net.rpc import RpcClient
 from rossec.net.secure import SecureStream
@@ -240,9 +240,4 @@ async def _call(
     client: RpcClient, method: str, params: tuple[object, ...], *, parse: bool
 ) -> Event:
     body = await client.fetch(method, *params)
-    if not parse:
-        return Passed(body)
-    try:
-        return Answered(xmlrpc.load_response(body))
-    except (XmlRpcRefused, Fault):
-        return Passed(body)
+    return Answered(xmlrpc.load_response(body)) if parse else Passed(body)
