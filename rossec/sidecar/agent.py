@@ -67,7 +67,7 @@ class Agent:
         identity = home.identity(int(time.time()))
         self.tenant = Tenant(identity, access, Doors(outside.address or ""), master_uri)
         self._network = Network(credentials, anchor, access, suites, half_open)
-        self._links, guests = Links(), Guests()
+        self._links, guests = Links(revocations), Guests()
         self._watch = Watch(revocations, lambda: self._links, guests)
         self._membership = Membership(
             self, home, self.tenant, credentials, revocations,
