@@ -197,8 +197,14 @@ class Visit:
         return self._client
 
     async def _connect(self, local: Endpoint) -> PlainStream:
-        await self._house.callers.check_listener(local.port)
-        return PlainStream(await dial(LOOPBACK, local.port, DEADLINE))
+        holders = await self._house.callers.check_listener(local.port)
+        sock = await dial(LOOPBACK, local.port, DEADLINE)
+        try:
+            self._house.callers.check_unchanged(local.port, holders)
+        except BaseException:
+            sock.close()
+            raise
+        return PlainStream(sock)
 
     async def _bring(self, remote: Endpoint) -> int:
         """A door that opens only if the peer answers; its connection is kept for who comes next."""
