@@ -195,7 +195,8 @@ def _peers_connections(tenant: Tenant, entries: list[object]) -> Layer[list[obje
             case [number, str() as uri, "i", *rest]:
                 remote = endpoint(uri, Flavour.HTTP)
                 if remote is not None and uri not in doors and len(doors) < _MOST_DOORS:
-                    doors[uri] = yield from tenant.bring(remote)
+                    own = tenant.doors.program_behind(remote)
+                    doors[uri] = yield from tenant.bring(remote, own)
                 found.append([number, doors.get(uri, uri), _INWARD, *rest])
             case _:
                 found.append(entry)

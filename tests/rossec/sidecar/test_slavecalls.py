@@ -212,6 +212,14 @@ def test_what_a_peer_says_names_doors(
     assert play(layer, (ask, Answered([1, "", value])), *script) == [1, "", expected]
 
 
+def test_what_a_peer_hears_from_this_identity_is_named_as_lookup_names_it(stage: Stage) -> None:
+    outside = stage.tenant.doors.opened_outside(SLAVE, 7000)
+    layer = ask_peer(stage.tenant, PEER, "getBusInfo", ("/robot",))
+    ask = AskRemote(PEER, "getBusInfo", ("/robot",), Right.GRAPH, parse=True)
+    answer = play(layer, (ask, Answered([1, "", [[1, outside.uri, "i"]]])))
+    assert answer == [1, "", [[1, SLAVE.uri, "i"]]]
+
+
 def test_a_peer_cannot_have_any_number_of_doors_opened(stage: Stage) -> None:
     uris = [f"http://10.0.0.7:{port}/" for port in range(1, 100)]
     layer = ask_peer(stage.tenant, PEER, "getBusInfo", ("/robot",))
