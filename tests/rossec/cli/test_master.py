@@ -2,6 +2,8 @@
 
 import json
 import logging
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -38,3 +40,21 @@ def test_a_line_of_the_log_is_json() -> None:
         int("inside")
     record.exc_info = caught._excinfo
     assert "ValueError: invalid" in json.loads(JsonLines().format(record))["traceback"]
+
+
+_CARRIED = """
+import sys
+from rossec.cli.main import rossec
+from rossec.net.server import bind
+assert rossec.get_command(None, "master") is not None
+for listener in bind("127.0.0.1", 0):
+    listener.close()
+heavy = ["numpy", "ruamel", "sqlite3", "zoneinfo", "difflib", "encodings.idna", "rossec.node"]
+print([name for name in heavy if name in sys.modules])
+"""
+
+
+def test_a_master_carries_nothing_of_the_rest() -> None:
+    """What it imports is more than two thirds of its memory."""
+    command = [sys.executable, "-I", "-c", _CARRIED]
+    assert subprocess.run(command, check=True, capture_output=True, text=True).stdout == "[]\n"
