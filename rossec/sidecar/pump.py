@@ -13,7 +13,6 @@ from collections.abc import Coroutine
 from typing import Final
 
 from ca.certificates import Identity
-from grants.decision import Decision
 from grants.errors import GrantError
 from grants.guard import Guard
 from rossec.errors import ChannelClosed, HeaderRefused, TopicRefused
@@ -26,15 +25,6 @@ from rossec.sidecar.plain import PlainStream
 _LENGTH: Final = struct.Struct("<I")
 _log = logging.getLogger("rossec.sidecar")
 Buffer = bytes | bytearray | memoryview
-
-
-class Link:
-    """A connection that `decision` admitted; the watch cuts it when that ends."""
-
-    def __init__(self, stream: SecureStream[Identity], decision: Decision) -> None:
-        self.stream = stream
-        self.decision = decision
-        self.ends = min(decision.expires, stream.peer.not_after)
 
 
 async def split_header(end: PlainStream | SecureStream[Identity]) -> tuple[Fields, bytes]:

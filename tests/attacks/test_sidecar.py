@@ -80,7 +80,11 @@ async def test_the_process_of_another_user_cannot_borrow_the_identity(
     if os.getuid() != 0:
         pytest.skip("NOT RUN: only root can start a process of another user")
     agent = near._agent_for("/robot")
-    door = f"http://127.0.0.1:{next(iter(agent._imports)).port}/" if any(agent._imports) else ""
+    door = (
+        f"http://127.0.0.1:{next(iter(agent._imports.doorways)).port}/"
+        if any(agent._imports.doorways)
+        else ""
+    )
     assert (await call_as(near.uri, None)).startswith("ANSWERED")
     for uri in filter(None, (near.uri, door)):
         assert (await call_as(uri, NOBODY)).startswith("REFUSED")
@@ -134,7 +138,7 @@ async def test_the_slave_api_is_closed_to_peers(site: Site, near: Sidecar, robot
     """N1-N4 and L1 through a sidecar: the program does not even hear of it."""
     home = site.enroll("/mallory")
     agent = near._agent_for("/robot")
-    port = next(iter(agent._exports)).port
+    port = next(iter(agent._exports.doorways)).port
     stream = await connect(
         "127.0.0.1", port, home.credentials(), site.anchor.verify, opening=Flavour.HTTP
     )

@@ -62,7 +62,7 @@ def pair(listener: SecureListener[FakeIdentity], **options: object) -> tuple[Sec
 
     thread = background(accept)
     left = Secure.connect(listener.getsockname(), ALICE, live, 5, **options)
-    thread.join(5)
+    thread.join(30)
     return left, accepted[0]
 
 
@@ -106,7 +106,7 @@ def test_large_both_ways_at_once(listener: SecureListener[FakeIdentity]) -> None
         other = background(lambda: read(left, size))
         assert read(right, size) == bytes(size)
         for thread in (*threads, other):
-            thread.join(10)
+            thread.join(30)
             assert not thread.is_alive()
 
 
@@ -184,7 +184,7 @@ def test_shutdown_wakes_a_reader(listener: SecureListener[FakeIdentity]) -> None
         thread = background(lambda: got.append(right.recv(1)))
         thread.join(0.05)
         right.shutdown()
-        thread.join(5)
+        thread.join(30)
         assert got == [b""]
 
 
@@ -198,7 +198,7 @@ def test_sending_first_makes_the_handshake(listener: SecureListener[FakeIdentity
     thread = background(serve)
     with Secure.connect(listener.getsockname(), ALICE, live, 5) as left:
         assert left.recv(5) == b"first"
-    thread.join(5)
+    thread.join(30)
 
 
 def test_a_stranger_is_refused(listener: SecureListener[FakeIdentity]) -> None:
@@ -216,7 +216,7 @@ def test_a_stranger_is_refused(listener: SecureListener[FakeIdentity]) -> None:
     left = Secure.connect(listener.getsockname(), STRANGER, live, 5)
     with left, pytest.raises(PeerRefused):
         left.recv(1)
-    thread.join(5)
+    thread.join(30)
     assert isinstance(errors[0], IdentityRefused)
 
 
@@ -232,7 +232,7 @@ def test_a_false_responder(listener: SecureListener[FakeIdentity]) -> None:
     thread = background(serve)
     with pytest.raises(IdentityRefused):
         Secure.connect(listener.getsockname(), ALICE, nobody, 5)
-    thread.join(5)
+    thread.join(30)
 
 
 def test_the_handshake_deadline() -> None:
@@ -291,7 +291,7 @@ def test_the_listener_is_a_socket_to_its_user(listener: SecureListener[FakeIdent
     thread = background(wait)
     thread.join(0.05)
     listener.shutdown(socket.SHUT_RDWR)
-    thread.join(5)
+    thread.join(30)
     assert not thread.is_alive()
 
 
@@ -354,8 +354,8 @@ def test_a_reader_without_a_deadline_meets_the_cores(
 
         thread = background(wait)
         left._core._peer = dataclasses.replace(live(BOB.chain, 0), not_after=0)
-        assert expired.wait(10)
-        thread.join(10)
+        assert expired.wait(30)
+        thread.join(30)
 
 
 def test_what_is_sent_at_once_waits_for_nobody(listener: SecureListener[FakeIdentity]) -> None:
@@ -372,7 +372,7 @@ def test_what_is_sent_at_once_waits_for_nobody(listener: SecureListener[FakeIden
         assert not left.send_now(b"later")
         sender = background(left.sendall)
         got = read(right, 4 + number * 4000)
-        sender.join(5)
+        sender.join(30)
         assert not vars(left._core)["_out"]
         assert got == b"0000" + b"".join(b"%04d" % count * 1000 for count in range(1, number + 1))
         left.sendall(b"after")

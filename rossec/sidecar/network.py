@@ -1,0 +1,79 @@
+"""The channel as one identity speaks it: it connects to peers, and listens for them.
+
+A shell. Whoever answers is checked before anything is said.
+"""
+
+import time
+from typing import Final
+
+from ca.certificates import Identity, TrustAnchor
+from ca.errors import HintedError
+from rossec.channel.credentials import OwnCredential
+from rossec.channel.known import KnownCertificates
+from rossec.channel.opening import Flavour
+from rossec.errors import HangUp
+from rossec.net.server import Handler, SecureServer, serve_now
+from rossec.net.stream import SecureStream, connect
+from rossec.node.access import Access
+from rossec.ros.settings import is_loopback
+from rossec.sidecar.addresses import Endpoint
+from rossec.sidecar.loopback import free_port
+
+_ATTEMPTS: Final = 16
+
+
+class Network:
+    """Acts with `credentials`, for peers that `anchor` vouches for and `access` knows as alive."""
+
+    def __init__(
+        self,
+        credentials: OwnCredential,
+        anchor: TrustAnchor,
+        access: Access,
+        suites: tuple[int, ...],
+    ) -> None:
+        self._credentials = credentials
+        self._anchor = anchor
+        self._access = access
+        self._suites = suites
+        self._known = KnownCertificates()
+
+    async def connect(self, remote: Endpoint) -> SecureStream[Identity]:
+        """Connect; who answers is for the caller to judge."""
+        return await connect(
+            remote.host, remote.port, self._credentials, self._anchor.verify,
+            opening=remote.flavour, suites=self._suites, known=self._known,
+        )  # fmt: skip
+
+    async def dial(self, remote: Endpoint) -> SecureStream[Identity]:
+        """Connect to a peer whose identity holds.
+
+        Raises:
+            HangUp: it does not.
+        """
+        stream = await self.connect(remote)
+        try:
+            self._access.check_peer(stream.peer, int(time.time()))
+        except HintedError as error:
+            stream.abort("the peer's identity does not hold")
+            raise HangUp(str(error), error.hint) from error
+        return stream
+
+    def listen(
+        self, handler: Handler[Identity], host: str, flavour: Flavour
+    ) -> SecureServer[Identity]:
+        """Listen, on loopback alone when `host`, where peers are told to come, is loopback.
+
+        The port is named when it is bound, so that the kernel keeps it while the server rests.
+        """
+        bind = host if is_loopback(host) else None
+        for attempt in range(_ATTEMPTS):
+            try:
+                return serve_now(
+                    handler, bind, free_port(), self._credentials, self._anchor.verify,
+                    accept={flavour}, suites=self._suites, known=self._known,
+                )  # fmt: skip
+            except OSError:
+                if attempt == _ATTEMPTS - 1:
+                    raise
+        raise AssertionError
