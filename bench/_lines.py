@@ -1,4 +1,4 @@
-"""Lean connections to a master: what is measured is the master, so the load must cost next to nothing.
+"""Lean connections to a master: the master is what is measured, so the load must cost little.
 
 Requests are encoded, and for our master sealed, before the clock starts; while it runs a line only
 sends bytes and sees where an answer ends; answers are opened and looked at afterwards. So both
@@ -66,7 +66,8 @@ class Line:
 
     def ask(self, data: bytes) -> bytes:
         """One request, without haste."""
-        self.sock.sendall(*self.ready([data]))
+        for each in self.ready([data]):
+            self.sock.sendall(each)
         while (answer := self.answer()) is None:
             pass
         return self.body(answer)
