@@ -5,12 +5,11 @@ the other, follows from rospy's protocol class.
 """
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any, Final
 
 import rospy
-from genpy import DeserializationError
-from rospy.exceptions import TransportException, TransportInitError
+from rospy.exceptions import TransportInitError
 from rospy.impl.registration import get_topic_manager
 from rospy.impl.tcpros_pubsub import TCPROSPub, TCPROSSub
 from rospy.impl.tcpros_service import TCPROSServiceClient, TCPService
@@ -230,7 +229,7 @@ class Connections:
             self._receive(conn, callback)
         except TransportInitError:
             pass  # told where it happened
-        except (HintedError, OSError, TransportException, DeserializationError) as error:
+        except Exception as error:  # noqa: BLE001 - as rospy: no message may end a subscription
             if not conn.done and not rospy.is_shutdown():
                 self._process.reporter.warn(f"lost {conn.name} from {uri}", error)
 
@@ -256,7 +255,7 @@ class Connections:
                 message._connection_header = conn.header  # noqa: SLF001 - part of rospy's messages
             if conn.is_latched:
                 conn.latch = messages[-1]
-            callback(messages, conn)
+            callback(_until_cut(messages, sock), conn)
 
     @staticmethod
     def _hang_up(conn: Any) -> None:
@@ -273,6 +272,11 @@ class Connections:
                 return False
             time.sleep(min(_SLICE, max(0.0, end - time.monotonic())))
         return self._process.registrations.is_publisher(topic, uri)
+
+
+def _until_cut(messages: list[Any], sock: RosSocket) -> Iterator[Any]:
+    """The messages of a batch, while the right to them lasts: callbacks take their time."""
+    return (message for message in messages if not sock.ended)
 
 
 def _what(protocol: Any) -> str:

@@ -186,7 +186,10 @@ class Server:
     def finish_request(self, server: Any, request: socket.socket, where: Any) -> None:
         """`ThreadingXMLRPCServer.finish_request`, in a thread of its own: one caller."""
         if self._process.plain and peek(request) == b"POST":
-            self._answer_plain(request, where[0])
+            try:
+                self._answer_plain(request, where[0])
+            finally:
+                self._process.doors.settle(where[0])
             return
         stream = self._process.doors.answer(request, where[0], Flavour.HTTP)
         caller = f"the caller from {where[0]}"
@@ -218,7 +221,6 @@ class Server:
 
     def _answer_plain(self, request: socket.socket, address: str) -> None:
         """A plain caller may ask where a topic is that `allow_plain` names, and nothing else."""
-        self._process.doors.settle(address)
         stream, http = PlainStream(request), HttpServer()
         with suppress(HintedError, OSError):
             call = load_call(_next_request(http, stream, time.monotonic() + REQUEST_DEADLINE))

@@ -92,3 +92,33 @@ async def test_connections_end_when_nobody_confirms_the_list(
             cut = await listener.hears("cut /robot (/robot/words): ", within=90)
             assert "the last confirmation ran out" in cut
     assert "Traceback" not in listener.said
+
+
+CRASHING = (
+    SECURE
+    + """
+import rospy
+from rossec.inprocess.process import Process
+from std_msgs.msg import String
+rospy.init_node("robot")
+rospy.Publisher("/robot/words", String, queue_size=1)
+def fail(process):
+    raise RuntimeError("a fault of ours")
+Process.cut = fail
+rospy.spin()
+try:
+    rospy.get_param("/x")
+except OSError as error:
+    print("SAID", error, flush=True)
+"""
+)
+
+
+async def test_a_guardian_that_crashes_ends_the_node_at_once(tmp_path: Path) -> None:
+    """It asks the master to forget the node, which must not wait for the guardian itself."""
+    site = Site(tmp_path / "site")
+    site.publish("/robot", WORDS)
+    async with site.running(), program(environment(site, tmp_path), CRASHING) as robot:
+        assert await robot.ends(within=20) == 0
+    assert "the guardian failed, everything is cut: a fault of ours" in robot.said
+    assert "SAID [Errno 111] rossec: the guardian of this process has ended" in robot.said
