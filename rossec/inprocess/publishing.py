@@ -7,7 +7,7 @@ asks each connection's guard. A connection without a link has no right, and gets
 import logging
 from collections.abc import Hashable, Iterable
 from contextlib import suppress
-from typing import Any
+from typing import Any, Final
 
 from rospy.core import is_shutdown
 from rospy.exceptions import ROSException
@@ -17,7 +17,10 @@ from grants.errors import GrantError
 from rossec.inprocess.links import Link, PlainLink
 from rossec.inprocess.member import now
 from rossec.inprocess.outbox import ALONE, LENGTH, Pieces
+from rossec.inprocess.spare import Spare
 
+_KEEP: Final = 16 * 1024 * 1024  # memory of larger messages is given back at once
+_spare: Final = Spare(4)
 _log = logging.getLogger("rossec.rospy")
 
 
@@ -47,16 +50,20 @@ def publish(topic: Any, message: Any, connection_override: Any = None) -> bool |
 
 
 def _serialized(topic: Any, message: Any) -> bytes:
+    if topic.buff.tell() > 0:  # its bytes were handed out; a closed one says so
+        topic.buff = _spare.exchange(topic.buff)
     buffer = topic.buff
-    buffer.tell()  # a closed one says so
+    size = 0
     topic.seq += 1
     try:
         serialize_message(buffer, topic.seq, message)
+        buffer.truncate()
         data: bytes = buffer.getvalue()
-        topic.message_data_sent += len(data)
+        size = len(data)
+        topic.message_data_sent += size
         return data
     finally:
-        if not buffer.closed:
+        if not ALONE < size <= _KEEP and not buffer.closed:
             buffer.seek(0)
             buffer.truncate(0)
 

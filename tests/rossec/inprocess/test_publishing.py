@@ -1,5 +1,6 @@
 """What goes to whom, with connections that only note it."""
 
+from io import BytesIO
 from types import SimpleNamespace
 from typing import Any
 
@@ -65,6 +66,24 @@ def test_publishing_is_rospys() -> None:
     made.closed = True
     with pytest.raises(exceptions.ROSException, match="closed topic"):
         publishing.publish(made, message())
+
+
+def test_memory_of_large_messages_is_used_again() -> None:
+    got: list[bytes] = []
+    taker = connection(SimpleNamespace(ends=1 << 40, guard=None))
+    taker.write_data = got.append
+    made = topic(connections=[taker])
+    made.buff = first = BytesIO()
+    for letter in "ab":
+        publishing.publish(made, message(letter * 200_000))
+    assert made.buff is not first, "its bytes are held"
+    assert [data[8:] for data in got] == [b"a" * 200_000, b"b" * 200_000]
+    got.clear()
+    publishing.publish(made, message("c" * 150_000))
+    assert made.buff is first
+    for text in ("short", "", "d" * 200_000):
+        publishing.publish(made, message(text))
+    assert [data[8:] for data in got] == [b"c" * 150_000, b"short", b"", b"d" * 200_000]
 
 
 def test_a_topic_closed_meanwhile_says_so() -> None:
