@@ -1,12 +1,13 @@
 """What goes to whom, with connections that only note it."""
 
 import threading
+from io import BytesIO
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
-from rossec.errors import ChannelClosed
+from rossec.errors import ChannelClosed, ServiceRefused
 from tests.support.witness import until
 
 pytestmark = pytest.mark.ros
@@ -24,6 +25,7 @@ class Sock:
         self.error: Exception | None = None
         self.at_once = False
         self.unsent = False
+        self.exchange: Any = None
 
     def send_now(self, data: bytes) -> bool:
         if self.at_once:
@@ -46,6 +48,7 @@ def connection(link: object = None) -> Any:
         stat_num_msg=0,
         endpoint_id="/x",
         callback=None,
+        write_buff=BytesIO(),
     )
 
     def close() -> None:
@@ -83,6 +86,30 @@ def test_a_call_over_a_connection_that_was_cut_fails_as_services_do() -> None:
         with pytest.raises(expected, match="cut"):
             publishing.write_data(made, b"\0\0\0\0")
         assert made.done
+
+
+@pytest.mark.parametrize("persistent", [True, False])
+def test_a_call_that_is_not_allowed_is_not_sent(persistent: bool) -> None:
+    service = pytest.importorskip("rospy.service")
+    made = connection()
+    made.protocol = SimpleNamespace(headers={"persistent": "1"} if persistent else {})
+    made.write_buff.write(b"the request")
+
+    def refuse(_: bytes) -> None:
+        raise ServiceRefused("not allowed")
+
+    made.socket.exchange = SimpleNamespace(outgoing=refuse)
+    sock = made.socket
+    with pytest.raises(service.ServiceException, match="rossec: not allowed"):
+        publishing.write_data(made, b"the request")
+    assert sock.units == []
+    assert made.done != persistent
+    if persistent:
+        assert made.write_buff.getvalue() == b"", "else it would go before the next one"
+        made.socket.exchange = SimpleNamespace(outgoing=lambda data: (data[:1], data[1:]))
+        made.protocol = SimpleNamespace(headers={})
+        publishing.write_data(made, b"allowed")
+        assert b"".join(sock.units) == b"allowed"
 
 
 def test_a_large_message_follows_its_length() -> None:
