@@ -72,7 +72,7 @@ def connected(member: Member, listening: RosSocket) -> tuple[RosSocket, RosSocke
     thread = background(accept)
     sock = RosSocket(owner(member), socket.socket())
     sock.connect(listening.getsockname())
-    thread.join(10)
+    thread.join(30)
     return sock, accepted[0]
 
 
@@ -143,7 +143,7 @@ def test_a_caller_too_many_is_dropped(member: Member) -> None:
     assert second.recv(1) == b""
     accepted.close()
     third = socket.create_connection(sock.getsockname())
-    thread.join(10)
+    thread.join(30)
     for caller in (first, second, third):
         caller.close()
     for ours in (sock, *later):
@@ -190,7 +190,7 @@ def stock() -> Iterator[tuple[str, int]]:
     yield server.getsockname()
     server.shutdown(socket.SHUT_RDWR)  # wakes the accept; a close alone would not
     server.close()
-    thread.join(10)
+    thread.join(30)
 
 
 def test_a_peer_that_is_plain_is_refused_or_named(member: Member, stock: tuple[str, int]) -> None:
