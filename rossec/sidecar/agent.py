@@ -160,7 +160,7 @@ class Agent:
 
     async def _dial_master(self) -> SecureStream[Identity]:
         host, port = self._outside.master_host, self._outside.master_port
-        return await self._network.connect(Endpoint(Flavour.HTTP, host, port))
+        return await self._network.dial(Endpoint(Flavour.HTTP, host, port), news=True)
 
     def _blind(self, _: BaseException) -> None:
         """The watch has died: what it would no longer cut must not go on."""

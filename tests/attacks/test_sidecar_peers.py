@@ -10,7 +10,7 @@ from ca.certificates import Identity
 from ca.encoding import Value, encode
 from grants.model import Right
 from rossec.channel.opening import Flavour
-from rossec.errors import ChannelClosed
+from rossec.errors import ChannelClosed, ChannelError
 from rossec.net.dial import dial
 from rossec.net.rpc import CallFailed, RpcClient, serve_calls
 from rossec.net.stream import SecureStream, connect, serve
@@ -112,3 +112,15 @@ async def test_no_peer_names_a_place_outside_the_channel(
             heard = await program.fetch("requestTopic", "/robot", "/lies", [["TCPROS"]])
         assert b"TCPROS" not in heard
         await program.close()
+
+
+async def test_no_peer_makes_the_sidecar_keep_more_than_a_call(site: Site, near: Sidecar) -> None:
+    """A unit is put together before anybody looks at it."""
+    async with Program("/robot", near) as robot:
+        await robot.register("registerPublisher", "/word", "std_msgs/String")
+        door = next(iter(near._agent_for("/robot")._exports.doorways))
+        stream = await meet(site, door.port, Flavour.HTTP)
+        await stream.send(bytes(3 * 1024 * 1024))
+        with pytest.raises(ChannelError):
+            await stream.receive()
+        stream.abort("done")
