@@ -158,6 +158,10 @@ class Outbound(Generic[PeerT]):
         elif self.state is not State.CLOSING:
             self.state = State.CLOSED
 
+    def abandon(self) -> None:
+        """Forget keys and counters at once; nothing is sent (a forked process must not)."""
+        self._die()
+
     # -- time and ends
 
     def deadline(self) -> int | None:

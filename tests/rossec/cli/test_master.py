@@ -2,6 +2,9 @@
 
 import json
 import logging
+import resource
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -30,6 +33,29 @@ def test_a_node_that_is_not_enrolled_is_no_master(shell: Shell) -> None:
     refused(shell("master"), "/master has no ca.pem", "rossec node request /master")
 
 
+@pytest.mark.parametrize(
+    ("limits", "wanted"),
+    [
+        ((1024, 1 << 20), (65536, 1 << 20)),
+        ((1024, 4096), (4096, 4096)),
+        ((1024, resource.RLIM_INFINITY), (65536, resource.RLIM_INFINITY)),
+        ((1 << 17, 1 << 20), None),
+        ((resource.RLIM_INFINITY, resource.RLIM_INFINITY), None),
+    ],
+)
+def test_it_takes_the_descriptors_it_may_have(
+    shell: Shell,
+    monkeypatch: pytest.MonkeyPatch,
+    limits: tuple[int, int],
+    wanted: tuple[int, int] | None,
+) -> None:
+    taken: list[tuple[int, int]] = []
+    monkeypatch.setattr(resource, "getrlimit", lambda _: limits)
+    monkeypatch.setattr(resource, "setrlimit", lambda _, limit: taken.append(limit))
+    refused(shell("master"), "/master has no ca.pem", "rossec node request")
+    assert taken == ([] if wanted is None else [wanted])
+
+
 def test_a_line_of_the_log_is_json() -> None:
     record = logging.makeLogRecord({"msg": "%s\nforged", "args": ("x",), "levelname": "INFO"})
     entry = json.loads(JsonLines().format(record))
@@ -38,3 +64,21 @@ def test_a_line_of_the_log_is_json() -> None:
         int("inside")
     record.exc_info = caught._excinfo
     assert "ValueError: invalid" in json.loads(JsonLines().format(record))["traceback"]
+
+
+_CARRIED = """
+import sys
+from rossec.cli.main import rossec
+from rossec.net.server import bind
+assert rossec.get_command(None, "master") is not None
+for listener in bind("127.0.0.1", 0):
+    listener.close()
+heavy = ["numpy", "ruamel", "sqlite3", "zoneinfo", "difflib", "encodings.idna", "rossec.node"]
+print([name for name in heavy if name in sys.modules])
+"""
+
+
+def test_a_master_carries_nothing_of_the_rest() -> None:
+    """What it imports is more than two thirds of its memory."""
+    command = [sys.executable, "-I", "-c", _CARRIED]
+    assert subprocess.run(command, check=True, capture_output=True, text=True).stdout == "[]\n"

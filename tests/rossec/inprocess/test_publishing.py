@@ -31,7 +31,7 @@ class Sock:
         return self.at_once
 
     def send_unit(self, *pieces: Any) -> None:
-        self.gate.wait(10)
+        self.gate.wait(30)
         if self.error is not None:
             raise self.error
         self.units.append(b"".join(map(bytes, pieces)))
@@ -138,7 +138,7 @@ async def test_what_waits_goes_out_as_one() -> None:
     await until(lambda: outbox._error is not None)
     with pytest.raises(exceptions.TransportTerminated):
         outbox.write_data(b"y")
-    outbox._thread.join(10)
+    outbox._thread.join(30)
     assert not outbox._thread.is_alive()
 
 
@@ -166,7 +166,7 @@ async def test_a_message_after_a_pause_does_not_wait_for_the_sender(
     made.socket.error = ChannelClosed("gone")
     with pytest.raises(exceptions.TransportTerminated, match="gone"):
         outbox.write_data(b"x")
-    outbox._thread.join(10)
+    outbox._thread.join(30)
 
 
 async def test_a_full_queue_drops_the_oldest() -> None:
@@ -180,7 +180,7 @@ async def test_a_full_queue_drops_the_oldest() -> None:
     made.socket.gate.set()
     await until(lambda: b"".join(made.socket.units) == b"145")
     made.close()
-    outbox._thread.join(10)
+    outbox._thread.join(30)
 
 
 class Buffer:

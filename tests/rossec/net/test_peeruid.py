@@ -130,7 +130,7 @@ def test_another_user_is_told_apart() -> None:
                 with pytest.raises(PeerUserRefused, match="user 1234"):
                     require_user(near, {0})
         finally:
-            child.wait(10)
+            child.wait(30)
 
 
 def test_a_kernel_that_cannot_be_asked_still_has_its_tables(

@@ -42,6 +42,6 @@ async def heard(stream: PlainStream, wanted: int) -> bytes:
 async def ends(stream: PlainStream) -> None:
     """Wait until the stream is at its end, whatever comes before."""
     with contextlib.suppress(RossecError):
-        async with asyncio.timeout(10):
+        async with asyncio.timeout(30):
             while True:
                 await stream.receive()
