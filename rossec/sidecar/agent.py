@@ -136,6 +136,10 @@ class Agent:
         """Connect to a peer whose identity holds."""
         return await self._network.dial(remote)
 
+    def check(self, peer: Identity) -> None:
+        """Return if the identity of `peer` holds still."""
+        self.tenant.access.check_peer(peer, int(time.time()))
+
     async def ask_master(self, method: str, params: tuple[object, ...]) -> object:
         """The master's answer."""
         return await self._membership.answer(method, params)
