@@ -184,3 +184,20 @@ def test_a_header_is_for_a_topic_or_for_a_service(stage: Stage, both: Fields) ->
             play(admit(stage, fields))
         with pytest.raises(TopicRefused, match="for a topic or for a service"):
             play(reach_peer(stage.tenant, PEER, fields, stage.site.now()))
+
+
+def test_restrictions_on_calls_are_refused_not_ignored(stage: Stage) -> None:
+    """Both ways: no header of a service has the definition to apply them by."""
+    limited = Restriction("std_srvs/SetBool", ("msg.data",))
+    stage.site.grant("/viewer", Right.CALL, "/say", restriction=limited)
+    shown = SERVICE | proof(stage, "/viewer", Right.CALL, "/say")
+    with pytest.raises(RestrictionMismatch):
+        play(admit(stage, shown))
+    stage.site.grant("/viewer", Right.PROVIDE, "/do", restriction=limited)
+    asked = {"callerid": b"/robot", "service": b"/do", "md5sum": b"*"}
+    answer = {"callerid": b"/viewer", **proof(stage, "/viewer", Right.PROVIDE, "/do")}
+    layer = reach_peer(stage.tenant, PEER, asked, stage.site.now())
+    command = next(layer)
+    assert isinstance(command, MeetPeer)
+    with pytest.raises(RestrictionMismatch):
+        layer.send(arrived(stage, answer, "/viewer"))
