@@ -52,7 +52,7 @@ class Doors:
         Raises:
             ChannelError: the handshake failed; the socket is closed.
         """
-        core = Connection[Identity].initiator(
+        core = Connection.initiator(
             self._member.credentials, self._member.anchor.verify,
             random=secrets.token_bytes, now=now(), opening=opening, limits=LIMITS,
             suites=self._member.suites,
@@ -82,7 +82,7 @@ class Doors:
             OSError: it is gone already.
         """
         try:
-            core = Connection[Identity].responder(
+            core = Connection.responder(
                 self._member.credentials, self._member.anchor.verify,
                 random=secrets.token_bytes, now=now(), accept={flavour}, limits=LIMITS,
                 suites=self._member.suites,
