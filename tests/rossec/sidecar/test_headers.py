@@ -172,3 +172,15 @@ def test_a_program_subscribes_with_its_grants(stage: Stage, shown: Fields) -> No
     ):
         with pytest.raises(error):
             play(reach_peer(viewer.tenant, PEER, everything, now), (meet, event))
+
+
+@pytest.mark.parametrize("both", [{"topic": b"/secret"}, {"topic": b""}])
+def test_a_header_is_for_a_topic_or_for_a_service(stage: Stage, both: Fields) -> None:
+    """A right to call must not read a topic: stock programs look for the topic first."""
+    stage.site.grant("/viewer", Right.CALL, "/say")
+    shown = SERVICE | proof(stage, "/viewer", Right.CALL, "/say")
+    for fields in (shown | both, {"callerid": b"/viewer"}):
+        with pytest.raises(TopicRefused, match="for a topic or for a service"):
+            play(admit(stage, fields))
+        with pytest.raises(TopicRefused, match="for a topic or for a service"):
+            play(reach_peer(stage.tenant, PEER, fields, stage.site.now()))
