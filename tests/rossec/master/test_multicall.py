@@ -18,6 +18,7 @@ from rossec.master.multicall import (
 )
 from rossec.master.registry import Registry
 from rossec.master.watching import WATCH
+from rossec.ros.xmlrpc import dump_call, dump_response
 from tests.rossec.master.fakes import FakeStatements, caller, everything
 
 
@@ -146,3 +147,15 @@ def test_an_empty_one_is_done(api: MasterApi) -> None:
 
 def test_what_is_costly_is_there(api: MasterApi) -> None:
     assert set(api.methods) >= MULTICALL_ONCE > {WATCH}
+
+
+def test_as_many_as_may_be_asked_are_answered(api: MasterApi) -> None:
+    """What fits into a call of setParam fits into its answer."""
+    calls = [
+        element("setParam", "/a", f"/a/robot/with/a/name/parameter{number}", 1)
+        for number in range(MULTICALL_LIMIT - 500)
+    ]
+    answers = ask(api, everything("/a"), "system.multicall", calls)
+    assert len(answers) == len(calls)
+    assert len(dump_response(answers)) < MULTICALL_ANSWER
+    assert len(dump_call("system.multicall", [calls])) > MULTICALL_ANSWER
