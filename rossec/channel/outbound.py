@@ -141,6 +141,8 @@ class Outbound(Generic[PeerT]):
 
     def data_to_send(self) -> Bytes:
         """Return, once, everything queued for the peer."""
+        if not self._out:
+            return b""
         out, self._out = self._out, []
         return out[0] if len(out) == 1 else b"".join(out)
 

@@ -49,7 +49,7 @@ class Doors:
         Raises:
             ChannelError: the handshake failed; the socket is closed.
         """
-        core = Connection[Identity].initiator(
+        core = Connection.initiator(
             self._member.credentials, self._member.anchor.verify,
             random=secrets.token_bytes, now=now(), opening=opening, limits=LIMITS,
             suites=self._member.suites,
@@ -74,7 +74,7 @@ class Doors:
 
     def answer(self, sock: socket.socket, address: str, flavour: Flavour) -> Stream:
         """Answer a caller that was admitted; its handshake is still to come."""
-        core = Connection[Identity].responder(
+        core = Connection.responder(
             self._member.credentials, self._member.anchor.verify,
             random=secrets.token_bytes, now=now(), accept={flavour}, limits=LIMITS,
             suites=self._member.suites,

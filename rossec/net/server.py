@@ -229,7 +229,7 @@ def serve_now(
     """`serve`, for callers that may not wait: nothing in it does."""
 
     def make_core() -> Connection[PeerT]:
-        return Connection[PeerT].responder(
+        return Connection.responder(
             credentials,
             verify,
             random=secrets.token_bytes,
