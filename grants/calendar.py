@@ -9,7 +9,6 @@ from collections.abc import Callable
 from datetime import datetime
 from functools import lru_cache
 from typing import Final
-from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
 from grants.errors import ConditionRefused
 
@@ -59,6 +58,8 @@ def read_moment(text: str) -> int:
 @lru_cache(maxsize=64)
 def _clock(zone: str) -> Callable[[int], datetime]:
     """The clock of a zone; it remembers the last second, which most messages share."""
+    from zoneinfo import ZoneInfo, ZoneInfoNotFoundError  # noqa: PLC0415 - 0.3 MB, few conditions ask
+
     # A name that is none of the database must not become a path.
     matched = _ZONE.fullmatch(zone)
     try:

@@ -18,7 +18,7 @@ from ca.encoding import Value, decode
 from ca.errors import EncodingError, HintedError, SignatureError
 from ca.publickey import thumbprint
 from ca.signer import Signer
-from grants.document import issuer_uri, read_issuer
+from grants.claims import issuer_uri, read_issuer
 from grants.errors import (
     GrantMalformed,
     GrantRevoked,

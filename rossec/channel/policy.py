@@ -5,7 +5,6 @@ hybrid one or nothing. A word that is none of these refuses the program's start:
 `require` must not get less.
 """
 
-import difflib
 from collections.abc import Mapping
 from typing import Final
 
@@ -28,6 +27,8 @@ def post_quantum(environ: Mapping[str, str], option: str | None = None) -> tuple
         where, word = "the post-quantum policy", option
     suites = POST_QUANTUM.get(word)
     if suites is None:
+        import difflib  # noqa: PLC0415 - for mistakes alone
+
         near = difflib.get_close_matches(word.strip().lower(), POST_QUANTUM, 1, 0.5)
         hint = f"did you mean {near[0]}? {_ONE_OF}" if near else _ONE_OF
         raise ConfigurationError(f"{where} is {word!r}", hint)

@@ -10,7 +10,7 @@ from grants.renewal import MAX_DELEGATION, MAX_TICKET, open_delegation
 from rossec.cli import passphrase
 from rossec.cli.context import Duration, Environment, moment, now, pass_environment
 from rossec.cli.voice import say
-from rossec.node.slave import MASTER
+from rossec.ros.names import MASTER
 
 DAY: Final = 86400
 _HINT: Final = "it is signed and kept in {}; start the master and run this again"

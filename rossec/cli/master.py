@@ -302,7 +302,8 @@ def _newest_list(environment: Environment) -> bytes | None:
     # Not carried by a master elsewhere: a database, and the policy's reader.
     from rossec.authority import AuthorityHome  # noqa: PLC0415 - as above
 
-    return AuthorityHome.at(environment.home).revocation_list()
+    home = AuthorityHome.at(environment.home)
+    return None if home.is_intermediate else home.revocation_list()  # lists are the root's
 
 
 def _entries(environment: Environment) -> bytes | None:

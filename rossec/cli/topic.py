@@ -106,12 +106,17 @@ async def _publish(
 
 
 async def until(node: Node, work: Coroutine[Any, Any, None]) -> None:
-    """Work until it is done, or until the node ends by itself: that is an error then."""
-    ended = asyncio.ensure_future(node.wait_ended())
-    worker = asyncio.ensure_future(work)
-    done, pending = await asyncio.wait({ended, worker}, return_when=asyncio.FIRST_COMPLETED)
-    for task in pending:
-        task.cancel()
+    """Work until it is done, or until the node ends by itself: that is an error then.
+
+    Nothing works on when this ends, however it ends: Ctrl-C closes the node next.
+    """
+    tasks = [asyncio.ensure_future(node.wait_ended()), asyncio.ensure_future(work)]
+    try:
+        done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+    finally:
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
     for task in done:
         await task
 

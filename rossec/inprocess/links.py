@@ -15,7 +15,7 @@ PEER_CONNECTIONS: Final = 64  # of one identity: one for each topic and service 
 
 
 class Link:
-    """A connection admitted by `decision`; `guard` treats what goes to the peer, if anything."""
+    """A connection admitted by `decision`; `guard` treats its messages, if anything does."""
 
     def __init__(self, stream: Proven, decision: Decision, guard: Guard | None = None) -> None:
         self.stream = stream
@@ -92,6 +92,11 @@ class Links:
         for peer, cut in peers:
             if revoked(peer):
                 cut()
+
+    def streams(self) -> list[Proven]:
+        """The connections of all links."""
+        with self._lock:
+            return [link.stream for link in self._cuts]
 
     def __len__(self) -> int:
         with self._lock:

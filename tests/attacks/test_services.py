@@ -124,7 +124,7 @@ async def open_call(
     stream = await connect(HOST, port_of(lamp), credentials(site), believe_anyone)
     try:
         await stream.send(header.encode(asking([grant or may_call(site)], **changes)))
-        async with asyncio.timeout(10):
+        async with asyncio.timeout(30):
             assert b"request_type" in await stream.receive()
         yield stream
     finally:
@@ -180,12 +180,12 @@ async def test_nonsense_for_a_request_is_refused_and_no_more(site: Site, lamp: N
     async with open_call(site, lamp, persistent="true") as stream:
         for nonsense in (b"\0\0\0\0", b"\2\0\0\0\1\1"):
             await stream.send(nonsense)
-            async with asyncio.timeout(10):
+            async with asyncio.timeout(30):
                 answer = await stream.receive()
             assert answer[:1] == b"\0"
             assert answer[5:] == b"rossec: not one std_srvs/SetBoolRequest"
         await stream.send(REQUEST)
-        async with asyncio.timeout(10):
+        async with asyncio.timeout(30):
             assert (await stream.receive())[:1] == b"\1"
     assert lamp_calls == [True]
 

@@ -4,7 +4,7 @@ import hashlib
 import itertools
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from ca import merkle
@@ -208,7 +208,6 @@ def test_a_leaf_is_no_node() -> None:
     assert leaf_hash(left + right) != node_hash(left, right)
 
 
-@settings(deadline=None)
 @given(st.lists(st.binary(max_size=3), max_size=60), st.data())
 def test_any_tree_proves_itself(leaves: list[bytes], data: st.DataObject) -> None:
     tree = Tree(leaves)

@@ -300,7 +300,7 @@ class Moving(RuleBasedStateMachine):
 
 
 TestMoving = Moving.TestCase
-TestMoving.settings = settings(max_examples=30, stateful_step_count=20, deadline=None)
+TestMoving.settings = settings(max_examples=30, stateful_step_count=20)
 
 
 ENTRIES = frozenset(n.to_bytes(16) for n in range(1, 40, 3))

@@ -11,8 +11,8 @@ from ca.errors import Revoked
 from ca.publickey import thumbprint
 from ca.signer import KeySigner
 from grants import document
+from grants.claims import issuer_uri
 from grants.decision import authorize
-from grants.document import issuer_uri
 from grants.errors import (
     GrantExpired,
     GrantForged,

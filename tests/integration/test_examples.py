@@ -42,7 +42,7 @@ def enrolled(environ: dict[str, str]) -> Iterator[dict[str, str]]:
     environ["ROS_MASTER_URI"] = master.stdout.readline().split()[-1]
     yield environ
     master.send_signal(signal.SIGTERM)
-    assert master.wait(10) == 0
+    assert master.wait(30) == 0
     master.stdout.close()
 
 
@@ -61,7 +61,7 @@ def test_talker_and_listener(enrolled: dict[str, str]) -> None:
         heard = run("2_listener.py", enrolled)
     finally:
         talker.terminate()
-        talker.wait(10)
+        talker.wait(30)
     assert heard.returncode == 0, heard.stderr
     lines = heard.stdout.splitlines()
     assert len(lines) == 3

@@ -73,7 +73,7 @@ async def undisturbed(site: Site) -> AsyncIterator[Witness]:
                     task.cancel()
 
 
-async def until(holds: Callable[[], object], within: float = 10.0) -> None:
+async def until(holds: Callable[[], object], within: float = 30.0) -> None:
     """Wait for a state that nothing announces; fail when it does not come."""
     end = time.monotonic() + within
     while not holds():

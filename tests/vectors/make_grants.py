@@ -123,8 +123,8 @@ def frames() -> dict[str, tuple[bytes, str]]:
 
 
 def flaws() -> dict[str, tuple[bytes, str]]:
-    """Flaws in the claims: the same list as in the tests of `grants.document`."""
-    from tests.grants.test_document import CLAIMS
+    """Flaws in the claims: the same list as in the tests of `grants.claims`."""
+    from tests.grants.test_claims import CLAIMS
 
     claims = decode(BODY)
     return {

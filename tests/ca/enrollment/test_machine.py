@@ -156,5 +156,5 @@ class Enrollments(RuleBasedStateMachine):
             assert any(self.node.pending is pending for pending in self.trusted)
 
 
-Enrollments.TestCase.settings = settings(max_examples=150, stateful_step_count=40, deadline=None)
+Enrollments.TestCase.settings = settings(max_examples=150, stateful_step_count=40)
 TestEnrollments = Enrollments.TestCase

@@ -3,12 +3,18 @@
 import json
 import logging
 import resource
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
-from rossec.cli.master import JsonLines
+from rossec import intermediatehome
+from rossec.cli.context import Environment
+from rossec.cli.master import JsonLines, _newest_list
+from rossec.succession import sign_intermediate
 from tests.support.commands import Shell, refused
+from tests.support.site import Site
 
 
 @pytest.fixture
@@ -54,6 +60,16 @@ def test_it_takes_the_descriptors_it_may_have(
     assert taken == ([] if wanted is None else [wanted])
 
 
+def test_the_host_of_an_intermediate_has_no_list_of_its_own(shell: Shell) -> None:
+    """Its master waits for the root's, as one on any other host."""
+    site = Site(shell.root / "site")
+    request = intermediatehome.begin(shell.root, "home", "secret").read_bytes()
+    _, bundle = sign_intermediate(site.authority, request, site.now(), may_enroll=False)
+    intermediatehome.install(shell.root, bundle, "secret", site.now())
+    assert _newest_list(Environment({"ROSSEC_HOME": str(shell.root)})) is None
+    refused(shell("master"), "/master has no ca.pem", "rossec node request /master")
+
+
 def test_a_line_of_the_log_is_json() -> None:
     record = logging.makeLogRecord({"msg": "%s\nforged", "args": ("x",), "levelname": "INFO"})
     entry = json.loads(JsonLines().format(record))
@@ -62,3 +78,21 @@ def test_a_line_of_the_log_is_json() -> None:
         int("inside")
     record.exc_info = caught._excinfo
     assert "ValueError: invalid" in json.loads(JsonLines().format(record))["traceback"]
+
+
+_CARRIED = """
+import sys
+from rossec.cli.main import rossec
+from rossec.net.server import bind
+assert rossec.get_command(None, "master") is not None
+for listener in bind("127.0.0.1", 0):
+    listener.close()
+heavy = ["numpy", "ruamel", "sqlite3", "zoneinfo", "difflib", "encodings.idna", "rossec.node"]
+print([name for name in heavy if name in sys.modules])
+"""
+
+
+def test_a_master_carries_nothing_of_the_rest() -> None:
+    """What it imports is more than two thirds of its memory."""
+    command = [sys.executable, "-I", "-c", _CARRIED]
+    assert subprocess.run(command, check=True, capture_output=True, text=True).stdout == "[]\n"

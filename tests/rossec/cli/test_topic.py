@@ -47,8 +47,8 @@ def master(site: Site) -> Iterator[dict[str, str]]:
     assert said.startswith("master of home at http://127.0.0.1:")
     yield {"ROS_MASTER_URI": said.split()[-1]}
     process.send_signal(signal.SIGTERM)
-    assert process.wait(10) == 0, process.communicate()[1]
-    process.communicate()
+    _, complaints = process.communicate(timeout=60)
+    assert process.returncode == 0, complaints
 
 
 def test_what_is_said_is_heard(site: Site, master: dict[str, str]) -> None:
@@ -60,8 +60,8 @@ def test_what_is_said_is_heard(site: Site, master: dict[str, str]) -> None:
     out, err = listener.communicate(timeout=30)
     assert (listener.returncode, out, err) == (0, "data: hello\n---\n" * 2, "")
     talker.send_signal(signal.SIGINT)
-    assert talker.wait(10) == 130
-    talker.communicate()
+    _, said = talker.communicate(timeout=60)
+    assert (talker.returncode, said) == (130, "rossec: waiting for a subscriber of /chatter\n\n")
 
 
 def test_a_listener_without_a_grant_hears_why(site: Site, master: dict[str, str]) -> None:
@@ -146,5 +146,5 @@ def test_a_complaint_is_written_down(site: Site, tmp_path: Path) -> None:
     echo = ("topic", "echo", "/secret", STRING, "--as", "/listener")
     start(site, {"ROS_MASTER_URI": uri}, *echo).communicate(timeout=30)
     process.send_signal(signal.SIGTERM)
-    process.communicate(timeout=10)
+    process.communicate(timeout=60)
     assert '"node": "/listener", "right": "subscribe", "name": "/secret"' in log.read_text()

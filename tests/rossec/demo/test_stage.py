@@ -66,7 +66,7 @@ async def test_an_actor_that_does_not_end_is_killed(
     actor = await stage.actor("http.server", "0", "--bind", "127.0.0.1", name="stubborn")
     monkeypatch.setattr(actor._process, "terminate", lambda: None)
     monkeypatch.setattr("rossec.demo.stage.PATIENCE", 0.1)
-    async with asyncio.timeout(10):
+    async with asyncio.timeout(30):
         await actor.stop()
     assert actor.ended
 

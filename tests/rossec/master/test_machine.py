@@ -327,7 +327,6 @@ TestMaster = Master.TestCase
 TestMaster.settings = settings(
     max_examples=80,
     stateful_step_count=30,
-    deadline=None,
     derandomize=True,
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
 )

@@ -19,7 +19,7 @@ async def test_a_change_wakes_everybody_who_waits() -> None:
     await asyncio.sleep(0)
     assert not any(task.done() for task in tasks)
     news.tell(2)
-    async with asyncio.timeout(10):
+    async with asyncio.timeout(30):
         await asyncio.gather(*tasks)
 
 
@@ -27,10 +27,10 @@ async def test_what_is_no_change_of_state_may_be_news_as_well() -> None:
     news = News()
     task = await waits(news)
     news.tell()
-    async with asyncio.timeout(10):
+    async with asyncio.timeout(30):
         await task
 
 
 async def test_without_news_the_wait_ends() -> None:
-    async with asyncio.timeout(10):
+    async with asyncio.timeout(30):
         await News().wait(0.01)

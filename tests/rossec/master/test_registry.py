@@ -277,5 +277,5 @@ class Machine(RuleBasedStateMachine):
             assert self.registry.owner(node.uri) == node.name
 
 
-Machine.TestCase.settings = settings(max_examples=50, stateful_step_count=20, deadline=None)
+Machine.TestCase.settings = settings(max_examples=50, stateful_step_count=20)
 TestMachine = Machine.TestCase

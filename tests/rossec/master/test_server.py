@@ -107,14 +107,14 @@ async def world() -> AsyncIterator[World]:
 
 
 async def until(condition: Callable[[], bool]) -> None:
-    async with asyncio.timeout(10):
+    async with asyncio.timeout(30):
         while not condition():  # noqa: ASYNC110 - the condition is in another task's hands
             await asyncio.sleep(0.005)
 
 
 async def ends(call: Awaitable[object]) -> None:
     with pytest.raises(RossecError):
-        async with asyncio.timeout(10):
+        async with asyncio.timeout(30):
             await call
 
 
@@ -277,7 +277,7 @@ async def test_an_identity_has_so_many_connections(world: World) -> None:
 async def test_an_administrator_stops_it(world: World) -> None:
     admin = await world.node("/admin", {"/master": Right.ADMIN})
     await admin.ask("shutdown", "maintenance")
-    async with asyncio.timeout(5):
+    async with asyncio.timeout(30):
         await world.server.stopped()
 
 

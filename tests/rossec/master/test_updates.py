@@ -48,7 +48,7 @@ class Nodes:
         return RpcClient(near)
 
     async def until(self, condition: Callable[[], bool]) -> None:
-        async with asyncio.timeout(5):
+        async with asyncio.timeout(30):
             while not condition():  # noqa: ASYNC110 - any of many tasks may fulfil it
                 await asyncio.sleep(0.001)
 

@@ -2,11 +2,13 @@
 
 import contextlib
 import dataclasses
+import itertools
 import secrets
 import select
 import socket
 import struct
 import threading
+import time
 from collections.abc import Callable, Iterator
 
 import pytest
@@ -62,7 +64,7 @@ def pair(listener: SecureListener[FakeIdentity], **options: object) -> tuple[Sec
 
     thread = background(accept)
     left = Secure.connect(listener.getsockname(), ALICE, live, 5, **options)
-    thread.join(5)
+    thread.join(30)
     return left, accepted[0]
 
 
@@ -106,7 +108,7 @@ def test_large_both_ways_at_once(listener: SecureListener[FakeIdentity]) -> None
         other = background(lambda: read(left, size))
         assert read(right, size) == bytes(size)
         for thread in (*threads, other):
-            thread.join(10)
+            thread.join(30)
             assert not thread.is_alive()
 
 
@@ -184,7 +186,7 @@ def test_shutdown_wakes_a_reader(listener: SecureListener[FakeIdentity]) -> None
         thread = background(lambda: got.append(right.recv(1)))
         thread.join(0.05)
         right.shutdown()
-        thread.join(5)
+        thread.join(30)
         assert got == [b""]
 
 
@@ -198,7 +200,7 @@ def test_sending_first_makes_the_handshake(listener: SecureListener[FakeIdentity
     thread = background(serve)
     with Secure.connect(listener.getsockname(), ALICE, live, 5) as left:
         assert left.recv(5) == b"first"
-    thread.join(5)
+    thread.join(30)
 
 
 def test_a_stranger_is_refused(listener: SecureListener[FakeIdentity]) -> None:
@@ -216,7 +218,7 @@ def test_a_stranger_is_refused(listener: SecureListener[FakeIdentity]) -> None:
     left = Secure.connect(listener.getsockname(), STRANGER, live, 5)
     with left, pytest.raises(PeerRefused):
         left.recv(1)
-    thread.join(5)
+    thread.join(30)
     assert isinstance(errors[0], IdentityRefused)
 
 
@@ -232,7 +234,7 @@ def test_a_false_responder(listener: SecureListener[FakeIdentity]) -> None:
     thread = background(serve)
     with pytest.raises(IdentityRefused):
         Secure.connect(listener.getsockname(), ALICE, nobody, 5)
-    thread.join(5)
+    thread.join(30)
 
 
 def test_the_handshake_deadline() -> None:
@@ -291,7 +293,7 @@ def test_the_listener_is_a_socket_to_its_user(listener: SecureListener[FakeIdent
     thread = background(wait)
     thread.join(0.05)
     listener.shutdown(socket.SHUT_RDWR)
-    thread.join(5)
+    thread.join(30)
     assert not thread.is_alive()
 
 
@@ -354,8 +356,8 @@ def test_a_reader_without_a_deadline_meets_the_cores(
 
         thread = background(wait)
         left._core._peer = dataclasses.replace(live(BOB.chain, 0), not_after=0)
-        assert expired.wait(10)
-        thread.join(10)
+        assert expired.wait(30)
+        thread.join(30)
 
 
 def test_what_is_sent_at_once_waits_for_nobody(listener: SecureListener[FakeIdentity]) -> None:
@@ -372,7 +374,7 @@ def test_what_is_sent_at_once_waits_for_nobody(listener: SecureListener[FakeIden
         assert not left.send_now(b"later")
         sender = background(left.sendall)
         got = read(right, 4 + number * 4000)
-        sender.join(5)
+        sender.join(30)
         assert not vars(left._core)["_out"]
         assert got == b"0000" + b"".join(b"%04d" % count * 1000 for count in range(1, number + 1))
         left.sendall(b"after")
@@ -394,3 +396,83 @@ def test_sending_at_once_notices_the_end(listener: SecureListener[FakeIdentity])
             left.send_now(b"x")
         with pytest.raises(ChannelClosed):
             left.send_now(b"x")
+
+
+def test_what_is_aborted_delivers_nothing_more(listener: SecureListener[FakeIdentity]) -> None:
+    """Neither what was decrypted, nor what waits in the kernel."""
+    left, right = pair(listener)
+    with left, right:
+        left.sendall(b"one")
+        assert right.recv(1) == b"o"
+        left.sendall(b"two")
+        assert readable(right)
+        right.abort()
+        assert right.recv(10) == b""
+        assert right.receive_unit() == b""
+        with pytest.raises(ChannelClosed):
+            right.sendall(b"x")
+
+
+def test_an_abort_wakes_a_reader(listener: SecureListener[FakeIdentity]) -> None:
+    left, right = pair(listener)
+    with left, right:
+        got: list[bytes] = []
+        thread = background(lambda: got.append(right.recv(1)))
+        thread.join(0.05)
+        right.abort()
+        thread.join(5)
+        assert got == [b""]
+
+
+def test_a_flood_holds_up_nobody(
+    listener: SecureListener[FakeIdentity], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A peer that talks without end to a side that only sends is read a bounded amount."""
+    monkeypatch.setattr("rossec.net.blocking._PUMPED", 3)
+    left, right = pair(listener)
+    with left, right:
+        taken = itertools.count()
+        monkeypatch.setattr(left, "_take_in", lambda *_: next(taken) >= 0)
+        left.pump()
+        assert next(taken) == 3
+
+
+def test_the_core_looks_at_the_clock_once_in_a_second(
+    listener: SecureListener[FakeIdentity], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    left, right = pair(listener)
+    with left, right:
+        looks: list[int] = []
+        monkeypatch.setattr(left._core, "tick", looks.append)
+        start = int(time.time()) + 10
+        for second in (start, start, start + 1, start + 1, start + 9):
+            monkeypatch.setattr("rossec.net.carrier._now", lambda second=second: second)
+            left.sendall(b"map")
+        assert looks == [start, start + 1, start + 9]
+
+
+def test_an_idle_connection_is_tended(listener: SecureListener[FakeIdentity]) -> None:
+    """Nobody reads or writes: renewals are begun and followed nevertheless, and units stay."""
+    left, right = pair(listener, limits=Limits(seconds=1))
+    with left, right:
+        left.sendall(b"map")
+        assert right.recv(10) == b"map"
+        for side in (left, right, left, right):
+            side._core._session.renew_at = 0  # type: ignore[union-attr]
+            side._ticked = -1
+            side.tend()
+        assert left._core._session.receive_epoch == 1  # type: ignore[union-attr]
+        left.sendall(b"kept")
+        select.poll().poll(50)
+        right.tend()
+        right.tend()
+        assert right.recv(10) == b"kept"
+        with left._writing:
+            left.tend()
+        with left._reading:
+            left.tend()
+        right.close()
+        with contextlib.suppress(ChannelError):
+            for _ in range(3):
+                left.tend()
+        assert left.recv(1) == b""

@@ -137,7 +137,7 @@ async def test_a_connection_on_which_nobody_calls_is_closed() -> None:
     async def run() -> None:
         assert await RpcClient(near).ask("echo") == []
         with pytest.raises(RossecError):
-            async with asyncio.timeout(10):
+            async with asyncio.timeout(30):
                 await near.receive()
 
     await serving(run(), far, idle_deadline=0.05)

@@ -44,7 +44,7 @@ def pair() -> tuple[Transport, Recorder, socket.socket]:
 
 
 async def until(recorder: Recorder, event: str) -> None:
-    async with asyncio.timeout(5):
+    async with asyncio.timeout(30):
         while event not in recorder.events:
             recorder.changed.clear()
             await recorder.changed.wait()

@@ -32,7 +32,7 @@ async def test_two_nodes_of_one_identity_talk_to_each_other(site: Site) -> None:
         subscriber = await two.subscriber(TOPIC, POSE)
         await publisher.wait_for_subscribers()
         publisher.publish(publisher.create())
-        async with asyncio.timeout(10):
+        async with asyncio.timeout(30):
             await anext(aiter(subscriber))
         state = await two._session.call("getSystemState")
         assert state == [[[TOPIC, [one.name]]], [[TOPIC, [two.name]]], []]

@@ -50,7 +50,7 @@ async def knock(site: Site, robot: Node, *pieces: bytes) -> dict[str, bytes]:
 
 
 async def ended(stream: SecureStream[Identity]) -> None:
-    async with asyncio.timeout(5):
+    async with asyncio.timeout(30):
         with contextlib.suppress(ChannelError):
             while True:
                 await stream.receive()

@@ -1,0 +1,262 @@
+"""What a grant says, as the claims of a CWT (RFC 8392): written in one form, read strictly.
+
+Everything unknown refuses the grant: a claim, a restriction key, a filter operator, a right bit.
+RFC 8392 section 3 tells a generic verifier to *ignore* unknown claims, so a restriction in a
+claim of its own would turn into the unrestricted right; ours lie inside the entry they restrict.
+"""
+
+import base64
+from collections.abc import Callable
+from functools import lru_cache
+from typing import Any, Final
+
+from ca.encoding import Value, decode, encode, head, parse
+from ca.errors import EncodingError, NameRefused
+from grants.errors import FilterRefused, GrantMalformed, PatternRefused
+from grants.model import (
+    ALL_RIGHTS,
+    KEY_SIZE,
+    Draft,
+    FilterRule,
+    Grant,
+    Permission,
+    Restriction,
+    Right,
+    filter_rules,
+)
+
+# RFC 8392 section 3.1; cnf: RFC 8747; scope: RFC 9200 section 8.14, here an AIF (RFC 9237) in a
+# byte string; below -65536 the numbers are for private use.
+_ISS, _SUB, _AUD, _EXP, _NBF, _CTI, _CNF, _SCOPE, _CAP = 1, 2, 3, 4, 5, 7, 8, 9, -65537
+_CLAIMS: Final = {_ISS, _SUB, _AUD, _EXP, _NBF, _CTI, _CNF, _SCOPE, _CAP}
+_CKT: Final = 5  # confirmation by COSE key thumbprint, RFC 9679 section 6
+_CKT_URI: Final = "urn:ietf:params:oauth:ckt:sha-256:"  # RFC 9679 section 5: `iss` must be text
+
+_TYPE, _CONDITIONS, _FILTERS, _LIMITS, _ON_STALE = 0, 1, 2, 3, 4
+_RESTRICTIONS: Final = {_TYPE, _CONDITIONS, _FILTERS, _LIMITS, _ON_STALE}
+_RATE: Final = "rate"
+_KEEP: Final = "keep"
+
+_UINT, _BYTES, _TEXT = 0x00, 0x40, 0x60  # major types
+
+
+def written(draft: Draft, issuer: bytes) -> Value:
+    """The claims of `draft`, to be signed by the key with the thumbprint `issuer`."""
+    scope: list[Value] = [_entry(permission) for permission in draft.permissions]
+    return {
+        _ISS: issuer_uri(issuer),
+        _SUB: draft.subject,
+        _AUD: draft.domain,
+        _EXP: draft.expires,
+        _NBF: draft.not_before,
+        _CTI: draft.serial,
+        _CNF: {_CKT: draft.holder},
+        _SCOPE: encode(scope),
+        _CAP: draft.cap,
+    }
+
+
+def _entry(permission: Permission) -> Value:
+    entry: list[Value] = [permission.pattern, int(permission.rights)]
+    if permission.restriction is not None:
+        entry.append(_restriction_claims(permission.restriction))
+    return entry
+
+
+def _restriction_claims(restriction: Restriction) -> Value:
+    claims: dict[int | str, Value] = {}
+    if restriction.type is not None:
+        claims[_TYPE] = restriction.type
+    if restriction.conditions:
+        claims[_CONDITIONS] = list(restriction.conditions)
+    if restriction.filters:
+        claims[_FILTERS] = {rule.path: _treatment(rule) for rule in restriction.filters}
+    if restriction.rate is not None:
+        claims[_LIMITS] = {_RATE: restriction.rate}
+    if restriction.keep_when_stale:
+        claims[_ON_STALE] = _KEEP
+    return claims
+
+
+def _treatment(rule: FilterRule) -> Value:
+    return {rule.operator: {**dict(rule.parameters)} if rule.parameters else True}
+
+
+def read(body: bytes, grant_id: bytes) -> Grant:
+    """What the claims in `body` say, as the grant `grant_id`.
+
+    Raises:
+        GrantMalformed: outside the closed schema; every refusal of the parts becomes this one.
+    """
+    try:
+        return _read(_closed(_claims_of(body), _CLAIMS, _CLAIMS, "claim"), grant_id)
+    except (FilterRefused, PatternRefused, NameRefused, EncodingError) as error:
+        raise GrantMalformed(f"in a grant: {error}", error.hint) from None
+
+
+def decoded(body: bytes, decoder: Callable[[bytes], Value] = decode) -> Value:
+    """A payload that is in its one deterministic form.
+
+    Raises:
+        GrantMalformed: it is not.
+    """
+    try:
+        return decoder(body)
+    except EncodingError as error:
+        raise GrantMalformed(f"not a grant: {error}") from None
+
+
+def _claims_of(body: bytes) -> Value:
+    """The claims, decoded strictly.
+
+    A grant has one form, so it is written again and compared, which costs a quarter of the
+    general check; whatever differs goes through that check, to be named.
+    """
+    claims = decoded(body, parse)
+    return claims if _one_form(claims) == body else decoded(body)
+
+
+def _one_form(claims: Value) -> bytes | None:
+    """The claims in their one form; None, or something else, where they are not as usual.
+
+    Texts are taken for ASCII: another one only gives bytes that no grant has.
+    """
+    match claims:
+        case {
+            1: str(iss), 2: str(sub), 3: str(aud), 4: int(exp), 5: int(nbf), 7: bytes(cti),
+            8: {5: bytes(ckt)}, 9: bytes(scope), -65537: int(cap),
+        } if min(exp, nbf, cap) >= 0:  # fmt: skip
+            return b"".join(
+                (
+                    b"\xa9\x01", head(_TEXT, len(iss)), iss.encode(),
+                    b"\x02", head(_TEXT, len(sub)), sub.encode(),
+                    b"\x03", head(_TEXT, len(aud)), aud.encode(),
+                    b"\x04", head(_UINT, exp), b"\x05", head(_UINT, nbf),
+                    b"\x07\x50", cti, b"\x08\xa1\x05\x58\x20", ckt,
+                    b"\x09", head(_BYTES, len(scope)), scope,
+                    b"\x3a\0\1\0\0", head(_UINT, cap),
+                )
+            )  # fmt: skip
+        case _:
+            return None
+
+
+def _read(claims: dict[Any, Any], grant_id: bytes) -> Grant:
+    confirmation = _closed(claims[_CNF], {_CKT}, {_CKT}, "confirmation")
+    return Grant(
+        domain=_typed(claims[_AUD], str, "aud"),
+        subject=_typed(claims[_SUB], str, "sub"),
+        holder=_typed(confirmation[_CKT], bytes, "ckt"),
+        not_before=_typed(claims[_NBF], int, "nbf"),
+        expires=_typed(claims[_EXP], int, "exp"),
+        cap=_typed(claims[_CAP], int, "cap"),
+        serial=_typed(claims[_CTI], bytes, "cti"),
+        permissions=_permissions(_typed(claims[_SCOPE], bytes, "scope")),
+        id=grant_id,
+        issuer=read_issuer(_typed(claims[_ISS], str, "iss")),
+    )
+
+
+@lru_cache(maxsize=256)
+def _permissions(scope: bytes) -> tuple[Permission, ...]:
+    """The rights in a scope. The same rights are given to many nodes, and presented often."""
+    return tuple(_permission(entry) for entry in _typed(decode(scope), list, "scope"))
+
+
+@lru_cache(maxsize=16)
+def read_issuer(text: str) -> bytes:
+    """The thumbprint in an `iss` claim.
+
+    Raises:
+        GrantMalformed: not exactly the URI of one.
+    """
+    encoded = text.removeprefix(_CKT_URI)
+    try:
+        issuer = base64.b64decode(encoded + "=", altchars=b"-_", validate=True)
+    except ValueError:
+        issuer = b""
+    # Compared after encoding again: base64 ignores the last bits of the last character.
+    if len(issuer) != KEY_SIZE or text != issuer_uri(issuer):
+        raise GrantMalformed("iss is not the thumbprint URI of a key")
+    return issuer
+
+
+def issuer_uri(issuer: bytes) -> str:
+    """The `iss` claim for a thumbprint (RFC 9679 section 5)."""
+    return _CKT_URI + base64.urlsafe_b64encode(issuer).decode().rstrip("=")
+
+
+def _permission(entry: Value) -> Permission:
+    match entry:
+        case [str() as pattern, bits]:
+            return Permission(pattern, _rights(bits))
+        case [str() as pattern, bits, restriction]:
+            return Permission(pattern, _rights(bits), _restriction(restriction))
+        case _:
+            pass
+    raise GrantMalformed("an entry of the scope is not [pattern, rights, restrictions]")
+
+
+def _rights(value: Value) -> Right:
+    bits = _typed(value, int, "rights")
+    # Before the enumeration sees it: Right(-1) would be every right there is.
+    if not 0 < bits <= int(ALL_RIGHTS):
+        raise GrantMalformed(f"unknown or no right: {bits}")
+    return Right(bits)
+
+
+def _restriction(value: Value) -> Restriction:
+    claims = _closed(value, set(), _RESTRICTIONS, "restriction")
+    conditions = _filled(claims, _CONDITIONS, list)
+    filters = _filled(claims, _FILTERS, dict)
+    kind = _typed(claims[_TYPE], str, "type") if _TYPE in claims else None
+    for treated in filters.values():
+        _typed(treated, dict, "a filter")
+    rules = filter_rules(filters)
+    if rules:
+        # The operators carry numpy, which a process that never meets a filter need not.
+        from grants.operators import treatment  # noqa: PLC0415 - loaded for grants with filters only
+
+        for rule in rules:
+            treatment(rule)
+    texts = tuple(_typed(text, str, "a condition") for text in conditions)
+    if claims.get(_ON_STALE, _KEEP) != _KEEP:
+        raise GrantMalformed("on_stale of a grant is not keep")
+    return Restriction(kind, texts, rules, _rate(claims), _ON_STALE in claims)
+
+
+def _rate(claims: dict[Any, Any]) -> float | None:
+    limits = _filled(claims, _LIMITS, dict)
+    if unknown := limits.keys() - {_RATE}:
+        raise GrantMalformed(f"unknown limit {min(map(str, unknown))[:40]} in a grant")
+    rate: float | None = limits.get(_RATE)
+    if rate is not None and type(rate) not in (int, float):
+        raise GrantMalformed("rate of a grant is of a wrong type")
+    return rate
+
+
+def _filled(claims: dict[Any, Any], key: int, kind: type[Any]) -> Any:
+    """An optional, never empty member: one meaning, one encoding."""
+    if key not in claims:
+        return kind()
+    value = _typed(claims[key], kind, "a restriction")
+    if len(value) == 0:
+        raise GrantMalformed("an empty restriction")
+    return value
+
+
+def _closed(value: Value, needed: set[int], allowed: set[int], what: str) -> dict[Any, Any]:
+    if not isinstance(value, dict):
+        raise GrantMalformed(f"the {what}s of a grant are not a map")
+    if unknown := value.keys() - allowed:
+        raise GrantMalformed(f"unknown {what} {min(map(str, unknown))[:40]} in a grant")
+    if missing := needed - value.keys():
+        raise GrantMalformed(f"{what} {min(missing)} is missing in a grant")
+    return value
+
+
+def _typed(value: Any, kind: type[Any], what: str) -> Any:
+    # Exactly this type: in Python a truth value is an integer, in a grant it is not.
+    if type(value) is not kind:
+        raise GrantMalformed(f"{what} of a grant is of a wrong type")
+    return value

@@ -1,0 +1,149 @@
+"""Doors on loopback: programs call a peer's slave API, subscribe to its topics, call services.
+
+A shell. Each connection runs one layer after another; whatever goes wrong ends that connection, on
+both sides.
+"""
+
+import asyncio
+import logging
+import time
+from collections.abc import Callable
+from typing import Final
+
+from ca.certificates import Identity
+from ca.errors import HintedError
+from rossec.channel.opening import Flavour
+from rossec.errors import HangUp, RossecError
+from rossec.net.rpc import serve_calls
+from rossec.net.stream import SecureStream
+from rossec.net.tasks import TaskSet
+from rossec.node.fields import text
+from rossec.node.topicguard import FilterKey
+from rossec.ros import header
+from rossec.sidecar import headers, pump, slavecalls
+from rossec.sidecar.addresses import Endpoint
+from rossec.sidecar.doorways import Doorways
+from rossec.sidecar.headers import Joined
+from rossec.sidecar.layers import Tenant
+from rossec.sidecar.links import Links
+from rossec.sidecar.loopback import LoopbackPort
+from rossec.sidecar.plain import PlainStream
+from rossec.sidecar.pump import split_header
+from rossec.sidecar.visit import House, Visit
+
+HEADER_DEADLINE: Final = 15.0  # the peer's side of it has to be reached first
+
+_log = logging.getLogger("rossec.sidecar")
+
+
+class Imports:
+    """The doors of one identity.
+
+    Args:
+        house: whom visits are made for.
+        filter_key: finds a key for pseudonyms by its name.
+        ended: told of a topic whose connection, made at that monotonic time, has ended.
+    """
+
+    def __init__(
+        self,
+        house: House,
+        tenant: Tenant,
+        links: Links,
+        filter_key: FilterKey,
+        ended: Callable[[str, float], None],
+    ) -> None:
+        self._house = house
+        self._tenant = tenant
+        self._links = links
+        self._filter_key = filter_key
+        self._ended = ended
+        self._tasks = TaskSet()
+        self.doorways = Doorways(self._close_door)
+
+    def open(self, remote: Endpoint) -> int:
+        """The loopback port for `remote`; it listens."""
+        door = self._door(remote)
+        door.open()
+        return door.port
+
+    def rest(self, remote: Endpoint) -> int:
+        """The loopback port for `remote`; it refuses callers."""
+        door = self._door(remote)
+        door.rest()
+        return door.port
+
+    async def close(self) -> None:
+        """Close every door."""
+        for door in self.doorways:
+            await door.close()
+        await self._tasks.close()
+
+    def _door(self, remote: Endpoint) -> LoopbackPort:
+        serve = self._reach if remote.flavour is Flavour.TCPROS else self._inquire
+
+        async def handler(program: PlainStream) -> None:
+            await serve(remote, program)
+
+        callers = self._house.callers
+        return self.doorways.ask(remote, lambda: LoopbackPort(callers, handler))
+
+    def _close_door(self, _: Endpoint, door: LoopbackPort) -> None:
+        self._tenant.doors.closed_inside(door.port)
+        self._tasks.spawn(door.close(), f"loopback port {door.port}")
+
+    async def _inquire(self, remote: Endpoint, program: PlainStream) -> None:
+        """A program's calls to a peer's slave API."""
+        visit = Visit(self._house)
+
+        async def dispatch(method: str, params: tuple[object, ...], _: str) -> object:
+            return await visit.run(slavecalls.ask_peer(self._tenant, remote, method, params))
+
+        try:
+            await serve_calls(program, dispatch)
+        finally:
+            await visit.close()
+
+    async def _reach(self, remote: Endpoint, program: PlainStream) -> None:
+        """A program that subscribes to a peer's topic, or calls its service."""
+        visit = Visit(self._house)
+        try:
+            try:
+                async with asyncio.timeout(HEADER_DEADLINE):
+                    fields, early = await split_header(program)
+                    layer = headers.reach_peer(
+                        self._tenant, remote, fields, self._filter_key, int(time.time())
+                    )
+                    joined = await visit.run(layer)
+            except HangUp as error:
+                _log.info("no connection to %s: %s", remote.uri, error)
+                return
+            except HintedError as error:
+                _log.warning("no connection to %s: %s (%s)", remote.uri, error, error.hint)
+                await program.send(header.error_header(f"rossec: {error}"))
+                await program.close()
+                return
+            if visit.stream is not None:
+                began = time.monotonic()
+                await self._pass(joined, program, visit.stream, early, visit.first)
+                if not joined.service:
+                    self._ended(text(fields, "topic"), began)
+        except (RossecError, TimeoutError) as error:
+            _log.info("a connection to %s ended: %s", remote.uri, error)
+        finally:
+            await visit.close()
+
+    async def _pass(
+        self,
+        joined: Joined,
+        program: PlainStream,
+        stream: SecureStream[Identity],
+        early: bytes,
+        first: bytes,
+    ) -> None:
+        with self._links.linked(stream, joined.decision):
+            await program.send(header.encode(joined.answer))
+            if joined.service:
+                await pump.exchange(program, stream, early, first)
+            else:
+                await pump.subscribe(program, stream, joined.guard, first)

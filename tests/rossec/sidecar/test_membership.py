@@ -1,0 +1,74 @@
+"""The standing with the master: what programs need not notice."""
+
+from pathlib import Path
+
+import pytest
+
+from rossec.errors import HangUp, RossecError
+from tests.rossec.sidecar.conversation import Pair, connect, ends, heard
+from tests.rossec.sidecar.program import Program, sidecar, word
+from tests.support.site import Site
+from tests.support.witness import until
+
+
+async def test_a_program_returns_to_a_topic_that_it_lost(pair: Pair) -> None:
+    """Stock rospy waits until the publisher is named again."""
+    stream, source = await connect(pair)
+    before = len(pair.listener.calls)
+    source.abort()
+    await ends(stream)
+
+    def named() -> list[object]:
+        calls = pair.listener.calls[before:]
+        return [params[1] for method, params in calls if method == "publisherUpdate"]
+
+    await until(lambda: named() == ["/word"], within=20)
+
+
+async def test_a_restarted_master_hears_of_the_programs_again(pair: Pair) -> None:
+    stream, source = await connect(pair)
+    await pair.site.restart_master()
+    update = "publisherUpdate"
+    await until(lambda: any(method == update for method, _ in pair.listener.calls), within=30)
+    await source.send(word("still"))
+    assert await heard(stream, len(word("still"))) == word("still")
+
+
+async def test_a_master_that_is_away_is_no_answer(tmp_path: Path) -> None:
+    site = Site(tmp_path / "site")
+    site.enroll("/talker")
+    async with site.running(), sidecar(site) as near:
+        assert site.master is not None
+        await site.master.close()
+        async with Program("/talker", near) as talker:
+            with pytest.raises(RossecError):
+                await talker.ask(talker.master_uri, "getPid")
+
+
+async def test_a_master_that_is_revoked_is_not_asked(pair: Pair) -> None:
+    """Nothing is said to it, not even while nobody knows what else is revoked."""
+    await connect(pair)
+    data = pair.site.revoke(pair.site.identity("/master").thumbprint)
+    agent = pair.near._agent_for("/talker")
+    membership = agent._membership
+    membership._revocations.update(data, pair.site.now())
+    with pytest.raises(HangUp, match="revoked"):
+        await agent._dial_master()
+
+
+async def test_who_begins_in_vain_keeps_no_connection(
+    pair: Pair, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A master that does not hold must not be asked later by whoever finds the connection."""
+    agent = pair.near._agent_for("/talker")
+    session = agent._membership._session
+
+    def refused(*_: object) -> None:
+        raise HangUp("it does not hold")
+
+    monkeypatch.setattr(session, "_refresh", refused)
+    for _ in range(2):
+        with pytest.raises(RossecError):
+            await pair.talker.ask(pair.talker.master_uri, "getPid")
+        with pytest.raises(RossecError, match="out of reach"):
+            await session.answer("getPid", "/talker")
