@@ -85,7 +85,7 @@ class Outbound(Generic[PeerT]):
         """
         self._sendable().check_unit(pieces)
 
-    def seal_small(self, unit: bytes) -> Bytes | None:
+    def seal_small(self, unit: Bytes) -> Bytes | None:
         """Seal a unit in one record: the short way, where nothing else has to be done.
 
         None means that something has: use `seal_unit`.
@@ -141,6 +141,8 @@ class Outbound(Generic[PeerT]):
 
     def data_to_send(self) -> Bytes:
         """Return, once, everything queued for the peer."""
+        if not self._out:
+            return b""
         out, self._out = self._out, []
         return out[0] if len(out) == 1 else b"".join(out)
 

@@ -31,8 +31,9 @@ from rospy.impl.validators import ParameterInvalid
 from rossec.errors import ConfigurationError, SettingsRefused
 from rossec.inprocess.addresses import bracketed, parse_rosrpc
 from rossec.inprocess.calls import Client
+from rossec.inprocess.outbox import Outbox, write_data
 from rossec.inprocess.process import Process
-from rossec.inprocess.publishing import Outbox, publish, write_data
+from rossec.inprocess.publishing import publish
 from rossec.inprocess.services import Probe
 from rossec.inprocess.sockets import RosSocket, Stand
 from rossec.inprocess.topics import Connections

@@ -9,6 +9,7 @@ import os
 import secrets
 import select
 import socket
+import sys
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -64,7 +65,7 @@ class SecureSocket(Carrier[PeerT]):
             ChannelError: the handshake failed.
         """
         sock = socket.create_connection(address, timeout)
-        core = Connection[PeerT].initiator(
+        core = Connection.initiator(
             credentials, verify, random=secrets.token_bytes, now=int(time.time()), **options
         )
         secure = SecureSocket(sock, core)
@@ -126,7 +127,7 @@ class SecureSocket(Carrier[PeerT]):
     def receive_unit(self) -> bytes | memoryview:
         """The rest of a unit that `recv` began, or the next one; empty after the peer's close."""
         with self._reading:
-            rest = self._take(self._core.unit_limit)
+            rest = self._take(sys.maxsize)
         unit = rest.obj
         return unit if isinstance(unit, bytes) and len(unit) == len(rest) else rest
 
@@ -178,12 +179,12 @@ class SecureSocket(Carrier[PeerT]):
         if self._aborted:
             return memoryview(b"")
         unit = self._units[0]
-        if len(unit) <= size:
-            self._units.popleft()
+        if len(unit) > size:
+            self._units[0], unit = unit[size:], unit[:size]
         else:
-            self._units[0] = unit[size:]
+            self._units.popleft()
         self._flag()
-        return unit[:size]
+        return unit
 
     def send(self, data: Bytes) -> int:
         """Send everything; return how much that is."""

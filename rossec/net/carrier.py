@@ -47,6 +47,7 @@ class Carrier(SocketOptions, Generic[PeerT]):
         self._on_settled: Callable[[], None] | None = on_settled
         self._units: deque[memoryview] = deque()
         self._error: ChannelError | None = None
+        self._ticked = -1
         self._aborted = False
         self._core_lock = Lock()
         self._reading = Lock()
@@ -99,7 +100,7 @@ class Carrier(SocketOptions, Generic[PeerT]):
                 self._guarded(self._core.receive_eof)
                 self._fail(ChannelClosed("the peer closed the connection"))
             else:
-                self._note(self._guarded(lambda: self._core.buffer_updated(count, _now())))
+                self._note(self._guarded(self._core.buffer_updated, count, _now()))
         if self._error is None:
             self._flush(end)
         else:
@@ -116,9 +117,9 @@ class Carrier(SocketOptions, Generic[PeerT]):
             else:
                 self._fail(ChannelClosed("the peer closed the connection"))
 
-    def _guarded(self, step: Callable[[], Any]) -> Any:
+    def _guarded(self, step: Callable[..., Any], *arguments: object) -> Any:
         try:
-            return step()
+            return step(*arguments)
         except ChannelError as error:
             self._fail(error)
             self._send_last(self._core.data_to_send())
@@ -158,7 +159,7 @@ class Carrier(SocketOptions, Generic[PeerT]):
             records = self._core.seal_unit(*pieces, reuse=True)
         while True:
             with self._core_lock:
-                record = self._guarded(lambda: next(records, None))
+                record = self._guarded(next, records, None)
             if record is None:
                 return
             self._push(record, end)
@@ -219,8 +220,13 @@ class Carrier(SocketOptions, Generic[PeerT]):
         self._tick()
 
     def _tick(self) -> None:
+        """Let the core look at the clock, once in a second: its deadlines are whole ones."""
+        now = _now()
+        if now == self._ticked:
+            return
         with self._core_lock:
-            self._guarded(lambda: self._core.tick(_now()))
+            self._guarded(self._core.tick, now)
+        self._ticked = now
 
 
 def _now() -> int:

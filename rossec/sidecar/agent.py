@@ -77,7 +77,9 @@ class Agent:
             self, self.tenant, self._network, self._links, guests, home.filter_key,
             self._membership.revocations_arrived,
         )  # fmt: skip
-        self._imports = Imports(self, self.tenant, self._links, self._membership.topic_ended)
+        self._imports = Imports(
+            self, self.tenant, self._links, home.filter_key, self._membership.topic_ended
+        )
         self._kept = Kept()
         self._watching = TaskSet(self._blind)
         self._is_blind = False

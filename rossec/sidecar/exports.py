@@ -22,6 +22,7 @@ from rossec.net.stream import SecureStream
 from rossec.net.tasks import TaskSet
 from rossec.node.guests import Guests
 from rossec.node.questions import MASTER
+from rossec.node.topicguard import FilterKey
 from rossec.ros import header
 from rossec.sidecar import headers, pump, slavecalls
 from rossec.sidecar.addresses import LOOPBACK, Endpoint
@@ -58,7 +59,7 @@ class Exports:
         network: Network,
         links: Links,
         guests: Guests,
-        filter_key: Callable[[str], bytes],
+        filter_key: FilterKey,
         news: News,
     ) -> None:
         self._house = house

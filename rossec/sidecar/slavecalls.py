@@ -18,10 +18,11 @@ from rossec.ros.xmlrpc import Encoded, Fault
 from rossec.sidecar.addresses import Endpoint, endpoint, inside
 from rossec.sidecar.commands import AskLocal, AskRemote, Knock, Rest
 from rossec.sidecar.events import Answered, Event, Passed, Silent
-from rossec.sidecar.layers import Layer, Tenant, Unforeseen
+from rossec.sidecar.layers import Layer, Tenant, Unforeseen, own_endpoint
 
 _UNPARSED: Final = frozenset({"getBusStats"})
 _INWARD: Final = "i"
+_MOST_DOORS: Final = 64  # that one answer of a peer may have opened
 NO_TRANSPORT: Final = "rossec: only TCPROS, inside the secure channel"
 
 
@@ -121,20 +122,25 @@ def _program_says(
         case "getMasterUri", _:
             return [1, status, ""]
         case "getBusInfo", list() as entries:
-            return [1, status, [_entry(tenant, entry) for entry in entries]]
+            return [1, status, (yield from _connections(tenant, local, entries))]
         case _:
             return [1, status, value]
 
 
-def _entry(tenant: Tenant, entry: object) -> object:
-    """A connection as the program knows it; of incoming ones it names the publisher's URI."""
-    match entry:
-        case [number, uri, "i", *rest]:
-            local = endpoint(uri, Flavour.HTTP)
-            remote = None if local is None else tenant.doors.peer_behind(local)
-            return [number, uri if remote is None else remote.uri, _INWARD, *rest]
-        case _:
-            return entry
+def _connections(tenant: Tenant, local: Endpoint, entries: list[object]) -> Layer[list[object]]:
+    """A program's connections; of incoming ones it names the URI of the publisher, maybe itself."""
+    found: list[object] = []
+    for entry in entries:
+        match entry:
+            case [number, str() as uri, "i", *rest]:
+                place = endpoint(uri, Flavour.HTTP)
+                remote = None if place is None else tenant.doors.peer_behind(place)
+                if own_endpoint(uri) == local:
+                    remote = yield from tenant.export(local)
+                found.append([number, uri if remote is None else remote.uri, _INWARD, *rest])
+            case _:
+                found.append(entry)
+    return found
 
 
 def ask_peer(
@@ -187,5 +193,24 @@ def _peer_says(
             return [1, status, (yield from tenant.bring(remote))]
         case "getMasterUri", _:
             return [1, status, tenant.master_uri]
+        case "getBusInfo", list() as entries:
+            return [1, status, (yield from _peers_connections(tenant, entries))]
         case _:
             return [1, status, value]
+
+
+def _peers_connections(tenant: Tenant, entries: list[object]) -> Layer[list[object]]:
+    """A peer's connections, with the URIs that `lookupNode` gives: tools compare the two."""
+    doors: dict[str, str] = {}
+    found: list[object] = []
+    for entry in entries:
+        match entry:
+            case [number, str() as uri, "i", *rest]:
+                remote = endpoint(uri, Flavour.HTTP)
+                if remote is not None and uri not in doors and len(doors) < _MOST_DOORS:
+                    own = tenant.doors.program_behind(remote)
+                    doors[uri] = yield from tenant.bring(remote, own)
+                found.append([number, doors.get(uri, uri), _INWARD, *rest])
+            case _:
+                found.append(entry)
+    return found

@@ -8,6 +8,7 @@ import select
 import socket
 import struct
 import threading
+import time
 from collections.abc import Callable, Iterator
 
 import pytest
@@ -436,6 +437,20 @@ def test_a_flood_holds_up_nobody(
         assert next(taken) == 3
 
 
+def test_the_core_looks_at_the_clock_once_in_a_second(
+    listener: SecureListener[FakeIdentity], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    left, right = pair(listener)
+    with left, right:
+        looks: list[int] = []
+        monkeypatch.setattr(left._core, "tick", looks.append)
+        start = int(time.time()) + 10
+        for second in (start, start, start + 1, start + 1, start + 9):
+            monkeypatch.setattr("rossec.net.carrier._now", lambda second=second: second)
+            left.sendall(b"map")
+        assert looks == [start, start + 1, start + 9]
+
+
 def test_an_idle_connection_is_tended(listener: SecureListener[FakeIdentity]) -> None:
     """Nobody reads or writes: renewals are begun and followed nevertheless, and units stay."""
     left, right = pair(listener, limits=Limits(seconds=1))
@@ -444,6 +459,7 @@ def test_an_idle_connection_is_tended(listener: SecureListener[FakeIdentity]) ->
         assert right.recv(10) == b"map"
         for side in (left, right, left, right):
             side._core._session.renew_at = 0  # type: ignore[union-attr]
+            side._ticked = -1
             side.tend()
         assert left._core._session.receive_epoch == 1  # type: ignore[union-attr]
         left.sendall(b"kept")

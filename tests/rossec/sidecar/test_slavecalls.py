@@ -20,6 +20,7 @@ from tests.rossec.sidecar.playbook import HOST, MASTER_URI, Stage, play
 SLAVE = inside(Flavour.HTTP, 5000)
 TOPICS = inside(Flavour.TCPROS, 5001)
 PEER = Endpoint(Flavour.HTTP, "10.0.0.7", 6000)
+DOOR = "http://127.0.0.1:8000/"
 UDP = ["UDPROS", b"header", "host", 1, 1500]
 
 
@@ -119,15 +120,20 @@ def test_what_a_program_says_of_itself_names_doors(stage: Stage) -> None:
         [1, "http://127.0.0.1:8000/", "i", "TCPROS", "/scan", True],
         [2, "http://127.0.0.1:9999/", "i", "TCPROS", "/scan", True],
         [3, "/viewer", "o", "TCPROS", "/pose", True],
+        [4, SLAVE.uri, "i", "INTRAPROCESS", "/loop", True],
+        [5, 7, "i"],
     ]
-    for method, value, door, expected in (
-        ("getBusInfo", info, (), [[1, PEER.uri, *info[0][2:]], *info[1:]]),
-        ("getUri", SLAVE.uri, ((Export(SLAVE), Opened(7000)),), f"http://{HOST}:7000/"),
+    door = ((Export(SLAVE), Opened(7000)),)
+    own = f"http://{HOST}:7000/"
+    seen = [[1, PEER.uri, *info[0][2:]], *info[1:3], [4, own, *info[3][2:]], info[4]]
+    for method, value, script, expected in (
+        ("getBusInfo", info, door, seen),
+        ("getUri", SLAVE.uri, door, own),
         ("getMasterUri", MASTER_URI, (), ""),
     ):
         ask = AskLocal(SLAVE, method, ("/master",))
         layer = asked(stage, method, peer="/master")
-        assert play(layer, (ask, Answered([1, "", value])), *door) == [1, "", expected]
+        assert play(layer, (ask, Answered([1, "", value])), *script) == [1, "", expected]
     ask = AskLocal(SLAVE, "getBusInfo", ("/master",))
     layer = asked(stage, "getBusInfo", peer="/master")
     assert play(layer, (ask, Answered([-1, "no", 0]))) == [-1, "no", 0]
@@ -204,7 +210,14 @@ def test_a_peers_topics_are_met_at_a_door(stage: Stage) -> None:
     [
         ("getUri", "http://x:1/", [(Import(PEER), Opened(8000))], "http://127.0.0.1:8000/"),
         ("getMasterUri", "http://x:1/", [], MASTER_URI),
-        ("getBusInfo", [[1]], [], [[1]]),
+        ("getBusInfo", [[1], [2, "/x", "o"]], [], [[1], [2, "/x", "o"]]),
+        ("getBusInfo", 7, [], 7),
+        (
+            "getBusInfo",
+            [[1, PEER.uri, "i", "TCPROS"], [2, PEER.uri, "i", "TCPROS"], [3, "odd", "i"]],
+            [(Import(PEER), Opened(8000))],
+            [[1, DOOR, "i", "TCPROS"], [2, DOOR, "i", "TCPROS"], [3, "odd", "i"]],
+        ),
     ],
 )
 def test_what_a_peer_says_names_doors(
@@ -217,6 +230,27 @@ def test_what_a_peer_says_names_doors(
     ask = AskRemote(PEER, method, ("/robot",), Right.GRAPH)
     layer = ask_peer(stage.tenant, PEER, method, ("/robot",))
     assert play(layer, (ask, Answered([1, "", value])), *script) == [1, "", expected]
+
+
+def test_what_a_peer_hears_from_this_identity_is_named_as_lookup_names_it(stage: Stage) -> None:
+    outside = stage.tenant.doors.opened_outside(SLAVE, 7000)
+    layer = ask_peer(stage.tenant, PEER, "getBusInfo", ("/robot",))
+    ask = AskRemote(PEER, "getBusInfo", ("/robot",), Right.GRAPH)
+    answer = play(layer, (ask, Answered([1, "", [[1, outside.uri, "i"]]])))
+    assert answer == [1, "", [[1, SLAVE.uri, "i"]]]
+
+
+def test_a_peer_cannot_have_any_number_of_doors_opened(stage: Stage) -> None:
+    uris = [f"http://10.0.0.7:{port}/" for port in range(1, 100)]
+    layer = ask_peer(stage.tenant, PEER, "getBusInfo", ("/robot",))
+    ask = AskRemote(PEER, "getBusInfo", ("/robot",), Right.GRAPH)
+    doors = [
+        (Import(Endpoint(Flavour.HTTP, "10.0.0.7", port)), Opened(8000 + port))
+        for port in range(1, 65)
+    ]
+    answer = play(layer, (ask, Answered([1, "", [[1, uri, "i"] for uri in uris]])), *doors)
+    assert isinstance(answer, list)
+    assert [entry[1] for entry in answer[2]][63:65] == ["http://127.0.0.1:8064/", uris[64]]
 
 
 def test_a_peer_that_refuses_or_is_gone(stage: Stage) -> None:
