@@ -21,7 +21,6 @@ from rossec.channel.credentials import Credentials
 from rossec.node.slave import MASTER
 from tests.support.site import DAY, Site
 
-_TICK = os.sysconf("SC_CLK_TCK")
 OWN = Right.PUBLISH | Right.SUBSCRIBE | Right.PROVIDE | Right.PARAM_GET | Right.PARAM_SET
 SHARED = Right.SUBSCRIBE | Right.CALL | Right.PARAM_GET | Right.GRAPH
 
@@ -34,8 +33,7 @@ class Master(NamedTuple):
 
     def cpu(self) -> float:
         """Seconds of processor time used so far."""
-        fields = Path(f"/proc/{self.pid}/stat").read_text().rpartition(")")[2].split()
-        return (int(fields[11]) + int(fields[12])) / _TICK
+        return time.clock_gettime(~self.pid << 3 | 2)  # clock_getcpuclockid(3)
 
     def rss(self) -> int:
         """Resident memory, kB."""

@@ -76,11 +76,9 @@ class Side:
     def run(self, name: str, work: Work, each: int) -> None:
         """One block: calls per second of wall clock and of the master's processor time."""
         requests = [[work(k, i) for i in range(each)] for k in range(len(self.lines))]
-        begin, used = time.perf_counter(), self.master.cpu()
-        drive(self.lines, requests)
-        calls = each * len(self.lines)
-        self.wall[name].append(calls / (time.perf_counter() - begin))
-        self.cpu[name].append(max(self.master.cpu() - used, 0.005) / calls)
+        calls, used = each * len(self.lines), self.master.cpu()
+        self.wall[name].append(calls / drive(self.lines, requests))
+        self.cpu[name].append((self.master.cpu() - used) / calls)
 
 
 def ratios(first: Side, second: Side) -> tuple[dict[str, float], dict[str, float]]:

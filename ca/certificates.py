@@ -7,10 +7,10 @@ where verifiers break. The signature is checked before anything inside is believ
 parsing.
 """
 
-import functools
+from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Final, Self
+from typing import Final, NamedTuple, Self
 
 from cryptography import x509
 from cryptography.hazmat.primitives.asymmetric import ec
@@ -120,10 +120,7 @@ class TrustAnchor:
                     f"a chain of {len(chain)} certificates where one or two are expected",
                     "send the node's certificate and its intermediate's, if it has one",
                 )
-        certificate = svid.parse(leaf)
-        if not svid.is_signed_by(certificate, issuer.subject, issuer.public_key):
-            raise self._foreign("certificate")
-        identity = self._identity(certificate, leaf)
+        identity = self._identity(leaf, issuer)
         _check_time("authority's certificate", self.not_before, self.not_after, now)
         _check_time(f"certificate of {identity.name}", identity.not_before, identity.not_after, now)
         if issuer is self:
@@ -163,17 +160,37 @@ class TrustAnchor:
             "enroll the node with this authority, or use the ca.pem that fits",
         )
 
-    def _identity(self, certificate: x509.Certificate, der: bytes) -> Identity:
-        return _read(self.domain, certificate, der)
+    def _identity(self, der: bytes, issuer: "TrustAnchor | Intermediate") -> Identity:
+        """What a leaf says; its signature is verified each time, before it is believed."""
+        known = _known.get((issuer.certificate, der))
+        if known is not None and known.signed.by(issuer.public_key):
+            return known.identity
+        certificate = svid.parse(der)
+        signed = svid.signed(certificate, issuer.subject)
+        if signed is None or not signed.by(issuer.public_key):
+            raise self._foreign("certificate")
+        identity = _read(self.domain, certificate, der)
+        _known[issuer.certificate, der] = _Leaf(signed, identity)
+        if len(_known) > _MAX_KNOWN:
+            _known.popitem(last=False)
+        return identity
 
 
-@functools.lru_cache(maxsize=256)
+class _Leaf(NamedTuple):
+    """The parts of a leaf's DER."""
+
+    signed: svid.Signed
+    identity: Identity
+
+
+# By the DER of the issuer and of the leaf. Peers come back for every topic, and taking their
+# certificates apart is a pure function of the bytes, so its result is kept of those that verified.
+# What is never kept is a verdict: the signature is verified and the times are compared each time.
+_known: Final[OrderedDict[tuple[bytes, bytes], _Leaf]] = OrderedDict()
+_MAX_KNOWN: Final = 256
+
+
 def _read(domain: str, certificate: x509.Certificate, der: bytes) -> Identity:
-    """What a certificate says; asked only about one whose signature has just been verified.
-
-    A pure function of the bytes, so it is remembered: peers come back for every topic. What is
-    never remembered is a verdict: signature, issuer and times are checked each time.
-    """
     extensions = svid.extensions(certificate)
     svid.check_leaf(extensions)
     wildcard = svid.has_wildcard(extensions)

@@ -10,6 +10,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.asymmetric.utils import decode_dss_signature
 
 _COORDINATE: Final = 32
+_ES256: Final = ec.ECDSA(hashes.SHA256())
 
 
 class Signer(Protocol):
@@ -40,5 +41,5 @@ class KeySigner:
 
     def sign(self, message: bytes) -> bytes:
         """ES256 over `message`: 64 bytes, r || s (RFC 9053 section 2.1)."""
-        r, s = decode_dss_signature(self._key.sign(message, ec.ECDSA(hashes.SHA256())))
+        r, s = decode_dss_signature(self._key.sign(message, _ES256))
         return r.to_bytes(_COORDINATE) + s.to_bytes(_COORDINATE)

@@ -5,7 +5,7 @@ whom to trust and what time it is, `ca.certificates` decides. `cryptography` par
 malformed part may show itself at any access: each access turns its exceptions into ours.
 """
 
-from typing import Final, NoReturn
+from typing import Final, NamedTuple, NoReturn
 
 from cryptography import x509
 from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm
@@ -78,21 +78,39 @@ def subject(certificate: x509.Certificate) -> x509.Name:
         _malformed(error)
 
 
+class Signed(NamedTuple):
+    """What an issuer signed of a certificate, and how."""
+
+    content: bytes
+    signature: bytes
+
+    def by(self, key: ec.EllipticCurvePublicKey) -> bool:
+        """Whether the signature is of `key`, which is ours: its curve is known to be P-256."""
+        try:
+            key.verify(self.signature, self.content, _ECDSA)
+        except InvalidSignature:
+            return False
+        return True
+
+
+def signed(certificate: x509.Certificate, issuer: x509.Name) -> Signed | None:
+    """What somebody of this name signed, with the one algorithm; None: somebody else did."""
+    try:
+        if certificate.issuer != issuer:
+            return None
+        if certificate.signature_algorithm_oid != SignatureAlgorithmOID.ECDSA_WITH_SHA256:
+            return None
+        return Signed(certificate.tbs_certificate_bytes, certificate.signature)
+    except PARSE_ERRORS as error:
+        _malformed(error)
+
+
 def is_signed_by(
     certificate: x509.Certificate, issuer: x509.Name, key: ec.EllipticCurvePublicKey
 ) -> bool:
-    """Issuer's name, algorithm, signature. `key` is ours: its curve is known to be P-256."""
-    try:
-        if certificate.issuer != issuer:
-            return False
-        if certificate.signature_algorithm_oid != SignatureAlgorithmOID.ECDSA_WITH_SHA256:
-            return False
-        key.verify(certificate.signature, certificate.tbs_certificate_bytes, _ECDSA)
-    except InvalidSignature:
-        return False
-    except PARSE_ERRORS as error:
-        _malformed(error)
-    return True
+    """Issuer's name, algorithm, signature."""
+    found = signed(certificate, issuer)
+    return found is not None and found.by(key)
 
 
 def key_of(certificate: x509.Certificate) -> ec.EllipticCurvePublicKey:

@@ -39,9 +39,10 @@ class ReceiveBuffer:
 
     def free(self) -> memoryview:
         """Return the free tail, never empty; valid until the next call of any method."""
-        if self._start == self._end:
-            self._start = self._end = 0
-        if self._end == len(self._data):
+        if self._data is _NOTHING:
+            self._data = bytearray(self._least)
+            self._view = memoryview(self._data)
+        elif self._end == len(self._data):
             self.reserve(len(self) + 1)
         return self._view[self._end :]
 
@@ -56,9 +57,10 @@ class ReceiveBuffer:
     def consume(self, count: int) -> None:
         """Drop `count` bytes from the front."""
         self._start += count
-        empty = self._start == self._end
-        if empty and count <= self._least and len(self._data) <= _GIVE_BACK:
-            self._start = self._end = 0
+        if self._start < self._end:
+            return
+        self._start = self._end = 0
+        if count <= self._least and len(self._data) <= _GIVE_BACK:
             self._data, self._view = _NOTHING, _NO_VIEW
 
     def reserve(self, count: int, grow_to: int = 0) -> None:

@@ -29,6 +29,7 @@ from rossec.channel.records import (
 from rossec.channel.side import Party
 from rossec.channel.states import (
     DEAD,
+    FRAMED,
     HANDSHAKING,
     PREAMBLE,
     TABLE,
@@ -36,6 +37,7 @@ from rossec.channel.states import (
     Authenticated,
     Closed,
     Event,
+    Row,
     State,
     UnitReceived,
 )
@@ -171,13 +173,13 @@ class Connection(Outbound[PeerT]):
         if self.state in PREAMBLE:
             self._introduce()
         inbox = self._inbox
-        while self.state not in DEAD and self.state not in PREAMBLE:
+        while self.state in FRAMED:
             view = inbox.unread()
-            if len(view) < HEADER:
+            head = view[:HEADER].tobytes()
+            if len(head) < HEADER:
                 return
-            head = bytes(view[:HEADER])
-            row = self._row(head)
-            size = HEADER + int.from_bytes(head[1:])
+            row, length = self._row(head)
+            size = HEADER + length
             if len(view) < size:
                 inbox.reserve(size, _OPEN_BUFFER if size < _OPEN_BUFFER else _FULL_BUFFER)
                 return
@@ -192,14 +194,14 @@ class Connection(Outbound[PeerT]):
         finally:
             self._out.append(self._preamble.take())
 
-    def _row(self, head: bytes) -> tuple[str, tuple[State, ...]]:
+    def _row(self, head: bytes) -> tuple[Row, int]:
         row = _ROWS[self.state].get(head[0] >> 4)
         if row is None:
             raise ProtocolViolation(f"frame of type {head[0] >> 4} in state: {self.state.value}")
-        check_header(head, 0 if self._session is None else self._session.receive_epoch)
-        return row
+        epoch = 0 if self._session is None else self._session.receive_epoch
+        return row, check_header(head, epoch)
 
-    def _take(self, row: tuple[str, tuple[State, ...]], head: bytes, body: memoryview) -> None:
+    def _take(self, row: Row, head: bytes, body: memoryview) -> None:
         name, following = row
         if self.state in HANDSHAKING:
             state = self._advance(getattr(self._negotiation, name)(bytes(body), self._now))

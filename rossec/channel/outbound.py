@@ -141,6 +141,8 @@ class Outbound(Generic[PeerT]):
 
     def data_to_send(self) -> Bytes:
         """Return, once, everything queued for the peer."""
+        if not self._out:
+            return b""
         out, self._out = self._out, []
         return out[0] if len(out) == 1 else b"".join(out)
 
@@ -157,6 +159,10 @@ class Outbound(Generic[PeerT]):
             self.state = State.CLOSING
         elif self.state is not State.CLOSING:
             self.state = State.CLOSED
+
+    def abandon(self) -> None:
+        """Forget keys and counters at once; nothing is sent (a forked process must not)."""
+        self._die()
 
     # -- time and ends
 

@@ -79,17 +79,21 @@ def header(kind: Frame, epoch: int, length: int) -> bytes:
     return (kind << 28 | (epoch & 15) << 24 | length).to_bytes(4)
 
 
-def check_header(head: bytes, epoch: int) -> None:
-    """Check a header before anything is buffered for its body; `epoch` is the peer's current one.
+def check_header(head: bytes, epoch: int) -> int:
+    """Return the length of the body, before anything is buffered for it.
 
     Raises:
-        ProtocolViolation: another epoch, or a length which this type cannot have.
+        ProtocolViolation: not of `epoch`, the peer's current one, or a length which this type
+            cannot have.
     """
-    shortest, longest = _LENGTHS[head[0] >> 4]
-    if head[0] & 15 != epoch & 15:
+    word = int.from_bytes(head)
+    shortest, longest = _LENGTHS[word >> 28]
+    if word >> 24 & 15 != epoch & 15:
         raise ProtocolViolation("a frame of another epoch")
-    if not shortest <= int.from_bytes(head[1:]) <= longest:
+    length = word & 0xFFFFFF
+    if not shortest <= length <= longest:
         raise ProtocolViolation("a frame of a forbidden length")
+    return length
 
 
 class Direction:

@@ -29,7 +29,9 @@ class State(Enum):
     __hash__ = object.__hash__  # members are unique; Enum's own hash is Python, for every look-up
 
 
-TABLE: Final[dict[tuple[State, Frame], tuple[str, tuple[State, ...]]]] = {
+Row: TypeAlias = tuple[str, tuple[State, ...]]
+
+TABLE: Final[dict[tuple[State, Frame], Row]] = {
     (State.WAIT_1, Frame.HANDSHAKE): ("on_message_1", (State.WAIT_3, State.WAIT_1)),
     (State.WAIT_2, Frame.HANDSHAKE): ("on_message_2", (State.WAIT_4,)),
     (State.WAIT_2, Frame.ERROR): ("on_error", (State.WAIT_2,)),
@@ -58,6 +60,7 @@ WITHOUT_FRAME: Final = (
 PREAMBLE: Final = frozenset({State.OPENING, State.DRAINING})
 UNPROVEN: Final = frozenset({State.WAIT_1, State.WAIT_2, State.WAIT_3})
 HANDSHAKING: Final = UNPROVEN | {State.WAIT_4}
+FRAMED: Final = HANDSHAKING | {State.OPEN}
 SENDING: Final = frozenset({State.WAIT_4, State.OPEN})
 DEAD: Final = frozenset({State.CLOSING, State.CLOSED})
 

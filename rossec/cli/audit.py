@@ -31,29 +31,35 @@ def audit(
 
     FILES are the audit in the order of its parts, by default the one the master writes now.
     """
-    entries = [
-        entry
-        for path in files or (NodeHome.of(environment.home, MASTER).path / AUDIT,)
-        for entry in _of(path)
-    ]
+    paths = files or (NodeHome.of(environment.home, MASTER).path / AUDIT,)
+    entries: list[audits.Entry] = []
+    for path in paths:
+        found, damaged = _of(path)
+        if damaged and verified:
+            raise ConfigurationError(f"line {damaged[0]} of {path} is damaged", "compare a backup")
+        for number in damaged:
+            note(f"line {number} of {path} is damaged and not shown")
+        entries += found
     last = audits.verify(entries) if verified else ""
     for entry in entries:
-        if since is not None and entry["at"] < since:
-            continue
-        say(audits.encode(entry) if as_json else _for_people(entry))
+        if since is None or entry["at"] >= since:
+            say(audits.encode(entry) if as_json else _for_people(entry))
     if verified:
         note(f"nothing was changed in {len(entries)} lines; the last is {last}")
 
 
-def _of(path: Path) -> list[audits.Entry]:
+def _of(path: Path) -> tuple[list[audits.Entry], list[int]]:
     try:
         with path.open(encoding="utf-8", errors="replace") as lines:
-            return list(audits.read(lines))
+            return audits.salvage(lines)
     except FileNotFoundError:
         raise ConfigurationError(f"there is no {path}", "has the master run here?") from None
 
 
 def _for_people(entry: audits.Entry) -> str:
-    left_out = entry.get("left_out", 0)
-    more = f" ({left_out} lines before it were left out)" if left_out else ""
+    notes = (
+        ("left_out", "lines like it before it were left out"),
+        ("cut_short", "bytes before it were cut short"),
+    )
+    more = "".join(f" ({entry[key]} {text})" for key, text in notes if key in entry)
     return printable(f"{moment(int(entry['at']))}  {entry['text']}{more}")

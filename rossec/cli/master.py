@@ -3,6 +3,7 @@
 import asyncio
 import json
 import logging
+import resource
 import signal
 import sys
 from collections.abc import Coroutine, Mapping
@@ -31,11 +32,13 @@ from rossec.master.metrics import Exporter
 from rossec.master.notify import READY, STOPPING, notify
 from rossec.master.server import MasterServer
 from rossec.master.start import master_of
+from rossec.master.throttle import DENIALS, Throttle
 from rossec.master.trust import Renewer
 from rossec.ros import settings
 from rossec.ros.names import MASTER
 
 _ADMIN = "admin.sock"
+_DESCRIPTORS = 65536
 
 
 @click.group(invoke_without_command=True)
@@ -99,6 +102,8 @@ def master(
     config = replace(config, admin=config.admin or admin, announce=config.announce or announce)
     with ExitStack() as stack:
         _log_as(config.log)
+        _allow_descriptors()
+        _bound_denials(stack)
         home = NodeHome.of(environment.home, MASTER)
         home.anchor()  # before anything is written there
         settings.read((), environment.variables, default_name=MASTER)  # likewise
@@ -156,6 +161,12 @@ def _log_as(form: str) -> None:
         logging.basicConfig(level=logging.INFO, handlers=[handler], force=True)
 
 
+def _bound_denials(stack: ExitStack) -> None:
+    throttle, log = Throttle(), logging.getLogger(DENIALS)
+    log.addFilter(throttle)
+    stack.callback(log.removeFilter, throttle)
+
+
 def _keep_audit(path: Path, stack: ExitStack) -> None:
     handler, log = AuditFile(path), logging.getLogger("rossec.audit")
     before, root = log.level, logging.getLogger()
@@ -166,6 +177,14 @@ def _keep_audit(path: Path, stack: ExitStack) -> None:
     stack.callback(handler.close)
     stack.callback(log.removeHandler, handler)
     stack.callback(log.setLevel, before)
+
+
+def _allow_descriptors() -> None:
+    """Each node takes two; what a shell gives a program is less than the program may have."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    wanted = _DESCRIPTORS if hard == resource.RLIM_INFINITY else min(hard, _DESCRIPTORS)
+    if soft != resource.RLIM_INFINITY and soft < wanted:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, hard))
 
 
 async def _serve(

@@ -93,6 +93,11 @@ class Links:
             if revoked(peer):
                 cut()
 
+    def streams(self) -> list[Proven]:
+        """The connections of all links."""
+        with self._lock:
+            return [link.stream for link in self._cuts]
+
     def __len__(self) -> int:
         with self._lock:
             return len(self._cuts)

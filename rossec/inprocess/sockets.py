@@ -73,14 +73,23 @@ class Doors:
         self._count.settle(address)
 
     def answer(self, sock: socket.socket, address: str, flavour: Flavour) -> Stream:
-        """Answer a caller that was admitted; its handshake is still to come."""
-        core = Connection[Identity].responder(
-            self._member.credentials, self._member.anchor.verify,
-            random=secrets.token_bytes, now=now(), accept={flavour}, limits=LIMITS,
-            suites=self._member.suites,
-        )  # fmt: skip
-        sock.settimeout(None)  # rospy sets a default for all sockets of the process
-        return SecureSocket(sock, core, lambda: self._count.settle(address))
+        """Answer a caller that was admitted; its handshake is still to come.
+
+        Raises:
+            OSError: it is gone already.
+        """
+        try:
+            core = Connection[Identity].responder(
+                self._member.credentials, self._member.anchor.verify,
+                random=secrets.token_bytes, now=now(), accept={flavour}, limits=LIMITS,
+                suites=self._member.suites,
+            )  # fmt: skip
+            sock.settimeout(None)  # rospy sets a default for all sockets of the process
+            return SecureSocket(sock, core, lambda: self._count.settle(address))
+        except BaseException:
+            self._count.settle(address)  # a place that is not given back is lost for ever
+            sock.close()
+            raise
 
 
 class Owner(Protocol):
@@ -106,6 +115,8 @@ class RosSocket:
 
     Attributes:
         link: what the peer was admitted by; None while it is not admitted.
+        ended: it was cut; what had arrived before does not count any more.
+        left: this side has closed it; what fails after that is no news.
     """
 
     def __init__(self, owner: Owner, sock: socket.socket, stream: Stream | None = None) -> None:
@@ -113,6 +124,8 @@ class RosSocket:
         self._socket = sock
         self._stream: Stream | PlainStream | None = stream
         self.link: Link | PlainLink | None = None
+        self.ended = False
+        self.left = False
         self._pump_at = 0.0
 
     @property
@@ -181,6 +194,8 @@ class RosSocket:
             self._socket = socket.create_connection(address, CONNECT_TIMEOUT)
             self._stream = PlainStream(self._socket)
         except ChannelError as error:
+            if self.left:
+                raise ConnectionAbortedError(errno.ECONNABORTED, "closed") from error
             raise self._owner.failed(address, error) from error
 
     def bind(self, address: tuple[str, int]) -> None:
@@ -201,10 +216,12 @@ class RosSocket:
                     raise
                 time.sleep(_REST)
                 continue
-            if self._owner.doors.admit(where[0]):
+            if not self._owner.doors.admit(where[0]):
+                sock.close()
+                continue
+            with suppress(OSError):  # an error here would end rospy's thread that accepts
                 stream = self._owner.doors.answer(sock, where[0], Flavour.TCPROS)
                 return RosSocket(self._owner, sock, stream), where
-            sock.close()
 
     # -- bytes
 
@@ -256,6 +273,12 @@ class RosSocket:
         """Whether `send_now` left something, for `send_unit` to send."""
         return isinstance(self._stream, SecureSocket) and self._stream.unsent
 
+    def tend(self) -> None:
+        """`SecureSocket.tend`; what fails there is met where the connection is used."""
+        if isinstance(self._stream, SecureSocket):
+            with suppress(ChannelError, OSError):
+                self._stream.tend()
+
     def _pump_is_due(self, stream: Stream | PlainStream) -> bool:
         return stream.awaits_peer or time.monotonic() >= self._pump_at
 
@@ -295,6 +318,7 @@ class RosSocket:
 
     def shutdown(self, how: int = socket.SHUT_RDWR) -> None:
         """Close in order."""
+        self.left = True
         if self._stream is not None:
             self._stream.shutdown(how)
         else:
@@ -302,12 +326,16 @@ class RosSocket:
                 self._socket.shutdown(how)
 
     def abort(self) -> None:
-        """End it now, from any thread: whoever waits in it wakes."""
+        """End it now, from any thread: whoever waits in it wakes, and receives nothing more."""
+        self.ended = True
+        if isinstance(self._stream, SecureSocket):
+            self._stream.abort()
         with suppress(OSError):
             self._socket.shutdown(socket.SHUT_RDWR)
 
     def close(self) -> None:
         """As of sockets."""
+        self.left = True
         self._owner.gone(self)
         if self._stream is not None:
             self._stream.close()

@@ -5,12 +5,11 @@ the other, follows from rospy's protocol class.
 """
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any, Final
 
 import rospy
-from genpy import DeserializationError
-from rospy.exceptions import TransportException, TransportInitError
+from rospy.exceptions import TransportInitError
 from rospy.impl.registration import get_topic_manager
 from rospy.impl.tcpros_pubsub import TCPROSPub, TCPROSSub
 from rospy.impl.tcpros_service import TCPROSServiceClient, TCPService
@@ -69,7 +68,7 @@ class Connections:
             data = header.encode(self._fields(protocol, sock))
             sock.send_unit(data)
         except HintedError as error:
-            raise self._refused(protocol, error) from error
+            raise self._refused(protocol, error, sock) from error
         transport.stat_bytes += len(data)
 
     def _fields(self, protocol: Any, sock: RosSocket) -> dict[str, str | bytes]:
@@ -95,7 +94,7 @@ class Connections:
             fields = headers.receive(sock)
             link = None if sock.is_plain else self._admit_server(protocol, fields, sock)
         except HintedError as error:
-            raise self._refused(protocol, error) from error
+            raise self._refused(protocol, error, sock) from error
         transport._validate_header(headers.for_rospy(fields))  # noqa: SLF001 - rospy's own
         if link is not None:
             self._process.watch(sock, link)
@@ -111,8 +110,9 @@ class Connections:
         decision = admit_publisher(fields, peer, endpoint.expected, access, now())
         return Link(sock, decision, guard_of(fields, decision, self._member.home.filter_key))
 
-    def _refused(self, protocol: Any, error: HintedError) -> TransportInitError:
-        self._process.reporter.warn(_what(protocol), error)
+    def _refused(self, protocol: Any, error: HintedError, sock: RosSocket) -> TransportInitError:
+        if not sock.left:
+            self._process.reporter.warn(_what(protocol), error)
         return TransportInitError(f"rossec: {error}")
 
     # -- callers
@@ -225,7 +225,7 @@ class Connections:
             self._receive(conn, callback)
         except TransportInitError:
             pass  # told where it happened
-        except (HintedError, OSError, TransportException, DeserializationError) as error:
+        except Exception as error:  # noqa: BLE001 - as rospy: no message may end a subscription
             if not conn.done and not rospy.is_shutdown():
                 self._process.reporter.warn(f"lost {conn.name} from {uri}", error)
 
@@ -251,7 +251,7 @@ class Connections:
                 message._connection_header = conn.header  # noqa: SLF001 - part of rospy's messages
             if conn.is_latched:
                 conn.latch = messages[-1]
-            callback(messages, conn)
+            callback(_until_cut(messages, sock), conn)
 
     def _believed(self, link: Link | PlainLink | None, messages: list[bytes]) -> list[bytes]:
         """What the publisher may say, if its right is restricted."""
@@ -286,6 +286,11 @@ class Connections:
 
 def _described(kind: Any) -> MessageType:
     return MessageType(kind._type, kind._md5sum, kind._full_text)  # noqa: SLF001 - rospy's own
+
+
+def _until_cut(messages: list[Any], sock: RosSocket) -> Iterator[Any]:
+    """The messages of a batch, while the right to them lasts: callbacks take their time."""
+    return (message for message in messages if not sock.ended)
 
 
 def _what(protocol: Any) -> str:

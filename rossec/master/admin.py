@@ -16,11 +16,13 @@ from pathlib import Path
 from typing import Any, Final
 
 from rossec.errors import ConfigurationError, PeerUserRefused
+from rossec.master.throttle import DENIALS
 from rossec.net.peeruid import require_user
 
 DEADLINE: Final = 5.0
 _LINE: Final = 1024
 _audit = logging.getLogger("rossec.audit")
+_denials = logging.getLogger(DENIALS)
 
 Commands = Mapping[str, Callable[[], Mapping[str, Any]]]
 
@@ -69,7 +71,7 @@ class AdminPort:
         try:
             user = require_user(_plain(sock), {os.geteuid(), 0})
         except (PeerUserRefused, OSError) as error:
-            _audit.warning("refused at the administrator's port: %s", error)
+            _denials.warning("refused at the administrator's port: %s", error)
             return
         command = json.loads(await reader.readuntil(b"\n"))
         action = self._commands.get(command) if isinstance(command, str) else None

@@ -10,6 +10,7 @@ from urllib.parse import urlsplit
 
 from ca.errors import NameRefused
 from ca.names import check_name
+from rossec.master.addresses import is_place
 from rossec.ros import names
 
 URI_LIMIT: Final = 512
@@ -178,7 +179,8 @@ def _dialable(value: str, scheme: str) -> bool:
         port = parts.port
     except ValueError:
         return False
-    return parts.scheme == scheme and bool(parts.hostname) and bool(port) and "@" not in value
+    host = parts.hostname or ""
+    return parts.scheme == scheme and is_place(host) and bool(port) and "@" not in value
 
 
 def _well_formed(resolved: str, label: str) -> str:

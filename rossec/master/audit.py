@@ -6,9 +6,9 @@ only whoever holds an earlier hash can tell that the *end* was cut off, therefor
 --verify` prints the last one. Pure but for `AuditFile`, which appends for its owner alone (0600).
 
 Each line is with the kernel at once and on the disk within a second of the first one not yet there.
-When the file is moved away (logrotate), the next line begins a new one, and the chain goes on.
-Lines are bounded in number: whoever is denied a thousand times a second cannot fill the disk; how
-many were left out stands in the next line.
+When the file is moved away (logrotate), the next line begins a new one, and the chain goes on. A
+line that was cut short (full disk, power failure) is taken away, and the next one says so.
+Lines that nodes cause are bounded before they come here: `rossec.master.throttle`.
 """
 
 import hashlib
@@ -16,7 +16,7 @@ import json
 import logging
 import os
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
@@ -25,10 +25,13 @@ from rossec.errors import ConfigurationError
 from rossec.ros.text import printable
 
 FIRST: Final = "0" * 64
-PER_SECOND: Final = 50
-BURST: Final = 1000
+LEFT_OUT: Final = "left_out"
 SYNC_EVERY: Final = 1.0  # seconds
 LINE_LIMIT: Final = 8 * 1024
+_TAIL: Final = 64 * 1024  # enough to hold the last line
+_LATEST: Final = 1 << 40  # seconds since the epoch
+
+_log = logging.getLogger(__name__)
 
 Entry = dict[str, Any]
 
@@ -44,20 +47,23 @@ def encode(entry: Entry) -> str:
     return json.dumps(entry, sort_keys=True, separators=(",", ":"))
 
 
-def read(lines: Iterable[str]) -> Iterator[Entry]:
-    """The entries of an audit file.
+def salvage(lines: Iterable[str]) -> tuple[list[Entry], list[int]]:
+    """The entries that can be read, and the numbers of the lines that cannot."""
+    found = [_entry(line) for line in lines]
+    damaged = [number for number, entry in enumerate(found, 1) if entry is None]
+    return [entry for entry in found if entry is not None], damaged
 
-    Raises:
-        ConfigurationError: a line is none; its number is in the message.
-    """
-    for number, line in enumerate(lines, 1):
-        try:
-            entry = json.loads(line) if len(line) <= LINE_LIMIT else None
-        except ValueError:
-            entry = None
-        if not isinstance(entry, dict) or not isinstance(entry.get("hash"), str):
-            raise ConfigurationError(f"line {number} of the audit is damaged", "compare a backup")
-        yield entry
+
+def _entry(line: str) -> Entry | None:
+    try:
+        entry = json.loads(line) if len(line) <= LINE_LIMIT else None
+    except (ValueError, RecursionError):
+        return None
+    match entry:
+        case {"hash": str(), "text": str(), "level": str(), "at": int() | float() as at}:
+            return entry if 0 <= at < _LATEST else None
+        case _:
+            return None
 
 
 def verify(entries: Iterable[Entry], before: str | None = None) -> str:
@@ -85,32 +91,27 @@ class AuditFile(logging.Handler):
         super().__init__(logging.INFO)
         self._path = path
         self._clock = clock
-        self._last = self._newest()
         self._file = self._open()
-        self._left = float(BURST)
-        self._refilled = self._synced = clock()
-        self._suppressed = 0
+        self._last, self._cut = self._take_up()
+        self._synced = clock()
+        self._failing = False
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Write one line, unless there are too many."""
+        """Write one line."""
         now = self._clock()
-        self._left = min(float(BURST), self._left + max(0.0, now - self._refilled) * PER_SECOND)
-        self._refilled = now
-        if self._left < 1:
-            self._suppressed += 1
-            return
-        self._left -= 1
         entry: Entry = {
             "at": round(now, 3), "before": self._last, "level": record.levelname.lower(),
             "text": printable(record.getMessage(), LINE_LIMIT // 8),
         }  # fmt: skip
-        if self._suppressed:
-            entry["left_out"] = self._suppressed
+        if left_out := getattr(record, LEFT_OUT, 0):
+            entry[LEFT_OUT] = left_out
+        if self._cut:
+            entry["cut_short"] = self._cut
         try:
             self._append(chained(entry, self._last))
-            self._suppressed = 0
-        except OSError:
-            self.handleError(record)
+            self._cut, self._failing = 0, False
+        except OSError as error:
+            self._fail(error)
         if now - self._synced >= SYNC_EVERY or now < self._synced:
             self.sync()
 
@@ -130,8 +131,18 @@ class AuditFile(logging.Handler):
 
     def _append(self, entry: Entry) -> None:
         self._reopen_if_moved()
-        os.write(self._file, f"{encode(entry)}\n".encode())
+        line = f"{encode(entry)}\n".encode()
+        size = os.fstat(self._file).st_size
+        if os.write(self._file, line) != len(line):
+            os.ftruncate(self._file, size)  # half a line would be damage for ever
+            raise OSError("the disk is full")
         self._last = entry["hash"]
+
+    def _fail(self, error: OSError) -> None:
+        """Say so once; to end the master is no answer to a full disk."""
+        if not self._failing:
+            _log.error("the audit cannot be written: %s", error)
+        self._failing = True
 
     def _reopen_if_moved(self) -> None:
         try:
@@ -140,23 +151,21 @@ class AuditFile(logging.Handler):
             there = None
         here = os.fstat(self._file)
         if there is None or (there.st_dev, there.st_ino) != (here.st_dev, here.st_ino):
-            os.close(self._file)
-            self._file = self._open()
+            # First the new one: a number that is closed and kept may soon be somebody else's.
+            self._file, old = self._open(), self._file
+            os.close(old)
 
     def _open(self) -> int:
-        flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW
+        flags = os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW
         return os.open(self._path, flags, 0o600)
 
-    def _newest(self) -> str:
-        """The hash to continue from; a line that was cut short is ended by a line feed."""
-        if not self._path.exists():
-            return FIRST
-        last = FIRST
-        data = self._path.read_bytes()
-        if data and not data.endswith(b"\n"):
-            with self._path.open("ab") as file:
-                file.write(b"\n")
-        for line in data.decode(errors="replace").splitlines():
-            with suppress(ConfigurationError):
-                last = next(read([line]))["hash"]
-        return last
+    def _take_up(self) -> tuple[str, int]:
+        """The hash to continue from; and how much was left of a line that was cut short."""
+        size = os.fstat(self._file).st_size
+        tail = os.pread(self._file, _TAIL, max(0, size - _TAIL))
+        torn = len(tail) - (tail.rfind(b"\n") + 1)
+        if torn:
+            os.ftruncate(self._file, size - torn)
+        lines = tail[: len(tail) - torn].decode(errors="replace").splitlines()
+        entries, _ = salvage(lines)  # of the first of them the beginning may be missing
+        return (entries[-1]["hash"] if entries else FIRST), torn

@@ -37,7 +37,17 @@ class GrantsPresented:
 
 @dataclass(frozen=True)
 class RevocationsChanged:
-    """A newer revocation list is in force: enforce it and pass it on."""
+    """A newer revocation list, which `by` brought, is in force: enforce it and pass it on."""
+
+    by: str
+
+
+@dataclass(frozen=True)
+class Administered:
+    """Somebody changed what the master does, or what another node registered: for the audit."""
+
+    by: str
+    what: str
 
 
 @dataclass(frozen=True)
@@ -74,6 +84,7 @@ MasterEvent = (
     | RevocationsChanged
     | Denied
     | CallRefused
+    | Administered
 )
 
 

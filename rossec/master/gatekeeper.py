@@ -14,6 +14,7 @@ from typing import Final, Protocol
 from ca import names
 from ca.errors import HintedError
 from grants.model import Right
+from rossec.master.addresses import endpoint, is_here
 from rossec.master.registry import KEYS_LIMIT, Kind, NodeRef, Registry
 
 _ASK: Final = "ask the authority's operator for a grant"
@@ -92,6 +93,11 @@ class Caller:
     def title(self) -> str:
         """Who it is, for people."""
         return f"{self.name} (certified as {self.certified})" if self.certified else self.name
+
+    @property
+    def identity(self) -> str:
+        """The certified name."""
+        return self.certified or self.name
 
     def acting_as(self, name: str) -> "Caller":
         """The caller as the node `name`, which has entries of its own in the registry.
@@ -215,8 +221,12 @@ class Gatekeeper:
                 certified=caller.name,
             )
 
-    def check(self, method: str, caller: Caller, arguments: tuple[object, ...]) -> None:
+    def check(
+        self, method: str, caller: Caller, arguments: tuple[object, ...], *, near: bool = True
+    ) -> None:
         """The rule of `method`, except for TREE, where the reach is known to the parameters.
+
+        `near`: the caller is on the master's host.
 
         Raises:
             Refused: no rule, a right is missing, or the slave API is another node's.
@@ -225,7 +235,7 @@ class Gatekeeper:
         if rule is None:
             raise Refused("no rule allows this method")
         if rule.api is not None:
-            self._check_api(caller, str(arguments[rule.api]))
+            self._check_api(caller, str(arguments[rule.api]), near=near)
         if rule.scope is Scope.NAMED and rule.right is not None:
             require(caller, rule.right, str(arguments[rule.name]))
         if rule.scope is Scope.MASTER and rule.right is not None:
@@ -245,7 +255,12 @@ class Gatekeeper:
         keys = (key for kind in kinds for key in self._registry.keys_of(name, kind))
         return any(caller.may_see(key) for key in keys)
 
-    def _check_api(self, caller: Caller, uri: str) -> None:
+    def _check_api(self, caller: Caller, uri: str, *, near: bool) -> None:
+        if not near and is_here(endpoint(uri)[0]):
+            raise Refused(
+                "this slave API URI is on the master's host, and the caller is not: "
+                "set ROS_IP or ROS_HOSTNAME to an address at which others reach it"
+            )
         owner = self._registry.owner(uri)
         if owner is not None and owner != caller.name:
             raise Refused("this slave API URI is registered by another node")
@@ -262,10 +277,14 @@ def require(caller: Caller, right: Right, name: str) -> None:
 
 
 def require_room(registry: Registry, kind: Kind, key: str, node: NodeRef) -> None:
-    """Raise `Refused` when a node already is registered for as many names as one may be."""
+    """Raise `Refused` when a node has as many registrations, or a key as many nodes, as may be."""
     if not registry.has_room(kind, key, node):
+        if registry.is_current(node):
+            raise Refused(
+                f"{node.name} has {KEYS_LIMIT} registrations as {kind.value}, the most of a node"
+            )
         raise Refused(
-            f"{node.name} has {KEYS_LIMIT} registrations as {kind.value}, the most of a node"
+            f"the identity of {node.name} has {registry.nodes_limit} nodes, the most of one key"
         )
 
 

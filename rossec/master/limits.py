@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass
 
+from rossec.master.params import SIZE_LIMIT
+from rossec.master.registry import NODES_LIMIT
 from rossec.ros.xmlrpc import BODY_LIMIT
 
 
@@ -10,8 +12,10 @@ class Limits:
     """The defaults fit a site of a thousand nodes.
 
     Args:
-        body: bytes of one call.
+        body: bytes of one call, and of one answer.
+        parameters: bytes of all parameters together.
         connections_per_identity: open at a time.
+        nodes_per_identity: registered at a time; only a wildcard identity can be several.
         handshake_seconds: from the first byte of a connection to an authenticated peer.
         request_seconds: from the first byte of a call to its last.
         idle_seconds: between two calls on one connection; nodes call every ten seconds.
@@ -19,7 +23,9 @@ class Limits:
     """
 
     body: int = BODY_LIMIT
+    parameters: int = SIZE_LIMIT
     connections_per_identity: int = 16
+    nodes_per_identity: int = NODES_LIMIT
     handshake_seconds: int = 5
     request_seconds: int = 10
     idle_seconds: int = 120

@@ -19,7 +19,7 @@ from rossec.master.calls import (
 )
 from rossec.master.gatekeeper import Caller, require_room, require_tree
 from rossec.master.journal import Change
-from rossec.master.params import ParameterMissing, Parameters
+from rossec.master.params import SIZE_LIMIT, ParameterMissing, Parameters
 from rossec.master.registry import Kind, NodeRef, Registry
 
 
@@ -28,6 +28,7 @@ class ParameterCalls:
 
     Args:
         caller_of: what a subscriber may read when an update goes out; None: nothing any more.
+        limit: bytes of all parameters together.
     """
 
     def __init__(
@@ -35,8 +36,10 @@ class ParameterCalls:
         parameters: Parameters,
         registry: Registry,
         caller_of: Callable[[NodeRef, int], Caller | None],
+        limit: int = SIZE_LIMIT,
     ) -> None:
         self._parameters = parameters
+        self._limit = limit
         self._registry = registry
         self._caller_of = caller_of
 
@@ -76,7 +79,7 @@ class ParameterCalls:
         reach = [*self._parameters.reach(key), *params.leaves_of(key, value)]
         require_tree(request.caller, Right.PARAM_SET, key, reach)
         try:
-            self._parameters.set(key, value)
+            self._parameters.set(key, value, self._limit)
         except (TypeError, ValueError) as error:
             return Reply(0, f"Error: invalid arguments: {error}", -1)
         kept = ParameterKept(Change(key, value))

@@ -10,10 +10,11 @@ from collections.abc import Callable, Iterable, Iterator
 from copy import deepcopy
 from typing import Final, NamedTuple
 
+from rossec.master import values
+from rossec.master.values import DEPTH_LIMIT, Tree
 from rossec.ros import names
 
-DEPTH_LIMIT: Final = 32
-Tree = dict[str, object]
+SIZE_LIMIT: Final = 64 * 1024 * 1024  # bytes of all parameters together
 
 
 class ParameterMissing(KeyError):
@@ -33,7 +34,8 @@ class Parameters:
     """All parameters."""
 
     def __init__(self) -> None:
-        self._root: Tree = {}
+        self._top: Tree = {"": {}}  # the root has no name
+        self.size = values.weight(self._top)
 
     def get(self, key: str) -> object:
         """The value, or the tree, at `key`; a live reference.
@@ -41,7 +43,7 @@ class Parameters:
         Raises:
             ParameterMissing: not set.
         """
-        value: object = self._root
+        value: object = self._top[""]
         for segment in _segments(key):
             if not isinstance(value, dict) or segment not in value:
                 raise ParameterMissing(key)
@@ -56,27 +58,37 @@ class Parameters:
             return False
         return True
 
-    def set(self, key: str, value: object) -> None:
+    def set(self, key: str, value: object, limit: int | None = None) -> None:
         """Set a value, or replace a whole tree; values on the way become namespaces.
 
         Raises:
             TypeError: the root must stay a tree.
-            ValueError: a name inside `value` is not one segment, or it is too deep.
+            ValueError: not the value of a parameter, or all together would take more than `limit`.
         """
         segments = _segments(key)
-        _check_tree(value, DEPTH_LIMIT - len(segments))
-        if not segments:
-            if not isinstance(value, dict):
-                raise TypeError("cannot set root of parameter tree to non-dictionary")
-            self._root = value
-            return
-        node = self._root
-        for segment in segments[:-1]:
-            below = node.get(segment)
+        values.check(value, DEPTH_LIMIT - len(segments))
+        if not segments and not isinstance(value, dict):
+            raise TypeError("cannot set root of parameter tree to non-dictionary")
+        parent, name, new = self._place(["", *segments], value)
+        size = self.size + values.entry_weight(name, new)
+        if name in parent:
+            size -= values.entry_weight(name, parent[name])
+        if limit is not None and size > max(limit, self.size):
+            raise ValueError(f"all parameters together would take more than {limit} bytes")
+        parent[name] = new
+        self.size = size
+
+    def _place(self, path: list[str], value: object) -> tuple[Tree, str, object]:
+        """Where a change begins: the namespace, the name in it, and what will be there."""
+        node = self._top
+        for place, name in enumerate(path[:-1], 1):
+            below = node.get(name)
             if not isinstance(below, dict):
-                below = node[segment] = {}
+                for missing in reversed(path[place:]):
+                    value = {missing: value}
+                return node, name, value
             node = below
-        node[segments[-1]] = value
+        return node, path[-1], value
 
     def delete(self, key: str) -> None:
         """Unset a value or a tree.
@@ -88,11 +100,11 @@ class Parameters:
         parent = self.get(head)
         if not isinstance(parent, dict) or last not in parent:
             raise ParameterMissing(key)
-        del parent[last]
+        self.size -= values.entry_weight(last, parent.pop(last))
 
     def names(self) -> Iterator[str]:
         """Every parameter with a value, in stock's order."""
-        return (name for name, value in _walk(names.SEPARATOR, self._root) if value != {})
+        return (name for name, value in _walk(names.SEPARATOR, self._top[""]) if value != {})
 
     def leaves(self, key: str) -> list[str]:
         """What a call on `key` reaches: the parameters below it, or itself if there are none."""
@@ -186,19 +198,3 @@ def _inside(key: str, value: Tree) -> Iterator[tuple[str, object]]:
         yield inner, below
         if isinstance(below, dict):
             yield from _inside(inner, below)
-
-
-def _check_tree(value: object, depth: int) -> None:
-    if depth < 0:
-        raise ValueError(f"parameters nested deeper than {DEPTH_LIMIT}")
-    match value:
-        case dict():
-            for name, below in value.items():
-                if not name or names.SEPARATOR in name or name.startswith(names.PRIVATE):
-                    raise ValueError(f"{name!r} cannot be the name of a parameter in a tree")
-                _check_tree(below, depth - 1)
-        case list():
-            for item in value:
-                _check_tree(item, depth - 1)
-        case _:
-            pass

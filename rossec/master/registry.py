@@ -8,14 +8,17 @@ Beyond stock: when a node is replaced or removed, the subscribers of its topics 
 leaves them with a dead publisher), and lookups by node are indexed.
 """
 
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import Final, NamedTuple
-from urllib.parse import urlsplit
+
+from rossec.master.addresses import endpoint
 
 ANY_TYPE: Final = "*"
 KEYS_LIMIT: Final = 1024  # registrations of one kind of one node
+NODES_LIMIT: Final = 64  # nodes of one key
 REPLACED: Final = "new node registered with same name"
 
 
@@ -81,13 +84,16 @@ class _Node:
 class Registry:
     """All registrations. Methods that change it return the events to deliver."""
 
-    def __init__(self) -> None:
+    def __init__(self, nodes_limit: int = NODES_LIMIT) -> None:
+        """`nodes_limit`: how many nodes one key may be, which only a wildcard identity's can."""
         self.version = 0
         self._nodes: dict[str, _Node] = {}
         self._names: dict[Kind, dict[str, dict[str, None]]] = {kind: {} for kind in Kind}
         self._service_uris: dict[str, str] = {}
         self._types: dict[str, str] = {}
-        self._owners: dict[str, str] = {}
+        self._owners: dict[tuple[str, int | None], str] = {}
+        self._of_key: Counter[bytes] = Counter()
+        self.nodes_limit = nodes_limit
         self._had_service = False
 
     def register_publisher(self, topic: str, type_name: str, node: NodeRef) -> list[Event]:
@@ -179,7 +185,9 @@ class Registry:
     def has_room(self, kind: Kind, key: str, node: NodeRef) -> bool:
         """Whether a node may register for `key`: it already has, or has not too many."""
         if not self.is_current(node):
-            return True  # new, or it replaces its own name
+            known = self._nodes.get(node.name)
+            replaces = known is not None and known.ref.thumbprint == node.thumbprint
+            return replaces or self._of_key[node.thumbprint] < self.nodes_limit
         keys = self._nodes[node.name].keys[kind]
         return key in keys or len(keys) < KEYS_LIMIT
 
@@ -190,7 +198,7 @@ class Registry:
 
     def owner(self, uri: str) -> str | None:
         """The node that registered a slave API at this host and port, however spelt."""
-        return self._owners.get(_endpoint(uri))
+        return self._owners.get(endpoint(uri))
 
     def nodes(self) -> Iterator[NodeRef]:
         """All nodes that have registered something."""
@@ -247,7 +255,8 @@ class Registry:
 
     def _add_node(self, ref: NodeRef) -> _Node:
         node = self._nodes[ref.name] = _Node(ref)
-        self._owners[_endpoint(ref.uri)] = ref.name
+        self._of_key[ref.thumbprint] += 1
+        self._owners[endpoint(ref.uri)] = ref.name
         return node
 
     def _discard(self, kind: Kind, key: str, name: str) -> None:
@@ -263,8 +272,11 @@ class Registry:
                 self._types.pop(key, None)  # or one node could fill the memory with types
         if node.is_empty():
             del self._nodes[name]
+            self._of_key[node.ref.thumbprint] -= 1
+            if self._of_key[node.ref.thumbprint] == 0:
+                del self._of_key[node.ref.thumbprint]
             if self.owner(node.ref.uri) == name:
-                del self._owners[_endpoint(node.ref.uri)]
+                del self._owners[endpoint(node.ref.uri)]
 
     def _set_type(self, topic: str, type_name: str) -> None:
         self.version += self._types.get(topic) != type_name
@@ -274,7 +286,3 @@ class Registry:
         return PublishersChanged(
             topic, self.members(Kind.SUBSCRIBER, topic), tuple(self.uris(Kind.PUBLISHER, topic))
         )
-
-
-def _endpoint(uri: str) -> str:
-    return urlsplit(uri).netloc.lower()

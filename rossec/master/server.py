@@ -12,6 +12,7 @@ import os
 import secrets
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Final, Protocol
 
 from ca.errors import HintedError
@@ -22,6 +23,7 @@ from rossec.channel.suites import PRODUCTION
 from rossec.errors import CallerMismatch
 from rossec.master.api import MasterApi
 from rossec.master.calls import (
+    Administered,
     CallRefused,
     Denied,
     GrantsPresented,
@@ -40,14 +42,15 @@ from rossec.master.news import WATCH_WAIT, News
 from rossec.master.params import Parameters
 from rossec.master.registry import Kind, NodeRef, PublishersChanged, Registry, ShutdownNode
 from rossec.master.standing import Statements
-from rossec.master.updates import Updates
+from rossec.master.throttle import DENIALS
+from rossec.master.updates import LEAVING, Updates
 from rossec.master.watching import WATCH, no_news
 from rossec.net.halfopen import HalfOpen
 from rossec.net.rpc import RpcClient, serve_calls
 from rossec.net.stream import Flavour, SecureServer, SecureStream, connect, serve
 from rossec.net.tasks import TaskSet
 from rossec.ros.http import HEADERS_LIMIT
-from rossec.ros.settings import parse_uri
+from rossec.ros.settings import is_loopback, parse_uri
 from rossec.ros.text import printable
 from rossec.ros.xmlrpc import Fault
 
@@ -58,6 +61,7 @@ PEER_CONNECTIONS: Final = _LIMITS.connections_per_identity
 
 _log = logging.getLogger(__name__)
 _audit = logging.getLogger("rossec.audit")
+_denials = logging.getLogger(DENIALS)
 
 
 class ChannelPeer(Certified, PeerIdentity, Protocol):
@@ -121,13 +125,16 @@ class MasterServer:
         self._complain = complain
         self._memory = memory
         self._limits = limits
+        self._channel_limits = ChannelLimits(
+            unit=limits.body + HEADERS_LIMIT, handshake_seconds=limits.handshake_seconds
+        )
         self._suites = suites
         self._known = KnownCertificates()
-        self._registry = Registry()
+        self._registry = Registry(limits.nodes_per_identity)
         self._api: MasterApi | None = None
         self._server: SecureServer[ChannelPeer] | None = None
         self._streams: set[SecureStream[ChannelPeer]] = set()
-        self._updates = Updates(self._dial)
+        self._updates = Updates(self._dial, limits.nodes_per_identity + LEAVING)
         self._tasks = TaskSet()
         self._stopping = asyncio.Event()
         self._news = News()
@@ -159,9 +166,7 @@ class MasterServer:
             self._credentials,
             self._verify,
             accept={Flavour.HTTP},
-            limits=ChannelLimits(
-                unit=limits.body + HEADERS_LIMIT, handshake_seconds=limits.handshake_seconds
-            ),
+            limits=self._channel_limits,
             half_open=HalfOpen(limits.unfinished_per_address, limits.unfinished),
             suites=self._suites,
             known=self._known,
@@ -175,6 +180,7 @@ class MasterServer:
             instance=secrets.token_hex(8),
             started=self._now(),
             parameters=self._remember(),
+            parameter_bytes=limits.parameters,
         )
         self._tasks.spawn(self._beat(), name="rossec master timestamps")
 
@@ -221,36 +227,43 @@ class MasterServer:
         own = stream.peer.thumbprint
         held = sum(other.peer.thumbprint == own for other in self._streams)
         if held >= self._limits.connections_per_identity:
-            _audit.warning("%s has too many connections", stream.peer.name)
+            _denials.warning("%s has too many connections", stream.peer.name)
             stream.abort("too many connections of one identity")
             return
         self._streams.add(stream)
         try:
             self._standing.caller(stream.peer, self._now())
+            near = is_loopback(stream.address) or stream.address == stream.local_address
             await serve_calls(
                 stream,
-                self._dispatch,
+                partial(self._dispatch, near),
                 limit=self._limits.body,
                 request_deadline=self._limits.request_seconds,
                 idle_deadline=self._limits.idle_seconds,
             )
         except HintedError as error:
-            _audit.warning("%s is cut off: %s", stream.peer.name, printable(error))
+            _denials.warning("%s is cut off: %s", stream.peer.name, printable(error))
             stream.abort(str(error))
         finally:
             self._streams.discard(stream)
 
-    def _dispatch(self, method: str, params: tuple[object, ...], peer: ChannelPeer) -> object:
-        answer = self._answer(method, params, peer)
+    def _dispatch(
+        self, near: bool, method: str, params: tuple[object, ...], peer: ChannelPeer
+    ) -> object:
+        answer = self._answer(near, method, params, peer)
         if method == WATCH and no_news(answer):
-            return self._watch(method, params, peer)
+            return self._watch(near, method, params, peer)
         return answer
 
-    async def _watch(self, method: str, params: tuple[object, ...], peer: ChannelPeer) -> object:
+    async def _watch(
+        self, near: bool, method: str, params: tuple[object, ...], peer: ChannelPeer
+    ) -> object:
         await self._news.wait(WATCH_WAIT)
-        return self._answer(method, params, peer)
+        return self._answer(near, method, params, peer)
 
-    def _answer(self, method: str, params: tuple[object, ...], peer: ChannelPeer) -> object:
+    def _answer(
+        self, near: bool, method: str, params: tuple[object, ...], peer: ChannelPeer
+    ) -> object:
         if self._api is None:
             raise RuntimeError("a call before the master was started")
         now = self._now()
@@ -258,7 +271,7 @@ class MasterServer:
             caller = self._standing.caller(peer, now)
         except HintedError as error:  # revoked a moment ago: the connection is being cut
             raise Fault(1, f"rossec: {error}") from error
-        outcome = self._api.call(method, params, caller, now)
+        outcome = self._api.call(method, params, caller, now, near=near)
         self._calls += 1
         for event in outcome.events:
             self._deliver(event)
@@ -274,10 +287,13 @@ class MasterServer:
                 self._tell(node, "paramUpdate", key, value)
             case ShutdownNode(node, reason):
                 self._tell(node, "shutdown", f"[{node.name}] Reason: {reason}")
-            case RevocationsChanged():
+            case RevocationsChanged(by):
+                _audit.info("%s brought revocation list %d", by, self._standing.number)
                 self._cut_revoked()
                 self._push_revocations()
                 self._changed.set()
+            case Administered(by, what):
+                _audit.info("%s %s", by, printable(what))
             case ParameterKept() | Denied() | GrantsPresented() | CallRefused():
                 self._record(event)
             case StopMaster(reason):
@@ -291,14 +307,14 @@ class MasterServer:
                     self._memory.write(change)
             case CallRefused(node, method, status):
                 self._denials += 1
-                _audit.warning("%s may not %s: %s", node, method, printable(status))
+                _denials.warning("%s may not %s: %s", node, method, printable(status))
             case Denied(node, right, name):
                 self._complain(self._now(), node, right, name)
             case GrantsPresented(name, refused):
                 self._news.tell()  # it may see other things now
                 if refused:
                     text = printable("; ".join(refused))
-                    _audit.warning("%s presents grants that are refused: %s", name, text)
+                    _denials.warning("%s presents grants that are refused: %s", name, text)
 
     def _tell(self, node: NodeRef, method: str, subject: object, *rest: object) -> None:
         about = subject if isinstance(subject, str) and rest else ""
@@ -307,15 +323,21 @@ class MasterServer:
     async def _beat(self) -> None:
         while True:
             self._changed.clear()
-            self._cut_revoked()
-            await self._enforce()
-            self._push_revocations()
-            self._forget_the_gone()
-            if self._memory is not None:
-                self._memory.sync()
+            try:
+                await self._look_around()
+            except Exception:  # noqa: BLE001 - one fault must not end freshness and enforcement
+                _log.exception("looking after rights failed; it is done again")
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(self._timestamp_every):
                     await self._changed.wait()
+
+    async def _look_around(self) -> None:
+        self._cut_revoked()
+        await self._enforce()
+        self._push_revocations()
+        self._forget_the_gone()
+        if self._memory is not None:
+            self._memory.sync()
 
     async def _enforce(self) -> None:
         """Drop what is no longer allowed, tell those concerned; others are answered meanwhile."""
@@ -337,6 +359,7 @@ class MasterServer:
                 self._standing.caller(stream.peer, now)
             except HintedError as error:
                 _audit.warning("%s is cut off: %s", stream.peer.name, printable(error))
+                self._streams.discard(stream)  # its handler ends in a later turn of the loop
                 stream.abort(str(error))
         for node in self._updates.nodes:
             if self._standing.caller_of(node, now) is None:
@@ -368,6 +391,7 @@ class MasterServer:
             self._credentials,
             self._verify,
             opening=Flavour.HTTP,
+            limits=self._channel_limits,
             suites=self._suites,
             known=self._known,
         )
@@ -384,7 +408,7 @@ class MasterServer:
         """
         self._updates.drop(node)
         if self._registry.is_current(node):
-            _audit.warning("%s is removed: %s answers at %s", node.name, found.name, node.uri)
+            _denials.warning("%s is removed: %s answers at %s", node.name, found.name, node.uri)
             for event in self._registry.remove_node(node.name):
                 self._deliver(event)
             self._news.tell(self._registry.version)

@@ -10,7 +10,15 @@ from typing import Final
 from ca.errors import HintedError
 from grants.model import Right
 from rossec.master import arguments as arg
-from rossec.master.calls import GrantsPresented, Method, Methods, Reply, Request, RevocationsChanged
+from rossec.master.calls import (
+    Administered,
+    GrantsPresented,
+    Method,
+    Methods,
+    Reply,
+    Request,
+    RevocationsChanged,
+)
 from rossec.master.gatekeeper import Refused
 from rossec.master.registry import Kind, Registry
 from rossec.master.standing import Statements
@@ -67,7 +75,7 @@ class StatementCalls:
         # No error even if all are refused: a node whose grants have expired keeps its session, in
         # which it will present new ones.
         status = f"grants presented, but refused: {refused}" if refused else "grants accepted"
-        event = GrantsPresented(request.caller.name, presented.refused)
+        event = GrantsPresented(request.caller.identity, presented.refused)
         return Reply(presented.held, status, events=(event,))
 
     def _renew(self, request: Request) -> Reply:
@@ -76,7 +84,7 @@ class StatementCalls:
         )
         refused = "; ".join(renewed.refused)
         status = f"grants renewed, but refused: {refused}" if refused else "grants renewed"
-        event = GrantsPresented(request.caller.name, renewed.refused)
+        event = GrantsPresented(request.caller.identity, renewed.refused)
         return Reply(list(renewed.tokens), status, events=(event,))
 
     def _renew_identity(self, request: Request) -> Reply:
@@ -92,7 +100,10 @@ class StatementCalls:
             newer = self._statements.delegated(request.binary(1))
         except HintedError as error:
             raise _refusal(error) from error
-        return Reply(int(newer), "delegated" if newer else "not newer than the delegation held")
+        if not newer:
+            return Reply(0, "not newer than the delegation held")
+        brought = Administered(request.caller.identity, "brought a delegation to renew grants")
+        return Reply(1, "delegated", events=(brought,))
 
     def _revocations(self, request: Request) -> Reply:
         return Reply(list(self._statements.current(request.now)), "revocations")
@@ -107,7 +118,7 @@ class StatementCalls:
             newer = self._statements.update(request.binary(1), request.now)
         except HintedError as error:
             raise _refusal(error) from error
-        return _taken(newer)
+        return _taken(newer, request)
 
     def _update_tree(self, request: Request) -> Reply:
         tree, entries = request.binary(1), request.binary(2)
@@ -115,7 +126,7 @@ class StatementCalls:
             newer = self._statements.update_tree(tree, entries, request.now)
         except HintedError as error:
             raise _refusal(error) from error
-        return _taken(newer)
+        return _taken(newer, request)
 
     def _proofs(self, request: Request) -> Reply:
         return Reply(self._statements.proofs(_binaries(request.arguments[1])), "proofs")
@@ -138,10 +149,11 @@ class StatementCalls:
         return [name for key in keys if (name := key.removesuffix("/"))]
 
 
-def _taken(newer: bool) -> Reply:
+def _taken(newer: bool, request: Request) -> Reply:
     if not newer:
         return Reply(0, "not newer than the list in force")
-    return Reply(1, "revocations updated", events=(RevocationsChanged(),))
+    changed = RevocationsChanged(request.caller.identity)
+    return Reply(1, "revocations updated", events=(changed,))
 
 
 def _refusal(error: HintedError) -> Refused:

@@ -14,12 +14,15 @@ from typing import Final
 
 from rossec.errors import AnswerRefused, RossecError
 from rossec.master.registry import NodeRef
+from rossec.master.values import weight
 from rossec.net.rpc import RpcClient
 from rossec.net.tasks import TaskSet
 from rossec.ros.text import printable
 from rossec.ros.xmlrpc import Fault
 
 PENDING_LIMIT: Final = 1024
+PENDING_BYTES: Final = 8 * 1024 * 1024  # unless one update alone has more
+LEAVING: Final = 8  # slave APIs of one key that are being told goodbye
 CALL_DEADLINE: Final = 5.0  # seconds, for connecting and for each call
 _RETRY_AFTER: Final = (0.2, 1.0, 3.0)  # seconds; then the update is given up
 
@@ -48,6 +51,7 @@ class NodeClient:
         self._deadline = deadline
         self._retry_after = retry_after
         self._pending: dict[Key, tuple[object, ...]] = {}
+        self._weights: dict[Key, int] = {}
         self._wake = asyncio.Event()
         self._client: RpcClient | None = None
         self._failures = 0
@@ -59,11 +63,16 @@ class NodeClient:
 
     def post(self, key: Key, *params: object) -> None:
         """Send `key[0](*params)` soon, in place of an older one with the same key."""
-        if key not in self._pending and len(self._pending) >= PENDING_LIMIT:
-            oldest = next(iter(self._pending))
-            del self._pending[oldest]
-        self._pending[key] = params
+        self._pending[key], self._weights[key] = params, weight(params)
+        while len(self._pending) > PENDING_LIMIT or self._is_too_much():
+            self._forget(next(iter(self._pending)))
         self._wake.set()
+
+    def _is_too_much(self) -> bool:
+        return len(self._pending) > 1 and sum(self._weights.values()) > PENDING_BYTES
+
+    def _forget(self, key: Key) -> None:
+        del self._pending[key], self._weights[key]
 
     async def run(self) -> None:
         """Deliver until cancelled."""
@@ -85,13 +94,14 @@ class NodeClient:
                 _log.warning("gave up telling %s about %s", self.node.name, key[0])
                 self._failures = 0
                 self._pending.clear()
+                self._weights.clear()
             else:
                 await asyncio.sleep(self._retry_after[self._failures])
                 self._failures += 1
 
     def _done(self, key: Key, params: tuple[object, ...]) -> None:
         if self._pending.get(key) is params:  # else a newer one arrived while this was sent
-            del self._pending[key]
+            self._forget(key)
 
     async def _deliver(self, method: str, params: tuple[object, ...]) -> bool:
         """Whether the node has the update; what it thinks of it is its own business."""
@@ -117,17 +127,28 @@ class NodeClient:
 
 
 class Updates:
-    """All node clients. `post` never waits."""
+    """All node clients. `post` never waits.
 
-    def __init__(self, dial: Dial, *, deadline: float = CALL_DEADLINE) -> None:
+    Args:
+        most: clients for one key at a time. A node can say where it is as often as it likes, each
+            time elsewhere; the master must neither run out of connections nor call on everybody.
+    """
+
+    def __init__(
+        self, dial: Dial, most: int = 64 + LEAVING, *, deadline: float = CALL_DEADLINE
+    ) -> None:
         self._dial = dial
+        self._most = most
         self._deadline = deadline
         self._clients: dict[NodeRef, tuple[NodeClient, TaskSet]] = {}
         self._leaving = TaskSet()
 
     def post(self, node: NodeRef, key: Key, *params: object) -> None:
-        """Tell `node`."""
+        """Tell `node`, unless too many of its key are being told."""
         if node not in self._clients:
+            if sum(other.thumbprint == node.thumbprint for other in self._clients) >= self._most:
+                _log.info("%s changes its address too often: not told of %s", node.name, key[0])
+                return
             client, tasks = NodeClient(node, self._dial, deadline=self._deadline), TaskSet()
             tasks.spawn(client.run(), f"updates to {node.name}")
             self._clients[node] = client, tasks

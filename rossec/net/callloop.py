@@ -67,8 +67,8 @@ class CallLoop(Generic[PeerT]):
 
     __slots__ = (
         "_busy", "_deadline", "_dispatch", "_ended", "_http", "_idle", "_idle_set", "_job",
-        "_late", "_loop", "_scope", "_stream", "_value",
-    )  # fmt: skip
+        "_late", "_limit", "_loop", "_scope", "_stream", "_value",
+    )  # fmt: skip  # fmt: skip
 
     def __init__(
         self,
@@ -82,6 +82,7 @@ class CallLoop(Generic[PeerT]):
         self._stream = stream
         self._dispatch = dispatch
         self._http = HttpServer(limit=limit)
+        self._limit = limit
         self._deadline = deadline
         self._idle = idle
         self._loop = asyncio.get_running_loop()
@@ -157,18 +158,29 @@ class CallLoop(Generic[PeerT]):
 
     def _answer(self, body: bytes) -> None:
         try:
-            call = xmlrpc.load_call(body)
+            call = xmlrpc.load_call(body, limit=self._limit)
             value = self._dispatch(call.method, call.params, self._stream.peer)
             if isinstance(value, Awaitable):
                 self._value = value
                 self._wait_for(self._respond_later(value))
                 return
-            response = xmlrpc.dump_response(value)
+            response = self._written(value)
         except HangUp:
             raise
         except Exception as error:  # noqa: BLE001 - judged there
             response = _failure(error)
         self._respond(response)
+
+    def _written(self, value: object) -> bytes:
+        """The response, if it is not longer than a call may be: no peer would take it."""
+        response = xmlrpc.dump_response(value)
+        if len(response) > self._limit:
+            raise Fault(
+                _FAULT_CODE,
+                f"rossec: the answer has {len(response)} bytes, at most {self._limit} are sent: "
+                "ask for less at a time",
+            )
+        return response
 
     def _respond(self, response: bytes) -> None:
         message = self._http.respond(response)
@@ -181,7 +193,7 @@ class CallLoop(Generic[PeerT]):
 
     async def _respond_later(self, value: Awaitable[object]) -> None:
         try:
-            response = xmlrpc.dump_response(await value)
+            response = self._written(await value)
         except HangUp:
             raise
         except Exception as error:  # noqa: BLE001 - judged there

@@ -16,6 +16,7 @@ from rossec.channel.credentials import PeerT
 from rossec.channel.records import Bytes
 from rossec.channel.states import Authenticated, UnitReceived
 from rossec.errors import ChannelClosed, ChannelError
+from rossec.net.forks import forget_in_children
 from rossec.net.transport import Transport
 
 _PAUSE_ABOVE: Final = 1024 * 1024  # bytes delivered and not taken
@@ -47,6 +48,7 @@ class Driver(Generic[PeerT]):
         on_end: Callable[["Driver[PeerT]", ChannelError], None],
     ) -> None:
         self.connection = connection
+        forget_in_children(connection)
         self._on_authenticated = on_authenticated
         self._on_end = on_end
         self._loop = asyncio.get_running_loop()

@@ -1,13 +1,14 @@
 """`SecureStream`: what `connect` and `serve` hand out.
 
 A *unit* is what one `send` was given; it arrives whole. Framing inside a unit is TCPROS's or
-HTTP's own, and small units sent in one turn of the loop are joined into one: a receiver takes units
+HTTP's own, and small units sent in one burst are joined into one: a receiver takes units
 as a stream of bytes that never breaks inside what was sent together.
 """
 
 import asyncio
 from collections.abc import Awaitable, Callable, Coroutine, Iterator, Sequence
 from contextlib import suppress
+from time import monotonic
 from types import TracebackType
 from typing import Any, Final, Generic, NoReturn, Self
 
@@ -20,6 +21,7 @@ from rossec.net.driver import Driver
 _QUEUE_LIMIT: Final = 1024 * 1024
 _JOIN_LIMIT: Final = 64 * 1024
 _SMALL: Final = 32 * 1024  # below it joining beats a record of its own
+_BURST: Final = 10e-6  # seconds after a record within which another unit belongs to the same burst
 
 
 class SecureStream(Generic[PeerT]):
@@ -33,6 +35,7 @@ class SecureStream(Generic[PeerT]):
         self._queue: list[bytes] = []
         self._queued = 0
         self._flush_due = False
+        self._burst_until = 0.0
         self._limit = driver.connection.unit_limit
         self._join = min(_JOIN_LIMIT, self._limit)
         self._small = min(_SMALL, self._limit)
@@ -60,10 +63,10 @@ class SecureStream(Generic[PeerT]):
     async def send(self, *pieces: Bytes) -> None:
         """Send the pieces as one unit, after what is queued; waits while the peer lags.
 
-        The first small unit of a turn of the loop leaves at once, the others at the turn's end,
-        joined in one record. A large one must not change until this returns, and a `send` of one
-        that is cancelled while it waits for the peer drops the connection: half a unit cannot be
-        taken back.
+        A small unit leaves at once, unless it follows another one within microseconds: such a
+        burst is joined in one record, which leaves at the end of this turn of the loop. A large
+        one must not change until this returns, and a `send` of one that is cancelled while it
+        waits for the peer drops the connection: half a unit cannot be taken back.
 
         Raises:
             ChannelError: the connection is at its end.
@@ -112,16 +115,13 @@ class SecureStream(Generic[PeerT]):
         self._enqueue(pieces, _size(pieces), now=False)
 
     def _enqueue(self, pieces: tuple[Bytes, ...], size: int, *, now: bool) -> None:
-        """Queue a small unit, to be flushed with others of this turn of the loop, or at once."""
+        """Queue a small unit, to be flushed with others of its burst; or send it at once."""
         if size == 0:
             return
         piece = pieces[0] if len(pieces) == 1 else b"".join(pieces)
         unit = piece if isinstance(piece, bytes) else bytes(piece)
-        if now and not self._flush_due and not self._queue:
-            # The first of a turn does not wait for others; from the second on they are joined.
-            self._flush_due = True
-            self._loop.call_soon(self._flush_soon)
-            self._write_now(unit)
+        if now and not self._queue and monotonic() >= self._burst_until:
+            self._write_now(unit)  # the first of a burst does not wait; the others are joined
             return
         if self._queued + size > self._join:
             self._try_flush()
@@ -159,11 +159,15 @@ class SecureStream(Generic[PeerT]):
         driver = self._driver
         try:
             record = driver.connection.seal_small(unit)
-            for each in driver.connection.seal_unit(unit) if record is None else (record,):
-                driver.write(each)
+            if record is not None:
+                driver.write(record)
+            else:
+                for each in driver.connection.seal_unit(unit):
+                    driver.write(each)
         except ChannelError as error:
             driver.fail(error)
             raise
+        self._burst_until = monotonic() + _BURST
 
     def push(self, data: Bytes) -> bool:
         """Send `data` now, as one unit, whether the peer lags or not; false: it does, `drain`.
@@ -280,4 +284,7 @@ class SecureStream(Generic[PeerT]):
 
 def _size(pieces: Sequence[Bytes]) -> int:
     """How many bytes the pieces have together."""
-    return sum(piece.nbytes if isinstance(piece, memoryview) else len(piece) for piece in pieces)
+    total = 0
+    for piece in pieces:
+        total += piece.nbytes if isinstance(piece, memoryview) else len(piece)
+    return total

@@ -46,11 +46,11 @@ class SecureServer(Generic[PeerT]):
         self,
         handler: Handler[PeerT],
         make_core: Callable[[], Connection[PeerT]],
-        caps: HalfOpen,
+        half_open: HalfOpenCount,
     ) -> None:
         self._handler = handler
         self._make_core = make_core
-        self._half_open = HalfOpenCount(caps)
+        self._half_open = half_open
         self._drivers: set[Driver[PeerT]] = set()
         self._tasks = TaskSet()
         self._loop = asyncio.get_running_loop()
@@ -79,7 +79,7 @@ class SecureServer(Generic[PeerT]):
             self._watch(sock)
 
     def _watch(self, listener: socket.socket) -> None:
-        if listener.fileno() >= 0:  # not closed meanwhile
+        if listener.fileno() >= 0 and not self._resting:  # nor closed meanwhile
             self._loop.add_reader(listener.fileno(), self._accept, listener)
 
     def _accept(self, listener: socket.socket) -> None:
@@ -222,11 +222,14 @@ def serve_now(
     *,
     accept: Collection[Flavour] = frozenset(Flavour),
     limits: Limits = _DEFAULTS,
-    half_open: HalfOpen = _CAPS,
+    half_open: HalfOpen | HalfOpenCount = _CAPS,
     suites: tuple[int, ...] = PRODUCTION,
     known: KnownCertificates | None = None,
 ) -> SecureServer[PeerT]:
-    """`serve`, for callers that may not wait: nothing in it does."""
+    """`serve`, for callers that may not wait: nothing in it does.
+
+    With a `HalfOpenCount` several ports share one bound, as they share this process.
+    """
 
     def make_core() -> Connection[PeerT]:
         return Connection[PeerT].responder(
@@ -240,7 +243,8 @@ def serve_now(
             known=known,
         )
 
-    server = SecureServer(handler, make_core, half_open)
+    count = HalfOpenCount(half_open) if isinstance(half_open, HalfOpen) else half_open
+    server = SecureServer(handler, make_core, count)
     server.listen(host, port)
     return server
 

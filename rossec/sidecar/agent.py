@@ -15,6 +15,7 @@ from rossec.channel.opening import Flavour
 from rossec.channel.suites import PRODUCTION
 from rossec.errors import HangUp
 from rossec.home import NodeHome
+from rossec.net.halfopen import HalfOpenCount
 from rossec.net.stream import SecureStream
 from rossec.net.tasks import TaskSet
 from rossec.node.access import Access
@@ -41,6 +42,7 @@ class Agent:
         outside: where the master is and how peers reach this host.
         callers: which programs may use it.
         master_uri: the loopback master, as its programs know it.
+        half_open: what strangers have begun at any door of this process.
         suites: offered and accepted, in order of preference.
     """
 
@@ -50,6 +52,7 @@ class Agent:
         outside: Settings,
         callers: Callers,
         master_uri: str,
+        half_open: HalfOpenCount,
         suites: tuple[int, ...] = PRODUCTION,
     ) -> None:
         self.home = home
@@ -63,8 +66,8 @@ class Agent:
         access = Access(anchor, revocations)
         identity = home.identity(int(time.time()))
         self.tenant = Tenant(identity, access, Doors(outside.address or ""), master_uri)
-        self._network = Network(credentials, anchor, access, suites)
-        self._links, guests = Links(), Guests()
+        self._network = Network(credentials, anchor, access, suites, half_open)
+        self._links, guests = Links(revocations), Guests()
         self._watch = Watch(revocations, lambda: self._links, guests)
         self._membership = Membership(
             self, home, self.tenant, credentials, revocations,

@@ -159,15 +159,16 @@ class Exports:
                         int(time.time()),
                     )  # fmt: skip
                     joined = await visit.run(layer)
-            except HangUp as error:
-                _log.info("%s: %s", stream.peer.name, error)
-                return
+            except HangUp:
+                raise
             except HintedError as error:
                 _log.warning("refused %s: %s (%s)", stream.peer.name, error, error.hint)
                 await stream.send(header.error_header(f"rossec: {error}"))
                 return
             if visit.program is not None:
                 await self._pass(joined, visit.program, stream, early, visit.first)
+        except HangUp as error:
+            _log.info("%s: %s", stream.peer.name, error)
         finally:
             await visit.close()
 

@@ -57,7 +57,7 @@ def admit_peer(
         TopicRefused, GrantError, CAError: it may not, or the program refuses it.
         HangUp: the program does not answer.
     """
-    service = "service" in fields
+    service = _asks_for_service(fields)
     if service:
         decision = services.admit_caller(fields, peer, tenant.access, now)
         decision.require_unrestricted()
@@ -70,6 +70,18 @@ def admit_peer(
     answer = _own_answer(tenant, fields, arrived.fields)
     guard = None if service else guard_of(answer, decision, filter_key)
     return Joined({**answer, **_proof(tenant, fields, arrived.now)}, decision, guard, service)
+
+
+def _asks_for_service(fields: Mapping[str, bytes]) -> bool:
+    """What a header is for. Both would be judged as one and served as the other: roscpp and rospy
+    look for the topic first.
+
+    Raises:
+        TopicRefused: not exactly one of the two.
+    """
+    if ("service" in fields) is ("topic" in fields):
+        raise TopicRefused("a connection header is for a topic or for a service")
+    return "service" in fields
 
 
 def _own_answer(
@@ -108,8 +120,8 @@ def reach_peer(
         TopicRefused, GrantError, CAError: the peer refuses, or may not publish or provide.
         HangUp: the peer does not answer.
     """
+    service = _asks_for_service(fields)
     asked = {**without_grants(fields), _CALLER: _caller(tenant, fields)}
-    service = "service" in fields
     guard = None
     if service:
         name = services.requested_service(fields)

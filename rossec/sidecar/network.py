@@ -12,6 +12,7 @@ from rossec.channel.credentials import OwnCredential
 from rossec.channel.known import KnownCertificates
 from rossec.channel.opening import Flavour
 from rossec.errors import HangUp
+from rossec.net.halfopen import HalfOpenCount
 from rossec.net.server import Handler, SecureServer, serve_now
 from rossec.net.stream import SecureStream, connect
 from rossec.node.access import Access
@@ -23,7 +24,11 @@ _ATTEMPTS: Final = 16
 
 
 class Network:
-    """Acts with `credentials`, for peers that `anchor` vouches for and `access` knows as alive."""
+    """Acts with `credentials`, for peers that `anchor` vouches for and `access` knows as alive.
+
+    Args:
+        half_open: what strangers have begun at any door of this process.
+    """
 
     def __init__(
         self,
@@ -31,7 +36,9 @@ class Network:
         anchor: TrustAnchor,
         access: Access,
         suites: tuple[int, ...],
+        half_open: HalfOpenCount,
     ) -> None:
+        self._half_open = half_open
         self._credentials = credentials
         self._anchor = anchor
         self._access = access
@@ -72,6 +79,7 @@ class Network:
                 return serve_now(
                     handler, bind, free_port(), self._credentials, self._anchor.verify,
                     accept={flavour}, suites=self._suites, known=self._known,
+                    half_open=self._half_open,
                 )  # fmt: skip
             except OSError:
                 if attempt == _ATTEMPTS - 1:

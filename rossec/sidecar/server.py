@@ -16,6 +16,7 @@ from rossec.channel.opening import Flavour
 from rossec.channel.suites import PRODUCTION
 from rossec.errors import ConfigurationError, HangUp
 from rossec.home import NodeHome
+from rossec.net.halfopen import HalfOpen, HalfOpenCount
 from rossec.net.rpc import serve_calls
 from rossec.ros.settings import Settings
 from rossec.ros.xmlrpc import Fault
@@ -58,6 +59,7 @@ class Sidecar:
         self._callers = callers
         self._each = each
         self._suites = suites
+        self._half_open = HalfOpenCount(HalfOpen())
         self._agents: dict[str, Agent] = {}
         self._master = LoopbackPort(callers, self._serve, port)
         self._default = None if identity is None else self._agent(NodeHome.of(home, identity))
@@ -112,7 +114,7 @@ class Sidecar:
     def _agent(self, home: NodeHome) -> Agent:
         if home.name not in self._agents:
             self._agents[home.name] = Agent(
-                home, self._outside, self._callers, self.uri, self._suites
+                home, self._outside, self._callers, self.uri, self._half_open, self._suites
             )
         return self._agents[home.name]
 

@@ -13,7 +13,7 @@ from typing import Final, Protocol, assert_never
 
 from ca.certificates import Identity
 from grants.model import Right
-from rossec.errors import PeerUnreachable, RossecError, XmlRpcRefused
+from rossec.errors import PeerUnreachable, RossecError
 from rossec.net.dial import dial
 from rossec.net.rpc import RpcClient
 from rossec.net.secure import SecureStream
@@ -197,8 +197,14 @@ class Visit:
         return self._client
 
     async def _connect(self, local: Endpoint) -> PlainStream:
-        await self._house.callers.check_listener(local.port)
-        return PlainStream(await dial(LOOPBACK, local.port, DEADLINE))
+        holders = await self._house.callers.check_listener(local.port)
+        sock = await dial(LOOPBACK, local.port, DEADLINE)
+        try:
+            self._house.callers.check_unchanged(local.port, holders)
+        except BaseException:
+            sock.close()
+            raise
+        return PlainStream(sock)
 
     async def _bring(self, remote: Endpoint) -> int:
         """A door that opens only if the peer answers; its connection is kept for who comes next."""
@@ -240,9 +246,4 @@ async def _call(
     client: RpcClient, method: str, params: tuple[object, ...], *, parse: bool
 ) -> Event:
     body = await client.fetch(method, *params)
-    if not parse:
-        return Passed(body)
-    try:
-        return Answered(xmlrpc.load_response(body))
-    except (XmlRpcRefused, Fault):
-        return Passed(body)
+    return Answered(xmlrpc.load_response(body)) if parse else Passed(body)

@@ -4,6 +4,7 @@ Meanwhile an honest pair must not notice anything; what is refused is in the aud
 """
 
 import asyncio
+import contextlib
 import itertools
 import socket
 import time
@@ -14,6 +15,7 @@ import pytest
 
 from grants.model import Right
 from rossec.errors import PeerRefused
+from rossec.master.updates import LEAVING
 from tests.support.attacker import EVE, call, credentials
 from tests.support.caller import caller, refusal
 from tests.support.site import Site
@@ -232,6 +234,32 @@ async def test_m8_the_master_is_no_tool_against_third_parties(
             assert told not in heard
         for bad in ("http://h:1@evil:2/", "http://h:99999/", f"http://{'h' * 600}:1/", "http:///"):
             assert (await eve("registerSubscriber", "/t", T, bad))[0] == -1
+
+
+async def test_m8_nobody_has_the_master_call_everywhere(site: Site, witness: Witness) -> None:
+    """Whoever moves at every call has many addresses called, were there no end to it."""
+    assert site.master is not None
+    accepted: set[tuple[str, int]] = set()
+    with socket.create_server(("", 0), backlog=512) as silent:
+        silent.setblocking(False)
+        port = silent.getsockname()[1]
+        async with caller(site, EVE, {"/t": Right.SUBSCRIBE}) as eve:
+            for number in range(300):
+                where = f"http://127.{2 + number // 200}.1.{number % 200}:{port}/"
+                assert (await eve("registerSubscriber", "/t", T, where))[0] == 1
+            clients = site.master._updates.nodes
+            assert 0 < len(clients) <= site.limits.nodes_per_identity + LEAVING
+            await asyncio.sleep(0)
+            with contextlib.suppress(BlockingIOError):
+                while True:
+                    connection, _ = silent.accept()
+                    accepted.add(connection.getsockname())
+                    connection.close()
+        assert len(accepted) <= len(clients)
+    for bad in ("0.0.0.0", "127.1", "0x7f000001", "[::]", "255.255.255.255", "239.1.1.1"):
+        async with caller(site, EVE) as eve:
+            answer = await eve("registerSubscriber", "/t", T, f"http://{bad}:{port}/")
+            assert answer[1] == "ERROR: parameter [caller_api] is not an RPC URI"
 
 
 # --- faults found in others (F2-F5)

@@ -16,6 +16,7 @@ from grants.model import Right
 from rossec.errors import ChannelError, RossecError
 from rossec.master.limits import Limits
 from rossec.net.rpc import RpcClient
+from rossec.net.stream import SecureStream, serve
 from rossec.ros import xmlrpc
 from rossec.ros.xmlrpc import Fault
 from tests.support.attacker import EVE, HOST, credentials, dial
@@ -114,6 +115,31 @@ async def test_m9_fifty_dead_and_one_slow_node_delay_nobody(site: Site) -> None:
             assert len(client._pending) <= 2, "not coalesced"
 
 
+async def test_m9_what_a_node_answers_is_bounded(
+    site: Site, caplog: pytest.LogCaptureFixture
+) -> None:
+    """The master is told to call, and is answered with 32 MiB in one unit."""
+    caplog.set_level("INFO")
+    given_up = asyncio.Event()
+
+    async def flood(stream: SecureStream[Any]) -> None:
+        await stream.receive()
+        with contextlib.suppress(ChannelError):
+            await stream.send(b"HTTP/1.1 200 OK\r\n", b"x" * (32 << 20))
+        given_up.set()
+
+    home = site.enroll(EVE)
+    async with (
+        await serve(flood, HOST, 0, home.credentials(), site.anchor.verify) as server,
+        caller(site, EVE, {"/t": Right.SUBSCRIBE | Right.PUBLISH}) as eve,
+    ):
+        uri = f"http://{HOST}:{server.port}/"
+        await eve("registerSubscriber", "/t", T, uri)
+        await eve("registerPublisher", "/t", T, uri)
+        await asyncio.wait_for(given_up.wait(), 20)
+        await until(lambda: "sends a unit of more than" in caplog.text)
+
+
 # --- M10
 
 
@@ -207,6 +233,45 @@ async def test_m10_a_multicall_is_no_way_around(site: Site) -> None:
             await multicall(*[("getSystemState", EVE)] * 17)
         host = f"http://{'x' * 5000}:1/"
         assert (await eve("registerSubscriber", "/p", T, host))[0] == -1
+
+
+async def test_m10_no_value_spoils_the_parameters(site: Site) -> None:
+    """What XML-RPC's extensions bring and no answer can carry is not taken."""
+    assert site.master is not None
+    values = (
+        "<int>99999999999</int>",
+        "<i8>99999999999</i8>",
+        "<struct><member><name>x</name><value><nil/></value></member></struct>",
+        "<array><data><value><bigdecimal>1.5</bigdecimal></value></data></array>",
+    )
+    async with caller(site, EVE, {"/p": Right.PARAM_SET | Right.PARAM_GET}) as eve:
+        await eve("setParam", "/p/good", 1)
+        for value in values:
+            params = (f"<param><value>{each}</value></param>" for each in (EVE, "/p", value))
+            inner = f"<methodName>setParam</methodName><params>{''.join(params)}</params>"
+            body = f"<methodCall>{inner}</methodCall>".encode()
+            request = (HEAD % len(body)).replace(b"Host: x", b"Host: x\r\nConnection: close")
+            heard = await raw(site, request + body)
+            assert b"XML-RPC cannot carry" in heard
+        assert await eve("getParam", "/p") == [1, "Parameter [/p]", {"good": 1}]
+
+
+async def test_m10_a_multicall_is_no_lever(site: Site) -> None:
+    """A thousand short questions for one long parameter: a gigabyte, if they were answered."""
+    async with (
+        caller(site, EVE, {"/p": Right.PARAM_SET | Right.PARAM_GET}) as eve,
+        caller(site, "/other") as other,
+    ):
+        await eve("setParam", "/p", "x" * 900_000)
+        calls = [{"methodName": "getParam", "params": [EVE, "/p"]}] * 1000
+        with pytest.raises(Fault, match="2 of its 1000 calls were made"):
+            await eve.client.call("system.multicall", calls)
+        await eve("setParam", "/p/more", "x" * 900_000)
+        await eve("setParam", "/p/most", "x" * 900_000)
+        with pytest.raises(Fault, match="ask for less at a time"):
+            await eve("getParam", "/p")
+        assert (await eve("hasParam", "/p"))[0] == 1  # over the same connection
+        assert (await other("getPid"))[0] == 1
 
 
 # --- M11

@@ -1,4 +1,5 @@
 import dataclasses
+from collections import OrderedDict
 
 import pytest
 from cryptography import x509
@@ -6,6 +7,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from ca import certificates, svid
 from ca.certificates import MAX_CERTIFICATE, Identity, TrustAnchor, from_pem, to_pem
 from ca.errors import (
     CertificateExpired,
@@ -244,3 +246,22 @@ def test_what_a_certificate_says_is_remembered_but_no_verdict() -> None:
         Site.create().anchor.verify([leaf], NOW)
     with pytest.raises(CertificateExpired):
         SITE.anchor.verify([leaf], NOW + 31 * DAY)
+
+
+def test_a_remembered_certificate_is_verified_each_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    leaf = SITE.leaf()
+    SITE.anchor.verify([leaf], NOW)
+    monkeypatch.setattr(svid.Signed, "by", lambda *_: False)
+    with pytest.raises(ForeignCertificate):
+        SITE.anchor.verify([leaf], NOW)
+
+
+def test_only_so_many_are_remembered(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(certificates, "_known", OrderedDict())
+    monkeypatch.setattr(certificates, "_MAX_KNOWN", 2)
+    first, *others = (SITE.leaf() for _ in range(3))
+    identity = SITE.anchor.verify([first], NOW)
+    for leaf in others:
+        SITE.anchor.verify([leaf], NOW)
+    assert SITE.anchor.verify([first], NOW) is not identity
+    assert len(certificates._known) == 2

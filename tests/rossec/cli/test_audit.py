@@ -37,6 +37,28 @@ def test_a_change_is_noticed(shell: Shell) -> None:
     path = shell.node("/master") / "audit.log"
     path.write_text(path.read_text().replace("one", "won"))
     refused(shell("audit", "--verify"), "line 1 of the audit was changed")
-    path.write_text("x")
-    refused(shell("audit"), "line 1 of the audit is damaged", "backup")
+
+
+def test_damage_hides_nothing_else(shell: Shell) -> None:
+    path = shell.node("/master") / "audit.log"
+    one, two = path.read_text().splitlines()
+    path.write_text(f"{one}\nx\n{two}\n")
+    said = shell("audit")
+    assert (said.code, len(said.out.splitlines())) == (0, 2)
+    assert f"line 2 of {path} is damaged and not shown" in said.err
+    refused(shell("audit", "--verify"), f"line 2 of {path} is damaged", "backup")
+
+
+def test_no_file_and_what_was_left_out(shell: Shell) -> None:
     refused(shell("audit", "/nowhere"), "there is no /nowhere", "has the master run")
+    file = AuditFile(shell.root / "other.log")
+    file.emit(logging.makeLogRecord({"msg": "denied", "left_out": 3}))
+    file.close()
+    with (shell.root / "other.log").open("a") as torn:
+        torn.write("torn")
+    file = AuditFile(shell.root / "other.log")
+    file.emit(logging.makeLogRecord({"msg": "next"}))
+    file.close()
+    one, two = shell("audit", str(shell.root / "other.log")).out.splitlines()
+    assert one.endswith("denied (3 lines like it before it were left out)")
+    assert two.endswith("next (4 bytes before it were cut short)")

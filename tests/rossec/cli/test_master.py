@@ -2,6 +2,7 @@
 
 import json
 import logging
+import resource
 import subprocess
 import sys
 from pathlib import Path
@@ -44,6 +45,29 @@ def test_the_host_of_an_intermediate_has_no_list_of_its_own(shell: Shell) -> Non
     intermediatehome.install(shell.root, bundle, "secret", site.now())
     assert _newest_list(Environment({"ROSSEC_HOME": str(shell.root)})) is None
     refused(shell("master"), "/master has no ca.pem", "rossec node request /master")
+
+
+@pytest.mark.parametrize(
+    ("limits", "wanted"),
+    [
+        ((1024, 1 << 20), (65536, 1 << 20)),
+        ((1024, 4096), (4096, 4096)),
+        ((1024, resource.RLIM_INFINITY), (65536, resource.RLIM_INFINITY)),
+        ((1 << 17, 1 << 20), None),
+        ((resource.RLIM_INFINITY, resource.RLIM_INFINITY), None),
+    ],
+)
+def test_it_takes_the_descriptors_it_may_have(
+    shell: Shell,
+    monkeypatch: pytest.MonkeyPatch,
+    limits: tuple[int, int],
+    wanted: tuple[int, int] | None,
+) -> None:
+    taken: list[tuple[int, int]] = []
+    monkeypatch.setattr(resource, "getrlimit", lambda _: limits)
+    monkeypatch.setattr(resource, "setrlimit", lambda _, limit: taken.append(limit))
+    refused(shell("master"), "/master has no ca.pem", "rossec node request")
+    assert taken == ([] if wanted is None else [wanted])
 
 
 def test_a_line_of_the_log_is_json() -> None:

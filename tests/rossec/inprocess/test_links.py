@@ -39,6 +39,7 @@ def test_those_with_a_reason_are_cut_and_no_others() -> None:
     links.discard(b)
     links.discard(b)
     assert links.soonest is None
+    assert links.streams() == []
 
 
 def test_the_soonest_end_is_known() -> None:

@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 
 from grants.model import Right
-from rossec.master.api import MULTICALL_LIMIT, Fault, MasterApi
+from rossec.master.api import MULTICALL_ANSWER, MULTICALL_LIMIT, Fault, MasterApi
 from rossec.master.calls import CallRefused, Denied
 from rossec.master.gatekeeper import Caller
 from rossec.master.registry import KEYS_LIMIT, Registry
@@ -42,6 +42,29 @@ def test_each_element_of_a_multicall_is_authorized_alone(api: MasterApi) -> None
         [element("getUri", "/a"), element("setParam", "/a", "/x", 1), element("getUri", "/victim")],
     )  # fmt: skip
     assert [answer[0][0] for answer in answers] == [1, -1, -1]
+
+
+def test_the_answers_of_a_multicall_are_bounded(api: MasterApi) -> None:
+    """Else 4096 short questions have the master write four gigabytes."""
+    who = everything("/a")
+    ask(api, who, "setParam", "/a", "/big", "x" * (MULTICALL_ANSWER // 2))
+    calls = [element("getParam", "/a", "/big")] * 100 + [element("setParam", "/a", "/last", 1)]
+    calls.insert(0, element("setParam", "/a", "/first", 1))
+    outcome = api.call("system.multicall", [calls], who, 0)
+    assert isinstance(outcome.answer, Fault)
+    assert "too long: 3 of its 102 calls were made" in outcome.answer.faultString
+    assert len(outcome.events) == 1  # of what was done
+    assert ask(api, who, "hasParam", "/a", "/first")[2] is True
+    assert ask(api, who, "hasParam", "/a", "/last")[2] is False
+
+
+def test_all_parameters_together_are_bounded() -> None:
+    api = MasterApi(
+        Registry(), FakeStatements(), name="/master", uri="u", pid=1, parameter_bytes=10_000
+    )
+    assert ask(api, everything("/a"), "setParam", "/a", "/x", "x" * 9000)[0] == 1
+    code, status, _ = ask(api, everything("/a"), "setParam", "/a", "/y", "x" * 9000)
+    assert (code, "more than 10000 bytes" in status) == (-1, True)
 
 
 def test_multicall_events_are_all_delivered(api: MasterApi) -> None:

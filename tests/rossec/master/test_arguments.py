@@ -21,6 +21,7 @@ def test_uris_that_can_be_dialled(value: str) -> None:
         "http://h", "http://:1/", "http://h:0/", "http://h:65536/", "http://h:x/", "https://h:1/",
         "rosrpc://h:1", "http://user@h:1/", "http://h:1/ x", "http://h:1/\n", "http://h\u00e9:1/",
         "http://[::1:1/", "http://" + "h" * 600 + ":1/", "ftp://h:1",
+        "http://0.0.0.0:1/", "http://127.1:1/", "http://224.0.0.1:1/",
     ],
 )  # fmt: skip
 def test_uris_that_cannot(value: str) -> None:

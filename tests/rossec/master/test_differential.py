@@ -20,6 +20,7 @@ pytestmark = pytest.mark.ros
 A, B, A2 = "http://h:1/", "http://h:2/", "http://h:3/"
 S1, S2 = "rosrpc://h:11", "rosrpc://h:12"
 T, U = "std_msgs/String", "std_msgs/Bool"
+CANNOT, ASKED = "XML-RPC cannot carry", "to those who ask for it"
 Call = tuple[Any, ...]
 
 TABLES: dict[str, list[Call]] = {
@@ -183,6 +184,15 @@ BY_NAME: dict[str, list[tuple[Call, list[Any]]]] = {
             -1, "Error: invalid arguments: 'b/c' cannot be the name of a parameter in a tree", 0,
         ]),
     ],
+    # Stock stores it, and then no tree that holds it can be read any more.
+    "unreadable-values": [
+        (("setParam", "/a", "/big", 1 << 31), [
+            -1, f"Error: invalid arguments: {CANNOT} the number 2147483648 {ASKED}", 0,
+        ]),
+        (("setParam", "/a", "/nil", [None]), [
+            -1, f"Error: invalid arguments: {CANNOT} no value {ASKED}", 0,
+        ]),
+    ],
     # Stock keeps the type of a topic that nobody publishes or subscribes to any more.
     "types-of-the-gone": [(("getTopicTypes", "/gone"), [1, "current system state", []])],
     # A service that another node took over keeps the old node in stock's list for ever.
@@ -236,8 +246,21 @@ def plain(value: Any) -> Any:
     return value
 
 
+def wired(value: Any) -> Any:
+    """As it comes over the wire: base64 is bytes."""
+    match value:
+        case xmlrpc.client.Binary():
+            return value.data
+        case dict():
+            return {key: wired(below) for key, below in value.items()}
+        case list() | tuple():
+            return [wired(item) for item in value]
+        case _:
+            return value
+
+
 def ask_ours(api: MasterApi, call: Call) -> Any:
-    method, *params = call
+    method, *params = wired(call)
     name = params[0] if params and isinstance(params[0], str) else "/a"
     return plain(api.call(method, params, everything(name), 0).answer)
 

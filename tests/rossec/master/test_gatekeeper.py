@@ -329,3 +329,45 @@ def test_an_administrator_cleans_up_after_a_node_and_does_nothing_else_for_it(
     assert ask(api, operator, "unregisterPublisher", "/other", "/secret", VICTIM_API)[0] == -1
     assert ask(api, operator, "unregisterPublisher", "/victim", "/secret", EVIL_API)[2] == 0
     assert ask(api, operator, "unregisterPublisher", "/victim", "/secret", VICTIM_API)[2] == 1
+
+
+@pytest.mark.parametrize(
+    ("method", "params"),
+    [
+        ("registerPublisher", ("/t", "*", "URI")),
+        ("registerSubscriber", ("/t", "*", "URI")),
+        ("registerService", ("/s", "rosrpc://h:1", "URI")),
+        ("subscribeParam", ("URI", "/p")),
+    ],
+)
+def test_m8_who_is_elsewhere_is_not_on_the_masters_host(
+    api: MasterApi, method: str, params: tuple[str, ...]
+) -> None:
+    who = everything("/a")
+    here, there = (
+        ["/a", *[value.replace("URI", uri) for value in params]]
+        for uri in ("http://localhost:9/", "http://10.0.0.7:9/")
+    )
+
+    def answer(method: str, params: list[Any], *, near: bool) -> Any:
+        return api.call(method, params, who, 0, near=near).answer
+
+    code, status, _ = refused = answer(method, here, near=False)
+    assert (code, "on the master's host, and the caller is not" in status) == (-1, True)
+    element = {"methodName": method, "params": here}
+    assert answer("system.multicall", [[element]], near=False) == [[refused]]
+    assert answer(method, there, near=False)[0] == 1
+    assert answer(method, here, near=True)[0] == 1
+
+
+def test_a_key_has_so_many_nodes() -> None:
+    api = MasterApi(Registry(1), FakeStatements(), name="/master", uri="u", pid=1)
+
+    def answer(name: str, uri: str) -> Any:
+        return api.call("registerPublisher", [name, "/t", "*", uri], anonymous("/rviz"), 0).answer
+
+    assert answer("/rviz_1", "http://h:1/")[0] == 1
+    for name in ("/rviz_2", "/rviz"):
+        text = f"rossec: the identity of {name} has 1 nodes, the most of one key"
+        assert answer(name, "http://h:2/") == [-1, text, []]
+    assert answer("/rviz_1", "http://h:3/")[0] == 1

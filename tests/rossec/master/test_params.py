@@ -1,17 +1,20 @@
 """The parameter tree alone: reach, updates, limits. Stock's answers are in test_differential."""
 
+import contextlib
+from copy import deepcopy
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from rossec.master.params import (
-    DEPTH_LIMIT,
     ParameterMissing,
     Parameters,
     leaves_of,
     subscription_key,
     updates,
 )
+from rossec.master.values import DEPTH_LIMIT, weight
 
 
 def tree() -> Parameters:
@@ -51,14 +54,51 @@ def test_refuses_what_cannot_be_found_or_sent_again() -> None:
     parameters = Parameters()
     with pytest.raises(TypeError, match="cannot set root"):
         parameters.set("/", 1)
-    for name in ("a/b", "", "~a"):
-        with pytest.raises(ValueError, match="cannot be the name"):
-            parameters.set("/x", {name: 1})
+    for value in ({"a/b": 1}, [None], 2**31):
+        with pytest.raises(ValueError, match="cannot"):
+            parameters.set("/x", value)
     with pytest.raises(ValueError, match="nested deeper"):
         parameters.set("/a" * (DEPTH_LIMIT + 1), 1)
     with pytest.raises(ValueError, match="nested deeper"):
         parameters.set("/a" * DEPTH_LIMIT, [[1]])
     assert list(parameters.names()) == []
+
+
+def test_all_together_are_bounded_and_can_be_made_fewer() -> None:
+    parameters = tree()
+    limit = parameters.size + 2000
+    parameters.set("/big", "x" * 1000, limit)
+    for key in ("/more", "/a/b", "/deep/er/than/that"):
+        with pytest.raises(ValueError, match=f"more than {limit} bytes"):
+            parameters.set(key, "x" * 2000, limit)
+    assert not parameters.has("/deep")
+    parameters.set("/big", "y" * 1900, limit)
+    parameters.set("/more", "x" * 2000)  # from an earlier run, which had a higher limit
+    parameters.set("/big", "y" * 1000, limit)  # fewer is fine, though still too many
+    with pytest.raises(ValueError, match="more than"):
+        parameters.set("/c", 1, limit)
+    parameters.delete("/more")
+    parameters.set("/c", 1, limit)
+
+
+@given(
+    st.lists(
+        st.tuples(
+            st.sampled_from(["/", "/a", "/a/b", "/a/b/c", "/d"]),
+            st.sampled_from([1, "text", {}, {"b": 1}, {"b": {"c": "x", "d": []}}, None]),
+        ),
+        max_size=12,
+    )
+)
+def test_the_size_is_that_of_what_is_held(changes: list[tuple[str, object]]) -> None:
+    parameters = Parameters()
+    for key, value in changes:
+        with contextlib.suppress(ParameterMissing, TypeError):
+            if value is None:
+                parameters.delete(key)
+            else:
+                parameters.set(key, deepcopy(value))
+    assert parameters.size == weight({"": parameters.get("/")})
 
 
 def test_search_sees_only_what_is_visible() -> None:

@@ -146,6 +146,35 @@ def test_a_node_has_so_many_registrations_of_a_kind() -> None:
     assert registry.has_room(Kind.PUBLISHER, "/more", A._replace(uri="http://h:9/"))
 
 
+def test_a_key_is_so_many_nodes() -> None:
+    registry = Registry(2)
+    one, two, three = (A._replace(name=f"/a_{n}", uri=f"http://h:{n + 9}/") for n in range(3))
+    registry.register_publisher("/t", TYPE, one)
+    registry.register_parameter("/t", two)
+    assert registry.has_room(Kind.SUBSCRIBER, "/t", two)
+    assert not registry.has_room(Kind.PUBLISHER, "/t", three)
+    assert not registry.has_room(Kind.PUBLISHER, "/t", B._replace(thumbprint=A.thumbprint))
+    moved = two._replace(uri="http://h:99/")
+    assert registry.has_room(Kind.PUBLISHER, "/t", moved)
+    registry.register_publisher("/t", TYPE, moved)  # it is still one of two
+    assert not registry.has_room(Kind.PUBLISHER, "/t", three)
+    assert registry.has_room(Kind.PUBLISHER, "/t", three._replace(thumbprint=b"another key"))
+    registry.remove_node(one.name)
+    assert registry.has_room(Kind.PUBLISHER, "/t", three)
+    newer = moved._replace(thumbprint=b"a newer key")
+    registry.register_publisher("/t", TYPE, newer)
+    registry.register_publisher("/t", TYPE, one)
+    assert registry.has_room(Kind.PUBLISHER, "/t", three)
+
+
+def test_an_address_is_known_however_it_is_spelt() -> None:
+    registry = Registry()
+    registry.register_publisher("/t", TYPE, A._replace(uri="http://[::1]:80/"))
+    assert registry.owner("http://[0::1]:080") == "/a"
+    registry.remove_node("/a")
+    assert registry.owner("http://[::1]:80/") is None
+
+
 def test_removing_a_node_tells_its_subscribers() -> None:
     registry = Registry()
     registry.register_publisher("/t", TYPE, A)

@@ -363,3 +363,57 @@ async def test_a_watcher_hears_that_a_node_was_revoked(world: World) -> None:
             question = news["instance"], news["cursor"]
             waiting = asyncio.ensure_future(watcher.ask("rossec.watchGraph", *question))
     waiting.cancel()
+
+
+async def test_a_fault_of_ours_does_not_end_freshness(
+    world: World, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Timestamps go on, and rights are enforced, whatever one round of it met."""
+    node = await world.node("/node")
+    await node.ask("registerSubscriber", "/t", T, node.uri)
+    told = world.trust.news_for
+
+    def crash(*_: object) -> Any:
+        monkeypatch.setattr(world.trust, "news_for", told)
+        raise RuntimeError("a fault of ours")
+
+    monkeypatch.setattr(world.trust, "news_for", crash)
+    world.server._changed.set()
+    await until(lambda: "a fault of ours" in caplog.text)
+    world.server._changed.set()
+    await until(lambda: node.heard("rossec.revocationUpdate") != [])
+
+
+async def test_m8_a_node_elsewhere_does_not_live_on_the_masters_host(
+    world: World, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    near, far = await world.node("/near"), world.site.enroll("/far")
+    monkeypatch.setattr(SecureStream, "address", "192.0.2.7")
+    client = await world.call_as(far)
+    await client.ask("rossec.presentGrants", "/far", [world.site.grant(far, EVERYTHING)])
+    with pytest.raises(AnswerRefused, match="on the master's host, and the caller is not"):
+        await client.ask("registerPublisher", "/far", "/t", T, "http://127.0.0.1:9/")
+    assert await client.ask("registerPublisher", "/far", "/t", T, "http://192.0.2.7:9/") == []
+    monkeypatch.setattr(SecureStream, "local_address", "192.0.2.7")  # by another of its addresses
+    same = await world.call_as(far)
+    assert await same.ask("registerPublisher", "/far", "/t", T, "http://localhost:9/") == []
+    assert await near.ask("registerPublisher", "/t", T, near.uri) == []
+
+
+async def test_what_is_administered_is_audited(
+    world: World, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level("INFO", "rossec.audit")
+    admin, robot = await world.node("/admin"), await world.node("/robot", {"/t": Right.PUBLISH})
+    await robot.ask("registerPublisher", "/t", T, robot.uri)
+    await admin.client.ask("unregisterPublisher", "/robot", "/t", robot.uri)
+    await admin.ask("rossec.updateRevocations", world.site.revoke(robot.member))
+    await admin.ask("rossec.updateDelegation", world.site.delegation(world.master))
+    lines = [record.getMessage() for record in caplog.records if record.name == "rossec.audit"]
+    number = world.trust.number
+    assert lines == [
+        "/admin calls unregisterPublisher for /robot: Unregistered [/robot] as provider of [/t]",
+        f"/admin brought revocation list {number}",
+        "/robot is cut off: the key of /robot is revoked",
+        "/admin brought a delegation to renew grants",
+    ]

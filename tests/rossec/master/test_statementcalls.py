@@ -55,7 +55,7 @@ def test_revocations(api: MasterApi) -> None:
     assert ask(api, who, "rossec.revocations", "/a")[2] == [b"", b""]
     outcome = api.call("rossec.updateRevocations", ("/a", b"list 2"), who, 0)
     assert outcome.answer == [1, "revocations updated", 1]
-    assert outcome.events == (RevocationsChanged(),)
+    assert outcome.events == (RevocationsChanged("/a"),)
     again = api.call("rossec.updateRevocations", ("/a", b"list 1"), who, 0)
     assert again.answer == [1, "not newer than the list in force", 0]
     assert again.events == ()
@@ -118,7 +118,7 @@ def test_a_tree_and_its_proofs(api: MasterApi) -> None:
     update = "rossec.updateRevocationTree"
     outcome = api.call(update, ("/a", b"tree", b"entries"), caller("/a"), 0)
     assert outcome.answer == [1, "revocations updated", 1]
-    assert outcome.events == (RevocationsChanged(),)
+    assert outcome.events == (RevocationsChanged("/a"),)
     assert ask(api, caller("/a"), update, "/a", b"tree", b"entries")[2] == 0
     assert ask(api, caller("/a"), update, "/a", b"for", b"ged")[0] == -1
     answer = ask(api, caller("/a"), "rossec.revocationProofs", "/a", [b"x", b"y"])

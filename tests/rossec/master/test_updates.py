@@ -8,7 +8,7 @@ import pytest
 
 from rossec.errors import PeerUnreachable
 from rossec.master.registry import NodeRef
-from rossec.master.updates import PENDING_LIMIT, NodeClient, Updates
+from rossec.master.updates import PENDING_BYTES, PENDING_LIMIT, NodeClient, Updates
 from rossec.net.rpc import RpcClient, serve_calls
 from rossec.net.tasks import TaskSet
 from rossec.ros.xmlrpc import Fault
@@ -149,6 +149,33 @@ def test_what_waits_is_bounded(nodes: Nodes) -> None:
         client.post(("paramUpdate", f"/k{n}"), n)
     assert len(client._pending) == PENDING_LIMIT
     assert ("paramUpdate", "/k0") not in client._pending
+
+
+def test_what_waits_is_bounded_in_size_too(nodes: Nodes) -> None:
+    client = NodeClient(ref("/slow"), nodes.dial)
+    big = "x" * (PENDING_BYTES // 4)
+    for number in range(6):
+        client.post(("paramUpdate", f"/{number}"), big)
+    assert [key for _, key in client._pending] == ["/3", "/4", "/5"]
+    client.post(("paramUpdate", "/all"), big * 5)
+    assert [key for _, key in client._pending] == ["/all"]
+    client.post(("paramUpdate", "/all"), 1)
+    client.post(("paramUpdate", "/0"), big)
+    assert len(client._pending) == 2
+
+
+async def test_a_key_cannot_have_everybody_called(nodes: Nodes) -> None:
+    updates = Updates(nodes.dial, 3)
+    for number in range(9):
+        updates.post(NodeRef("/dead", f"http://h:{number}/", b"one key"), KEY, number)
+    other = NodeRef("/live", "http://h:1/", b"another key")
+    updates.post(other, KEY, 1)
+    await nodes.until(lambda: nodes.heard("/live") == [(1,)])
+    assert nodes.dialled.count("/dead") == 3
+    updates.drop(updates.nodes[0])
+    updates.post(NodeRef("/dead", "http://h:9/", b"one key"), KEY, 9)
+    await nodes.until(lambda: nodes.dialled.count("/dead") == 4)
+    await updates.close()
 
 
 async def test_gone_nodes_are_hung_up_on_once_they_have_heard(

@@ -9,17 +9,20 @@ from rossec.errors import HangUp, RossecError
 from rossec.net.callloop import CallLoop
 from rossec.ros import xmlrpc
 from rossec.ros.http import HttpClient
+from rossec.ros.xmlrpc import BODY_LIMIT, Fault
 from tests.support.streams import MemoryStream, stream_pair
+
+_LONG = "x" * 1000
 
 
 class Served:
     """A loop over one end of a pair, and a client's eyes at the other."""
 
-    def __init__(self, idle: float | None = None) -> None:
+    def __init__(self, idle: float | None = None, limit: int = 1000) -> None:
         self.near, self.far = stream_pair("/node", "/master")
         self.gate = asyncio.Event()
         self.begun = 0
-        loop = CallLoop(self.far, self.dispatch, limit=1000, deadline=10, idle=idle)
+        loop = CallLoop(self.far, self.dispatch, limit=limit, deadline=10, idle=idle)
         self.task = asyncio.ensure_future(loop.run())
 
     def dispatch(self, method: str, params: tuple[object, ...], peer: str) -> object:
@@ -28,6 +31,10 @@ class Served:
                 return [peer, *params]
             case "later":
                 return self.later(params)
+            case "long":
+                return _LONG
+            case "long later":
+                return self.long()
             case "gone":
                 raise HangUp("nobody")
             case _:
@@ -37,6 +44,9 @@ class Served:
         self.begun += 1
         await self.gate.wait()
         return list(params)
+
+    async def long(self) -> object:
+        return _LONG
 
     async def gone(self) -> object:
         raise HangUp("nobody")
@@ -70,6 +80,29 @@ async def test_what_takes_time_holds_back_what_follows() -> None:
     served.gate.set()
     assert await served.answer() == [1]
     assert await served.answer() == ["/node", 2]
+    await served.near.close()
+    await served.task
+
+
+@pytest.mark.parametrize("method", ["long", "long later"])
+async def test_an_answer_is_no_longer_than_a_call_may_be(method: str) -> None:
+    served = Served()
+    await served.near.send(call(method))
+    with pytest.raises(Fault, match=r"the answer has 11\d\d bytes, at most 1000 are sent"):
+        await served.answer()
+    await served.near.send(call("now", 2))
+    assert await served.answer() == ["/node", 2]
+    await served.near.close()
+    await served.task
+
+
+async def test_a_longer_limit_holds_for_the_parser_too() -> None:
+    served = Served(limit=3 * BODY_LIMIT)
+    long = "x" * (2 * BODY_LIMIT)
+    await served.near.send(call("now", long))
+    unit = await served.near.receive()
+    body = unit.partition(b"\r\n\r\n")[2]
+    assert xmlrpc.load_response(body, limit=3 * BODY_LIMIT) == ["/node", long]
     await served.near.close()
     await served.task
 

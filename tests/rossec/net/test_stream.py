@@ -27,6 +27,7 @@ from rossec.errors import (
     SendQueueFull,
 )
 from rossec.net import driver as driver_module
+from rossec.net import secure as secure_module
 from rossec.net import server as server_module
 from rossec.net.halfopen import source_of
 from rossec.net.server import bind
@@ -111,6 +112,23 @@ async def test_small_units_queued_together_arrive_together(
         stream.send_nowait(b"first ")
         await stream.send(b"second")
         assert await stream.receive() == b"first second"
+
+
+async def test_a_burst_is_joined_after_its_first_unit(
+    server: SecureServer[FakeIdentity], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now = 1000.0
+    monkeypatch.setattr(secure_module, "monotonic", lambda: now)
+    async with await call(server) as stream:
+        for unit in (b"alone", b"and ", b"the ", b"others"):
+            await stream.send(unit)
+        assert stream.backlog == len(b"and the others")
+        assert await stream.receive() == b"alone"
+        assert await stream.receive() == b"and the others"
+        now += 1
+        await stream.send(b"later")
+        assert stream.backlog == 0
+        assert await stream.receive() == b"later"
 
 
 async def test_a_slow_reader_stops_the_writer() -> None:

@@ -181,3 +181,15 @@ def test_a_restricted_publisher_gets_a_guard(stage: Stage, shown: Fields) -> Non
     undefined = proven | {"message_definition": b""}
     with pytest.raises(TopicRefused, match="does not have the md5sum"):
         play(layer, (meet, arrived(stage, undefined, "/robot")))
+
+
+@pytest.mark.parametrize("both", [{"topic": b"/secret"}, {"topic": b""}])
+def test_a_header_is_for_a_topic_or_for_a_service(stage: Stage, both: Fields) -> None:
+    """A right to call must not read a topic: stock programs look for the topic first."""
+    stage.site.grant("/viewer", Right.CALL, "/say")
+    shown = SERVICE | proof(stage, "/viewer", Right.CALL, "/say")
+    for fields in (shown | both, {"callerid": b"/viewer"}):
+        with pytest.raises(TopicRefused, match="for a topic or for a service"):
+            play(admit(stage, fields))
+        with pytest.raises(TopicRefused, match="for a topic or for a service"):
+            play(reach_peer(stage.tenant, PEER, fields, no_key, stage.site.now()))

@@ -1,0 +1,72 @@
+"""What can be the value of a parameter, and how much room a value takes."""
+
+from datetime import datetime
+from decimal import Decimal
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rossec.master.values import DEPTH_LIMIT, check, weight
+from rossec.ros import xmlrpc
+from rossec.ros.xmlwrite import Written
+
+_WHEN = datetime(2020, 1, 2, 3, 4, 5)  # noqa: DTZ001 - XML-RPC's times have no zone
+_GOOD = st.recursive(
+    st.booleans()
+    | st.integers(-(2**31), 2**31 - 1)
+    | st.floats()
+    | st.text("a<&\u20ac ")
+    | st.binary(max_size=9)
+    | st.just(_WHEN),
+    lambda below: st.lists(below, max_size=3) | st.dictionaries(st.text("ab", min_size=1), below),
+    max_leaves=9,
+)
+
+
+@given(_GOOD)
+def test_what_is_taken_can_be_handed_out(value: Any) -> None:
+    check(value)
+    size = len(xmlrpc.dump_response(value))
+    assert size < 4 * weight(value) + 200
+    assert weight(value) < 4 * size + 200
+
+
+@pytest.mark.parametrize(
+    ("value", "said"),
+    [
+        (2**31, "the number 2147483648"),
+        (-(2**31) - 1, "the number -2147483649"),
+        pytest.param(10**5000, "so long a number", id="str() refuses it"),
+        (None, "no value"),
+        (Decimal("1.5"), "a Decimal"),
+    ],
+)
+def test_what_no_answer_can_carry_is_refused_wherever_it_is(value: object, said: str) -> None:
+    for spoilt in (value, [1, value], {"a": {"b": [value]}}):
+        with pytest.raises(ValueError, match=f"XML-RPC cannot carry {said}"):
+            check(spoilt)
+
+
+@pytest.mark.parametrize("name", ["a/b", "", "~a"])
+def test_names_in_a_tree_are_one_segment(name: str) -> None:
+    with pytest.raises(ValueError, match="cannot be the name"):
+        check({"a": {name: 1}})
+
+
+def test_the_depth_is_bounded() -> None:
+    value: object = 1
+    for _ in range(DEPTH_LIMIT):
+        value = [value]
+    check(value)
+    with pytest.raises(ValueError, match=f"deeper than {DEPTH_LIMIT}"):
+        check([value])
+    with pytest.raises(ValueError, match="deeper"):
+        check(1, -1)
+
+
+def test_what_is_written_already_weighs_its_text() -> None:
+    state = Written([["/t", ["/node"]]])
+    assert weight([1, "", state]) - weight([1, ""]) == len(state.text)
+    assert weight((1, 2)) == weight([1, 2])
