@@ -147,9 +147,7 @@ class MasterApi:
         if not isinstance(caller_id, str):
             raise ArgumentRefused("caller_id must be a string")
         acting = self._gatekeeper.acting(method, caller, caller_id)
-        checked = (
-            check(value, caller_id) for check, value in zip(row.checks, params[1:], strict=True)
-        )
+        checked = [check(params[at], caller_id) for at, check in enumerate(row.checks, 1)]
         request = Request(acting, (caller_id, *checked), now)
         self._gatekeeper.check(method, acting, request.arguments, near=near)
         return request
