@@ -123,11 +123,11 @@ class MasterApi:
             denied = () if refused.wanted is None else (Denied(caller.name, *refused.wanted),)
             refusal = CallRefused(caller.title, method, status)
             return Outcome([-1, status, row.default], (refusal, *denied))
-        events: list[MasterEvent] = [*reply.events]
+        events = reply.events
         if request.caller.thumbprint != caller.thumbprint:  # only an administrator gets so far
             what = f"calls {method} for {request.caller.name}: {reply.status}"
-            events.append(Administered(caller.title, what))
-        return Outcome([reply.code, reply.status, reply.value], tuple(events))
+            events = (*events, Administered(caller.title, what))
+        return Outcome([reply.code, reply.status, reply.value], events)
 
     def _request(
         self,

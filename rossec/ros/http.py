@@ -53,21 +53,22 @@ class _Reader:
         self.limit = limit
         self._data = b""
         self._rest: list[bytes] = []
-        self._rest_size = 0
+        self._rest_size = 0  # of the pieces, none of which is empty
         self._begin = 0  # of the body, once the head is known
         self._end = 0
 
     @property
     def pending(self) -> bool:
-        return len(self._data) + self._rest_size > 0
+        return bool(self._data or self._rest)
 
     @property
     def in_body(self) -> bool:
         return self._begin > 0
 
     def feed(self, data: bytes) -> None:
-        self._rest.append(data)
-        self._rest_size += len(data)
+        if data:
+            self._rest.append(data)
+            self._rest_size += len(data)
 
     def head(self) -> bytes | None:
         """The head without its end, or None while it is not complete."""
