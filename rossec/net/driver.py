@@ -78,21 +78,28 @@ class Driver(Generic[PeerT]):
         except ChannelError as error:
             self.fail(error)
             return
-        self.flush()
+        if self.authenticated or not events:
+            self.flush()
         for event in events:
             if isinstance(event, UnitReceived):
                 self._deliver(event.data)
             elif isinstance(event, Authenticated):
-                self.authenticated = True
-                self._on_authenticated(self, event.identity)
-                self._arm()
+                self._introduce(event.identity)
             else:
+                self.flush()
                 self._end(ChannelClosed("the peer closed the connection"))
                 self.transport.finish()  # both sides have said their last word
         if self._units:
             self._tell()
             if self._unread > _PAUSE_ABOVE and self.error is None:
                 self.transport.pause_reading()
+
+    def _introduce(self, peer: PeerT) -> None:
+        """Wake whoever waits for the peer; what it says at once travels with the last flight."""
+        self.authenticated = True
+        self._on_authenticated(self, peer)
+        self._loop.call_soon(self.flush)
+        self._arm()
 
     def _deliver(self, unit: bytes) -> None:
         """Pass the unit on at once if somebody pours; keep it otherwise."""

@@ -33,6 +33,7 @@ from rossec.net.halfopen import source_of
 from rossec.net.server import bind
 from rossec.net.stream import HalfOpen, SecureServer, SecureStream, connect, serve
 from rossec.net.tasks import TaskSet
+from rossec.net.transport import Transport
 from tests.support.wire import ALICE, BOB, STRANGER, FakeIdentity, trust
 
 Stream = SecureStream[FakeIdentity]
@@ -112,6 +113,37 @@ async def test_small_units_queued_together_arrive_together(
         stream.send_nowait(b"first ")
         await stream.send(b"second")
         assert await stream.receive() == b"first second"
+
+
+async def test_what_is_said_at_once_travels_with_the_last_flight(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    written: dict[Transport, list[bool]] = {}
+    write = Transport.write
+
+    def note(self: Transport, data: bytes) -> None:
+        written.setdefault(self, []).append(len(data) > 1000)
+        write(self, data)
+
+    monkeypatch.setattr(Transport, "write", note)
+    async with await serve(echo, "127.0.0.1", 0, BOB, live) as server:
+        stream = await call(server)
+        await stream.send(b"x" * 1000)
+        assert await stream.receive() == b"x" * 1000
+        stream.abort("done")
+    assert list(written.values()) == [[False, True], [False, True]]
+
+
+async def test_who_says_nothing_still_finishes_the_handshake() -> None:
+    async with await serve(greet, "127.0.0.1", 0, BOB, live) as server:
+        stream = await call(server)
+        assert await stream.receive() == b"welcome"
+        stream.abort("done")
+
+
+async def greet(stream: Stream) -> None:
+    await stream.send(b"welcome")
+    await stream.wait_ended()
 
 
 async def test_a_burst_is_joined_after_its_first_unit(
