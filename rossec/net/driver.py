@@ -9,6 +9,7 @@ import socket
 import time
 from collections import deque
 from collections.abc import Awaitable, Callable
+from copy import copy
 from typing import Final, Generic, NoReturn
 
 from rossec.channel.connection import Connection
@@ -141,6 +142,7 @@ class Driver(Generic[PeerT]):
             self._end(ChannelClosed("the connection is closed"))
         self._lost = True
         self._wake()
+        del self._on_authenticated, self._on_end  # they hold whoever holds this
 
     # -- called by the stream
 
@@ -171,8 +173,15 @@ class Driver(Generic[PeerT]):
         if not self.transport.writable:
             while self.transport.backlog > 0 and self.error is None:
                 await self._change()
+        self.check()
+
+    def check(self) -> None:
+        """Raise what ended the connection, if something did.
+
+        A copy: with its traceback the one kept here would keep alive whatever it was raised in.
+        """
         if self.error is not None:
-            raise self.error
+            raise copy(self.error)
 
     def write(self, record: Bytes) -> None:
         """Write a record the core has just sealed.
@@ -180,8 +189,7 @@ class Driver(Generic[PeerT]):
         Raises:
             ChannelError: the connection has ended.
         """
-        if self.error is not None:
-            raise self.error
+        self.check()
         self.transport.write(record)
 
     def flush(self) -> None:
@@ -212,8 +220,7 @@ class Driver(Generic[PeerT]):
             ChannelError: there will be none.
         """
         if self._units is None:
-            if self.error is not None:
-                raise self.error
+            self.check()
             return None
         unit = self._units.popleft()
         if not self._units:
@@ -245,8 +252,7 @@ class Driver(Generic[PeerT]):
                 while self._units:
                     push(await self.receive())
                     await drain()
-                if self.error is not None:
-                    raise self.error
+                self.check()
                 self.transport.resume_reading()
                 self._push = push
                 while self._is_pouring():

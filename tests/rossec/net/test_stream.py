@@ -3,8 +3,10 @@
 import asyncio
 import contextlib
 import errno
+import gc
 import logging
 import socket
+import weakref
 from collections.abc import AsyncIterator
 
 import pytest
@@ -144,6 +146,32 @@ async def test_who_says_nothing_still_finishes_the_handshake() -> None:
 async def greet(stream: Stream) -> None:
     await stream.send(b"welcome")
     await stream.wait_ended()
+
+
+async def test_a_connection_that_ended_holds_nothing() -> None:
+    ended: list[weakref.ref[object]] = []
+
+    async def serving(stream: Stream) -> None:
+        ended.append(weakref.ref(stream._driver))
+        await echo(stream)
+
+    async with await serve(serving, "127.0.0.1", 0, BOB, live) as server:
+        gc.collect()
+        gc.disable()  # or it might do the work
+        try:
+            stream = await call(server)
+            ended.append(weakref.ref(stream._driver))
+            await stream.send(b"x")
+            await stream.receive()
+            await stream.close()
+            with pytest.raises(ChannelClosed):
+                await stream.receive()
+            del stream
+            while any(each() is not None for each in ended):  # noqa: ASYNC110 - nobody tells
+                await asyncio.sleep(0.001)
+        finally:
+            gc.enable()
+    assert len(ended) == 2
 
 
 async def test_a_burst_is_joined_after_its_first_unit(
