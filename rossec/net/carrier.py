@@ -11,6 +11,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from copy import copy
 from threading import Lock
 from typing import Any, Final, Generic
 
@@ -140,7 +141,7 @@ class Carrier(SocketOptions, Generic[PeerT]):
 
     def _raise_if_over(self) -> None:
         if self._error is not None:
-            raise self._error
+            raise copy(self._error)  # with its traceback it would hold whatever it was raised in
 
     # -- sending
 
