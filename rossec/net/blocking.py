@@ -65,7 +65,7 @@ class SecureSocket(Carrier[PeerT]):
             ChannelError: the handshake failed.
         """
         sock = socket.create_connection(address, timeout)
-        core = Connection[PeerT].initiator(
+        core = Connection.initiator(
             credentials, verify, random=secrets.token_bytes, now=int(time.time()), **options
         )
         secure = SecureSocket(sock, core)

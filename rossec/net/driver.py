@@ -165,7 +165,7 @@ class Driver(Generic[PeerT]):
         """
         if not self.transport.writable:
             while self.transport.backlog > 0 and self.error is None:
-                await self._wait()
+                await self._change()
         if self.error is not None:
             raise self.error
 
@@ -192,7 +192,7 @@ class Driver(Generic[PeerT]):
             ChannelError: there will be none.
         """
         while (unit := self.take()) is None:
-            await self._wait()
+            await self._change()
         return unit
 
     @property
@@ -245,7 +245,7 @@ class Driver(Generic[PeerT]):
                 self.transport.resume_reading()
                 self._push = push
                 while self._is_pouring():
-                    await self._wait()
+                    await self._change()
                 if self._push_failed is not None:
                     raise self._push_failed
                 await drain()
@@ -255,11 +255,11 @@ class Driver(Generic[PeerT]):
     def _is_pouring(self) -> bool:
         return self._push is not None and self.error is None
 
-    async def _wait(self) -> None:
-        """Wait for anything to happen; the caller looks whether it was for it."""
+    def _change(self) -> asyncio.Future[None]:
+        """What to await until anything happens; the caller looks whether it was for it."""
         waiter = self._loop.create_future()
         self._waiting.append(waiter)
-        await waiter
+        return waiter
 
     def _wake(self) -> None:
         waiting, self._waiting = self._waiting, []
@@ -272,14 +272,14 @@ class Driver(Generic[PeerT]):
         if self.error is None:
             self.connection.close()
             self.flush()
-            self._end(ChannelClosed("the connection was closed"))
+            self._end(ChannelClosed("the connection was closed"), linger=True)
         while not self._lost:
-            await self._wait()
+            await self._change()
 
     async def wait_ended(self) -> None:
         """Return when the connection is at its end."""
         while self.error is None:
-            await self._wait()
+            await self._change()
 
     def abort(self, error: ChannelError) -> None:
         """Cut the connection; the peer sees a truncation."""
@@ -289,14 +289,15 @@ class Driver(Generic[PeerT]):
     def fail(self, error: ChannelError) -> None:
         """End the connection after the core's last flight, if it has one."""
         self.flush()
-        self._end(error)
+        self._end(error, linger=True)
 
-    def _end(self, error: ChannelError) -> None:
+    def _end(self, error: ChannelError, *, linger: bool = False) -> None:
         """The one place where a connection ends for its users."""
         if self.error is not None:
             return
         self.error = error
-        self._linger()
+        if linger:
+            self._linger()
         self._on_end(self, error)
         self._tell()
 

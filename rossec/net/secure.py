@@ -183,8 +183,12 @@ class SecureStream(Generic[PeerT]):
         if driver.error is not None:
             raise driver.error
         self._flush_queue()
-        for record in driver.connection.seal_unit(data, reuse=True):
-            driver.write(record)
+        small = driver.connection.seal_small(data)
+        if small is not None:
+            driver.write(small)
+        else:
+            for record in driver.connection.seal_unit(data, reuse=True):
+                driver.write(record)
         return driver.writable
 
     async def drain(self) -> None:

@@ -15,15 +15,17 @@ from ca.certificates import Identity
 from ca.errors import HintedError, RevocationsStale
 from rossec.channel.opening import Flavour
 from rossec.errors import CallRefused, HangUp
+from rossec.net import peeruid
 from rossec.net.rpc import serve_calls
 from rossec.net.server import SecureServer
 from rossec.net.stream import SecureStream
 from rossec.net.tasks import TaskSet
 from rossec.node.guests import Guests
 from rossec.node.questions import MASTER
+from rossec.node.topicguard import FilterKey
 from rossec.ros import header
 from rossec.sidecar import headers, pump, slavecalls
-from rossec.sidecar.addresses import Endpoint
+from rossec.sidecar.addresses import LOOPBACK, Endpoint
 from rossec.sidecar.doorways import Doorways
 from rossec.sidecar.headers import Joined
 from rossec.sidecar.layers import Tenant
@@ -57,7 +59,7 @@ class Exports:
         network: Network,
         links: Links,
         guests: Guests,
-        filter_key: Callable[[str], bytes],
+        filter_key: FilterKey,
         news: News,
     ) -> None:
         self._house = house
@@ -68,7 +70,7 @@ class Exports:
         self._news = news
         self._tasks = TaskSet()
         self._guests = guests
-        self.doorways = Doorways(self._close_door)
+        self.doorways = Doorways(self._close_door, _is_dead)
 
     def open(self, local: Endpoint) -> int:
         """The port outside for `local`."""
@@ -187,3 +189,7 @@ class Exports:
                 _log.warning("%s sends data where it subscribes", stream.peer.name)
             else:
                 await pump.publish(program, stream, joined.guard, first)
+
+
+def _is_dead(local: Endpoint) -> bool:
+    return not peeruid.listeners((LOOPBACK, local.port))

@@ -52,6 +52,11 @@ class Rule:
     undoes: str | None = None
 
     @property
+    def place(self) -> int:
+        """Where a registration says its address: a service's own, else the slave API."""
+        return next(index for index in (self.service, self.api) if index is not None)
+
+    @property
     def registers(self) -> bool:
         """Whether others will know the program by this name and address."""
         return self.api is not None and self.undoes is None
@@ -160,7 +165,9 @@ def _outward(
     own = _own(rule, params)
     if own is not None and rule.registers:
         tenant.doors.spell(own, str(params[rule.api or 0]))
-        tenant.programs.setdefault(own, Program(caller)).name = caller
+        known = tenant.programs.get(own)
+        if known is None or known.name != caller:  # a dead one's port may be another's now
+            tenant.programs[own] = Program(caller)
     return tuple(changed)
 
 
@@ -189,13 +196,19 @@ def _remember(
     key = str(outside[rule.key]) if rule.key is not None else ""
     own = _own(rule, params)
     if rule.registers and own is not None:
-        tenant.programs.setdefault(own, Program(str(params[0]))).registrations[method, key] = (
-            outside
-        )
+        program = tenant.programs.setdefault(own, Program(str(params[0])))
+        program.registrations[method, key] = outside
     elif rule.undoes is not None:
-        for program in tenant.programs.values():
-            if program.name == params[0]:
-                program.registrations.pop((rule.undoes, key), None)
+        _forget(tenant, rule, rule.undoes, key, outside)
+
+
+def _forget(tenant: Tenant, rule: Rule, undone: str, key: str, outside: tuple[object, ...]) -> None:
+    """The address says whose registration it was: a successor of the same name keeps its own."""
+    place, made_at = rule.place, RULES[undone].place
+    for program in tenant.programs.values():
+        made = program.registrations.get((undone, key))
+        if made is not None and len(outside) > place and made[made_at] == outside[place]:
+            del program.registrations[undone, key]
 
 
 def _inward(

@@ -10,7 +10,7 @@ from ca.certificates import Identity
 from ca.encoding import Value, encode
 from grants.model import Right
 from rossec.channel.opening import Flavour
-from rossec.errors import ChannelClosed
+from rossec.errors import ChannelClosed, ChannelError
 from rossec.net.dial import dial
 from rossec.net.rpc import CallFailed, RpcClient, serve_calls
 from rossec.net.stream import SecureStream, connect, serve
@@ -23,6 +23,7 @@ from rossec.sidecar.pump import split_header
 from rossec.sidecar.server import Sidecar
 from tests.rossec.sidecar.program import Program, sidecar
 from tests.support.site import Site
+from tests.support.witness import until
 
 PLAIN = ["TCPROS", "127.0.0.1", 9]
 """Where the peer would like to be met without the channel."""
@@ -112,3 +113,33 @@ async def test_no_peer_names_a_place_outside_the_channel(
             heard = await program.fetch("requestTopic", "/robot", "/lies", [["TCPROS"]])
         assert b"TCPROS" not in heard
         await program.close()
+
+
+async def test_a_revoked_peer_is_not_asked_over_an_old_connection(
+    site: Site, near: Sidecar
+) -> None:
+    async with liar(site, [1, "", 4711]) as uri, Program("/robot", near) as robot:
+        uris = await robot.register("registerSubscriber", "/lies", "std_msgs/String")
+        assert isinstance(uris, list)
+        program = RpcClient(PlainStream(await dial(*parse_uri(str(uris[0])), 10)))
+        assert await program.call("getPid", "/robot") == [1, "", 4711]
+        agent = near._agent_for("/robot")
+        data = site.revoke(site.identity("/mallory").thumbprint)
+        await agent._membership._session.call("rossec.updateRevocations", data)
+        await until(lambda: agent._membership._revocations.data == data)
+        with pytest.raises((CallFailed, ChannelClosed)):
+            await program.call("getPid", "/robot")
+        assert uri
+        await program.close()
+
+
+async def test_no_peer_makes_the_sidecar_keep_more_than_a_call(site: Site, near: Sidecar) -> None:
+    """A unit is put together before anybody looks at it."""
+    async with Program("/robot", near) as robot:
+        await robot.register("registerPublisher", "/word", "std_msgs/String")
+        door = next(iter(near._agent_for("/robot")._exports.doorways))
+        stream = await meet(site, door.port, Flavour.HTTP)
+        await stream.send(bytes(3 * 1024 * 1024))
+        with pytest.raises(ChannelError):
+            await stream.receive()
+        stream.abort("done")

@@ -1,6 +1,7 @@
 """What programs ask their master, and what the secured one is asked instead."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
@@ -13,6 +14,7 @@ from rossec.sidecar.events import Answered, Done, Opened, Passed, Silent
 from rossec.sidecar.layers import Unforeseen
 from rossec.sidecar.mastercalls import MULTICALL_LIMIT, RULES, call, restore, resubscribe
 from tests.rossec.sidecar.playbook import HOST, MASTER_URI, Stage, play
+from tests.support.site import Site
 
 OWN = "http://localhost:5000"  # as a program may spell it
 SLAVE = inside(Flavour.HTTP, 5000)
@@ -73,6 +75,56 @@ def test_what_was_registered_is_unregistered_and_forgotten(stage: Stage) -> None
         (AskMaster("unregisterSubscriber", ("/robot", "/scan", OUTSIDE)), OK),
     )
     assert play(restore(stage.tenant)) is None
+
+
+def test_a_successor_keeps_its_registration(stage: Stage) -> None:
+    """The old instance that the master ends says goodbye after the new one has registered."""
+    register(stage)
+    elsewhere = inside(Flavour.HTTP, 5999)
+    play(
+        call(stage.tenant, "unregisterSubscriber", ("/robot", "/scan", elsewhere.uri)),
+        (Export(elsewhere), Opened(7999)),
+        (AskMaster("unregisterSubscriber", ("/robot", "/scan", f"http://{HOST}:7999/")), OK),
+    )
+    params = ("/robot", "/scan", "pkg/Type", OUTSIDE)
+    ask = AskMaster("registerSubscriber", params)
+    assert play(restore(stage.tenant), (ask, Answered([-1, "", []]))) is None
+
+
+def test_a_service_is_forgotten_by_its_own_address(stage: Stage) -> None:
+    outside = f"rosrpc://{HOST}:7001"
+    params = ("/robot", "/say", outside, OUTSIDE)
+    play(
+        call(stage.tenant, "registerService", ("/robot", "/say", SERVICE.uri, OWN)),
+        (Export(SLAVE), Opened(7000)),
+        (Export(SERVICE), Opened(7001)),
+        (AskMaster("registerService", params), OK),
+    )
+    other = inside(Flavour.TCPROS, 5002)
+    play(
+        call(stage.tenant, "unregisterService", ("/robot", "/say", other.uri)),
+        (Export(other), Opened(7002)),
+        (AskMaster("unregisterService", ("/robot", "/say", f"rosrpc://{HOST}:7002")), OK),
+    )
+    play(restore(stage.tenant), (AskMaster("registerService", params), OK))
+    play(
+        call(stage.tenant, "unregisterService", ("/robot", "/say", SERVICE.uri)),
+        (Export(SERVICE), Opened(7001)),
+        (AskMaster("unregisterService", params[:3]), OK),
+    )
+    assert play(restore(stage.tenant)) is None
+
+
+def test_who_takes_a_dead_programs_port_has_none_of_its_registrations(tmp_path: Path) -> None:
+    stage = Stage(Site(tmp_path / "site"), wildcard=True)
+    register(stage)
+    params = ("/robot_2", "/word", "pkg/Type", OUTSIDE)
+    play(
+        call(stage.tenant, "registerPublisher", ("/robot_2", "/word", "pkg/Type", OWN)),
+        (Export(SLAVE), Opened(7000)),
+        (AskMaster("registerPublisher", params), OK),
+    )
+    play(restore(stage.tenant), (AskMaster("registerPublisher", params), OK))
 
 
 def test_a_restarted_master_hears_of_everything_again(stage: Stage) -> None:

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from rossec.errors import RossecError
+from rossec.errors import HangUp, RossecError
 from tests.rossec.sidecar.conversation import Pair, connect, ends, heard
 from tests.rossec.sidecar.program import Program, sidecar, word
 from tests.support.site import Site
@@ -43,3 +43,32 @@ async def test_a_master_that_is_away_is_no_answer(tmp_path: Path) -> None:
         async with Program("/talker", near) as talker:
             with pytest.raises(RossecError):
                 await talker.ask(talker.master_uri, "getPid")
+
+
+async def test_a_master_that_is_revoked_is_not_asked(pair: Pair) -> None:
+    """Nothing is said to it, not even while nobody knows what else is revoked."""
+    await connect(pair)
+    data = pair.site.revoke(pair.site.identity("/master").thumbprint)
+    agent = pair.near._agent_for("/talker")
+    membership = agent._membership
+    membership._revocations.update(data, pair.site.now())
+    with pytest.raises(HangUp, match="revoked"):
+        await agent._dial_master()
+
+
+async def test_who_begins_in_vain_keeps_no_connection(
+    pair: Pair, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A master that does not hold must not be asked later by whoever finds the connection."""
+    agent = pair.near._agent_for("/talker")
+    session = agent._membership._session
+
+    def refused(*_: object) -> None:
+        raise HangUp("it does not hold")
+
+    monkeypatch.setattr(session, "_refresh", refused)
+    for _ in range(2):
+        with pytest.raises(RossecError):
+            await pair.talker.ask(pair.talker.master_uri, "getPid")
+        with pytest.raises(RossecError, match="out of reach"):
+            await session.answer("getPid", "/talker")
