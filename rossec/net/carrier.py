@@ -46,7 +46,7 @@ class Carrier(SocketOptions, Generic[PeerT]):
         self._socket = sock
         self._core = core
         self._on_settled: Callable[[], None] | None = on_settled
-        self._units: deque[memoryview] = deque()
+        self._units: deque[bytes | memoryview] = deque()
         self._error: ChannelError | None = None
         self._ticked = -1
         self._aborted = False
@@ -111,7 +111,7 @@ class Carrier(SocketOptions, Generic[PeerT]):
     def _note(self, events: Sequence[object]) -> None:
         for event in events:
             if isinstance(event, UnitReceived):
-                self._units.append(memoryview(event.data))
+                self._units.append(event.data)
             elif isinstance(event, Authenticated):
                 self.peer = event.identity
                 self._settle()
