@@ -98,8 +98,8 @@ def admit_publisher(
 ) -> Decision:
     """Decide on a publisher from the header it answered with.
 
-    Restrictions are applied to what a publisher sends to somebody. A subscriber applies none to what
-    it has received already, so a right to publish that is restricted is none.
+    Restrictions are applied to what a publisher sends to somebody. A subscriber applies none to
+    what it has received already, so a right to publish that is restricted is none.
 
     Raises:
         CallerMismatch, TopicRefused: another topic or type than asked for, or another name.
