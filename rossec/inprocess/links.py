@@ -15,7 +15,7 @@ PEER_CONNECTIONS: Final = 64  # of one identity: one for each topic and service 
 
 
 class Link:
-    """A connection admitted by `decision`; `guard` treats what goes to the peer, if anything."""
+    """A connection admitted by `decision`; `guard` treats its messages, if anything does."""
 
     def __init__(self, stream: Proven, decision: Decision, guard: Guard | None = None) -> None:
         self.stream = stream

@@ -16,10 +16,9 @@ from rospy.impl.tcpros_pubsub import TCPROSPub, TCPROSSub
 from rospy.impl.tcpros_service import TCPROSServiceClient, TCPService
 
 from ca.errors import HintedError
-from grants import layout
 from grants.decision import Decision
-from grants.errors import DefinitionRefused
-from grants.guard import Guard, needed_keys
+from grants.errors import DefinitionRefused, GrantError
+from grants.guard import Guard
 from grants.model import Right
 from rossec.channel.records import Limits
 from rossec.errors import PlainPeer, TopicRefused
@@ -35,6 +34,7 @@ from rossec.node.messages import MessageType
 from rossec.node.serviceguard import ServiceGuard
 from rossec.node.services import admit_caller, admit_provider, requested_service
 from rossec.node.srvtypes import ServiceType
+from rossec.node.topicguard import guard_for, guard_of
 from rossec.node.topics import Endpoint, admit_publisher, admit_subscriber, requested_topic
 from rossec.ros import header
 from rossec.ros.header import FrameReader
@@ -96,7 +96,7 @@ class Connections:
             return
         try:
             fields = headers.receive(sock)
-            link = None if sock.is_plain else Link(sock, self._admit_server(protocol, fields, sock))
+            link = None if sock.is_plain else self._admit_server(protocol, fields, sock)
         except HintedError as error:
             raise self._refused(protocol, error, sock) from error
         transport._validate_header(headers.for_rospy(fields))  # noqa: SLF001 - rospy's own
@@ -104,17 +104,17 @@ class Connections:
             self._process.watch(sock, link)
         self._process.reporter.forget(_what(protocol))
 
-    def _admit_server(self, protocol: Any, fields: dict[str, bytes], sock: RosSocket) -> Decision:
+    def _admit_server(self, protocol: Any, fields: dict[str, bytes], sock: RosSocket) -> Link:
         access, peer, name = self._member.access, sock.peer, protocol.resolved_name
         if isinstance(protocol, TCPROSServiceClient):
             decision = admit_provider(fields, peer, name, access, now())
             if decision.restrictions:
                 guard = self._service_guard(protocol.service_class, decision)
                 sock.exchange = ClientExchange(guard, now)
-            return decision
-        kind = protocol.recv_data_class
-        endpoint = Endpoint(name, MessageType(kind._type, kind._md5sum, kind._full_text))  # noqa: SLF001 - rospy's
-        return admit_publisher(fields, peer, endpoint.expected, access, now())
+            return Link(sock, decision)
+        endpoint = Endpoint(name, _described(protocol.recv_data_class))
+        decision = admit_publisher(fields, peer, endpoint.expected, access, now())
+        return Link(sock, decision, guard_of(fields, decision, self._member.home.filter_key))
 
     def _refused(self, protocol: Any, error: HintedError, sock: RosSocket) -> TransportInitError:
         if not sock.left:
@@ -223,14 +223,9 @@ class Connections:
             raise TopicRefused(f"{self._member.name} does not publish {topic}")
         if not decision.restrictions:
             return None
-        kind = published.data_class
-        shape = layout.parse(kind._type, kind._full_text)  # noqa: SLF001 - rospy's own
-        if shape.md5 != kind._md5sum:  # noqa: SLF001 - rospy's
-            raise DefinitionRefused(f"the definition of {kind._type} is not that of its messages")  # noqa: SLF001 - rospy's
-        keys = {
-            name: self._member.home.filter_key(name) for name in needed_keys(decision.restrictions)
-        }
-        return Guard(shape, decision, keys)
+        kind = _described(published.data_class)
+        keys = self._member.home.filter_key
+        return guard_for(kind.name, kind.md5sum, kind.definition, decision, keys)
 
     # -- subscribing
 
@@ -265,8 +260,7 @@ class Connections:
             if not conn.done and not rospy.is_shutdown():
                 self._process.reporter.warn(f"lost {conn.name} from {uri}", error)
 
-    @staticmethod
-    def _receive(conn: Any, callback: Callable[..., None]) -> None:
+    def _receive(self, conn: Any, callback: Callable[..., None]) -> None:
         """Messages until the connection ends; as `TCPROSTransport.receive_loop`."""
         sock, protocol = conn.socket, conn.protocol
         if sock is None or protocol is None:
@@ -278,8 +272,9 @@ class Connections:
             if not unit:
                 return
             conn.stat_bytes += len(unit)
-            messages = [make().deserialize(data) for data in frames.feed(unit)[-keep:]]
-            del unit  # its memory is used for the next one
+            arrived = self._believed(sock.link, frames.feed(unit))
+            messages = [make().deserialize(data) for data in arrived[-keep:]]
+            del unit, arrived  # their memory is used for the next one
             if not messages:
                 continue
             conn.stat_num_msg += len(messages)
@@ -288,6 +283,20 @@ class Connections:
             if conn.is_latched:
                 conn.latch = messages[-1]
             callback(_until_cut(messages, sock), conn)
+
+    def _believed(self, link: Link | PlainLink | None, messages: list[bytes]) -> list[bytes]:
+        """What the publisher may say, if its right is restricted."""
+        if link is None or link.guard is None:
+            return messages
+        believed = []
+        for message in messages:
+            try:
+                treated = link.guard(message, now())
+            except GrantError as error:
+                self._process.reporter.warn(f"withheld a message on {link.decision.name}", error)
+            else:
+                believed += [] if treated is None else [b"".join(treated)]
+        return believed
 
     @staticmethod
     def _hang_up(conn: Any) -> None:
@@ -309,6 +318,10 @@ class Connections:
 def _until_cut(messages: list[Any], sock: RosSocket) -> Iterator[Any]:
     """The messages of a batch, while the right to them lasts: callbacks take their time."""
     return (message for message in messages if not sock.ended)
+
+
+def _described(kind: Any) -> MessageType:
+    return MessageType(kind._type, kind._md5sum, kind._full_text)  # noqa: SLF001 - rospy's own
 
 
 def _what(protocol: Any) -> str:

@@ -77,7 +77,9 @@ class Agent:
             self, self.tenant, self._network, self._links, guests, home.filter_key,
             self._membership.revocations_arrived,
         )  # fmt: skip
-        self._imports = Imports(self, self.tenant, self._links, self._membership.topic_ended)
+        self._imports = Imports(
+            self, self.tenant, self._links, home.filter_key, self._membership.topic_ended
+        )
         self._kept = Kept()
         self._watching = TaskSet(self._blind)
         self._is_blind = False
@@ -136,6 +138,10 @@ class Agent:
         """Connect to a peer whose identity holds."""
         return await self._network.dial(remote)
 
+    def check(self, peer: Identity) -> None:
+        """Return if the identity of `peer` holds still."""
+        self.tenant.access.check_peer(peer, int(time.time()))
+
     async def ask_master(self, method: str, params: tuple[object, ...]) -> object:
         """The master's answer."""
         return await self._membership.answer(method, params)
@@ -160,7 +166,7 @@ class Agent:
 
     async def _dial_master(self) -> SecureStream[Identity]:
         host, port = self._outside.master_host, self._outside.master_port
-        return await self._network.connect(Endpoint(Flavour.HTTP, host, port))
+        return await self._network.dial(Endpoint(Flavour.HTTP, host, port), news=True)
 
     def _blind(self, _: BaseException) -> None:
         """The watch has died: what it would no longer cut must not go on."""

@@ -249,6 +249,6 @@ async def test_a_failing_guard_closes_the_connection(
         await robot.register("registerPublisher", "/word", "std_msgs/String")
         uris = await ear.register("registerSubscriber", "/word", "std_msgs/String")
         assert isinstance(uris, list)
-        monkeypatch.setattr(headers, "_guard", crash)
+        monkeypatch.setattr(headers, "guard_of", crash)
         with pytest.raises(Exception, match=r"closed|reset"):
             await ear.subscribe(uris[0], "/word")
