@@ -225,6 +225,17 @@ def test_who_came_over_a_router_is_not_heard() -> None:
 # --- whom a home trusts
 
 
+def test_a_damaged_authority_is_named_by_its_file(tmp_path: Path) -> None:
+    site = Site(tmp_path / "site")
+    site.enroll("/robot")
+    file = site.enroll("/odd").path / "ca.pem"
+    for damaged in (b"garbage", 2 * file.read_bytes()):
+        file.write_bytes(damaged)
+        with pytest.raises(ConfigurationError, match=r"nodes/odd/ca\.pem: ") as refused:
+            choose.trusted(site.root, None)
+        assert "anew" in refused.value.hint
+
+
 def test_whose_master_is_looked_for(home: Site, elsewhere: Site, tmp_path: Path) -> None:
     assert choose.trusted(home.root, None)[0].thumbprint == home.anchor.thumbprint
     assert choose.trusted(home.root, "/robot")[1] == frozenset()
