@@ -11,8 +11,9 @@ import logging
 import os
 import secrets
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
+from itertools import islice
 from typing import Final, Protocol
 
 from ca.errors import HintedError
@@ -57,6 +58,7 @@ from rossec.ros.xmlrpc import Fault
 
 DEFAULT_NAME: Final = "/master"
 TIMESTAMP_EVERY: Final = 10.0  # seconds; a timestamp holds for 30
+AT_ONCE: Final = 1024  # steps of judging before the next call is answered; more follow after it
 _LIMITS: Final = Limits()
 PEER_CONNECTIONS: Final = _LIMITS.connections_per_identity
 
@@ -315,7 +317,9 @@ class MasterServer:
                 self._tell(node, "shutdown", f"[{node.name}] Reason: {reason}")
             case RevocationsChanged(by):
                 _audit.info("%s brought revocation list %d", by, self._standing.number)
-                self._cut_revoked()
+                for _ in islice(self._enforcing(), AT_ONCE):
+                    pass
+                self._cut_revoked()  # also what it was about to be told
                 self._push_revocations()
                 self._changed.set()
             case Administered(by, what):
@@ -368,15 +372,19 @@ class MasterServer:
 
     async def _enforce(self) -> None:
         """Drop what is no longer allowed, tell those concerned; others are answered meanwhile."""
-        if self._api is None:
-            return
-        below = self._api.parameters.below
-        for step in steps(self._registry):
-            for event in enforce(self._registry, self._standing, step, self._now(), below):
-                self._deliver(event)
+        for _ in self._enforcing():
             self._news.tell(self._registry.version)
             await asyncio.sleep(0)
         self._news.tell()  # what lapsed without a registration may still have been seen
+
+    def _enforcing(self) -> Iterator[None]:
+        """Judge all registrations, some at each step."""
+        if self._api is not None:
+            below = self._api.parameters.below
+            for step in steps(self._registry):
+                for event in enforce(self._registry, self._standing, step, self._now(), below):
+                    self._deliver(event)
+                yield
 
     def _cut_revoked(self) -> None:
         """Cut the connections of revoked identities, and tell them nothing more."""
