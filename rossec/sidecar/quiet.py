@@ -1,6 +1,6 @@
 """The same line again and again tells nobody more: programs try again, and so are refused again.
 
-Nor do hundreds of different ones in a minute, which a peer may cause; errors of ours are always said.
+Nor do hundreds of different ones in a minute, which a peer may cause; errors of ours are said.
 """
 
 import logging
