@@ -7,7 +7,7 @@ is what makes hashing `encode(item)` the same as hashing the received bytes.
 
 from typing import Final, NamedTuple
 
-from ca.encoding import Value, decode_sequence, encode
+from ca.encoding import Value, decode_sequence, encode, head
 from ca.errors import EncodingError
 from rossec.channel.credentials import X5CHAIN, X5CHAIN_HEAD, encode_id_cred
 from rossec.channel.keyschedule import bstr
@@ -20,7 +20,7 @@ MAX_PLAINTEXT_2: Final = 255 * 32  # what HKDF-Expand can pad (RFC 9528 section 
 MAX_SUITES: Final = 16
 MAX_REASON: Final = 200
 
-_LONG_BYTES: Final = b"\x59"
+_HEADS: Final = {b"\x58": 2, b"\x59": 3}  # of byte strings that are not shorter than 24
 _SIGNATURE_HEAD: Final = b"\x58\x40"  # a byte string of 64 bytes
 _NEGATIVE: Final = 0x20  # major type 1
 
@@ -39,8 +39,9 @@ class Message1(NamedTuple):
 
     def encode(self) -> bytes:
         """Encode as a CBOR sequence."""
-        head = encode(self.method) + encode(suites_item(self.suites)) + bstr(self.g_x)
-        return head + encode_identifier(self.c_i)
+        several = len(self.suites) > 1
+        suites = encode(suites_item(self.suites)) if several else _encode_int(self.suites[0])
+        return _encode_int(self.method) + suites + bstr(self.g_x) + encode_identifier(self.c_i)
 
 
 class Plaintext(NamedTuple):
@@ -91,13 +92,9 @@ def decode_bytes(data: bytes) -> bytes:
         HandshakeFailed: anything else.
     """
     body = _body(data)
-    if len(data) <= MAX_MESSAGE and bstr(body) == data:
-        return body
-    match _sequence(data, MAX_MESSAGE):
-        case [bytes() as body]:
-            return body
-        case _:
-            raise HandshakeFailed("a handshake message is not one byte string")
+    if len(data) > MAX_MESSAGE or bstr(body) != data:
+        raise HandshakeFailed("a handshake message is not one byte string")
+    return body
 
 
 def decode_plaintext(data: bytes, *, with_c_r: bool) -> Plaintext:
@@ -125,7 +122,8 @@ def decode_plaintext_4(data: bytes) -> None:
     Raises:
         HandshakeFailed: wrong structure or a critical EAD.
     """
-    _check_ead(_sequence(data, MAX_MESSAGE))
+    if data:
+        _check_ead(_sequence(data, MAX_MESSAGE))
 
 
 def encode_error(code: int, info: Value) -> bytes:
@@ -186,8 +184,12 @@ def _usual_plaintext(data: bytes, start: int) -> Plaintext | None:
 
 
 def _body(item: bytes) -> bytes:
-    """The content of a byte string, if `item` is one of 24 bytes up to 64 KiB; else anything."""
-    return item[3:] if item[:1] == _LONG_BYTES else item[2:]
+    """The content of a byte string, if `item` is one of up to 64 KiB; else anything."""
+    return item[_HEADS.get(item[:1], 1) :]
+
+
+def _encode_int(value: int) -> bytes:
+    return head(0, value) if value >= 0 else head(_NEGATIVE, -1 - value)
 
 
 def _small_int(byte: int) -> int:

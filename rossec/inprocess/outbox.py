@@ -212,11 +212,13 @@ def write_data(transport: Any, data: Pieces) -> bool:
     """As `TCPROSTransport.write_data`: for publishers without a queue, and for services.
 
     Raises:
-        ServiceException: a call over a kept connection that was cut; rospy's own socket takes the
-            request and fails with this when there is no response.
+        ServiceException: a call that a grant does not allow, or over a kept connection that was
+            cut; rospy's own socket takes the request and fails with this when there is no response.
         TransportTerminated: any other connection is at its end.
     """
     calls = isinstance(transport.protocol, TCPROSServiceClient)
+    if isinstance(data, bytes):
+        data = _exchanged(transport, data)
     try:
         write(transport, [data])
     except TransportTerminated as error:
@@ -224,3 +226,20 @@ def write_data(transport: Any, data: Pieces) -> bool:
             raise ServiceException(f"transport error completing service call: {error}") from error
         raise
     return True
+
+
+def _exchanged(transport: Any, data: bytes) -> Pieces:
+    """What of a service's request or response may be sent."""
+    exchange = None if transport.socket is None else transport.socket.exchange
+    if exchange is None:
+        return data
+    try:
+        pieces: Pieces = exchange.outgoing(data)
+    except HintedError as error:
+        if "persistent" in transport.protocol.headers:
+            transport.write_buff.seek(0)  # rospy empties it only after it was sent
+            transport.write_buff.truncate(0)
+        else:
+            transport.close()  # rospy has forgotten it already
+        raise ServiceException(f"rossec: {error}") from error
+    return pieces

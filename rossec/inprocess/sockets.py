@@ -15,10 +15,12 @@ from types import ModuleType
 from typing import Any, Final, Protocol
 
 from ca.certificates import Identity
+from ca.errors import HintedError
 from rossec.channel.connection import Connection
 from rossec.channel.opening import Flavour
 from rossec.channel.records import Bytes, Limits
 from rossec.errors import ChannelClosed, ChannelError, PlainPeer
+from rossec.inprocess.exchange import Exchange
 from rossec.inprocess.links import Link, PlainLink
 from rossec.inprocess.member import Member, now
 from rossec.inprocess.plain import Plain
@@ -30,6 +32,7 @@ CONNECT_TIMEOUT: Final = 10.0
 LIMITS = Limits()
 """When keys are renewed, and what ends a connection."""
 _OUT_OF_THEM: Final = (errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.ENOBUFS)
+_AT_A_TIME: Final = 256 * 1024
 _PUMP_EVERY: Final = 1.0  # seconds
 _REST: Final = 1.0  # seconds, when the host is out of descriptors: callers wait in the kernel
 
@@ -49,7 +52,7 @@ class Doors:
         Raises:
             ChannelError: the handshake failed; the socket is closed.
         """
-        core = Connection[Identity].initiator(
+        core = Connection.initiator(
             self._member.credentials, self._member.anchor.verify,
             random=secrets.token_bytes, now=now(), opening=opening, limits=LIMITS,
             suites=self._member.suites,
@@ -79,7 +82,7 @@ class Doors:
             OSError: it is gone already.
         """
         try:
-            core = Connection[Identity].responder(
+            core = Connection.responder(
                 self._member.credentials, self._member.anchor.verify,
                 random=secrets.token_bytes, now=now(), accept={flavour}, limits=LIMITS,
                 suites=self._member.suites,
@@ -117,6 +120,7 @@ class RosSocket:
         link: what the peer was admitted by; None while it is not admitted.
         ended: it was cut; what had arrived before does not count any more.
         left: this side has closed it; what fails after that is no news.
+        exchange: what the calls of a service pass through.
     """
 
     def __init__(self, owner: Owner, sock: socket.socket, stream: Stream | None = None) -> None:
@@ -126,6 +130,8 @@ class RosSocket:
         self.link: Link | PlainLink | None = None
         self.ended = False
         self.left = False
+        self.exchange: Exchange | None = None
+        self._ready = memoryview(b"")
         self._pump_at = 0.0
 
     @property
@@ -228,7 +234,21 @@ class RosSocket:
     def recv(self, size: int) -> bytes:
         """As of sockets."""
         with _as_of_sockets():
-            return self.stream.recv(size)
+            return self.stream.recv(size) if self.exchange is None else self._exchanged(size)
+
+    def _exchanged(self, size: int) -> bytes:
+        """What of a service's calls the program may read."""
+        assert self.exchange is not None  # noqa: S101 - asked by the caller
+        while not self._ready:
+            data = self.stream.recv(_AT_A_TIME)
+            if not data:
+                return b""
+            ready, reply = self.exchange.incoming(data)
+            self._ready = memoryview(ready)
+            if reply:
+                self.send_unit(*reply)
+        part, self._ready = self._ready[:size], self._ready[size:]
+        return bytes(part)
 
     def recv_into(self, buffer: bytearray | memoryview, size: int = 0) -> int:
         """As of sockets."""
@@ -252,10 +272,11 @@ class RosSocket:
             ChannelError, OSError: as of `SecureSocket`.
         """
         stream = self.stream
-        if self._pump_is_due(stream):
+        if time.monotonic() >= self._pump_at:
             stream.pump()
             self._pump_at = time.monotonic() + _PUMP_EVERY
         stream.sendall(*pieces)
+        self._hurry(stream)
 
     def send_now(self, data: bytes) -> bool:
         """Send a small unit where this needs no waiting; False: nothing has happened.
@@ -264,9 +285,11 @@ class RosSocket:
             ChannelError: the connection is at its end.
         """
         stream = self._stream
-        if not isinstance(stream, SecureSocket) or self._pump_is_due(stream):
+        if time.monotonic() >= self._pump_at or not isinstance(stream, SecureSocket):
             return False
-        return stream.send_now(data)
+        sent = stream.send_now(data)
+        self._hurry(stream)
+        return sent
 
     @property
     def unsent(self) -> bool:
@@ -278,9 +301,12 @@ class RosSocket:
         if isinstance(self._stream, SecureSocket):
             with suppress(ChannelError, OSError):
                 self._stream.tend()
+                self._hurry(self._stream)
 
-    def _pump_is_due(self, stream: Stream | PlainStream) -> bool:
-        return stream.awaits_peer or time.monotonic() >= self._pump_at
+    def _hurry(self, stream: Stream | PlainStream) -> None:
+        """Look for the peer's answer to a renewal before the next message."""
+        if stream.awaits_peer:
+            self._pump_at = 0.0
 
     # -- options and ends
 
@@ -347,7 +373,7 @@ def _as_of_sockets() -> Iterator[None]:
     """rospy knows the errors of sockets."""
     try:
         yield
-    except ChannelError as error:
+    except HintedError as error:
         raise ConnectionResetError(errno.ECONNRESET, f"rossec: {error}") from error
 
 

@@ -6,6 +6,7 @@ the other, follows from rospy's protocol class.
 
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any, Final
 
 import rospy
@@ -16,12 +17,13 @@ from rospy.impl.tcpros_service import TCPROSServiceClient, TCPService
 
 from ca.errors import HintedError
 from grants.decision import Decision
-from grants.errors import GrantError
+from grants.errors import DefinitionRefused, GrantError
 from grants.guard import Guard
 from grants.model import Right
 from rossec.channel.records import Limits
 from rossec.errors import PlainPeer, TopicRefused
 from rossec.inprocess import headers
+from rossec.inprocess.exchange import ClientExchange, ServerExchange
 from rossec.inprocess.links import Link, PlainLink
 from rossec.inprocess.member import Member, now
 from rossec.inprocess.plainsocket import plain_fields
@@ -29,7 +31,9 @@ from rossec.inprocess.process import Process
 from rossec.inprocess.sockets import RosSocket
 from rossec.node.access import FIELD
 from rossec.node.messages import MessageType
+from rossec.node.serviceguard import ServiceGuard
 from rossec.node.services import admit_caller, admit_provider, requested_service
+from rossec.node.srvtypes import ServiceType
 from rossec.node.topicguard import guard_for, guard_of
 from rossec.node.topics import Endpoint, admit_publisher, admit_subscriber, requested_topic
 from rossec.ros import header
@@ -104,7 +108,9 @@ class Connections:
         access, peer, name = self._member.access, sock.peer, protocol.resolved_name
         if isinstance(protocol, TCPROSServiceClient):
             decision = admit_provider(fields, peer, name, access, now())
-            decision.require_unrestricted()
+            if decision.restrictions:
+                guard = self._service_guard(protocol.service_class, decision)
+                sock.exchange = ClientExchange(guard, now)
             return Link(sock, decision)
         endpoint = Endpoint(name, _described(protocol.recv_data_class))
         decision = admit_publisher(fields, peer, endpoint.expected, access, now())
@@ -149,6 +155,7 @@ class Connections:
         if not name or not self._process.may_be_plain(name, where[0]):
             return False
         sock.go_plain()
+        self._process.links.admit_plain(sock, where[0])
         headers.receive(sock)
         sock.link = PlainLink()
         handler = getattr(server, f"{kind}_connection_handler")
@@ -163,10 +170,9 @@ class Connections:
         access = self._member.access
         if "service" in fields:
             decision = admit_caller(fields, sock.peer, access, now())
-            decision.require_unrestricted()
             sock.link = Link(sock, decision)
+            sock.exchange = self._server_exchange(requested_service(fields), sock, sock.link)
             handler = server.service_connection_handler
-            self._check_service(requested_service(fields))
         else:
             decision = admit_subscriber(fields, sock.peer, access, now())
             sock.link = Link(sock, decision, self._guard(requested_topic(fields), decision))
@@ -176,9 +182,34 @@ class Connections:
         if refusal:
             raise TopicRefused(str(refusal), "both sides need the same version of the package")
 
-    def _check_service(self, service: str) -> None:
-        if rospy.impl.registration.get_service_manager().get_service(service) is None:
+    def _server_exchange(self, service: str, sock: RosSocket, link: Link) -> ServerExchange:
+        """What the calls of this caller pass through.
+
+        Raises:
+            TopicRefused: the service is not provided here.
+            GrantError: the restrictions do not fit its type.
+        """
+        provided = rospy.impl.registration.get_service_manager().get_service(service)
+        if provided is None:
             raise TopicRefused(f"{self._member.name} does not provide {service}")
+        guard = None
+        if link.decision.restrictions:
+            guard = self._service_guard(provided.service_class, link.decision)
+
+        def refused(error: HintedError) -> None:
+            self._process.reporter.warn(f"{service}: refused {sock.peer.name}", error)
+
+        return ServerExchange(partial(self._member.why_cut, link), guard, refused, now)
+
+    def _service_guard(self, kind: Any, decision: Decision) -> ServiceGuard:
+        request, response = (
+            MessageType(part._type, part._md5sum, part._full_text)  # noqa: SLF001 - rospy's
+            for part in (kind._request_class, kind._response_class)  # noqa: SLF001 - rospy's
+        )
+        both = ServiceType(kind._type, request, response)  # noqa: SLF001 - rospy's
+        if both.md5sum != kind._md5sum:  # noqa: SLF001 - rospy's
+            raise DefinitionRefused(f"the definition of {kind._type} is not that of its messages")  # noqa: SLF001 - rospy's
+        return ServiceGuard(both, decision, self._member.home.filter_key)
 
     def _guard(self, topic: str, decision: Decision) -> Guard | None:
         """What `decision` means for the messages of this topic; None: they pass as they are.
@@ -284,13 +315,13 @@ class Connections:
         return self._process.registrations.is_publisher(topic, uri)
 
 
-def _described(kind: Any) -> MessageType:
-    return MessageType(kind._type, kind._md5sum, kind._full_text)  # noqa: SLF001 - rospy's own
-
-
 def _until_cut(messages: list[Any], sock: RosSocket) -> Iterator[Any]:
     """The messages of a batch, while the right to them lasts: callbacks take their time."""
     return (message for message in messages if not sock.ended)
+
+
+def _described(kind: Any) -> MessageType:
+    return MessageType(kind._type, kind._md5sum, kind._full_text)  # noqa: SLF001 - rospy's own
 
 
 def _what(protocol: Any) -> str:

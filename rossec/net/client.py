@@ -55,7 +55,7 @@ async def connect(
     """
 
     def core(*, brief: bool) -> Connection[PeerT]:
-        return Connection[PeerT].initiator(
+        return Connection.initiator(
             credentials,
             verify,
             random=secrets.token_bytes,

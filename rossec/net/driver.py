@@ -9,6 +9,7 @@ import socket
 import time
 from collections import deque
 from collections.abc import Awaitable, Callable
+from copy import copy
 from typing import Final, Generic, NoReturn
 
 from rossec.channel.connection import Connection
@@ -80,21 +81,28 @@ class Driver(Generic[PeerT]):
         except ChannelError as error:
             self.fail(error)
             return
-        self.flush()
+        if self.authenticated or not events:
+            self.flush()
         for event in events:
             if isinstance(event, UnitReceived):
                 self._deliver(event.data)
             elif isinstance(event, Authenticated):
-                self.authenticated = True
-                self._on_authenticated(self, event.identity)
-                self._arm()
+                self._introduce(event.identity)
             else:
+                self.flush()
                 self._end(ChannelClosed("the peer closed the connection"))
                 self.transport.finish()  # both sides have said their last word
         if self._units:
             self._tell()
             if self._unread > _PAUSE_ABOVE and self.error is None:
                 self.transport.pause_reading()
+
+    def _introduce(self, peer: PeerT) -> None:
+        """Wake whoever waits for the peer; what it says at once travels with the last flight."""
+        self.authenticated = True
+        self._on_authenticated(self, peer)
+        self._loop.call_soon(self.flush)
+        self._arm()
 
     def _deliver(self, unit: bytes) -> None:
         """Pass the unit on at once if somebody pours; keep it otherwise."""
@@ -136,6 +144,7 @@ class Driver(Generic[PeerT]):
             self._end(ChannelClosed("the connection is closed"))
         self._lost = True
         self._wake()
+        del self._on_authenticated, self._on_end  # they hold whoever holds this
 
     # -- called by the stream
 
@@ -165,9 +174,16 @@ class Driver(Generic[PeerT]):
         """
         if not self.transport.writable:
             while self.transport.backlog > 0 and self.error is None:
-                await self._wait()
+                await self._change()
+        self.check()
+
+    def check(self) -> None:
+        """Raise what ended the connection, if something did.
+
+        A copy: with its traceback the one kept here would keep alive whatever it was raised in.
+        """
         if self.error is not None:
-            raise self.error
+            raise copy(self.error)
 
     def write(self, record: Bytes) -> None:
         """Write a record the core has just sealed.
@@ -175,8 +191,7 @@ class Driver(Generic[PeerT]):
         Raises:
             ChannelError: the connection has ended.
         """
-        if self.error is not None:
-            raise self.error
+        self.check()
         self.transport.write(record)
 
     def flush(self) -> None:
@@ -192,7 +207,7 @@ class Driver(Generic[PeerT]):
             ChannelError: there will be none.
         """
         while (unit := self.take()) is None:
-            await self._wait()
+            await self._change()
         return unit
 
     @property
@@ -207,8 +222,7 @@ class Driver(Generic[PeerT]):
             ChannelError: there will be none.
         """
         if self._units is None:
-            if self.error is not None:
-                raise self.error
+            self.check()
             return None
         unit = self._units.popleft()
         if not self._units:
@@ -240,12 +254,11 @@ class Driver(Generic[PeerT]):
                 while self._units:
                     push(await self.receive())
                     await drain()
-                if self.error is not None:
-                    raise self.error
+                self.check()
                 self.transport.resume_reading()
                 self._push = push
                 while self._is_pouring():
-                    await self._wait()
+                    await self._change()
                 if self._push_failed is not None:
                     raise self._push_failed
                 await drain()
@@ -255,11 +268,11 @@ class Driver(Generic[PeerT]):
     def _is_pouring(self) -> bool:
         return self._push is not None and self.error is None
 
-    async def _wait(self) -> None:
-        """Wait for anything to happen; the caller looks whether it was for it."""
+    def _change(self) -> asyncio.Future[None]:
+        """What to await until anything happens; the caller looks whether it was for it."""
         waiter = self._loop.create_future()
         self._waiting.append(waiter)
-        await waiter
+        return waiter
 
     def _wake(self) -> None:
         waiting, self._waiting = self._waiting, []
@@ -272,14 +285,14 @@ class Driver(Generic[PeerT]):
         if self.error is None:
             self.connection.close()
             self.flush()
-            self._end(ChannelClosed("the connection was closed"))
+            self._end(ChannelClosed("the connection was closed"), linger=True)
         while not self._lost:
-            await self._wait()
+            await self._change()
 
     async def wait_ended(self) -> None:
         """Return when the connection is at its end."""
         while self.error is None:
-            await self._wait()
+            await self._change()
 
     def abort(self, error: ChannelError) -> None:
         """Cut the connection; the peer sees a truncation."""
@@ -289,14 +302,15 @@ class Driver(Generic[PeerT]):
     def fail(self, error: ChannelError) -> None:
         """End the connection after the core's last flight, if it has one."""
         self.flush()
-        self._end(error)
+        self._end(error, linger=True)
 
-    def _end(self, error: ChannelError) -> None:
+    def _end(self, error: ChannelError, *, linger: bool = False) -> None:
         """The one place where a connection ends for its users."""
         if self.error is not None:
             return
         self.error = error
-        self._linger()
+        if linger:
+            self._linger()
         self._on_end(self, error)
         self._tell()
 

@@ -44,7 +44,7 @@ class SecureListener(Generic[PeerT]):
             if self._count.admit(where[0]):
                 break
             sock.close()
-        core = Connection[PeerT].responder(
+        core = Connection.responder(
             self._credentials,
             self._verify,
             random=secrets.token_bytes,

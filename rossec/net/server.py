@@ -232,7 +232,7 @@ def serve_now(
     """
 
     def make_core() -> Connection[PeerT]:
-        return Connection[PeerT].responder(
+        return Connection.responder(
             credentials,
             verify,
             random=secrets.token_bytes,

@@ -10,7 +10,7 @@ from ca.certificates import Identity
 from rossec.net.server import Handler
 from rossec.net.stream import SecureStream
 
-PEER_CONNECTIONS: Final = 64  # of one identity: one for each topic or service it uses here
+PEER_CONNECTIONS: Final = 256  # of one identity, one for each topic or service: rosbag uses all
 
 _log = logging.getLogger("rossec.node")
 

@@ -138,6 +138,10 @@ class Agent:
         """Connect to a peer whose identity holds."""
         return await self._network.dial(remote)
 
+    def check(self, peer: Identity) -> None:
+        """Return if the identity of `peer` holds still."""
+        self.tenant.access.check_peer(peer, int(time.time()))
+
     async def ask_master(self, method: str, params: tuple[object, ...]) -> object:
         """The master's answer."""
         return await self._membership.answer(method, params)
@@ -162,7 +166,7 @@ class Agent:
 
     async def _dial_master(self) -> SecureStream[Identity]:
         host, port = self._outside.master_host, self._outside.master_port
-        return await self._network.connect(Endpoint(Flavour.HTTP, host, port))
+        return await self._network.dial(Endpoint(Flavour.HTTP, host, port), news=True)
 
     def _blind(self, _: BaseException) -> None:
         """The watch has died: what it would no longer cut must not go on."""

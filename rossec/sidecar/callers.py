@@ -20,7 +20,7 @@ from rossec.sidecar.addresses import LOOPBACK
 
 _PROC: Final = Path("/proc")
 _RECENT: Final = 8  # processes that called before, looked at first
-_HINT: Final = "start it with `rossec run`"
+_HINT: Final = "start it with `rossec run`; one with capabilities needs `rossec sidecar`"
 
 
 class Callers:

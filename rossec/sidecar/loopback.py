@@ -91,7 +91,8 @@ class LoopbackPort:
         try:
             await self._callers.check(sock)
         except (PeerUserRefused, OSError) as error:
-            _log.warning("refused a program at port %d: %s", self.port, error)
+            hint = error.hint if isinstance(error, PeerUserRefused) else "nobody knows whose it is"
+            _log.warning("refused a program at port %d: %s (%s)", self.port, error, hint)
             sock.close()
             return
         except BaseException:

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from typing import Final, Protocol, assert_never
 
 from ca.certificates import Identity
+from ca.errors import HintedError
 from grants.model import Right
 from rossec.errors import PeerUnreachable, RossecError
 from rossec.net.dial import dial
@@ -89,6 +90,9 @@ class House(Protocol):
     async def dial(self, remote: Endpoint) -> SecureStream[Identity]:
         """Connect to a peer whose identity holds."""
 
+    def check(self, peer: Identity) -> None:
+        """Return if the identity of `peer` holds still. Raises a `HintedError`."""
+
     async def ask_master(self, method: str, params: tuple[object, ...]) -> object:
         """The master's answer."""
 
@@ -157,7 +161,7 @@ class Visit:
                 return await self._answer(question)
         except ConnectionRefusedError as error:
             return Silent(str(error), dead=True)
-        except (RossecError, OSError, TimeoutError) as error:
+        except (HintedError, OSError, TimeoutError) as error:
             return Silent(str(error) or "no answer in time")
 
     async def _answer(self, question: Question) -> Event:
@@ -222,6 +226,7 @@ class Visit:
             self._remote = self._house.kept(remote)
         if self._remote is None or not self._remote.usable:
             self._remote = await self._reach(remote)
+        self._house.check(self._remote.peer)  # it may have been met long ago
         if right is not None and right not in self._remote.shown:
             await self._show(self._remote, right)
         return self._remote.client

@@ -1,6 +1,7 @@
 """Connections of rospy's that only note what they are given."""
 
 import threading
+from io import BytesIO
 from types import SimpleNamespace
 from typing import Any
 
@@ -14,6 +15,7 @@ class Sock:
         self.error: Exception | None = None
         self.at_once = False
         self.unsent = False
+        self.exchange: Any = None
 
     def send_now(self, data: bytes) -> bool:
         if self.at_once:
@@ -36,6 +38,7 @@ def connection(link: object = None) -> Any:
         stat_num_msg=0,
         endpoint_id="/x",
         callback=None,
+        write_buff=BytesIO(),
     )
 
     def close() -> None:

@@ -15,9 +15,9 @@ _PLUGINS: Final = (
 )  # fmt: skip
 
 
-def compiled(directory: Path) -> Path:
-    """The program of `probe.cpp`; `directory` keeps it until its source changes."""
-    return _compiled(_PROBE, directory)
+def compiled(directory: Path, source: Path = _PROBE) -> Path:
+    """The program of `source`; `directory` keeps it until its source changes."""
+    return _compiled(source, directory)
 
 
 def nodelet(directory: Path, package: Path) -> Path:

@@ -3,6 +3,7 @@
 import json
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -61,6 +62,7 @@ def test_sidecar(became: dict[str, Any]) -> None:
 
 def test_mistakes(capsys: pytest.CaptureFixture[str]) -> None:
     assert main.run(["sidecar", "--user", "no-such-user"], {}) == 2
+    assert main.run(["sidecar", "--user", "4294967295"], {}) == 2
     assert main.run(["run", "--as", "robot", "prog"], {}) == 1
     assert main.run(["run"], {}) == 2
     said = capsys.readouterr().err
@@ -125,6 +127,24 @@ def test_ctrl_c_ends_it_without_a_word_while_it_looks_for_a_master(tmp_path: Pat
         assert running.wait(30) == -signal.SIGINT
         assert running.stderr is not None
         assert running.stderr.read() == ""
+
+
+@pytest.mark.parametrize(
+    ("uri", "words"),
+    [
+        ("http://far:11311", ["rossec: error: cannot listen at 127.0.0.1 port", "--port"]),
+        ("http://localhost:{}", ["is the sidecar's own address", "where the secured master is"]),
+    ],
+)
+def test_a_port_that_cannot_be_the_sidecars(tmp_path: Path, uri: str, words: list[str]) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as roscore:
+        port = roscore.getsockname()[1]
+        if "far" not in uri:
+            roscore.close()
+        done = started(["sidecar", "-p", str(port)],
+                       ROSSEC_HOME=str(tmp_path), ROS_MASTER_URI=uri.format(port))  # fmt: skip
+    assert done.returncode == 1
+    assert all(word in done.stderr for word in words), done.stderr
 
 
 def test_a_service_ends_with_a_signal(tmp_path: Path) -> None:

@@ -1,8 +1,10 @@
 """What waits for a connection, with connections that only note it."""
 
+from types import SimpleNamespace
+
 import pytest
 
-from rossec.errors import ChannelClosed
+from rossec.errors import ChannelClosed, ServiceRefused
 from tests.support.rosconnection import connection
 from tests.support.witness import until
 
@@ -124,3 +126,27 @@ async def test_a_full_queue_drops_the_oldest() -> None:
     await until(lambda: b"".join(made.socket.units) == b"145")
     made.close()
     box._thread.join(30)
+
+
+@pytest.mark.parametrize("persistent", [True, False])
+def test_a_call_that_is_not_allowed_is_not_sent(persistent: bool) -> None:
+    service = pytest.importorskip("rospy.service")
+    made = connection()
+    made.protocol = SimpleNamespace(headers={"persistent": "1"} if persistent else {})
+    made.write_buff.write(b"the request")
+
+    def refuse(_: bytes) -> None:
+        raise ServiceRefused("not allowed")
+
+    made.socket.exchange = SimpleNamespace(outgoing=refuse)
+    sock = made.socket
+    with pytest.raises(service.ServiceException, match="rossec: not allowed"):
+        outbox.write_data(made, b"the request")
+    assert sock.units == []
+    assert made.done != persistent
+    if persistent:
+        assert made.write_buff.getvalue() == b"", "else it would go before the next one"
+        made.socket.exchange = SimpleNamespace(outgoing=lambda data: (data[:1], data[1:]))
+        made.protocol = SimpleNamespace(headers={})
+        outbox.write_data(made, b"allowed")
+        assert b"".join(sock.units) == b"allowed"

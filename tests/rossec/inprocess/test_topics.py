@@ -74,7 +74,7 @@ async def test_a_restriction_for_another_type_is_refused(victim: Victim) -> None
         FIELD: encode([grant]),
     }
     answer = await knock(victim.port, own, fields)
-    assert "restrictions that cannot be applied here" in answer.error
+    assert "restricted for messages of type geometry_msgs/PoseStamped" in answer.error
 
 
 async def test_callers_that_break_off_or_talk_nonsense_are_let_go(victim: Victim) -> None:

@@ -417,3 +417,35 @@ async def test_what_is_administered_is_audited(
         "/robot is cut off: the key of /robot is revoked",
         "/admin brought a delegation to renew grants",
     ]
+
+
+async def test_a_long_multicall_keeps_nobody_waiting(world: World) -> None:
+    """What a node may do is looked at anew, too, whenever others had their turn."""
+    eve, other = await world.node("/eve"), await world.node("/other")
+    calls = [
+        {"methodName": "setParam", "params": ["/eve", f"/p{number}", 1]} for number in range(3000)
+    ]
+    asked = asyncio.ensure_future(eve.client.call("system.multicall", calls))
+    await until(lambda: int(world.server.status()["calls"]) > 2)
+    assert isinstance(await other.ask("getPid"), int)
+    assert not asked.done()
+    await other.ask("rossec.updateRevocations", world.site.revoke(eve.grant))
+    answers: Any = await asked
+    codes = [answer[0][0] for answer in answers]
+    made = codes.count(1)
+    assert 0 < made < 3000
+    assert codes == [1] * made + [-1] * (3000 - made)
+    short: Any = await eve.client.call("system.multicall", calls[:2])
+    assert [answer[0][0] for answer in short] == [-1, -1]
+
+
+async def test_a_revoked_identity_does_not_end_its_multicall(world: World) -> None:
+    eve, other = await world.node("/eve"), await world.node("/other")
+    calls = [
+        {"methodName": "setParam", "params": ["/eve", f"/p{number}", 1]} for number in range(3000)
+    ]
+    asked = asyncio.ensure_future(eve.client.call("system.multicall", calls))
+    await until(lambda: int(world.server.status()["calls"]) > 2)
+    await other.ask("rossec.updateRevocations", world.site.revoke(eve.member))
+    await ends(asked)
+    assert not await other.ask("hasParam", "/p2999")

@@ -3,8 +3,10 @@
 import asyncio
 import contextlib
 import errno
+import gc
 import logging
 import socket
+import weakref
 from collections.abc import AsyncIterator
 
 import pytest
@@ -33,6 +35,7 @@ from rossec.net.halfopen import source_of
 from rossec.net.server import bind
 from rossec.net.stream import HalfOpen, SecureServer, SecureStream, connect, serve
 from rossec.net.tasks import TaskSet
+from rossec.net.transport import Transport
 from tests.support.wire import ALICE, BOB, STRANGER, FakeIdentity, trust
 
 Stream = SecureStream[FakeIdentity]
@@ -112,6 +115,63 @@ async def test_small_units_queued_together_arrive_together(
         stream.send_nowait(b"first ")
         await stream.send(b"second")
         assert await stream.receive() == b"first second"
+
+
+async def test_what_is_said_at_once_travels_with_the_last_flight(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    written: dict[Transport, list[bool]] = {}
+    write = Transport.write
+
+    def note(self: Transport, data: bytes) -> None:
+        written.setdefault(self, []).append(len(data) > 1000)
+        write(self, data)
+
+    monkeypatch.setattr(Transport, "write", note)
+    async with await serve(echo, "127.0.0.1", 0, BOB, live) as server:
+        stream = await call(server)
+        await stream.send(b"x" * 1000)
+        assert await stream.receive() == b"x" * 1000
+        stream.abort("done")
+    assert list(written.values()) == [[False, True], [False, True]]
+
+
+async def test_who_says_nothing_still_finishes_the_handshake() -> None:
+    async with await serve(greet, "127.0.0.1", 0, BOB, live) as server:
+        stream = await call(server)
+        assert await stream.receive() == b"welcome"
+        stream.abort("done")
+
+
+async def greet(stream: Stream) -> None:
+    await stream.send(b"welcome")
+    await stream.wait_ended()
+
+
+async def test_a_connection_that_ended_holds_nothing() -> None:
+    ended: list[weakref.ref[object]] = []
+
+    async def serving(stream: Stream) -> None:
+        ended.append(weakref.ref(stream._driver))
+        await echo(stream)
+
+    async with await serve(serving, "127.0.0.1", 0, BOB, live) as server:
+        gc.collect()
+        gc.disable()  # or it might do the work
+        try:
+            stream = await call(server)
+            ended.append(weakref.ref(stream._driver))
+            await stream.send(b"x")
+            await stream.receive()
+            await stream.close()
+            with pytest.raises(ChannelClosed):
+                await stream.receive()
+            del stream
+            while any(each() is not None for each in ended):  # noqa: ASYNC110 - nobody tells
+                await asyncio.sleep(0.001)
+        finally:
+            gc.enable()
+    assert len(ended) == 2
 
 
 async def test_a_burst_is_joined_after_its_first_unit(

@@ -4,7 +4,7 @@ import dataclasses
 
 import pytest
 
-from grants.errors import GrantMissing
+from grants.errors import GrantMissing, RestrictionMismatch
 from grants.model import Restriction, Right, filter_rules
 from rossec.channel.opening import Flavour
 from rossec.errors import CallerMismatch, HangUp, TopicRefused
@@ -167,6 +167,35 @@ def test_a_program_subscribes_with_its_grants(stage: Stage, shown: Fields) -> No
             play(reach_peer(viewer.tenant, PEER, everything, no_key, now), (meet, event))
 
 
+@pytest.mark.parametrize("both", [{"topic": b"/secret"}, {"topic": b""}])
+def test_a_header_is_for_a_topic_or_for_a_service(stage: Stage, both: Fields) -> None:
+    """A right to call must not read a topic: stock programs look for the topic first."""
+    stage.site.grant("/viewer", Right.CALL, "/say")
+    shown = SERVICE | proof(stage, "/viewer", Right.CALL, "/say")
+    for fields in (shown | both, {"callerid": b"/viewer"}):
+        with pytest.raises(TopicRefused, match="for a topic or for a service"):
+            play(admit(stage, fields))
+        with pytest.raises(TopicRefused, match="for a topic or for a service"):
+            play(reach_peer(stage.tenant, PEER, fields, no_key, stage.site.now()))
+
+
+def test_restrictions_on_calls_are_refused_not_ignored(stage: Stage) -> None:
+    """Both ways: no header of a service has the definition to apply them by."""
+    limited = Restriction("std_srvs/SetBool", ("msg.data",))
+    stage.site.grant("/viewer", Right.CALL, "/say", restriction=limited)
+    shown = SERVICE | proof(stage, "/viewer", Right.CALL, "/say")
+    with pytest.raises(RestrictionMismatch):
+        play(admit(stage, shown))
+    stage.site.grant("/viewer", Right.PROVIDE, "/do", restriction=limited)
+    asked = {"callerid": b"/robot", "service": b"/do", "md5sum": b"*"}
+    answer = {"callerid": b"/viewer", **proof(stage, "/viewer", Right.PROVIDE, "/do")}
+    layer = reach_peer(stage.tenant, PEER, asked, no_key, stage.site.now())
+    command = next(layer)
+    assert isinstance(command, MeetPeer)
+    with pytest.raises(RestrictionMismatch):
+        layer.send(arrived(stage, answer, "/viewer"))
+
+
 def test_a_restricted_publisher_gets_a_guard(stage: Stage, shown: Fields) -> None:
     restriction = Restriction("std_msgs/String", ('msg.data == "go"',))
     stage.site.grant("/robot", Right.PUBLISH, "/word", restriction=restriction)
@@ -181,15 +210,3 @@ def test_a_restricted_publisher_gets_a_guard(stage: Stage, shown: Fields) -> Non
     undefined = proven | {"message_definition": b""}
     with pytest.raises(TopicRefused, match="does not have the md5sum"):
         play(layer, (meet, arrived(stage, undefined, "/robot")))
-
-
-@pytest.mark.parametrize("both", [{"topic": b"/secret"}, {"topic": b""}])
-def test_a_header_is_for_a_topic_or_for_a_service(stage: Stage, both: Fields) -> None:
-    """A right to call must not read a topic: stock programs look for the topic first."""
-    stage.site.grant("/viewer", Right.CALL, "/say")
-    shown = SERVICE | proof(stage, "/viewer", Right.CALL, "/say")
-    for fields in (shown | both, {"callerid": b"/viewer"}):
-        with pytest.raises(TopicRefused, match="for a topic or for a service"):
-            play(admit(stage, fields))
-        with pytest.raises(TopicRefused, match="for a topic or for a service"):
-            play(reach_peer(stage.tenant, PEER, fields, no_key, stage.site.now()))

@@ -1,7 +1,10 @@
 """What peers ask programs, and programs peers."""
 
+from dataclasses import replace
+
 import pytest
 
+from ca.errors import CAError, RevocationsStale, Revoked
 from grants.errors import GrantMissing
 from grants.model import Right
 from rossec.channel.opening import Flavour
@@ -152,6 +155,21 @@ def test_a_dead_program_answers_like_a_dead_node(stage: Stage) -> None:
         play(asked(stage, "getPid", peer="/master"), (ask, Silent("slow")))
     with pytest.raises(Unforeseen):
         play(asked(stage, "getPid", peer="/master"), (ask, Done()))
+
+
+def test_a_revoked_peer_does_not_even_knock(stage: Stage) -> None:
+    """Nor one of which nobody knows: whether a program lives is told to those who hold."""
+    viewer, params = stage.identity("/viewer"), ("/viewer", b"")
+
+    def refused(now: int, error: type[CAError]) -> None:
+        for method in ("rossec.presentGrants", "requestTopic"):
+            with pytest.raises(error):
+                play(ask_program(stage.tenant, SLAVE, viewer, method, params, None, now))
+
+    refused(stage.site.now() + 60, RevocationsStale)
+    stage.site.revoke(viewer.thumbprint)
+    stage.tenant = replace(stage.tenant, access=stage.access("/robot"))
+    refused(stage.site.now(), Revoked)
 
 
 def test_a_call_needs_a_caller(stage: Stage) -> None:
