@@ -198,9 +198,14 @@ def serve(
     suites: tuple[int, ...] = PRODUCTION,
     known: KnownCertificates | None = None,
 ) -> SecureServer[PeerT]:
-    """`serve`, for callers that may not wait: nothing in it does.
+    """Listen on `host` (None or "": every address, IPv4 and IPv6) and `port` (0: any free one).
 
-    With a `HalfOpenCount` several ports share one bound, as they share this process.
+    `handler` runs once per authenticated connection, which is closed when it returns. `accept`
+    says which openings may lead on; the others hear the refusal meant for plain peers. With a
+    `HalfOpenCount` several ports share one bound, as they share this process.
+
+    Raises:
+        OSError: the address is not ours or the port is taken.
     """
 
     def make_core() -> Connection[PeerT]:
