@@ -28,7 +28,7 @@ async def _slave(stream: SecureStream[Identity]) -> None:
 
 async def join(member: Member, port: int, anchor: TrustAnchor) -> RpcClient:
     """One node: a control connection that stays, a slave API, three registrations, a parameter."""
-    slave = await serve(_slave, "127.0.0.1", 0, member.credentials, anchor.verify)
+    slave = serve(_slave, "127.0.0.1", 0, member.credentials, anchor.verify)
     uri = f"http://127.0.0.1:{slave.port}/"
     for _ in range(_ATTEMPTS):  # as nodes do: a machine that is busy with others may be too slow
         with contextlib.suppress(RossecError):

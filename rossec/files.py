@@ -1,6 +1,7 @@
 """Files that must never be half written, overwritten by accident, or readable by others."""
 
 import errno
+import fcntl
 import os
 import secrets
 from pathlib import Path
@@ -69,6 +70,22 @@ def settle(temporary: Path, path: Path) -> None:
             f"{path} exists and is not overwritten", "move it away if it is not needed"
         ) from error
     _sync_directory(path.parent)
+
+
+def hold(path: Path, busy: ConfigurationError) -> int:
+    """Make `path` this process's alone until the descriptor returned is closed, or it dies.
+
+    Raises:
+        ConfigurationError: `busy`, when another process holds it.
+    """
+    flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC
+    descriptor = os.open(path, flags, 0o600)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        os.close(descriptor)
+        raise busy from error
+    return descriptor
 
 
 def read(path: Path, limit: int, missing: ConfigurationError) -> bytes:

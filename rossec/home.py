@@ -167,13 +167,19 @@ class NodeHome:
 
         Raises:
             CertificateRefused: it is expired, or not in order.
-            ConfigurationError: it is another node's: a directory was copied or renamed.
+            ConfigurationError: another node's, or another key's: files were copied or renamed.
         """
-        identity = self.anchor().verify(self.credentials().chain, now)
+        own = self.credentials()
+        identity = self.anchor().verify(own.chain, now)
         if identity.name != self.name:
             raise ConfigurationError(
                 f"{self.path} holds the identity of {identity.name}, not of {self.name}",
                 f"next: rossec node request {self.name}",
+            )
+        if identity.thumbprint != keys.thumbprint(own.signer.public_key):
+            raise ConfigurationError(
+                f"the key and the certificate in {self.path} do not belong together",
+                "bring back the key; without it move the directory away and enroll the node anew",
             )
         return identity
 

@@ -85,7 +85,7 @@ class Outbound(Generic[PeerT]):
         """
         self._sendable().check_unit(pieces)
 
-    def seal_small(self, unit: bytes) -> Bytes | None:
+    def seal_small(self, unit: Bytes) -> Bytes | None:
         """Seal a unit in one record: the short way, where nothing else has to be done.
 
         None means that something has: use `seal_unit`.
@@ -159,6 +159,10 @@ class Outbound(Generic[PeerT]):
             self.state = State.CLOSING
         elif self.state is not State.CLOSING:
             self.state = State.CLOSED
+
+    def abandon(self) -> None:
+        """Forget keys and counters at once; nothing is sent (a forked process must not)."""
+        self._die()
 
     # -- time and ends
 

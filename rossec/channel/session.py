@@ -60,7 +60,7 @@ class Session:
                 "send it in parts",
             )
 
-    def seal_small(self, unit: bytes) -> Bytes | None:
+    def seal_small(self, unit: Bytes) -> Bytes | None:
         """Seal a unit of one record at once, unless a renewal is due."""
         limits, sender = self._limits, self._epochs.sender
         if sender.records >= limits.records or sender.octets >= limits.octets:

@@ -26,6 +26,7 @@ _RIGHTS: Final = {
     Right.PROVIDE: "may provide these services",
     Right.PARAM_GET: "may read these parameters and all below",
     Right.PARAM_SET: "may set these parameters and all below",
+    Right.ADMIN: "may end these nodes and clean up after them",
 }
 _RESTRICTED: Final = Right.SUBSCRIBE | Right.CALL  # by conditions and filters given here
 

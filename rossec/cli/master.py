@@ -3,6 +3,7 @@
 import asyncio
 import json
 import logging
+import os
 import resource
 import signal
 import sys
@@ -16,6 +17,7 @@ from typing import Any
 import click
 
 from ca.revocationtree import is_tree
+from rossec import files
 from rossec.channel import policy
 from rossec.cli import passphrase
 from rossec.cli.audit import AUDIT
@@ -28,7 +30,7 @@ from rossec.master.admin import AdminPort, ask
 from rossec.master.audit import AuditFile
 from rossec.master.complaints import ComplainLog, unheard
 from rossec.master.config import Config
-from rossec.master.metrics import Exporter
+from rossec.master.metrics import Exporter, of_loop
 from rossec.master.notify import READY, STOPPING, notify
 from rossec.master.server import MasterServer
 from rossec.master.start import master_of
@@ -38,6 +40,7 @@ from rossec.ros import settings
 from rossec.ros.names import MASTER
 
 _ADMIN = "admin.sock"
+_LOCK = "master.lock"
 _DESCRIPTORS = 65536
 
 
@@ -107,6 +110,7 @@ def master(
         home = NodeHome.of(environment.home, MASTER)
         home.anchor()  # before anything is written there
         settings.read((), environment.variables, default_name=MASTER)  # likewise
+        stack.callback(os.close, files.hold(home.path / _LOCK, _busy(home)))
         if config.audit:
             _keep_audit(home.path / AUDIT, stack)
         renewer = _renewer(environment, passphrase_file) if renew_identities else None
@@ -179,6 +183,13 @@ def _keep_audit(path: Path, stack: ExitStack) -> None:
     stack.callback(log.setLevel, before)
 
 
+def _busy(home: NodeHome) -> ConfigurationError:
+    return ConfigurationError(
+        f"another master runs from {home.path}",
+        "end it first; two would lose each other's parameters",
+    )
+
+
 def _allow_descriptors() -> None:
     """Each node takes two; what a shell gives a program is less than the program may have."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
@@ -212,10 +223,12 @@ async def _serve(
         limits=config.limits,
         suites=suites,
     )
-    await server.start()
     admin = AdminPort(home.path / _ADMIN, _commands(server))
-    exporter = None if config.metrics is None else Exporter(server.status, config.metrics)
+    exporter = None
     try:
+        await _start(server)
+        if config.metrics is not None:
+            exporter = Exporter(of_loop(server.status), config.metrics)
         if config.admin:
             await admin.start()
         _greet(server, home, exporter, as_json=as_json)
@@ -223,12 +236,24 @@ async def _serve(
         notify(READY, environment.variables)
         await _until_stopped(server, stop, _announcing(server, home) if config.announce else None)
         notify(STOPPING, environment.variables)
+        logging.getLogger("rossec.audit").info("the master ended")
     finally:
         await admin.close()
         if exporter is not None:
             await asyncio.to_thread(exporter.close)
         await server.close()
-        logging.getLogger("rossec.audit").info("the master ended")
+
+
+async def _start(server: MasterServer) -> None:
+    try:
+        await server.start()
+    except OSError as error:
+        if error.filename is not None:  # a file, not the port
+            raise
+        raise ConfigurationError(
+            f"cannot listen on port {server.port}: {os.strerror(error.errno or 0).lower()}",
+            "is a master running already? --port, or ROS_MASTER_URI, chooses another port",
+        ) from error
 
 
 def _greet(
@@ -277,7 +302,8 @@ def _newest_list(environment: Environment) -> bytes | None:
     # Not carried by a master elsewhere: a database, and the policy's reader.
     from rossec.authority import AuthorityHome  # noqa: PLC0415 - as above
 
-    return AuthorityHome.at(environment.home).revocation_list()
+    home = AuthorityHome.at(environment.home)
+    return None if home.is_intermediate else home.revocation_list()  # lists are the root's
 
 
 def _entries(environment: Environment) -> bytes | None:

@@ -2,6 +2,7 @@
 
 import json
 import os
+import signal
 import sys
 
 import click
@@ -10,7 +11,7 @@ from ca.names import check_name
 from rossec.cli.context import Environment, pass_environment
 
 
-@click.command(context_settings={"ignore_unknown_options": True})
+@click.command(context_settings={"allow_interspersed_args": False})
 @click.option("--as", "identity", metavar="NAME", help="the identity all its nodes use")
 @click.option("--each", is_flag=True, help="nodes that are enrolled use their own identity")
 @click.argument("command", nargs=-1, required=True, type=click.UNPROCESSED)
@@ -50,4 +51,8 @@ def become(
         "verbose": bool(context.find_root().params.get("verbose")),
     }
     arguments = [sys.executable, "-I", "-m", "rossec.sidecar", json.dumps(options)]
-    os.execve(sys.executable, arguments, dict(environment.variables))  # noqa: S606 - no shell
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # until it can end quietly
+    try:
+        os.execve(sys.executable, arguments, dict(environment.variables))  # noqa: S606 - no shell
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)

@@ -7,6 +7,8 @@ import click
 from rossec.cli.context import Environment, pass_environment
 from rossec.cli.run import become
 
+_LAST_USER = (1 << 32) - 2  # the last number means "no user"
+
 
 @click.command()
 @click.option("--as", "identity", metavar="NAME", help="for nodes that are not enrolled themselves")
@@ -29,7 +31,11 @@ def sidecar(
 
 
 def _user_id(name: str) -> int:
+    """A number need not be in the password file, as of users of containers."""
     try:
-        return int(name) if name.isdecimal() else pwd.getpwnam(name).pw_uid
+        found = int(name) if name.isdecimal() else pwd.getpwnam(name).pw_uid
     except KeyError:
         raise click.BadParameter(f"no user {name!r} on this host") from None
+    if found > _LAST_USER:
+        raise click.BadParameter(f"{name} is no user id")
+    return found

@@ -37,6 +37,11 @@ _READY_WITHIN: Final = 2.0  # a call that meets a reconnection waits that long
 _CALL_DEADLINE: Final = 30.0
 _PRESENTED: Final = 64  # as many as the master keeps of one node
 
+_GONE: Final = (
+    "the guardian of this process has ended, or is its parent's: a forked process has no"
+    " connections, so start it with subprocess, or multiprocessing's spawn"
+)
+
 _log = logging.getLogger("rossec.rospy")
 
 
@@ -51,6 +56,9 @@ class Kept(Protocol):
 
     def cut(self) -> None:
         """End every connection whose right has ended."""
+
+    def tend(self) -> None:
+        """Keep the keys of idle connections renewed."""
 
 
 class Guardian:
@@ -114,6 +122,8 @@ class Guardian:
             Fault: it answered with a fault.
             ConnectionRefusedError: it is out of reach, as stock's clients say it.
         """
+        if not self._thread.is_alive():
+            raise ConnectionRefusedError(errno.ECONNREFUSED, f"rossec: {_GONE}")
         call = self._answer(method, params)
         try:
             waiting = asyncio.run_coroutine_threadsafe(call, self._loop)
@@ -123,17 +133,18 @@ class Guardian:
         try:
             return waiting.result(_CALL_DEADLINE)
         except (RossecError, TimeoutError, asyncio.CancelledError) as error:
+            if isinstance(error.__cause__, (OverflowError, TypeError)):
+                raise error.__cause__ from None  # no value of XML-RPC's, as stock's clients say it
             text = str(error) or "no answer from the master"
             raise ConnectionRefusedError(errno.ECONNREFUSED, f"rossec: {text}") from error
 
     # -- in the loop
 
     def _run(self) -> None:
-        asyncio.set_event_loop(self._loop)
         try:
-            self._loop.run_until_complete(self._main())
+            with asyncio.Runner(loop_factory=lambda: self._loop) as runner:
+                runner.run(self._main())  # whoever waits for an answer is told that none comes
         finally:
-            self._loop.close()
             self._tried.set()
 
     async def _main(self) -> None:
@@ -148,7 +159,8 @@ class Guardian:
     def _crashed(self, error: BaseException) -> None:
         _log.error("the guardian failed, everything is cut: %s", error)
         self._process.links.must_end(lambda _: "the guardian failed")
-        self.on_crash()
+        # It asks the master to forget this node: not in the thread that speaks to the master.
+        Thread(target=self.on_crash, name="rossec end", daemon=True).start()
         self._stop.set()
 
     async def _stand(self) -> None:
@@ -194,6 +206,7 @@ class Guardian:
         while True:
             await asyncio.sleep(self._until_next_look())
             self._process.cut()
+            self._process.tend()
 
     def _until_next_look(self) -> float:
         soonest = self._process.links.soonest

@@ -7,6 +7,7 @@ node starts, so that nothing can have been put back (attack F12).
 
 import inspect
 import socket
+import sys
 import threading
 import xmlrpc.client
 from collections.abc import Callable
@@ -29,12 +30,14 @@ from rospy.impl.validators import ParameterInvalid
 
 from rossec.errors import ConfigurationError, SettingsRefused
 from rossec.inprocess.addresses import bracketed, parse_rosrpc
+from rossec.inprocess.calls import Client
+from rossec.inprocess.outbox import Outbox, write_data
 from rossec.inprocess.process import Process
-from rossec.inprocess.publishing import Outbox, publish, write_data
+from rossec.inprocess.publishing import publish
 from rossec.inprocess.services import Probe
 from rossec.inprocess.sockets import RosSocket, Stand
 from rossec.inprocess.topics import Connections
-from rossec.inprocess.xmlrpc import Client, Server
+from rossec.inprocess.xmlrpc import Server
 
 VERSIONS: Final = ("1.14", "1.15", "1.16", "1.17")
 _LATE: Final = "call rossec.secure() right after importing rospy, before anything else of it"
@@ -98,9 +101,6 @@ def hooks(process: Process, start_node: StartNode) -> list[Hook]:
     def make(family: int = socket.AF_INET, kind: int = socket.SOCK_STREAM) -> RosSocket:
         return RosSocket(process, socket.socket(family, kind))
 
-    def make_probe(family: int = socket.AF_INET, kind: int = socket.SOCK_STREAM) -> Probe:
-        return Probe(process, socket.socket(family, kind))
-
     def set_uri(node: Any, uri: str) -> None:
         node.uri = bracketed(uri)
 
@@ -119,7 +119,7 @@ def hooks(process: Process, start_node: StartNode) -> list[Hook]:
 
     return [
         Hook(base, "socket", Stand(socket, socket=make)),
-        Hook(service, "socket", Stand(socket, socket=make_probe)),
+        Hook(service, "socket", Stand(socket, socket=_probes(process))),
         Hook(
             base.TCPROSServer, "_tcp_server_callback", accepted, ("self", "sock", "client_addr")
         ),
@@ -168,6 +168,24 @@ def install(table: list[Hook]) -> None:
     for hook in table:
         setattr(hook.owner, hook.name, hook.new)
     check(table)
+
+
+def set_tools(process: Process) -> None:
+    """Hook what the program has imported of ROS's tools: they connect to nodes themselves."""
+    rosnode, rosservice = sys.modules.get("rosnode"), sys.modules.get("rosservice")
+    table = []
+    if rosnode is not None:
+        table.append(Hook(rosnode, "ServerProxy", Client(process).proxy_class()))
+    if rosservice is not None:
+        table.append(Hook(rosservice, "socket", Stand(socket, socket=_probes(process))))
+    install(table)
+
+
+def _probes(process: Process) -> Callable[..., Probe]:
+    def make_probe(family: int = socket.AF_INET, kind: int = socket.SOCK_STREAM) -> Probe:
+        return Probe(process, socket.socket(family, kind))
+
+    return make_probe
 
 
 def check(table: list[Hook]) -> None:

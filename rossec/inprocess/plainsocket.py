@@ -67,8 +67,17 @@ class PlainStream:
 
 def peek(sock: socket.socket) -> bytes:
     """The first bytes of a plain caller, left where they are: a whole connection header, or the
-    beginning of an HTTP request; empty for any other caller.
+    beginning of an HTTP request; empty for any other caller, and for one that says nothing in time.
     """
+    try:
+        return _first(sock)
+    except OSError:
+        return b""
+    finally:
+        sock.settimeout(None)
+
+
+def _first(sock: socket.socket) -> bytes:
     end = time.monotonic() + _DEADLINE
     first = _look(sock, _PREFIX, end)
     try:
@@ -95,7 +104,8 @@ def plain_fields(data: bytes) -> dict[str, bytes]:
 def _look(sock: socket.socket, size: int, end: float) -> bytes:
     """`size` bytes, or those that came in time."""
     data: Any = b""
-    while len(data) < size and time.monotonic() < end:
+    while len(data) < size and (left := end - time.monotonic()) > 0:
+        sock.settimeout(left)
         seen = sock.recv(size, socket.MSG_PEEK)
         if len(seen) == len(data):
             if not seen:

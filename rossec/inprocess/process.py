@@ -4,10 +4,11 @@ Until the node has a name there is no identity, and nothing can be connected: ev
 needs one says so.
 """
 
+import errno
 from typing import Final
 
 from ca.certificates import Identity
-from rossec.errors import ChannelError, ConfigurationError
+from rossec.errors import ChannelError, ConfigurationError, PlainPeer
 from rossec.inprocess.guardian import Guardian
 from rossec.inprocess.links import Link, Links
 from rossec.inprocess.member import Member
@@ -90,7 +91,9 @@ class Process:
     def failed(self, address: tuple[str, int], error: ChannelError) -> Exception:
         """Tell the developer; what rospy is to be told."""
         self.reporter.warn(f"cannot connect to {address[0]} port {address[1]}", error)
-        return ConnectionError(f"rossec: {error}")
+        if isinstance(error, PlainPeer):  # it will not change
+            return ConnectionError(f"rossec: {error}")
+        return ConnectionAbortedError(errno.ECONNABORTED, f"rossec: {error}")  # rospy tries again
 
     # -- what the guardian tells
 
@@ -114,3 +117,9 @@ class Process:
         for link, reason in self.links.must_end(member.why_cut):
             self.reporter.warn(f"cut {link.stream.peer.name} ({link.decision.name}): {reason}")
         self.links.cut_peers(member.is_revoked)
+
+    def tend(self) -> None:
+        """Keep the keys of idle connections renewed: rospy reads and writes only what it needs."""
+        for stream in self.links.streams():
+            if isinstance(stream, RosSocket):
+                stream.tend()

@@ -1,41 +1,27 @@
-"""Publishing from rospy: one serialization, one treated copy per treatment, batches on the wire.
+"""Publishing from rospy: one serialization, one treated copy per treatment.
 
 `publish` does what `rospy.topics._PublisherImpl.publish` does, and between serializing and sending
-asks each connection's guard; `Outbox` stands for rospy's `QueuedConnection` and sends what waits
-as one unit. A connection without a link has no right, and gets nothing.
+asks each connection's guard. A connection without a link has no right, and gets nothing.
 """
 
 import logging
-import struct
-import time
-from collections import deque
-from collections.abc import Hashable, Iterable, Iterator
-from contextlib import contextmanager, suppress
-from threading import Condition, Thread
+from collections.abc import Hashable, Iterable
+from contextlib import suppress
 from typing import Any, Final
 
 from rospy.core import is_shutdown
-from rospy.exceptions import ROSException, TransportTerminated
-from rospy.impl.tcpros_service import TCPROSServiceClient
+from rospy.exceptions import ROSException
 from rospy.msg import serialize_message
-from rospy.service import ServiceException
 
-from ca.errors import HintedError
 from grants.errors import GrantError
-from rossec.channel.records import Bytes
 from rossec.inprocess.links import Link, PlainLink
 from rossec.inprocess.member import now
-from rossec.inprocess.sockets import RosSocket
+from rossec.inprocess.outbox import ALONE, LENGTH, Pieces
+from rossec.inprocess.spare import Spare
 
-_LENGTH: Final = struct.Struct("<I")
-_BATCH: Final = 256 * 1024  # beyond this a unit only adds latency
-_ALONE: Final = 128 * 1024
-_SMALL: Final = 16 * 1024  # the kernel has room for it, or is full
-_PAUSE: Final = 0.001  # seconds; messages that follow faster are worth a batch
+_KEEP: Final = 16 * 1024 * 1024  # memory of larger messages is given back at once
+_spare: Final = Spare(4)
 _log = logging.getLogger("rossec.rospy")
-
-Pieces = bytes | tuple[Bytes, ...]
-"""A message with its length in front, whole or in parts."""
 
 
 def publish(topic: Any, message: Any, connection_override: Any = None) -> bool | None:
@@ -64,16 +50,20 @@ def publish(topic: Any, message: Any, connection_override: Any = None) -> bool |
 
 
 def _serialized(topic: Any, message: Any) -> bytes:
+    if topic.buff.tell() > 0:  # its bytes were handed out; a closed one says so
+        topic.buff = _spare.exchange(topic.buff)
     buffer = topic.buff
-    buffer.tell()  # a closed one says so
+    size = 0
     topic.seq += 1
     try:
         serialize_message(buffer, topic.seq, message)
+        buffer.truncate()
         data: bytes = buffer.getvalue()
-        topic.message_data_sent += len(data)
+        size = len(data)
+        topic.message_data_sent += size
         return data
     finally:
-        if not buffer.closed:
+        if not ALONE < size <= _KEEP and not buffer.closed:
             buffer.seek(0)
             buffer.truncate(0)
 
@@ -100,7 +90,7 @@ def _for(
     link: Link | PlainLink | None = sock.link
     if link is None or moment >= link.ends:
         return None
-    if isinstance(link, PlainLink) or link.guard is None:
+    if link.guard is None:
         return data
     key = link.guard.key
     if key not in treated:
@@ -111,195 +101,12 @@ def _for(
 def _treat(name: str, link: Link, data: bytes, moment: int) -> Pieces | None:
     assert link.guard is not None  # noqa: S101 - asked by the caller
     try:
-        pieces = link.guard.treat(memoryview(data)[_LENGTH.size :], moment)
+        pieces = link.guard.treat(memoryview(data)[LENGTH.size :], moment)
     except GrantError as error:
         _log.warning("%s: withheld from %s: %s", name, link.stream.peer.name, error)
         return None
     if pieces is None:
         return None
     size = sum(map(len, pieces))
-    whole = (_LENGTH.pack(size), *pieces)
-    return whole if size > _ALONE else b"".join(whole)  # once, not for each connection
-
-
-class Outbox:
-    """A connection with a queue: `write_data` never waits; a full queue drops the oldest.
-
-    The sender takes all that waits and sends it as one unit. It is woken, and given its turn, only
-    when it has nothing to do: a publisher that is faster than the wire makes larger batches. A
-    small message after a pause goes out in the publisher's thread, where that cannot wait: two
-    threads taking turns cost more time than the encryption.
-    """
-
-    def __init__(self, connection: Any, queue_size: int) -> None:
-        self._connection = connection
-        self._queue: deque[Pieces] = deque(maxlen=queue_size if queue_size > 0 else None)
-        self._filled = Condition()
-        self._idle = False
-        self._last = 0.0
-        self._error: Exception | None = None
-        self._connection.set_cleanup_callback(self._closed)
-        self._thread = Thread(target=self._run, name="rossec outbox")
-        self._thread.start()
-
-    def __getattr__(self, name: str) -> Any:
-        if name.startswith("__"):
-            raise AttributeError(name)
-        return getattr(self._connection, name)
-
-    def write_data(self, data: Pieces) -> bool:
-        """Queue a message.
-
-        Raises:
-            Exception: what an earlier one failed with.
-        """
-        if self._error is not None:
-            error, self._error = self._error, None
-            raise error
-        last, self._last = self._last, time.monotonic()
-        if self._last > last + _PAUSE and self._send_now(data):
-            return True
-        self._queue.append(data)
-        idle = self._idle
-        if idle:
-            with self._filled:
-                self._idle = False
-                self._filled.notify()
-        if idle or _size(data) > _ALONE:  # while a large one waits, its memory is not used again
-            time.sleep(0)  # as rospy: the sender's turn
-        return True
-
-    def _send_now(self, data: Pieces) -> bool:
-        """Whether `data` was sent past the queue: nobody waits, and nothing is before it."""
-        if not isinstance(data, bytes) or len(data) > _SMALL:
-            return False
-        with self._filled:  # the sender is asleep meanwhile
-            if not self._idle or self._queue or not write_now(self._connection, data):
-                return False
-            if self._connection.socket.unsent:
-                self._queue.append(())  # a message of nothing: sending it sends the rest
-                self._idle = False
-                self._filled.notify()
-        return True
-
-    def _closed(self, _: Any) -> None:
-        with self._filled:
-            self._filled.notify()
-
-    def _run(self) -> None:
-        while not self._connection.done:
-            with self._filled:
-                self._wait()
-            try:
-                for batch in _batches(self._queue):
-                    write(self._connection, batch)
-            except Exception as error:  # noqa: BLE001 - as rospy: the publisher's next call raises it
-                self._error = error
-
-    def _wait(self) -> None:
-        """Until there is something to send, or the connection ends; the lock is held."""
-        self._idle = True  # before each look: who queues after the look must find it set
-        while not self._queue and not self._connection.done:
-            self._filled.wait()
-            self._idle = True
-        self._idle = False
-
-
-def _size(message: Pieces) -> int:
-    return len(message) if isinstance(message, bytes) else sum(map(len, message))
-
-
-def _batches(queue: deque[Pieces]) -> Iterator[list[Pieces]]:
-    """Take messages from the front, as many as make a unit; others may be added meanwhile."""
-    batch: list[Pieces] = []
-    size = 0
-    with suppress(IndexError):
-        while True:
-            message = queue.popleft()
-            batch.append(message)
-            size += _size(message)
-            if size >= _BATCH:
-                yield batch
-                batch, size = [], 0
-    if batch:
-        yield batch
-
-
-def write(transport: Any, messages: list[Pieces]) -> None:
-    """Send messages as one unit over a transport of rospy's.
-
-    Raises:
-        TransportTerminated: the connection is at its end; it is closed.
-    """
-    with _socket(transport) as sock:
-        transport.stat_bytes += _send(sock, messages)
-    transport.stat_num_msg += len(messages)
-
-
-def write_now(transport: Any, message: bytes) -> bool:
-    """Send a small message where that needs no waiting (`RosSocket.send_now`).
-
-    Raises:
-        TransportTerminated: as of `write`.
-    """
-    with _socket(transport) as sock:
-        if not sock.send_now(message):
-            return False
-        transport.stat_bytes += len(message)
-        transport.stat_num_msg += not sock.unsent  # else it counts with the rest
-    return True
-
-
-@contextmanager
-def _socket(transport: Any) -> Iterator[RosSocket]:
-    sock = transport.socket
-    if sock is None or transport.done:
-        raise TransportTerminated("connection closed")
-    try:
-        yield sock
-    except (HintedError, OSError) as error:
-        transport.close()
-        raise TransportTerminated(str(error)) from error
-
-
-def _send(sock: RosSocket, messages: list[Pieces]) -> int:
-    """Send messages; a large one without its length, which goes before it.
-
-    It is a unit of its own then, and its receiver need not copy it.
-    """
-    match messages:
-        case [bytes() as message] if len(message) > _ALONE:
-            sock.send_unit(message[: _LENGTH.size])
-            sock.send_unit(memoryview(message)[_LENGTH.size :])
-            return len(message)
-        case _:
-            pieces = _flat(messages)
-            sock.send_unit(*pieces)
-            return sum(map(len, pieces))
-
-
-def _flat(messages: list[Pieces]) -> list[Bytes]:
-    if len(messages) > 1 and all(isinstance(message, bytes) for message in messages):
-        return [b"".join(messages)]  # type: ignore[arg-type]  # all are bytes
-    flat: list[Bytes] = []
-    for message in messages:
-        flat += [message] if isinstance(message, bytes) else message
-    return flat
-
-
-def write_data(transport: Any, data: Pieces) -> bool:
-    """As `TCPROSTransport.write_data`: for publishers without a queue, and for services.
-
-    Raises:
-        ServiceException: a call over a kept connection that was cut; rospy's own socket takes the
-            request and fails with this when there is no response.
-        TransportTerminated: any other connection is at its end.
-    """
-    calls = isinstance(transport.protocol, TCPROSServiceClient)
-    try:
-        write(transport, [data])
-    except TransportTerminated as error:
-        if calls:
-            raise ServiceException(f"transport error completing service call: {error}") from error
-        raise
-    return True
+    whole = (LENGTH.pack(size), *pieces)
+    return whole if size > ALONE else b"".join(whole)  # once, not for each connection

@@ -2,10 +2,11 @@
 
 Pure. rospy registers once and never again; a master that was restarted would not know the node.
 What the master refused for want of a right is kept as well, and tried when there is a new grant.
-Also here: which publishers the master named last, for a subscriber that lost one.
+Also here: which publishers the master named last, for a subscriber that lost one. Threads share it:
+what is looked through is a copy, made in one step.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Final
 
 _UNDO: Final = {
@@ -15,6 +16,10 @@ _UNDO: Final = {
     "unsubscribeParam": "subscribeParam",
 }
 _DO: Final = frozenset(_UNDO.values())
+REGISTRATIONS: Final[Mapping[str, object]] = {
+    "registerPublisher": [], "registerSubscriber": [], "registerService": 1,
+}  # fmt: skip
+"""What is registered for the program, with what the master answers where there is nobody else."""
 REFUSED: Final = "rossec: "
 
 # What rospy asks for by itself. Without a right to it the program goes on, and is not bothered.
@@ -60,11 +65,12 @@ class Registrations:
 
     def all(self) -> list[Call]:
         """Every registration, in the order they were made."""
-        return [(method, params) for (method, _), params in self._calls.items()]
+        return [(method, params) for (method, _), params in list(self._calls.items())]
 
     def refused(self) -> list[Call]:
         """Those the master refused for want of a right."""
-        return [(key[0], self._calls[key]) for key in self._calls if key in self._refused]
+        calls = list(self._calls.items())
+        return [(key[0], params) for key, params in calls if key in self._refused]
 
     def publishers_are(self, topic: str, uris: object) -> None:
         """The master names the publishers of a topic."""

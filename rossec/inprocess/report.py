@@ -9,10 +9,12 @@ import queue
 import time
 from collections import OrderedDict
 from collections.abc import Callable
-from threading import Thread
+from contextlib import suppress
+from threading import Lock, Thread
 from typing import Final
 
 from ca.errors import HintedError
+from rossec.net.forks import forget_in_children
 from rossec.ros.text import printable
 
 _REMEMBERED: Final = 512
@@ -27,22 +29,34 @@ class Reporter:
         self._write = write
         self._said: OrderedDict[str, None] = OrderedDict()
         self._since, self._lines = 0.0, 0
+        self.abandon()
+        forget_in_children(self)
+
+    def abandon(self) -> None:
+        """In a forked child: the thread is the parent's; another is started when it is needed."""
+        self._lock = Lock()
         self._queue: queue.SimpleQueue[str | None] = queue.SimpleQueue()
-        self._thread = Thread(target=self._run, name="rossec report", daemon=True)
-        self._thread.start()
+        self._thread: Thread | None = None
 
     def warn(self, what: str, why: Exception | None = None) -> None:
         """Say `what`, because of `why`, with its hint, unless it was said before."""
         text = what if why is None else f"{what}: {why}"
         hint = why.hint if isinstance(why, HintedError) else ""
         line = f"rossec: {printable(text)}" + (f" (hint: {printable(hint)})" if hint else "")
-        if line in self._said:
-            return
-        self._said[line] = None
-        if len(self._said) > _REMEMBERED:
-            self._said.popitem(last=False)
-        if self._has_room():
-            self._queue.put(line)
+        with self._lock:
+            if line in self._said:
+                return
+            self._said[line] = None
+            if len(self._said) > _REMEMBERED:
+                self._said.popitem(last=False)
+            if self._has_room():
+                self._put(line)
+
+    def _put(self, line: str) -> None:
+        if self._thread is None:
+            self._thread = Thread(target=self._run, name="rossec report", daemon=True)
+            self._thread.start()
+        self._queue.put(line)
 
     def _has_room(self) -> bool:
         """Whether one more line is no flood; the first that is too many says so."""
@@ -51,22 +65,28 @@ class Reporter:
             self._since, self._lines = moment, 0
         self._lines += 1
         if self._lines == _BURST:
-            self._queue.put(f"rossec: more than {_BURST} different warnings; some are left out")
+            self._put(f"rossec: more than {_BURST} different warnings; some are left out")
         return self._lines < _BURST
 
     def forget(self, what: str) -> None:
         """`what` has gone well since: if it fails again, that is news."""
-        for line in [line for line in self._said if line.startswith(f"rossec: {what}")]:
-            self._said.pop(line, None)
+        with self._lock:
+            for line in [line for line in self._said if line.startswith(f"rossec: {what}")]:
+                del self._said[line]
 
     def close(self) -> None:
         """Write what is queued, then stop."""
-        self._queue.put(None)
-        self._thread.join(timeout=1.0)
+        with self._lock:
+            thread, self._thread = self._thread, None
+        if thread is not None:
+            self._queue.put(None)
+            thread.join(timeout=1.0)
 
     def _run(self) -> None:
-        while (line := self._queue.get()) is not None:
-            self._write(line)
+        lines = self._queue
+        while (line := lines.get()) is not None:
+            with suppress(Exception):  # whatever a handler of the program's does, the next is said
+                self._write(line)
 
 
 class LogBridge(logging.Handler):

@@ -1,8 +1,10 @@
 """`rossec.secure()`: from its call on, nothing that rospy opens is plain.
 
-It stops the program when it cannot: called too late, twice, without an identity, or with a rospy it
-does not know. The node's identity is found when its name is known: from the options, or when
-`rospy.init_node` has worked it out from remappings and namespaces.
+It stops the program when it cannot: called too late, without an identity, with a rospy it does not
+know, or a second time with other options (modules of one program may each call it). What catches
+the stop, as a notebook does, can start no node afterwards. The node's identity is found when its
+name is known: from the options, or when `rospy.init_node` has worked it out from remappings and
+namespaces.
 """
 
 import importlib
@@ -10,7 +12,7 @@ import logging
 import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NoReturn
+from typing import Any, Final, NoReturn
 
 from ca.errors import HintedError
 from rossec import files
@@ -66,6 +68,7 @@ class _Secured:
         """`rospy.impl.init.start_node`: now the name is known for certain."""
         try:
             self.hooks.check(self.table)
+            self.hooks.set_tools(self.process)
             if not self.process.has_begun:
                 self._begin(self._member(resolved_name))
             elif resolved_name != self.process.member.name:
@@ -75,7 +78,7 @@ class _Secured:
                     "give both the same name, or leave it to rospy.init_node",
                 )
         except HintedError as error:
-            stop(error)
+            _refuse_start(error)
         guardian, core = self.process.guardian, self._rospy.core
         guardian.on_publishers = self._publishers_changed
         guardian.on_crash = lambda: self._rospy.signal_shutdown("rossec: the guardian failed")
@@ -112,12 +115,50 @@ def secure(node: str | None = None, *, allow_plain: Sequence[str] | None = None)
     global _secured  # noqa: PLW0603 - a process is secured once
     try:
         if _secured is not None:
-            raise ConfigurationError("rossec.secure() was called already", "call it once")
+            _require_the_same(_secured.options, _options(node, allow_plain))
+            return
+        _bar.lift()
         made = _Secured(_options(node, allow_plain))
         made.install()
     except HintedError as error:
+        if _secured is None:
+            _bar.lower(error)
         stop(error)
     _secured = made
+
+
+def _require_the_same(first: Options, now: Options) -> None:
+    if first != now:
+        raise ConfigurationError(
+            "rossec.secure() was called already, with other options",
+            "call it once, or everywhere with the same",
+        )
+
+
+class _Bar:
+    """No node starts in a process whose `secure` failed: a notebook, a shell or a thread outlives
+    the SystemExit that said so.
+    """
+
+    _stock: Callable[..., Any] | None = None
+
+    def lower(self, error: HintedError) -> None:
+        """From now on `rospy.init_node` says why, and stops."""
+        try:
+            init: Any = importlib.import_module("rospy.impl.init")
+        except ImportError:
+            return  # nothing to bar
+        self._stock = init.start_node
+        init.start_node = lambda *_, **__: _refuse_start(error)
+
+    def lift(self) -> None:
+        """Another attempt is made."""
+        if self._stock is not None:
+            init: Any = importlib.import_module("rospy.impl.init")
+            init.start_node, self._stock = self._stock, None
+
+
+_bar: Final = _Bar()
 
 
 def secured() -> Process:
@@ -138,6 +179,13 @@ def stop(error: HintedError) -> NoReturn:
         sys.stderr.write(f"rossec: hint: {printable(error.hint)}\n")
     sys.stderr.flush()
     raise SystemExit(1) from error
+
+
+def _refuse_start(error: HintedError) -> NoReturn:
+    # rospy would take the next `init_node` for a repetition, and do nothing.
+    client: Any = importlib.import_module("rospy.client")
+    client._init_node_args = None  # noqa: SLF001 - rospy's
+    stop(error)
 
 
 def _options(node: str | None, allow_plain: Sequence[str] | None) -> Options:

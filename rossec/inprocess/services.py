@@ -1,7 +1,7 @@
 """`wait_for_service` in rospy: its probe is a client like any other, and waits for the answer.
 
 Calls and providers go through the header hooks in `topics`; the probe has a socket of its own and
-writes its header itself.
+writes its header itself. `rosservice` probes in the same way, and reads the answer.
 """
 
 import socket
@@ -22,6 +22,14 @@ class Probe(RosSocket):
     def __init__(self, process: Process, sock: socket.socket) -> None:
         super().__init__(process, sock)
         self._process = process
+        self._answer = b""
+
+    def recv(self, size: int) -> bytes:
+        """The answer, which was judged already."""
+        if self.is_plain:
+            return super().recv(size)
+        part, self._answer = self._answer[:size], self._answer[size:]
+        return part
 
     def sendall(self, data: Bytes) -> None:
         """Add the proof to the header, send it, and judge the answer.
@@ -39,7 +47,9 @@ class Probe(RosSocket):
             member.access.check_peer(self.peer, now())
             proof = caller_proof(service, member.access, now())
             self.send_unit(header.encode({**fields, "callerid": member.name, **proof}))
-            admit_provider(headers.receive(self), self.peer, service, member.access, now())
+            answer = headers.receive(self)
+            admit_provider(answer, self.peer, service, member.access, now())
+            self._answer = header.encode(headers.for_rospy(answer))
         except HintedError as error:
             self._process.reporter.warn(f"cannot call {service}", error)
             raise

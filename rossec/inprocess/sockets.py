@@ -15,10 +15,12 @@ from types import ModuleType
 from typing import Any, Final, Protocol
 
 from ca.certificates import Identity
+from ca.errors import HintedError
 from rossec.channel.connection import Connection
 from rossec.channel.opening import Flavour
 from rossec.channel.records import Bytes, Limits
 from rossec.errors import ChannelClosed, ChannelError, PlainPeer
+from rossec.inprocess.exchange import Exchange
 from rossec.inprocess.links import Link, PlainLink
 from rossec.inprocess.member import Member, now
 from rossec.inprocess.plain import Plain
@@ -30,6 +32,7 @@ CONNECT_TIMEOUT: Final = 10.0
 LIMITS = Limits()
 """When keys are renewed, and what ends a connection."""
 _OUT_OF_THEM: Final = (errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.ENOBUFS)
+_AT_A_TIME: Final = 256 * 1024
 _PUMP_EVERY: Final = 1.0  # seconds
 _REST: Final = 1.0  # seconds, when the host is out of descriptors: callers wait in the kernel
 
@@ -73,14 +76,23 @@ class Doors:
         self._count.settle(address)
 
     def answer(self, sock: socket.socket, address: str, flavour: Flavour) -> Stream:
-        """Answer a caller that was admitted; its handshake is still to come."""
-        core = Connection.responder(
-            self._member.credentials, self._member.anchor.verify,
-            random=secrets.token_bytes, now=now(), accept={flavour}, limits=LIMITS,
-            suites=self._member.suites,
-        )  # fmt: skip
-        sock.settimeout(None)  # rospy sets a default for all sockets of the process
-        return SecureSocket(sock, core, lambda: self._count.settle(address))
+        """Answer a caller that was admitted; its handshake is still to come.
+
+        Raises:
+            OSError: it is gone already.
+        """
+        try:
+            core = Connection.responder(
+                self._member.credentials, self._member.anchor.verify,
+                random=secrets.token_bytes, now=now(), accept={flavour}, limits=LIMITS,
+                suites=self._member.suites,
+            )  # fmt: skip
+            sock.settimeout(None)  # rospy sets a default for all sockets of the process
+            return SecureSocket(sock, core, lambda: self._count.settle(address))
+        except BaseException:
+            self._count.settle(address)  # a place that is not given back is lost for ever
+            sock.close()
+            raise
 
 
 class Owner(Protocol):
@@ -106,6 +118,9 @@ class RosSocket:
 
     Attributes:
         link: what the peer was admitted by; None while it is not admitted.
+        ended: it was cut; what had arrived before does not count any more.
+        left: this side has closed it; what fails after that is no news.
+        exchange: what the calls of a service pass through.
     """
 
     def __init__(self, owner: Owner, sock: socket.socket, stream: Stream | None = None) -> None:
@@ -113,6 +128,10 @@ class RosSocket:
         self._socket = sock
         self._stream: Stream | PlainStream | None = stream
         self.link: Link | PlainLink | None = None
+        self.ended = False
+        self.left = False
+        self.exchange: Exchange | None = None
+        self._ready = memoryview(b"")
         self._pump_at = 0.0
 
     @property
@@ -181,6 +200,8 @@ class RosSocket:
             self._socket = socket.create_connection(address, CONNECT_TIMEOUT)
             self._stream = PlainStream(self._socket)
         except ChannelError as error:
+            if self.left:
+                raise ConnectionAbortedError(errno.ECONNABORTED, "closed") from error
             raise self._owner.failed(address, error) from error
 
     def bind(self, address: tuple[str, int]) -> None:
@@ -201,17 +222,33 @@ class RosSocket:
                     raise
                 time.sleep(_REST)
                 continue
-            if self._owner.doors.admit(where[0]):
+            if not self._owner.doors.admit(where[0]):
+                sock.close()
+                continue
+            with suppress(OSError):  # an error here would end rospy's thread that accepts
                 stream = self._owner.doors.answer(sock, where[0], Flavour.TCPROS)
                 return RosSocket(self._owner, sock, stream), where
-            sock.close()
 
     # -- bytes
 
     def recv(self, size: int) -> bytes:
         """As of sockets."""
         with _as_of_sockets():
-            return self.stream.recv(size)
+            return self.stream.recv(size) if self.exchange is None else self._exchanged(size)
+
+    def _exchanged(self, size: int) -> bytes:
+        """What of a service's calls the program may read."""
+        assert self.exchange is not None  # noqa: S101 - asked by the caller
+        while not self._ready:
+            data = self.stream.recv(_AT_A_TIME)
+            if not data:
+                return b""
+            ready, reply = self.exchange.incoming(data)
+            self._ready = memoryview(ready)
+            if reply:
+                self.send_unit(*reply)
+        part, self._ready = self._ready[:size], self._ready[size:]
+        return bytes(part)
 
     def recv_into(self, buffer: bytearray | memoryview, size: int = 0) -> int:
         """As of sockets."""
@@ -235,10 +272,11 @@ class RosSocket:
             ChannelError, OSError: as of `SecureSocket`.
         """
         stream = self.stream
-        if self._pump_is_due(stream):
+        if time.monotonic() >= self._pump_at:
             stream.pump()
             self._pump_at = time.monotonic() + _PUMP_EVERY
         stream.sendall(*pieces)
+        self._hurry(stream)
 
     def send_now(self, data: bytes) -> bool:
         """Send a small unit where this needs no waiting; False: nothing has happened.
@@ -247,17 +285,28 @@ class RosSocket:
             ChannelError: the connection is at its end.
         """
         stream = self._stream
-        if not isinstance(stream, SecureSocket) or self._pump_is_due(stream):
+        if time.monotonic() >= self._pump_at or not isinstance(stream, SecureSocket):
             return False
-        return stream.send_now(data)
+        sent = stream.send_now(data)
+        self._hurry(stream)
+        return sent
 
     @property
     def unsent(self) -> bool:
         """Whether `send_now` left something, for `send_unit` to send."""
         return isinstance(self._stream, SecureSocket) and self._stream.unsent
 
-    def _pump_is_due(self, stream: Stream | PlainStream) -> bool:
-        return stream.awaits_peer or time.monotonic() >= self._pump_at
+    def tend(self) -> None:
+        """`SecureSocket.tend`; what fails there is met where the connection is used."""
+        if isinstance(self._stream, SecureSocket):
+            with suppress(ChannelError, OSError):
+                self._stream.tend()
+                self._hurry(self._stream)
+
+    def _hurry(self, stream: Stream | PlainStream) -> None:
+        """Look for the peer's answer to a renewal before the next message."""
+        if stream.awaits_peer:
+            self._pump_at = 0.0
 
     # -- options and ends
 
@@ -295,6 +344,7 @@ class RosSocket:
 
     def shutdown(self, how: int = socket.SHUT_RDWR) -> None:
         """Close in order."""
+        self.left = True
         if self._stream is not None:
             self._stream.shutdown(how)
         else:
@@ -302,12 +352,16 @@ class RosSocket:
                 self._socket.shutdown(how)
 
     def abort(self) -> None:
-        """End it now, from any thread: whoever waits in it wakes."""
+        """End it now, from any thread: whoever waits in it wakes, and receives nothing more."""
+        self.ended = True
+        if isinstance(self._stream, SecureSocket):
+            self._stream.abort()
         with suppress(OSError):
             self._socket.shutdown(socket.SHUT_RDWR)
 
     def close(self) -> None:
         """As of sockets."""
+        self.left = True
         self._owner.gone(self)
         if self._stream is not None:
             self._stream.close()
@@ -319,7 +373,7 @@ def _as_of_sockets() -> Iterator[None]:
     """rospy knows the errors of sockets."""
     try:
         yield
-    except ChannelError as error:
+    except HintedError as error:
         raise ConnectionResetError(errno.ECONNRESET, f"rossec: {error}") from error
 
 

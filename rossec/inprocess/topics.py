@@ -5,25 +5,25 @@ the other, follows from rospy's protocol class.
 """
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any, Final
 
 import rospy
-from genpy import DeserializationError
-from rospy.exceptions import TransportException, TransportInitError
+from rospy.exceptions import TransportInitError
 from rospy.impl.registration import get_topic_manager
 from rospy.impl.tcpros_pubsub import TCPROSPub, TCPROSSub
 from rospy.impl.tcpros_service import TCPROSServiceClient, TCPService
 
 from ca.errors import HintedError
-from grants import layout
 from grants.decision import Decision
-from grants.errors import DefinitionRefused
-from grants.guard import Guard, needed_keys
+from grants.errors import DefinitionRefused, GrantError
+from grants.guard import Guard
 from grants.model import Right
 from rossec.channel.records import Limits
 from rossec.errors import PlainPeer, TopicRefused
 from rossec.inprocess import headers
+from rossec.inprocess.exchange import ClientExchange, ServerExchange
 from rossec.inprocess.links import Link, PlainLink
 from rossec.inprocess.member import Member, now
 from rossec.inprocess.plainsocket import plain_fields
@@ -31,7 +31,10 @@ from rossec.inprocess.process import Process
 from rossec.inprocess.sockets import RosSocket
 from rossec.node.access import FIELD
 from rossec.node.messages import MessageType
+from rossec.node.serviceguard import ServiceGuard
 from rossec.node.services import admit_caller, admit_provider, requested_service
+from rossec.node.srvtypes import ServiceType
+from rossec.node.topicguard import guard_for, guard_of
 from rossec.node.topics import Endpoint, admit_publisher, admit_subscriber, requested_topic
 from rossec.ros import header
 from rossec.ros.header import FrameReader
@@ -69,7 +72,7 @@ class Connections:
             data = header.encode(self._fields(protocol, sock))
             sock.send_unit(data)
         except HintedError as error:
-            raise self._refused(protocol, error) from error
+            raise self._refused(protocol, error, sock) from error
         transport.stat_bytes += len(data)
 
     def _fields(self, protocol: Any, sock: RosSocket) -> dict[str, str | bytes]:
@@ -93,26 +96,29 @@ class Connections:
             return
         try:
             fields = headers.receive(sock)
-            link = None if sock.is_plain else Link(sock, self._admit_server(protocol, fields, sock))
+            link = None if sock.is_plain else self._admit_server(protocol, fields, sock)
         except HintedError as error:
-            raise self._refused(protocol, error) from error
+            raise self._refused(protocol, error, sock) from error
         transport._validate_header(headers.for_rospy(fields))  # noqa: SLF001 - rospy's own
         if link is not None:
             self._process.watch(sock, link)
         self._process.reporter.forget(_what(protocol))
 
-    def _admit_server(self, protocol: Any, fields: dict[str, bytes], sock: RosSocket) -> Decision:
+    def _admit_server(self, protocol: Any, fields: dict[str, bytes], sock: RosSocket) -> Link:
         access, peer, name = self._member.access, sock.peer, protocol.resolved_name
         if isinstance(protocol, TCPROSServiceClient):
             decision = admit_provider(fields, peer, name, access, now())
-            decision.require_unrestricted()
-            return decision
-        kind = protocol.recv_data_class
-        endpoint = Endpoint(name, MessageType(kind._type, kind._md5sum, kind._full_text))  # noqa: SLF001 - rospy's
-        return admit_publisher(fields, peer, endpoint.expected, access, now())
+            if decision.restrictions:
+                guard = self._service_guard(protocol.service_class, decision)
+                sock.exchange = ClientExchange(guard, now)
+            return Link(sock, decision)
+        endpoint = Endpoint(name, _described(protocol.recv_data_class))
+        decision = admit_publisher(fields, peer, endpoint.expected, access, now())
+        return Link(sock, decision, guard_of(fields, decision, self._member.home.filter_key))
 
-    def _refused(self, protocol: Any, error: HintedError) -> TransportInitError:
-        self._process.reporter.warn(_what(protocol), error)
+    def _refused(self, protocol: Any, error: HintedError, sock: RosSocket) -> TransportInitError:
+        if not sock.left:
+            self._process.reporter.warn(_what(protocol), error)
         return TransportInitError(f"rossec: {error}")
 
     # -- callers
@@ -149,6 +155,7 @@ class Connections:
         if not name or not self._process.may_be_plain(name, where[0]):
             return False
         sock.go_plain()
+        self._process.links.admit_plain(sock, where[0])
         headers.receive(sock)
         sock.link = PlainLink()
         handler = getattr(server, f"{kind}_connection_handler")
@@ -163,10 +170,9 @@ class Connections:
         access = self._member.access
         if "service" in fields:
             decision = admit_caller(fields, sock.peer, access, now())
-            decision.require_unrestricted()
             sock.link = Link(sock, decision)
+            sock.exchange = self._server_exchange(requested_service(fields), sock, sock.link)
             handler = server.service_connection_handler
-            self._check_service(requested_service(fields))
         else:
             decision = admit_subscriber(fields, sock.peer, access, now())
             sock.link = Link(sock, decision, self._guard(requested_topic(fields), decision))
@@ -176,9 +182,34 @@ class Connections:
         if refusal:
             raise TopicRefused(str(refusal), "both sides need the same version of the package")
 
-    def _check_service(self, service: str) -> None:
-        if rospy.impl.registration.get_service_manager().get_service(service) is None:
+    def _server_exchange(self, service: str, sock: RosSocket, link: Link) -> ServerExchange:
+        """What the calls of this caller pass through.
+
+        Raises:
+            TopicRefused: the service is not provided here.
+            GrantError: the restrictions do not fit its type.
+        """
+        provided = rospy.impl.registration.get_service_manager().get_service(service)
+        if provided is None:
             raise TopicRefused(f"{self._member.name} does not provide {service}")
+        guard = None
+        if link.decision.restrictions:
+            guard = self._service_guard(provided.service_class, link.decision)
+
+        def refused(error: HintedError) -> None:
+            self._process.reporter.warn(f"{service}: refused {sock.peer.name}", error)
+
+        return ServerExchange(partial(self._member.why_cut, link), guard, refused, now)
+
+    def _service_guard(self, kind: Any, decision: Decision) -> ServiceGuard:
+        request, response = (
+            MessageType(part._type, part._md5sum, part._full_text)  # noqa: SLF001 - rospy's
+            for part in (kind._request_class, kind._response_class)  # noqa: SLF001 - rospy's
+        )
+        both = ServiceType(kind._type, request, response)  # noqa: SLF001 - rospy's
+        if both.md5sum != kind._md5sum:  # noqa: SLF001 - rospy's
+            raise DefinitionRefused(f"the definition of {kind._type} is not that of its messages")  # noqa: SLF001 - rospy's
+        return ServiceGuard(both, decision, self._member.home.filter_key)
 
     def _guard(self, topic: str, decision: Decision) -> Guard | None:
         """What `decision` means for the messages of this topic; None: they pass as they are.
@@ -192,14 +223,9 @@ class Connections:
             raise TopicRefused(f"{self._member.name} does not publish {topic}")
         if not decision.restrictions:
             return None
-        kind = published.data_class
-        shape = layout.parse(kind._type, kind._full_text)  # noqa: SLF001 - rospy's own
-        if shape.md5 != kind._md5sum:  # noqa: SLF001 - rospy's
-            raise DefinitionRefused(f"the definition of {kind._type} is not that of its messages")  # noqa: SLF001 - rospy's
-        keys = {
-            name: self._member.home.filter_key(name) for name in needed_keys(decision.restrictions)
-        }
-        return Guard(shape, decision, keys)
+        kind = _described(published.data_class)
+        keys = self._member.home.filter_key
+        return guard_for(kind.name, kind.md5sum, kind.definition, decision, keys)
 
     # -- subscribing
 
@@ -230,12 +256,11 @@ class Connections:
             self._receive(conn, callback)
         except TransportInitError:
             pass  # told where it happened
-        except (HintedError, OSError, TransportException, DeserializationError) as error:
+        except Exception as error:  # noqa: BLE001 - as rospy: no message may end a subscription
             if not conn.done and not rospy.is_shutdown():
                 self._process.reporter.warn(f"lost {conn.name} from {uri}", error)
 
-    @staticmethod
-    def _receive(conn: Any, callback: Callable[..., None]) -> None:
+    def _receive(self, conn: Any, callback: Callable[..., None]) -> None:
         """Messages until the connection ends; as `TCPROSTransport.receive_loop`."""
         sock, protocol = conn.socket, conn.protocol
         if sock is None or protocol is None:
@@ -247,8 +272,9 @@ class Connections:
             if not unit:
                 return
             conn.stat_bytes += len(unit)
-            messages = [make().deserialize(data) for data in frames.feed(unit)[-keep:]]
-            del unit  # its memory is used for the next one
+            arrived = self._believed(sock.link, frames.feed(unit))
+            messages = [make().deserialize(data) for data in arrived[-keep:]]
+            del unit, arrived  # their memory is used for the next one
             if not messages:
                 continue
             conn.stat_num_msg += len(messages)
@@ -256,7 +282,21 @@ class Connections:
                 message._connection_header = conn.header  # noqa: SLF001 - part of rospy's messages
             if conn.is_latched:
                 conn.latch = messages[-1]
-            callback(messages, conn)
+            callback(_until_cut(messages, sock), conn)
+
+    def _believed(self, link: Link | PlainLink | None, messages: list[bytes]) -> list[bytes]:
+        """What the publisher may say, if its right is restricted."""
+        if link is None or link.guard is None:
+            return messages
+        believed = []
+        for message in messages:
+            try:
+                treated = link.guard(message, now())
+            except GrantError as error:
+                self._process.reporter.warn(f"withheld a message on {link.decision.name}", error)
+            else:
+                believed += [] if treated is None else [b"".join(treated)]
+        return believed
 
     @staticmethod
     def _hang_up(conn: Any) -> None:
@@ -273,6 +313,15 @@ class Connections:
                 return False
             time.sleep(min(_SLICE, max(0.0, end - time.monotonic())))
         return self._process.registrations.is_publisher(topic, uri)
+
+
+def _until_cut(messages: list[Any], sock: RosSocket) -> Iterator[Any]:
+    """The messages of a batch, while the right to them lasts: callbacks take their time."""
+    return (message for message in messages if not sock.ended)
+
+
+def _described(kind: Any) -> MessageType:
+    return MessageType(kind._type, kind._md5sum, kind._full_text)  # noqa: SLF001 - rospy's own
 
 
 def _what(protocol: Any) -> str:

@@ -21,6 +21,7 @@ from rossec.net.peeruid import require_user
 
 DEADLINE: Final = 5.0
 _LINE: Final = 1024
+_PATH: Final = 107  # bytes, unix(7)
 _audit = logging.getLogger("rossec.audit")
 _denials = logging.getLogger(DENIALS)
 
@@ -39,8 +40,13 @@ class AdminPort:
         """Listen; a socket that a killed master left behind is replaced.
 
         Raises:
-            ConfigurationError: another master listens there.
+            ConfigurationError: another master listens there, or the path is too long.
         """
+        if len(os.fsencode(self._path)) > _PATH:
+            raise ConfigurationError(
+                f"{self._path} is too long a name for a socket, which has at most {_PATH} bytes",
+                "choose a shorter ROSSEC_HOME, or do without --admin",
+            )
         if self._path.exists():
             with socket.socket(socket.AF_UNIX) as probe:
                 if probe.connect_ex(str(self._path)) == 0:
@@ -60,7 +66,9 @@ class AdminPort:
 
     async def _handle(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         try:
-            with suppress(TimeoutError, OSError, ValueError, asyncio.IncompleteReadError):
+            with suppress(
+                TimeoutError, OSError, ValueError, RecursionError, asyncio.IncompleteReadError
+            ):
                 async with asyncio.timeout(DEADLINE):
                     await self._answer(reader, writer)
         finally:

@@ -7,7 +7,6 @@ Texts and defaults for what stock rosmaster refuses are stock's; what only rosse
 
 import xmlrpc.client
 from collections.abc import Sequence
-from typing import Final, NamedTuple
 
 from rossec.master import arguments as arg
 from rossec.master.arguments import ArgumentRefused
@@ -22,37 +21,17 @@ from rossec.master.calls import (
     Request,
     StopMaster,
 )
-from rossec.master.gatekeeper import RULES, Caller, Gatekeeper, Refused, Scope
+from rossec.master.gatekeeper import Caller, Gatekeeper, Refused
 from rossec.master.graph import GraphCalls
+from rossec.master.multicall import MULTICALL, Multicall, Outcome
 from rossec.master.paramcalls import ParameterCalls
 from rossec.master.params import SIZE_LIMIT, Parameters
 from rossec.master.registry import Registry
 from rossec.master.standing import Statements
 from rossec.master.statementcalls import StatementCalls
-from rossec.master.values import weight
-from rossec.master.watching import WATCH, WatchCalls
-from rossec.ros.xmlrpc import BODY_LIMIT
+from rossec.master.watching import WatchCalls
 
 Fault = xmlrpc.client.Fault
-MULTICALL: Final = "system.multicall"
-MULTICALL_LIMIT: Final = 4096  # roslaunch sets every parameter of a launch file in one
-MULTICALL_QUERIES: Final = 16  # answers over the whole graph; more in one call only amplifies
-MULTICALL_ANSWER: Final = BODY_LIMIT  # bytes, about; else 4096 questions for one large parameter
-MULTICALL_ONCE: Final = frozenset(  # each of these costs signatures or carries a whole list
-    {
-        "rossec.presentGrants", "rossec.renewGrants", "rossec.updateDelegation", WATCH,
-        "rossec.revocations", "rossec.revocationsSince", "rossec.updateRevocations", "rossec.trl",
-        "rossec.updateRevocationTree", "rossec.revocationProofs",
-        "rossec.renewIdentity",
-    }
-)  # fmt: skip
-
-
-class Outcome(NamedTuple):
-    """What to answer and what to deliver."""
-
-    answer: object
-    events: tuple[MasterEvent, ...] = ()
 
 
 class MasterApi:
@@ -129,6 +108,23 @@ class MasterApi:
             events = (*events, Administered(caller.title, what))
         return Outcome([reply.code, reply.status, reply.value], events)
 
+    def make(
+        self, multicall: Multicall, caller: Caller, now: int, *, near: bool = True
+    ) -> tuple[MasterEvent, ...]:
+        """Some more of the elements of a multicall; returns what to deliver for them."""
+        return multicall.step(
+            lambda method, params: self.call(method, params, caller, now, near=near)
+        )
+
+    def _multicall(
+        self, params: Sequence[object], caller: Caller, now: int, *, near: bool
+    ) -> Outcome:
+        """All of a multicall at once."""
+        multicall, events = Multicall(params), list[MasterEvent]()
+        while not multicall.done:
+            events += self.make(multicall, caller, now, near=near)
+        return Outcome(multicall.answer, tuple(events))
+
     def _request(
         self,
         method: str,
@@ -152,42 +148,6 @@ class MasterApi:
         self._gatekeeper.check(method, acting, request.arguments, near=near)
         return request
 
-    def _multicall(
-        self, params: Sequence[object], caller: Caller, now: int, *, near: bool
-    ) -> Outcome:
-        """Each element is a call of its own, with its own rights; nesting is refused."""
-        calls = params[0] if len(params) == 1 else None
-        if not isinstance(calls, list) or len(calls) > MULTICALL_LIMIT:
-            raise Fault(1, f"rossec: a multicall is one list of at most {MULTICALL_LIMIT} calls")
-        if sum(map(_is_query, calls)) > MULTICALL_QUERIES:
-            raise Fault(1, f"rossec: more than {MULTICALL_QUERIES} state queries in a multicall")
-        answers: list[object] = []
-        events: list[MasterEvent] = []
-        seen: set[str] = set()
-        room = MULTICALL_ANSWER
-        for number, element in enumerate(calls, 1):
-            try:
-                _check_once(element, seen)
-                outcome = self._element(element, caller, now, near=near)
-            except Fault as fault:
-                answers.append({"faultCode": fault.faultCode, "faultString": fault.faultString})
-            else:
-                answers.append([outcome.answer])
-                events += outcome.events
-            room -= weight(answers[-1])
-            if room < 0:  # what was done is done: its events must go out
-                return Outcome(_too_long(number, len(calls)), tuple(events))
-        return Outcome(answers, tuple(events))
-
-    def _element(self, element: object, caller: Caller, now: int, *, near: bool) -> Outcome:
-        method = element.get("methodName") if isinstance(element, dict) else None
-        params = element.get("params") if isinstance(element, dict) else None
-        if not isinstance(method, str) or not isinstance(params, list):
-            raise Fault(1, "rossec: a multicall element needs methodName and params")
-        if method == MULTICALL:
-            raise Fault(1, "rossec: a multicall inside a multicall")
-        return self.call(method, params, caller, now, near=near)
-
     def _own_methods(self) -> Methods:
         return {
             "getUri": Method((), "", lambda _: Reply(self._uri)),
@@ -198,29 +158,3 @@ class MasterApi:
     def _shutdown(self, request: Request) -> Reply:
         reason = f"{request.caller.name}: {request.arguments[1]}"
         return Reply(0, "shutdown", events=(StopMaster(reason),))
-
-
-def _method_of(element: object) -> str:
-    method = element.get("methodName") if isinstance(element, dict) else None
-    return method if isinstance(method, str) else ""
-
-
-def _is_query(element: object) -> bool:
-    rule = RULES.get(_method_of(element))
-    return rule is not None and rule.scope is Scope.FILTERED
-
-
-def _too_long(made: int, of: int) -> Fault:
-    return Fault(
-        1,
-        f"rossec: the answers of this multicall are too long: {made} of its {of} calls were made, "
-        "ask for less at a time",
-    )
-
-
-def _check_once(element: object, seen: set[str]) -> None:
-    method = _method_of(element)
-    if method in seen:
-        raise Fault(1, f"rossec: more than one {method} in a multicall")
-    if method in MULTICALL_ONCE:
-        seen.add(method)

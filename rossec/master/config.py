@@ -13,10 +13,17 @@ from typing import Any, Final
 from rossec import files
 from rossec.errors import ConfigurationError
 from rossec.master.limits import Limits
+from rossec.ros.text import printable
 
 _SIZE: Final = 64 * 1024
 _MOST: Final = 1 << 30
 _LOGS: Final = ("text", "json")
+_PORT: Final = "a number from 0 to 65535, without quotes"
+_SWITCH: Final = "true or false (YAML 1.2: yes and on are texts)"
+_EXPECTED: Final = {
+    "port": _PORT, "metrics": _PORT, "log": "text or json", "audit": _SWITCH, "admin": _SWITCH,
+    "announce": _SWITCH, "complaints": "the path of a file",
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -80,7 +87,10 @@ def _yaml(text: str, name: str) -> Mapping[object, Any]:
     except YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         where = f"{name}:{mark.line + 1}" if mark is not None else name
-        raise ConfigurationError(f"{where}: not YAML") from error
+        problem = printable(getattr(error, "problem", None) or "")
+        raise ConfigurationError(f"{where}: not YAML", problem) from error
+    except RecursionError as error:
+        raise ConfigurationError(f"{name}: nested too deep", "settings are a flat map") from error
     if tree is None:
         return {}
     if not isinstance(tree, Mapping):
@@ -104,12 +114,12 @@ def _value(key: str, value: object, where: str) -> object:
     known = [f.name for f in dataclasses.fields(Config)]
     if key not in known:
         raise ConfigurationError(f"{where}: there is no setting {key[:40]!r}", ", ".join(known))
-    raise ConfigurationError(f"{where}: {key} cannot have this value", "see docs/howto")
+    raise ConfigurationError(f"{where}: {key} cannot have this value", _EXPECTED[key])
 
 
 def _limits(value: object, where: str, name: str) -> Limits:
     if not isinstance(value, Mapping):
-        raise ConfigurationError(f"{where}: limits are a map")
+        raise ConfigurationError(f"{where}: limits are a map", "for example  body: 1048576")
     known = [f.name for f in dataclasses.fields(Limits)]
     for key, limit in value.items():
         line = f"{name}:{_line(value, key)}"
@@ -118,7 +128,7 @@ def _limits(value: object, where: str, name: str) -> Limits:
                 f"{line}: there is no limit {str(key)[:40]!r}", ", ".join(known)
             )
         if not _is_number(limit, 1, _MOST):
-            raise ConfigurationError(f"{line}: {key} must be a whole number from 1")
+            raise ConfigurationError(f"{line}: {key} must be a whole number from 1 to {_MOST}")
     return Limits(**{key: int(limit) for key, limit in value.items()})
 
 

@@ -1,11 +1,14 @@
 """Figures for Prometheus, on request and on loopback only: they tell who is there and how busy."""
 
+import asyncio
+import os
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, Final
 
 from rossec.errors import ConfigurationError
 
 ADDRESS: Final = "127.0.0.1"
+DEADLINE: Final = 5.0  # seconds until the loop must have answered
 _COUNTED: Final = {
     "calls": "Calls answered.",
     "denials": "Calls refused for want of a right.",
@@ -18,6 +21,16 @@ _GAUGED: Final = {
 }
 
 Status = Callable[[], Mapping[str, Any]]
+
+
+def of_loop(status: Status) -> Status:
+    """`status` of the running loop, for other threads: it must not change while it is counted."""
+    loop = asyncio.get_running_loop()
+
+    async def asked() -> Mapping[str, Any]:
+        return status()
+
+    return lambda: asyncio.run_coroutine_threadsafe(asked(), loop).result(DEADLINE)
 
 
 class Collector:
@@ -49,9 +62,15 @@ class Exporter:
             ) from error
         registry = prometheus_client.CollectorRegistry()
         registry.register(Collector(status))
-        self._server, self._thread = prometheus_client.start_http_server(
-            port, addr=ADDRESS, registry=registry
-        )
+        try:
+            self._server, self._thread = prometheus_client.start_http_server(
+                port, addr=ADDRESS, registry=registry
+            )
+        except OSError as error:
+            raise ConfigurationError(
+                f"metrics cannot be served on port {port}: {os.strerror(error.errno or 0).lower()}",
+                "choose another port, or 0 for any",
+            ) from error
         self.port: int = self._server.server_port
 
     def close(self) -> None:

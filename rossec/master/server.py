@@ -11,8 +11,9 @@ import logging
 import os
 import secrets
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
+from itertools import islice
 from typing import Final, Protocol
 
 from ca.errors import HintedError
@@ -38,6 +39,7 @@ from rossec.master.enforce import enforce, steps
 from rossec.master.gatekeeper import Caller, Certified, Peer
 from rossec.master.limits import Limits
 from rossec.master.memory import ParameterFile
+from rossec.master.multicall import MULTICALL, Multicall
 from rossec.master.news import WATCH_WAIT, News
 from rossec.master.params import Parameters
 from rossec.master.registry import Kind, NodeRef, PublishersChanged, Registry, ShutdownNode
@@ -56,6 +58,7 @@ from rossec.ros.xmlrpc import Fault
 
 DEFAULT_NAME: Final = "/master"
 TIMESTAMP_EVERY: Final = 10.0  # seconds; a timestamp holds for 30
+AT_ONCE: Final = 1024  # steps of judging before the next call is answered; more follow after it
 _LIMITS: Final = Limits()
 PEER_CONNECTIONS: Final = _LIMITS.connections_per_identity
 
@@ -95,6 +98,7 @@ class MasterServer:
         memory: where parameters survive a restart.
         limits: what one peer may cost.
         suites: the post-quantum policy (`rossec.channel.policy`).
+        look_after_self: called with the time at every beat (`rossec.master.own`).
     """
 
     def __init__(
@@ -113,7 +117,9 @@ class MasterServer:
         memory: ParameterFile | None = None,
         limits: Limits = _LIMITS,
         suites: tuple[int, ...] = PRODUCTION,
+        look_after_self: Callable[[int], None] = lambda _: None,
     ) -> None:
+        self._look_after_self = look_after_self
         self._credentials = credentials
         self._verify = verify
         self._standing = standing
@@ -159,7 +165,7 @@ class MasterServer:
             OSError: the address is not ours or the port is taken.
         """
         (host, port), limits = self._listen, self._limits
-        self._server = await serve(
+        self._server = serve(
             self._handle,
             host,
             port,
@@ -250,6 +256,10 @@ class MasterServer:
     def _dispatch(
         self, near: bool, method: str, params: tuple[object, ...], peer: ChannelPeer
     ) -> object:
+        if method == MULTICALL:
+            multicall = Multicall(params)
+            self._step(near, multicall, peer)
+            return multicall.answer if multicall.done else self._multicall(near, multicall, peer)
         answer = self._answer(near, method, params, peer)
         if method == WATCH and no_news(answer):
             return self._watch(near, method, params, peer)
@@ -261,22 +271,40 @@ class MasterServer:
         await self._news.wait(WATCH_WAIT)
         return self._answer(near, method, params, peer)
 
+    async def _multicall(self, near: bool, multicall: Multicall, peer: ChannelPeer) -> object:
+        while not multicall.done:
+            await asyncio.sleep(0)  # others have their turn
+            self._step(near, multicall, peer)
+        return multicall.answer
+
     def _answer(
         self, near: bool, method: str, params: tuple[object, ...], peer: ChannelPeer
     ) -> object:
+        api, caller, now = self._admit(peer)
+        outcome = api.call(method, params, caller, now, near=near)
+        self._follow(outcome.events)
+        return outcome.answer
+
+    def _step(self, near: bool, multicall: Multicall, peer: ChannelPeer) -> None:
+        api, caller, now = self._admit(peer)
+        self._follow(api.make(multicall, caller, now, near=near))
+
+    def _admit(self, peer: ChannelPeer) -> tuple[MasterApi, Caller, int]:
+        """Who calls, and what it may do at this moment."""
         if self._api is None:
             raise RuntimeError("a call before the master was started")
         now = self._now()
         try:
-            caller = self._standing.caller(peer, now)
+            return self._api, self._standing.caller(peer, now), now
         except HintedError as error:  # revoked a moment ago: the connection is being cut
             raise Fault(1, f"rossec: {error}") from error
-        outcome = self._api.call(method, params, caller, now, near=near)
+
+    def _follow(self, events: tuple[MasterEvent, ...]) -> None:
+        """What follows from a call."""
         self._calls += 1
-        for event in outcome.events:
+        for event in events:
             self._deliver(event)
         self._news.tell(self._registry.version)
-        return outcome.answer
 
     def _deliver(self, event: MasterEvent) -> None:
         match event:
@@ -289,7 +317,9 @@ class MasterServer:
                 self._tell(node, "shutdown", f"[{node.name}] Reason: {reason}")
             case RevocationsChanged(by):
                 _audit.info("%s brought revocation list %d", by, self._standing.number)
-                self._cut_revoked()
+                for _ in islice(self._enforcing(), AT_ONCE):
+                    pass
+                self._cut_revoked()  # also what it was about to be told
                 self._push_revocations()
                 self._changed.set()
             case Administered(by, what):
@@ -336,20 +366,25 @@ class MasterServer:
         await self._enforce()
         self._push_revocations()
         self._forget_the_gone()
+        self._look_after_self(self._now())
         if self._memory is not None:
             self._memory.sync()
 
     async def _enforce(self) -> None:
         """Drop what is no longer allowed, tell those concerned; others are answered meanwhile."""
-        if self._api is None:
-            return
-        below = self._api.parameters.below
-        for step in steps(self._registry):
-            for event in enforce(self._registry, self._standing, step, self._now(), below):
-                self._deliver(event)
+        for _ in self._enforcing():
             self._news.tell(self._registry.version)
             await asyncio.sleep(0)
         self._news.tell()  # what lapsed without a registration may still have been seen
+
+    def _enforcing(self) -> Iterator[None]:
+        """Judge all registrations, some at each step."""
+        if self._api is not None:
+            below = self._api.parameters.below
+            for step in steps(self._registry):
+                for event in enforce(self._registry, self._standing, step, self._now(), below):
+                    self._deliver(event)
+                yield
 
     def _cut_revoked(self) -> None:
         """Cut the connections of revoked identities, and tell them nothing more."""

@@ -3,6 +3,7 @@
 import contextlib
 import logging
 import socket
+from functools import partial
 from typing import Final
 
 from ca.errors import HintedError, RevocationRefused
@@ -13,6 +14,7 @@ from rossec.home import NodeHome
 from rossec.master.complaints import Complain, unheard
 from rossec.master.limits import Limits
 from rossec.master.memory import ParameterFile
+from rossec.master.own import OwnIdentity
 from rossec.master.renewal import Delegate
 from rossec.master.server import MasterServer
 from rossec.master.trust import Renewer, Trust
@@ -51,22 +53,24 @@ def master_of(
 
     Raises:
         ConfigurationError: the node is not enrolled.
+        CertificateRefused: its identity has expired: nobody would connect.
         RevocationRefused: a list that is not the authority's, or older than the one saved.
     """
-    anchor, credentials = home.anchor(), home.credentials()
+    anchor, own = home.anchor(), OwnIdentity(home, now)
+    signer = own.credentials.current.signer
     revocations = Revocations(anchor.public_key)
     saved = home.load_revocations()
     if saved is not None:
         revocations.update(saved, now)
     if newest is not None:
         revocations.update(newest, now, home.save_revocations)
-    delegate = Delegate(anchor, credentials.signer, home.save_delegation)
+    delegate = Delegate(anchor, signer, home.save_delegation)
     delegation = home.load_delegation()
     if delegation is not None:
         _take(delegate, delegation)
     trust = Trust(
         anchor,
-        credentials.signer,
+        signer,
         revocations,
         home.save_revocations,
         delegate,
@@ -74,8 +78,10 @@ def master_of(
         renewer,
     )
     _complete(trust, revocations, (entries, home.load_entries()), now)
+    if renewer is not None:
+        own.renew = partial(_renewed, renewer, trust)
     return MasterServer(
-        credentials,
+        own.credentials,
         anchor.verify,
         trust,
         name=home.name,
@@ -86,7 +92,12 @@ def master_of(
         memory=ParameterFile(home.path / "parameters.journal"),
         limits=limits,
         suites=suites,
+        look_after_self=own.look,
     )
+
+
+def _renewed(renewer: Renewer, trust: Trust, request: bytes, now: int) -> bytes:
+    return renewer(request, now, trust.check)
 
 
 def _take(delegate: Delegate, data: bytes) -> None:

@@ -163,6 +163,11 @@ class Trust:
             held.count_failure(now)
             raise
 
+    def check(self, entry: bytes, now: int) -> None:
+        """As `Revocations.check`, by what the master holds now."""
+        self._confirm(now)
+        self._revocations.check(entry, now)
+
     def delegated(self, data: bytes) -> bool:
         """Take leave of the authority to renew grants; returns whether it is newer.
 

@@ -9,10 +9,11 @@ import os
 import secrets
 import select
 import socket
+import sys
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Any
+from typing import Any, Final
 
 from rossec.channel.connection import Connection
 from rossec.channel.credentials import OwnCredential, PeerT, Verify
@@ -20,6 +21,8 @@ from rossec.channel.records import Bytes
 from rossec.channel.states import DEAD
 from rossec.errors import ChannelClosed
 from rossec.net.carrier import AT_ONCE, Carrier
+
+_PUMPED: Final = 16  # buffers in one go
 
 
 class SecureSocket(Carrier[PeerT]):
@@ -124,9 +127,7 @@ class SecureSocket(Carrier[PeerT]):
     def receive_unit(self) -> bytes | memoryview:
         """The rest of a unit that `recv` began, or the next one; empty after the peer's close."""
         with self._reading:
-            rest = self._take(self._core.unit_limit)
-        unit = rest.obj
-        return unit if isinstance(unit, bytes) and len(unit) == len(rest) else rest
+            return self._take(sys.maxsize)
 
     @property
     def awaits_peer(self) -> bool:
@@ -136,27 +137,52 @@ class SecureSocket(Carrier[PeerT]):
     def pump(self) -> None:
         """Take in what has arrived, without waiting: for a side that only sends.
 
-        Its peer's renewals and its close are met; units are dropped, for nobody asks for them.
+        Its peer's renewals and its close are met; units are dropped, for nobody asks for them. A
+        peer that floods is read no faster than this is called: the rest waits at its side.
         """
         end = self._end()
         with self._reading:
-            while self._error is None and self._take_in(end, AT_ONCE):
+            for _ in range(_PUMPED):
+                if self._error is not None or not self._take_in(end, AT_ONCE):
+                    return
                 self._units.clear()
 
-    def _take(self, size: int) -> memoryview:
+    def tend(self) -> None:
+        """Meet the peer's renewals, and this side's, while nobody uses the connection.
+
+        It never waits: where somebody reads or writes just now, it happens by itself.
+        """
+        if self._units or self.peer is None or not self._writing.acquire(blocking=False):
+            return
+        try:
+            if self._reading.acquire(blocking=False):
+                try:
+                    self._take_in(None, AT_ONCE)
+                finally:
+                    self._reading.release()
+            self._tick()  # after the peer's answer to the last renewal
+            with self._core_lock:
+                if self._core.has_data_to_send:
+                    self._core.put_back(self._offer(self._core.data_to_send()))
+        finally:
+            self._writing.release()
+
+    def _take(self, size: int) -> bytes | memoryview:
         end = self._end()
         while not self._units:
             if isinstance(self._error, ChannelClosed):
-                return memoryview(b"")
+                return b""
             self._raise_if_over()
             self._receive(end)
-        unit = self._units[0]
-        if len(unit) <= size:
-            self._units.popleft()
-        else:
-            self._units[0] = unit[size:]
+        if self._aborted:
+            return b""
+        unit = self._units.popleft()
+        if len(unit) > size:
+            whole = memoryview(unit)
+            self._units.appendleft(whole[size:])
+            unit = whole[:size]
         self._flag()
-        return unit[:size]
+        return unit
 
     def send(self, data: Bytes) -> int:
         """Send everything; return how much that is."""

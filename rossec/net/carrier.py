@@ -11,6 +11,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from copy import copy
 from threading import Lock
 from typing import Any, Final, Generic
 
@@ -19,6 +20,7 @@ from rossec.channel.credentials import PeerT
 from rossec.channel.records import Bytes
 from rossec.channel.states import Authenticated, UnitReceived
 from rossec.errors import ChannelClosed, ChannelError
+from rossec.net.forks import forget_in_children
 from rossec.net.options import SocketOptions
 
 _LONGEST_WAIT: Final = 3600.0  # then look at the clock again: the host's may be set
@@ -44,18 +46,41 @@ class Carrier(SocketOptions, Generic[PeerT]):
         self._socket = sock
         self._core = core
         self._on_settled: Callable[[], None] | None = on_settled
-        self._units: deque[memoryview] = deque()
+        self._units: deque[bytes | memoryview] = deque()
         self._error: ChannelError | None = None
+        self._ticked = -1
+        self._aborted = False
         self._core_lock = Lock()
         self._reading = Lock()
         self._writing = Lock()
+        forget_in_children(self)
+
+    def abandon(self) -> None:
+        """As of `Inherited`: this descriptor is closed, the connection of the parent is not.
+
+        A lock that another thread held at the fork would be held for ever.
+        """
+        self._core_lock, self._reading, self._writing = Lock(), Lock(), Lock()
+        self._core.abandon()
+        self._units.clear()
+        self._error = ChannelClosed("a forked process cannot use its parent's connections")
+        self._socket.close()
+
+    def abort(self) -> None:
+        """End it now, from any thread: whoever waits wakes, and nothing more is delivered.
+
+        The kernel would still hand out what had arrived before.
+        """
+        self._aborted = True
+        with suppress(OSError):
+            self._socket.shutdown(socket.SHUT_RDWR)
 
     # -- receiving
 
     def _receive(self, end: float | None) -> None:
         """Move bytes from the socket to the core, once; the caller is the one reader."""
-        self._flush(end)
         self._tick()
+        self._flush(end)
         # One system call where there is no deadline to meet: the kernel waits, a slice at a time.
         flags = 0 if end is None and self.peer is not None else AT_ONCE
         if not self._take_in(end, flags) and flags:
@@ -70,11 +95,13 @@ class Carrier(SocketOptions, Generic[PeerT]):
         except OSError:
             count = 0
         with self._core_lock:
-            if count == 0:
+            if count == 0 and self._aborted:
+                self._fail(ChannelClosed("the connection was cut"))
+            elif count == 0:
                 self._guarded(self._core.receive_eof)
                 self._fail(ChannelClosed("the peer closed the connection"))
             else:
-                self._note(self._guarded(lambda: self._core.buffer_updated(count, _now())))
+                self._note(self._guarded(self._core.buffer_updated, count, _now()))
         if self._error is None:
             self._flush(end)
         else:
@@ -84,16 +111,16 @@ class Carrier(SocketOptions, Generic[PeerT]):
     def _note(self, events: Sequence[object]) -> None:
         for event in events:
             if isinstance(event, UnitReceived):
-                self._units.append(memoryview(event.data))
+                self._units.append(event.data)
             elif isinstance(event, Authenticated):
                 self.peer = event.identity
                 self._settle()
             else:
                 self._fail(ChannelClosed("the peer closed the connection"))
 
-    def _guarded(self, step: Callable[[], Any]) -> Any:
+    def _guarded(self, step: Callable[..., Any], *arguments: object) -> Any:
         try:
-            return step()
+            return step(*arguments)
         except ChannelError as error:
             self._fail(error)
             self._send_last(self._core.data_to_send())
@@ -114,7 +141,7 @@ class Carrier(SocketOptions, Generic[PeerT]):
 
     def _raise_if_over(self) -> None:
         if self._error is not None:
-            raise self._error
+            raise copy(self._error)  # with its traceback it would hold whatever it was raised in
 
     # -- sending
 
@@ -133,7 +160,7 @@ class Carrier(SocketOptions, Generic[PeerT]):
             records = self._core.seal_unit(*pieces, reuse=True)
         while True:
             with self._core_lock:
-                record = self._guarded(lambda: next(records, None))
+                record = self._guarded(next, records, None)
             if record is None:
                 return
             self._push(record, end)
@@ -194,8 +221,13 @@ class Carrier(SocketOptions, Generic[PeerT]):
         self._tick()
 
     def _tick(self) -> None:
+        """Let the core look at the clock, once in a second: its deadlines are whole ones."""
+        now = _now()
+        if now == self._ticked:
+            return
         with self._core_lock:
-            self._guarded(lambda: self._core.tick(_now()))
+            self._guarded(self._core.tick, now)
+        self._ticked = now
 
 
 def _now() -> int:

@@ -9,6 +9,7 @@ import socket
 import time
 from collections import deque
 from collections.abc import Awaitable, Callable
+from copy import copy
 from typing import Final, Generic, NoReturn
 
 from rossec.channel.connection import Connection
@@ -16,6 +17,7 @@ from rossec.channel.credentials import PeerT
 from rossec.channel.records import Bytes
 from rossec.channel.states import Authenticated, UnitReceived
 from rossec.errors import ChannelClosed, ChannelError
+from rossec.net.forks import forget_in_children
 from rossec.net.transport import Transport
 
 _PAUSE_ABOVE: Final = 1024 * 1024  # bytes delivered and not taken
@@ -47,6 +49,7 @@ class Driver(Generic[PeerT]):
         on_end: Callable[["Driver[PeerT]", ChannelError], None],
     ) -> None:
         self.connection = connection
+        forget_in_children(connection)
         self._on_authenticated = on_authenticated
         self._on_end = on_end
         self._loop = asyncio.get_running_loop()
@@ -79,7 +82,8 @@ class Driver(Generic[PeerT]):
         except ChannelError as error:
             self.fail(error)
             return
-        self.flush()
+        if self.authenticated or not events:
+            self.flush()
         if len(events) == 1 and self.on_unit is not None and self._units is None:
             event = events[0]
             if isinstance(event, UnitReceived) and self.on_unit(event.data):
@@ -88,16 +92,22 @@ class Driver(Generic[PeerT]):
             if isinstance(event, UnitReceived):
                 self._deliver(event.data)
             elif isinstance(event, Authenticated):
-                self.authenticated = True
-                self._on_authenticated(self, event.identity)
-                self._arm()
+                self._introduce(event.identity)
             else:
+                self.flush()
                 self._end(ChannelClosed("the peer closed the connection"))
                 self.transport.finish()  # both sides have said their last word
         if self._units:
             self._tell()
             if self._unread > _PAUSE_ABOVE and self.error is None:
                 self.transport.pause_reading()
+
+    def _introduce(self, peer: PeerT) -> None:
+        """Wake whoever waits for the peer; what it says at once travels with the last flight."""
+        self.authenticated = True
+        self._on_authenticated(self, peer)
+        self._loop.call_soon(self.flush)
+        self._arm()
 
     def _deliver(self, unit: bytes) -> None:
         """Pass the unit on at once if somebody pours; keep it otherwise."""
@@ -139,6 +149,7 @@ class Driver(Generic[PeerT]):
             self._end(ChannelClosed("the connection is closed"))
         self._lost = True
         self._wake()
+        del self._on_authenticated, self._on_end  # they hold whoever holds this
 
     # -- called by the stream
 
@@ -169,8 +180,15 @@ class Driver(Generic[PeerT]):
         if not self.transport.writable:
             while self.transport.backlog > 0 and self.error is None:
                 await self._change()
+        self.check()
+
+    def check(self) -> None:
+        """Raise what ended the connection, if something did.
+
+        A copy: with its traceback the one kept here would keep alive whatever it was raised in.
+        """
         if self.error is not None:
-            raise self.error
+            raise copy(self.error)
 
     def write(self, record: Bytes) -> None:
         """Write a record the core has just sealed.
@@ -178,8 +196,7 @@ class Driver(Generic[PeerT]):
         Raises:
             ChannelError: the connection has ended.
         """
-        if self.error is not None:
-            raise self.error
+        self.check()
         self.transport.write(record)
 
     def flush(self) -> None:
@@ -210,8 +227,7 @@ class Driver(Generic[PeerT]):
             ChannelError: there will be none.
         """
         if self._units is None:
-            if self.error is not None:
-                raise self.error
+            self.check()
             return None
         unit = self._units.popleft()
         if not self._units:
@@ -243,8 +259,7 @@ class Driver(Generic[PeerT]):
                 while self._units:
                     push(await self.receive())
                     await drain()
-                if self.error is not None:
-                    raise self.error
+                self.check()
                 self.transport.resume_reading()
                 self._push = push
                 while self._is_pouring():

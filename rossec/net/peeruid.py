@@ -55,13 +55,14 @@ def holder_in(tables: Iterable[str], near: Endpoint, far: Endpoint) -> Holder | 
     return found[0] if len({holder.user for holder in found}) == 1 else None
 
 
-def listeners_in(tables: Iterable[str], port: int) -> list[Holder]:
-    """Who listens at `port`, on whichever address. Pure."""
-    end = f":{port:04X}"
+def listeners_in(tables: Iterable[str], place: Endpoint) -> list[Holder]:
+    """Who listens where a connection to `place`, an IPv4 address, may arrive. Pure."""
+    _, port = place
+    wanted = {_hex(place, 0), _hex(place, 1), _hex(("0.0.0.0", port), 0), _hex(("::", port), 0)}  # noqa: S104 - looked for
     return [
         holder
         for row, holder in _rows(tables)
-        if row.endswith(_LISTEN) and row.partition(" ")[0].endswith(end)
+        if row.endswith(_LISTEN) and row.partition(" ")[0] in wanted
     ]
 
 
@@ -118,17 +119,24 @@ def _holder(near: Endpoint, far: Endpoint) -> Holder | None:
     return None if entry is None or entry.inode == 0 else Holder(entry.user, entry.inode)
 
 
-def listeners(port: int) -> list[Holder]:
-    """Who listens at `port`, on whichever address of this host.
+def listeners(place: Endpoint) -> list[Holder]:
+    """Who listens where a connection to `place`, an IPv4 address of this host, arrives.
+
+    It is one at most, unless only the tables can be asked: then all who may be.
 
     Raises:
         OSError: the kernel's tables cannot be read.
     """
     try:
-        found = sockdiag.listeners(port)
+        entry = sockdiag.listener(place)
     except OSError:
-        return listeners_in(tables(), port)
-    return [Holder(entry.user, entry.inode) for entry in found if entry.inode != 0]
+        return listeners_in(tables(), place)
+    return [] if entry is None or entry.inode == 0 else [Holder(entry.user, entry.inode)]
+
+
+def is_known(user: int) -> bool:
+    """Whether `user` is somebody: the kernel shows users of other user namespaces as one."""
+    return user != int(_OVERFLOW.read_text())
 
 
 def require_user(sock: socket.socket, users: Collection[int]) -> int:
@@ -139,7 +147,7 @@ def require_user(sock: socket.socket, users: Collection[int]) -> int:
         OSError: as `user_of`.
     """
     user = user_of(sock)
-    if user not in users or user == int(_OVERFLOW.read_text()):
+    if user not in users or not is_known(user):
         raise PeerUserRefused(f"user {user} may not use this connection", _HINT)
     return user
 

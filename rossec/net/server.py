@@ -46,11 +46,11 @@ class SecureServer(Generic[PeerT]):
         self,
         handler: Handler[PeerT],
         make_core: Callable[[], Connection[PeerT]],
-        caps: HalfOpen,
+        half_open: HalfOpenCount,
     ) -> None:
         self._handler = handler
         self._make_core = make_core
-        self._half_open = HalfOpenCount(caps)
+        self._half_open = half_open
         self._drivers: set[Driver[PeerT]] = set()
         self._tasks = TaskSet()
         self._loop = asyncio.get_running_loop()
@@ -79,7 +79,7 @@ class SecureServer(Generic[PeerT]):
             self._watch(sock)
 
     def _watch(self, listener: socket.socket) -> None:
-        if listener.fileno() >= 0:  # not closed meanwhile
+        if listener.fileno() >= 0 and not self._resting:  # nor closed meanwhile
             self._loop.add_reader(listener.fileno(), self._accept, listener)
 
     def _accept(self, listener: socket.socket) -> None:
@@ -185,7 +185,7 @@ class SecureServer(Generic[PeerT]):
         await self.close()
 
 
-async def serve(
+def serve(
     handler: Handler[PeerT],
     host: str | None,
     port: int,
@@ -194,39 +194,19 @@ async def serve(
     *,
     accept: Collection[Flavour] = frozenset(Flavour),
     limits: Limits = _DEFAULTS,
-    half_open: HalfOpen = _CAPS,
+    half_open: HalfOpen | HalfOpenCount = _CAPS,
     suites: tuple[int, ...] = PRODUCTION,
     known: KnownCertificates | None = None,
 ) -> SecureServer[PeerT]:
     """Listen on `host` (None or "": every address, IPv4 and IPv6) and `port` (0: any free one).
 
     `handler` runs once per authenticated connection, which is closed when it returns. `accept`
-    says which openings may lead on; the others hear the refusal meant for plain peers.
+    says which openings may lead on; the others hear the refusal meant for plain peers. With a
+    `HalfOpenCount` several ports share one bound, as they share this process.
 
     Raises:
         OSError: the address is not ours or the port is taken.
     """
-
-    return serve_now(
-        handler, host, port, credentials, verify,
-        accept=accept, limits=limits, half_open=half_open, suites=suites, known=known,
-    )  # fmt: skip
-
-
-def serve_now(
-    handler: Handler[PeerT],
-    host: str | None,
-    port: int,
-    credentials: OwnCredential,
-    verify: Verify[PeerT],
-    *,
-    accept: Collection[Flavour] = frozenset(Flavour),
-    limits: Limits = _DEFAULTS,
-    half_open: HalfOpen = _CAPS,
-    suites: tuple[int, ...] = PRODUCTION,
-    known: KnownCertificates | None = None,
-) -> SecureServer[PeerT]:
-    """`serve`, for callers that may not wait: nothing in it does."""
 
     def make_core() -> Connection[PeerT]:
         return Connection.responder(
@@ -240,7 +220,8 @@ def serve_now(
             known=known,
         )
 
-    server = SecureServer(handler, make_core, half_open)
+    count = HalfOpenCount(half_open) if isinstance(half_open, HalfOpen) else half_open
+    server = SecureServer(handler, make_core, count)
     server.listen(host, port)
     return server
 

@@ -1,9 +1,10 @@
 """The kernel's answer to "who holds this TCP socket?" for one socket: NETLINK_SOCK_DIAG.
 
 The same facts as in /proc/net/tcp, whose text grows with every connection that waits for its end;
-here the kernel looks one connection up in its own table. The format is that of sock_diag(7). An
-IPv4 connection is found whichever family its sockets have. Not every kernel has it (gVisor, old
-containers): whoever asks must have the tables to fall back to.
+here the kernel looks one connection up in its own table, and finds the listener that a connection
+would reach by the rules it connects by. The format is that of sock_diag(7). An IPv4 connection is
+found whichever family its sockets have. Not every kernel has it (gVisor, old containers): whoever
+asks must have the tables to fall back to.
 """
 
 import errno
@@ -11,15 +12,14 @@ import ipaddress
 import os
 import socket
 import struct
-from collections.abc import Iterator
 from typing import Final, NamedTuple
 
 ESTABLISHED: Final = 1
 LISTEN: Final = 10
 _SOCK_DIAG: Final = 4  # NETLINK_SOCK_DIAG, and SOCK_DIAG_BY_FAMILY below
 _BY_FAMILY: Final = 20
-_ERROR, _DONE = 2, 3
-_ASK, _DUMP = 0x1, 0x301  # NLM_F_REQUEST, with NLM_F_ROOT | NLM_F_MATCH
+_ERROR: Final = 2
+_ASK: Final = 0x1  # NLM_F_REQUEST
 _ROOM: Final = 64 * 1024
 _HEAD: Final = struct.Struct("=IHHII")  # nlmsghdr
 _WHAT: Final = struct.Struct("=BBBBI")  # family, protocol, extensions, padding, states
@@ -45,89 +45,68 @@ def find(near: tuple[str, int], far: tuple[str, int]) -> Entry | None:
         OSError: the kernel cannot tell.
     """
     ends = _packed(near), _packed(far)
-    family = socket.AF_INET if len(ends[0][0]) == 4 else socket.AF_INET6
-    try:
-        for entry in _ask(_request(family, _ASK, 0, *ends)):
-            # A listener is what the kernel falls back to.
-            if entry.state == ESTABLISHED and (_plain(entry.near), _plain(entry.far)) == ends:
-                return entry
-    except FileNotFoundError:
-        pass
-    return None
+    entry = _found(*ends)
+    if entry is None or entry.state != ESTABLISHED:  # a listener is what the kernel falls back to
+        return None
+    return entry if (_plain(entry.near), _plain(entry.far)) == ends else None
 
 
-def listeners(port: int) -> list[Entry]:
-    """Who listens at `port`, on whichever address.
+def listener(place: tuple[str, int]) -> Entry | None:
+    """The socket that a connection to `place` would reach; None: nobody listens there.
 
     Raises:
         OSError: the kernel cannot tell.
     """
-    nobody = b"", port
-    return [
-        entry
-        for family in (socket.AF_INET, socket.AF_INET6)
-        for entry in _ask(_request(family, _DUMP, LISTEN, nobody, nobody))
-        if entry.state == LISTEN and entry.near[1] == port
-    ]
+    entry = _found(_packed(place), _packed((place[0], 0)))  # nobody is connected from port 0
+    return entry if entry is not None and entry.state == LISTEN else None
 
 
-def _request(
-    family: int, flags: int, state: int, near: tuple[bytes, int], far: tuple[bytes, int]
-) -> bytes:
+def _found(near: tuple[bytes, int], far: tuple[bytes, int]) -> Entry | None:
+    family = socket.AF_INET if len(near[0]) == 4 else socket.AF_INET6
+    try:
+        return _ask(_request(family, near, far))
+    except FileNotFoundError:
+        return None
+
+
+def _request(family: int, near: tuple[bytes, int], far: tuple[bytes, int]) -> bytes:
     body = (
-        _WHAT.pack(family, socket.IPPROTO_TCP, 0, 0, 1 << (state or ESTABLISHED))
-        + _PORTS.pack(near[1], far[1] if state == 0 else 0)
+        _WHAT.pack(family, socket.IPPROTO_TCP, 0, 0, 1 << ESTABLISHED)
+        + _PORTS.pack(near[1], far[1])
         + near[0].ljust(16, b"\0")
         + far[0].ljust(16, b"\0")
         + _ANY_COOKIE
     )
-    return _HEAD.pack(_HEAD.size + len(body), _BY_FAMILY, flags, 1, 0) + body
+    return _HEAD.pack(_HEAD.size + len(body), _BY_FAMILY, _ASK, 1, 0) + body
 
 
-def _ask(request: bytes) -> list[Entry]:
-    """Every answer to one request."""
-    found: list[Entry] = []
-    dump = _HEAD.unpack_from(request)[2] == _DUMP
+def _ask(request: bytes) -> Entry:
     with socket.socket(socket.AF_NETLINK, socket.SOCK_RAW, _SOCK_DIAG) as kernel:
         kernel.send(request)
-        while True:
-            data, (sender, *_) = kernel.recvfrom(_ROOM)
-            if sender != 0:  # another process, which would need to be privileged: not the kernel
-                raise OSError(errno.EPROTO, "an answer from somebody else")
-            entries, done = parse(data)
-            found += entries
-            if done or not dump:
-                return found
+        data, (sender, *_) = kernel.recvfrom(_ROOM)
+        if sender != 0:  # another process, which would need to be privileged: not the kernel
+            raise OSError(errno.EPROTO, "an answer from somebody else")
+        return parse(data)
 
 
-def parse(data: bytes) -> tuple[list[Entry], bool]:
-    """The sockets in one answer, and whether it is the last. Pure.
+def parse(data: bytes) -> Entry:
+    """The socket in an answer. Pure.
 
     Raises:
         OSError: what the kernel refuses with, or an answer that is none.
     """
-    found: list[Entry] = []
-    for kind, body in _messages(data):
-        if kind == _DONE:
-            return found, True
-        if kind == _ERROR and len(body) >= 4:
-            number = -struct.unpack_from("=i", body)[0]
-            raise OSError(number, os.strerror(number))
-        if kind != _BY_FAMILY or len(body) < _FOUND.size:
-            raise OSError(errno.EPROTO, "an answer of another kind")
-        found.append(_entry(body))
-    return found, False
-
-
-def _messages(data: bytes) -> Iterator[tuple[int, bytes]]:
-    while data:
-        if len(data) < _HEAD.size:
-            raise OSError(errno.EPROTO, "an answer cut short")
-        length, kind, *_ = _HEAD.unpack_from(data)
-        if not _HEAD.size <= length <= len(data):
-            raise OSError(errno.EPROTO, "an answer cut short")
-        yield kind, data[_HEAD.size : length]
-        data = data[(length + 3) & ~3 :]
+    if len(data) < _HEAD.size:
+        raise OSError(errno.EPROTO, "an answer cut short")
+    length, kind, *_ = _HEAD.unpack_from(data)
+    if not _HEAD.size <= length <= len(data):
+        raise OSError(errno.EPROTO, "an answer cut short")
+    body = data[_HEAD.size : length]
+    if kind == _ERROR and len(body) >= 4:
+        number = -struct.unpack_from("=i", body)[0]
+        raise OSError(number, os.strerror(number))
+    if kind != _BY_FAMILY or len(body) < _FOUND.size:
+        raise OSError(errno.EPROTO, "an answer of another kind")
+    return _entry(body)
 
 
 def _entry(body: bytes) -> Entry:

@@ -105,7 +105,11 @@ class Transport:
             self.abort()
             return False
         if count > 0:
-            self._owner.received(count)
+            try:
+                self._owner.received(count)
+            except BaseException:  # a fault inside, perhaps in a guard: nothing more comes through
+                self.abort()
+                raise
             return True
         self.pause_reading()
         self._closing = True
@@ -190,3 +194,4 @@ class Transport:
             self.backlog = 0
         self._socket.close()
         self._loop.call_soon(self._owner.lost)
+        del self._owner  # a closed one holds nobody

@@ -6,6 +6,7 @@ grants this node holds, a peer is shown only those that cover what is being aske
 
 from collections import OrderedDict
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from dataclasses import dataclass
 from hashlib import sha256
 from typing import Final
@@ -14,7 +15,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 
 from ca.certificates import Identity, TrustAnchor
 from ca.encoding import Value, decode, encode
-from ca.errors import EncodingError
+from ca.errors import EncodingError, RevocationsStale
 from ca.revocation import Revocations, open_timestamp
 from grants.decision import Decision, authorize
 from grants.document import peek
@@ -104,6 +105,8 @@ class Access:
         """
         if revocations:
             self._revocations.update(revocations, now, persist)
+        with suppress(RevocationsStale):  # which it may end; a revoked key may not
+            self.check_peer(master, now)
         self._revocations.confirm(open_timestamp(timestamp, master.public_key), now)
         self.check_peer(master, now)
         self._delegate = master.public_key

@@ -42,9 +42,26 @@ class IdentityRenewal:
         if now < max(due, self._retry_at):
             return None
         self._retry_at = now + RETRY
+        if self._was_renewed_by_hand(now):
+            return None
         own = self._credentials.current
         self._csr = self._csr or build_request(own.signer, held.domain, held.name)
         return sign_renewal(own.signer, own.chain, self._csr, now)
+
+    def _was_renewed_by_hand(self, now: int) -> bool:
+        """Whether somebody has installed the successor meanwhile; it is shown from now on."""
+        held = self._identity
+        try:
+            found = self._home.identity(now)
+        except (HintedError, OSError):  # the old one, expired; or something is being changed there
+            return False
+        if found.thumbprint != held.thumbprint or found.not_after <= held.not_after:
+            return False
+        self._identity = found
+        self._credentials.current = self._home.credentials()
+        self._retry_at = 0
+        _log.info("%s: the identity was renewed", found.name)
+        return True
 
     def take(self, bundle: object, now: int) -> None:
         """Put a new identity on the disk, then show it to others.

@@ -97,9 +97,14 @@ class MasterSession:
                 f"the node at the master's address is {stream.peer.name}, not {MASTER}",
                 "check ROS_MASTER_URI",
             )
+        await self._drop()
         self._client, self._stream = RpcClient(stream), stream
-        await self._beat()
-        await self._restore(self)
+        try:
+            await self._beat()
+            await self._restore(self)
+        except BaseException:  # nobody may go on with a master that did not hold
+            await self._drop()
+            raise
         return stream
 
     async def keep(self) -> None:

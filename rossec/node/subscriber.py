@@ -15,11 +15,14 @@ from typing import Final
 from ca.certificates import Identity
 from ca.errors import HintedError
 from grants.decision import Decision
+from grants.errors import GrantError
+from grants.guard import Guard
 from rossec.errors import ConfigurationError, MessageError
 from rossec.net.stream import SecureStream
 from rossec.net.tasks import TaskSet
 from rossec.node.access import Access
 from rossec.node.messages import Message
+from rossec.node.topicguard import FilterKey, guard_of
 from rossec.node.topics import Endpoint, admit_publisher, subscriber_header
 from rossec.ros import header
 from rossec.ros.header import FrameReader
@@ -35,11 +38,14 @@ _log = logging.getLogger("rossec.node")
 
 
 class PublisherLink:
-    """One admitted publisher."""
+    """One admitted publisher; `guard` applies what its right is restricted by, if anything."""
 
-    def __init__(self, stream: SecureStream[Identity], decision: Decision) -> None:
+    def __init__(
+        self, stream: SecureStream[Identity], decision: Decision, guard: Guard | None
+    ) -> None:
         self.stream = stream
         self.decision = decision
+        self.guard = guard
         self.ends = min(decision.expires, stream.peer.not_after)
 
 
@@ -53,6 +59,7 @@ class Subscriber:
         access: Access,
         dial: Dial,
         on_close: OnClose,
+        filter_key: FilterKey,
         *,
         queue_size: int = QUEUE_SIZE,
     ) -> None:
@@ -66,6 +73,7 @@ class Subscriber:
         self._access = access
         self._dial = dial
         self._on_close = on_close
+        self._filter_key = filter_key
         self._owned = TaskSet()
         self._tasks: dict[str, asyncio.Task[None]] = {}
         self._queue: deque[bytes] = deque(maxlen=queue_size)
@@ -142,9 +150,9 @@ class Subscriber:
                 raise
         self.links.add(link)
         try:
-            self._deliver(early)
+            self._deliver(link, early)
             while True:
-                self._deliver(frames.feed(await stream.receive()))
+                self._deliver(link, frames.feed(await stream.receive()))
         finally:
             self.links.discard(link)
             stream.abort("no longer subscribed")
@@ -162,13 +170,28 @@ class Subscriber:
         decision = admit_publisher(
             answer, stream.peer, self.endpoint.expected, self._access, int(time.time())
         )
-        return PublisherLink(stream, decision), arrived[1:]
+        guard = guard_of(answer, decision, self._filter_key)
+        return PublisherLink(stream, decision, guard), arrived[1:]
 
-    def _deliver(self, messages: list[bytes]) -> None:
+    def _deliver(self, link: PublisherLink, messages: list[bytes]) -> None:
+        if link.guard is not None:
+            messages = self._believed(link.guard, messages, int(time.time()))
         if messages:
             self.received += len(messages)
             self._queue.extend(messages)
             self._wake.set()
+
+    def _believed(self, guard: Guard, messages: list[bytes], now: int) -> list[bytes]:
+        """What a publisher with a restricted right may say."""
+        believed = []
+        for message in messages:
+            try:
+                treated = guard(message, now)
+            except GrantError as error:
+                _log.warning("%s: withheld a message: %s", self.topic, error)
+            else:
+                believed += [] if treated is None else [b"".join(treated)]
+        return believed
 
     def _note(self, uri: str, error: Exception) -> None:
         """Say each reason once: it is tried again and again."""

@@ -70,6 +70,7 @@ class Topics:
             own.access,
             own.dialer.topic,
             self._forget,
+            own.filter_key,
             queue_size=queue_size,
         )
         self._subscribers.setdefault(endpoint.topic, []).append(subscriber)

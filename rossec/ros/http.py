@@ -4,8 +4,9 @@ POST, one `Content-length`, keep-alive. Never chunked: roscpp's XmlRpc++ cannot 
 ways to say a length are one too many. Stricter than a general server may be (RFC 9112): no bare LF,
 no folded line, no repeated length, so that no two readers of one stream can disagree about where a
 request ends. Header and body limits are checked before a body byte is kept. What a peer sent is
-never echoed back. A general library costs 130 us a call here, more than the call itself; the tests
-hold this module against one.
+never echoed back. A request with `Origin` comes from a web page in a browser of this host, whose
+user did not ask for it: refused. A general library costs 130 us a call here, more than the call
+itself; the tests hold this module against one.
 """
 
 import re
@@ -18,6 +19,7 @@ from rossec.ros.xmlrpc import BODY_LIMIT
 HEADERS_LIMIT: Final = 8 * 1024
 _REASONS: Final = {
     400: b"Bad Request",
+    403: b"Forbidden",
     405: b"Method Not Allowed",
     411: b"Length Required",
     413: b"Content Too Large",
@@ -198,6 +200,8 @@ def _request_head(data: bytes) -> _RequestHead:
     head = _Head(request[3], _fields(rest))
     if head.minor == b"1" and b"host" not in head.fields:
         raise HttpRefused("malformed HTTP")
+    if b"origin" in head.fields:
+        raise HttpRefused("an HTTP request from a web page", status=403)
     return _RequestHead(_length(head.fields), head.closes)
 
 

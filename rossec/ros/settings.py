@@ -86,7 +86,10 @@ def parse_uri(uri: str, what: str = "uri", *, scheme: str = "http") -> tuple[str
         SettingsRefused: `what` holds something else.
     """
     hint = f"it looks like {scheme}://localhost:{DEFAULT_PORT}, with {scheme}:// and a port"
-    parts = urlsplit(uri)
+    try:
+        parts = urlsplit(uri)
+    except ValueError as error:  # a bracket that is not closed
+        raise SettingsRefused(f"{what} is {uri!r}, which names no host", hint) from error
     if parts.scheme != scheme:
         raise SettingsRefused(f"{what} is {uri!r}, which does not begin with {scheme}://", hint)
     try:

@@ -20,6 +20,7 @@ from rossec.ros import settings
 from rossec.ros.text import printable
 from rossec.sidecar import child
 from rossec.sidecar.callers import Callers
+from rossec.sidecar.descriptors import raise_limit
 from rossec.sidecar.quiet import Quiet
 from rossec.sidecar.server import Sidecar
 
@@ -28,6 +29,7 @@ _REFUSED = 1
 
 def main() -> int:
     """Run what the arguments say; returns the exit code."""
+    _end_quietly()
     options = json.loads(sys.argv[1])
     logging.basicConfig(
         level=logging.INFO if options["verbose"] else logging.WARNING,
@@ -47,7 +49,15 @@ def main() -> int:
         return _REFUSED
 
 
+def _end_quietly() -> None:
+    """Ctrl-C ends this process as it ends any other; `rossec.cli.run` has held it back till now."""
+    if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+
+
 async def _run(options: dict[str, Any]) -> int:
+    limits = raise_limit()
     before = await settle_master(child.outside(os.environ), options["identity"])
     sidecar = Sidecar(
         rossec_home(before),
@@ -62,7 +72,8 @@ async def _run(options: dict[str, Any]) -> int:
     try:
         if options["command"]:
             child.adopt_orphans()
-            return await child.run(options["command"], child.inside(os.environ, sidecar.uri))
+            environ = child.inside(os.environ, before, sidecar.uri)
+            return await child.run(options["command"], environ, limits)
         return await _serve(sidecar)
     finally:
         await sidecar.close()

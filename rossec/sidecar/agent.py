@@ -15,6 +15,7 @@ from rossec.channel.opening import Flavour
 from rossec.channel.suites import PRODUCTION
 from rossec.errors import HangUp
 from rossec.home import NodeHome
+from rossec.net.halfopen import HalfOpenCount
 from rossec.net.stream import SecureStream
 from rossec.net.tasks import TaskSet
 from rossec.node.access import Access
@@ -41,6 +42,7 @@ class Agent:
         outside: where the master is and how peers reach this host.
         callers: which programs may use it.
         master_uri: the loopback master, as its programs know it.
+        half_open: what strangers have begun at any door of this process.
         suites: offered and accepted, in order of preference.
     """
 
@@ -50,6 +52,7 @@ class Agent:
         outside: Settings,
         callers: Callers,
         master_uri: str,
+        half_open: HalfOpenCount,
         suites: tuple[int, ...] = PRODUCTION,
     ) -> None:
         self.home = home
@@ -63,8 +66,8 @@ class Agent:
         access = Access(anchor, revocations)
         identity = home.identity(int(time.time()))
         self.tenant = Tenant(identity, access, Doors(outside.address or ""), master_uri)
-        self._network = Network(credentials, anchor, access, suites)
-        self._links, guests = Links(), Guests()
+        self._network = Network(credentials, anchor, access, suites, half_open)
+        self._links, guests = Links(revocations), Guests()
         self._watch = Watch(revocations, lambda: self._links, guests)
         self._membership = Membership(
             self, home, self.tenant, credentials, revocations,
@@ -74,7 +77,9 @@ class Agent:
             self, self.tenant, self._network, self._links, guests, home.filter_key,
             self._membership.revocations_arrived,
         )  # fmt: skip
-        self._imports = Imports(self, self.tenant, self._links, self._membership.topic_ended)
+        self._imports = Imports(
+            self, self.tenant, self._links, home.filter_key, self._membership.topic_ended
+        )
         self._kept = Kept()
         self._watching = TaskSet(self._blind)
         self._is_blind = False
@@ -133,6 +138,10 @@ class Agent:
         """Connect to a peer whose identity holds."""
         return await self._network.dial(remote)
 
+    def check(self, peer: Identity) -> None:
+        """Return if the identity of `peer` holds still."""
+        self.tenant.access.check_peer(peer, int(time.time()))
+
     async def ask_master(self, method: str, params: tuple[object, ...]) -> object:
         """The master's answer."""
         return await self._membership.answer(method, params)
@@ -157,7 +166,7 @@ class Agent:
 
     async def _dial_master(self) -> SecureStream[Identity]:
         host, port = self._outside.master_host, self._outside.master_port
-        return await self._network.connect(Endpoint(Flavour.HTTP, host, port))
+        return await self._network.dial(Endpoint(Flavour.HTTP, host, port), news=True)
 
     def _blind(self, _: BaseException) -> None:
         """The watch has died: what it would no longer cut must not go on."""

@@ -16,10 +16,11 @@ from typing import Final
 from rossec.errors import PeerUserRefused
 from rossec.net import peeruid
 from rossec.net.peeruid import Holder
+from rossec.sidecar.addresses import LOOPBACK
 
 _PROC: Final = Path("/proc")
 _RECENT: Final = 8  # processes that called before, looked at first
-_HINT: Final = "start it with `rossec run`"
+_HINT: Final = "start it with `rossec run`; one with capabilities needs `rossec sidecar`"
 
 
 class Callers:
@@ -43,21 +44,34 @@ class Callers:
         """
         await self._check(peeruid.holder_of(sock))
 
-    async def check_listener(self, port: int) -> None:
-        """Return if whoever listens at the loopback port `port` may be reached.
+    async def check_listener(self, port: int) -> list[Holder]:
+        """Return who listens at the loopback port `port`, if that is a program that may.
+
+        Whoever connects then asks `check_unchanged`: the program may end in between, and anybody
+        take its port.
 
         Raises:
-            PeerUserRefused: one of those who listen there may not.
+            PeerUserRefused: one of those who listen there may not be reached.
             ConnectionRefusedError: nobody does.
         """
-        holders = peeruid.listeners(port)
+        holders = peeruid.listeners((LOOPBACK, port))
         if not holders:
             raise ConnectionRefusedError(f"nobody listens at port {port}")
         for holder in holders:
             await self._check(holder)
+        return holders
+
+    def check_unchanged(self, port: int, holders: list[Holder]) -> None:
+        """Return if those who were found to listen at `port` still do.
+
+        Raises:
+            ConnectionRefusedError: it has changed hands.
+        """
+        if peeruid.listeners((LOOPBACK, port)) != holders:
+            raise ConnectionRefusedError(f"port {port} has changed hands")
 
     async def _check(self, holder: Holder) -> None:
-        if holder.user not in self._users:
+        if holder.user not in self._users or not peeruid.is_known(holder.user):
             raise PeerUserRefused(f"user {holder.user} may not use this sidecar", _HINT)
         ancestor = self._ancestor
         if ancestor is None or self._is_recent(holder.inode, ancestor):

@@ -1,9 +1,10 @@
 """The program a private sidecar was started for: its environment, its signals, its end.
 
 A shell. The program finds the loopback master in its environment, nothing else: no secret is there
-or on its command line. Programs it leaves behind become our children (subreaper), so that they
-stay its own; what another process sends us is passed on, as if the program had been started
-without us.
+or on its command line. It has the descriptors that were passed to us, as `<(...)` of a shell does.
+Programs it leaves behind become our children (subreaper), so that they stay its own. What another
+process sends us is passed on; what the kernel sends (Ctrl-C) the terminal has sent to the program
+as well. Which it was only signalfd(2) tells.
 """
 
 import asyncio
@@ -12,13 +13,14 @@ import ctypes
 import json
 import os
 import signal
-import sys
-from collections.abc import Iterator, Mapping, Sequence
+import struct
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Final
 
 from ca.errors import HintedError
 from rossec.errors import ConfigurationError
 from rossec.sidecar.addresses import LOOPBACK
+from rossec.sidecar.descriptors import Limits, restore_limit
 
 OUTSIDE: Final = "ROSSEC_OUTSIDE"
 """Where a nested `rossec run` finds what the outer one replaced."""
@@ -28,11 +30,12 @@ _PASSED_ON: Final = (
     signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT,
     signal.SIGUSR1, signal.SIGUSR2, signal.SIGCONT,
 )  # fmt: skip
-_FROM_TERMINAL: Final = frozenset({signal.SIGINT, signal.SIGQUIT})
 _NOT_FOUND, _NOT_EXECUTABLE, _SIGNALLED = 127, 126, 128
 _SUBREAPER: Final = 36  # PR_SET_CHILD_SUBREAPER
 _DEATH_SIGNAL: Final = 1  # PR_SET_PDEATHSIG
 _LIBC: Final = ctypes.CDLL(None, use_errno=True)
+_SIGNAL: Final = struct.Struct("=Iii116x")  # signalfd_siginfo: number, errno, code; 128 bytes
+_BY_KERNEL: Final = 0x80  # SI_KERNEL
 
 
 def outside(environ: Mapping[str, str]) -> dict[str, str]:
@@ -52,9 +55,11 @@ def outside(environ: Mapping[str, str]) -> dict[str, str]:
     return {key: value for key, value in environ.items() if key not in _REPLACED} | before
 
 
-def inside(environ: Mapping[str, str], master_uri: str) -> dict[str, str]:
-    """The environment for the program."""
-    before = {key: value for key, value in outside(environ).items() if key in _REPLACED}
+def inside(
+    environ: Mapping[str, str], settled: Mapping[str, str], master_uri: str
+) -> dict[str, str]:
+    """The environment for the program; a nested `rossec run` finds what was `settled` outside."""
+    before = {key: settled[key] for key in _REPLACED if key in settled}
     kept = {key: value for key, value in environ.items() if key not in _REPLACED}
     return kept | {"ROS_MASTER_URI": master_uri, "ROS_IP": LOOPBACK, OUTSIDE: json.dumps(before)}
 
@@ -69,24 +74,44 @@ def adopt_orphans() -> None:
         raise OSError(ctypes.get_errno(), "prctl PR_SET_CHILD_SUBREAPER")
 
 
-def _end_with_parent() -> None:
-    """In the child: a program whose sidecar was killed reaches nobody, and must not linger."""
-    _LIBC.prctl(_DEATH_SIGNAL, signal.SIGTERM, 0, 0, 0)
+async def run(
+    command: Sequence[str], environ: Mapping[str, str], limits: Limits | None = None
+) -> int:
+    """Run the program to its end; its exit code, 128 and the signal's number if one ended it.
+
+    Args:
+        limits: of descriptors, for the program.
+
+    Raises:
+        NoSuchProgram: it cannot be started.
+    """
+    with _held_back() as (mask, signals):
+
+        def prepare() -> None:
+            # A program whose sidecar was killed reaches nobody, and must not linger.
+            _LIBC.prctl(_DEATH_SIGNAL, signal.SIGTERM, 0, 0, 0)
+            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+            if limits is not None:
+                restore_limit(limits)
+
+        program = await _start(command, environ, prepare)
+        with _passing_on(program, signals):
+            code = await program.wait()
+    return code if code >= 0 else _SIGNALLED - code
 
 
-async def run(command: Sequence[str], environ: Mapping[str, str]) -> int:
-    """Run the program to its end; its exit code, 128 and the signal's number if one ended it."""
+async def _start(
+    command: Sequence[str], environ: Mapping[str, str], prepare: Callable[[], None]
+) -> asyncio.subprocess.Process:
     try:
-        program = await asyncio.create_subprocess_exec(
-            *command, env=dict(environ), preexec_fn=_end_with_parent
+        return await asyncio.create_subprocess_exec(
+            *command, env=dict(environ), preexec_fn=prepare, close_fds=False
         )
     except FileNotFoundError:
         raise NoSuchProgram(f"{command[0]}: there is no such program", _NOT_FOUND) from None
-    except PermissionError:
-        raise NoSuchProgram(f"{command[0]} cannot be executed", _NOT_EXECUTABLE) from None
-    with _passing_on(program):
-        code = await program.wait()
-    return code if code >= 0 else _SIGNALLED - code
+    except OSError as error:
+        reason = error.strerror or "no reason given"
+        raise NoSuchProgram(f"{command[0]} cannot be executed: {reason}", _NOT_EXECUTABLE) from None
 
 
 class NoSuchProgram(HintedError):
@@ -98,30 +123,59 @@ class NoSuchProgram(HintedError):
 
 
 @contextlib.contextmanager
-def _passing_on(program: asyncio.subprocess.Process) -> Iterator[None]:
+def _held_back() -> Iterator[tuple[set[int | signal.Signals], int]]:
+    """Signals wait at a descriptor meanwhile; with it comes the mask from before.
+
+    They are held back from before the program starts: none is lost.
+    """
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, _PASSED_ON)
+    try:
+        signals = _signalfd(_PASSED_ON)
+        try:
+            yield mask, signals
+        finally:
+            os.close(signals)
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+
+
+def _signalfd(numbers: Sequence[signal.Signals]) -> int:
+    wanted = ctypes.create_string_buffer(128)  # sigset_t
+    _LIBC.sigemptyset(wanted)
+    for number in numbers:
+        _LIBC.sigaddset(wanted, number)
+    descriptor: int = _LIBC.signalfd(-1, wanted, os.O_CLOEXEC | os.O_NONBLOCK)
+    if descriptor < 0:
+        raise OSError(ctypes.get_errno(), "signalfd")
+    return descriptor
+
+
+@contextlib.contextmanager
+def _passing_on(program: asyncio.subprocess.Process, signals: int) -> Iterator[None]:
     loop = asyncio.get_running_loop()
 
-    def pass_on(number: signal.Signals) -> None:
-        if number in _FROM_TERMINAL and _in_foreground():
-            return  # the terminal has sent it to the program as well
-        with contextlib.suppress(ProcessLookupError):
-            program.send_signal(number)
+    def pass_on() -> None:
+        for number, code in _arrived(signals):
+            if code != _BY_KERNEL:
+                with contextlib.suppress(ProcessLookupError):
+                    program.send_signal(number)
 
-    for number in _PASSED_ON:
-        loop.add_signal_handler(number, pass_on, number)
+    loop.add_reader(signals, pass_on)
     loop.add_signal_handler(signal.SIGCHLD, _bury, program.pid)
     try:
         yield
     finally:
-        for number in (*_PASSED_ON, signal.SIGCHLD):
-            loop.remove_signal_handler(number)
+        pass_on()  # what came in the last moment was for the program, and must not end us
+        loop.remove_reader(signals)
+        loop.remove_signal_handler(signal.SIGCHLD)
 
 
-def _in_foreground() -> bool:
-    try:
-        return os.tcgetpgrp(sys.stdin.fileno()) == os.getpgrp()
-    except (OSError, ValueError):
-        return False
+def _arrived(signals: int) -> Iterator[tuple[int, int]]:
+    """Each signal that waits, with its code."""
+    with contextlib.suppress(BlockingIOError):
+        while True:
+            number, _, code = _SIGNAL.unpack(os.read(signals, _SIGNAL.size))
+            yield number, code
 
 
 def _bury(own: int) -> None:

@@ -48,26 +48,26 @@ class AskMaster:
 
 @dataclass(frozen=True)
 class AskLocal:
-    """Call a program's slave API. -> Answered (if `parse` and it can be), Passed, Silent"""
+    """Call a program's slave API. -> Answered; Passed if not `parse`; Silent"""
 
     local: Endpoint
     method: str
     params: tuple[object, ...]
-    parse: bool = False
+    parse: bool = True
 
 
 @dataclass(frozen=True)
 class AskRemote:
     """Call a peer's slave API, after showing the grants for `right` on it.
 
-    -> Answered (if `parse` and it can be), Passed, Silent
+    -> Answered; Passed if not `parse`; Silent
     """
 
     remote: Endpoint
     method: str
     params: tuple[object, ...]
     right: Right | None = None
-    parse: bool = False
+    parse: bool = True
 
 
 @dataclass(frozen=True)

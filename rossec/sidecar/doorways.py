@@ -1,8 +1,9 @@
 """What is open for each address, and never more than so much of it.
 
 An address that is asked for again gets the same door. When there are too many, the one that was
-asked for longest ago and serves nobody makes room: programs ask before they connect, and a door
-that is gone refuses them like a dead node's port. One that serves somebody stays.
+asked for longest ago, serves nobody and can be spared makes room. Towards the network that is the
+door of a dead program alone: peers keep the address of a live one, however long they stay away. On
+loopback it is any: programs ask before they connect.
 """
 
 from collections.abc import Callable, Iterator
@@ -30,10 +31,17 @@ class Doorways(Generic[DoorT]):
 
     Args:
         closing: called with the door that makes room, and the address it was for.
+        can_spare: whether an idle door for this address may make room.
     """
 
-    def __init__(self, closing: Callable[[Endpoint, DoorT], None], limit: int = LIMIT) -> None:
+    def __init__(
+        self,
+        closing: Callable[[Endpoint, DoorT], None],
+        can_spare: Callable[[Endpoint], bool] = lambda _: True,
+        limit: int = LIMIT,
+    ) -> None:
         self._closing = closing
+        self._can_spare = can_spare
         self._limit = limit
         self._doors: dict[Endpoint, DoorT] = {}  # the one asked for last comes last
 
@@ -57,7 +65,7 @@ class Doorways(Generic[DoorT]):
 
     def _make_room(self) -> None:
         for place, door in self._doors.items():
-            if door.connections == 0:
+            if door.connections == 0 and self._can_spare(place):
                 del self._doors[place]
                 self._closing(place, door)
                 return

@@ -12,18 +12,20 @@ from collections.abc import Callable
 from typing import Final
 
 from ca.certificates import Identity
-from ca.errors import HintedError, RevocationsStale
+from ca.errors import HintedError
 from rossec.channel.opening import Flavour
 from rossec.errors import CallRefused, HangUp
+from rossec.net import peeruid
 from rossec.net.rpc import serve_calls
 from rossec.net.server import SecureServer
 from rossec.net.stream import SecureStream
 from rossec.net.tasks import TaskSet
 from rossec.node.guests import Guests
 from rossec.node.questions import MASTER
+from rossec.node.topicguard import FilterKey
 from rossec.ros import header
 from rossec.sidecar import headers, pump, slavecalls
-from rossec.sidecar.addresses import Endpoint
+from rossec.sidecar.addresses import LOOPBACK, Endpoint
 from rossec.sidecar.doorways import Doorways
 from rossec.sidecar.headers import Joined
 from rossec.sidecar.layers import Tenant
@@ -57,7 +59,7 @@ class Exports:
         network: Network,
         links: Links,
         guests: Guests,
-        filter_key: Callable[[str], bytes],
+        filter_key: FilterKey,
         news: News,
     ) -> None:
         self._house = house
@@ -68,7 +70,7 @@ class Exports:
         self._news = news
         self._tasks = TaskSet()
         self._guests = guests
-        self.doorways = Doorways(self._close_door)
+        self.doorways = Doorways(self._close_door, _is_dead)
 
     def open(self, local: Endpoint) -> int:
         """The port outside for `local`."""
@@ -139,8 +141,6 @@ class Exports:
     def _take_revocations(self, peer: Identity, data: bytes, timestamp: bytes) -> object:
         if peer.name != MASTER:
             raise CallRefused(f"{REVOCATION_UPDATE} is for the master alone")
-        with contextlib.suppress(RevocationsStale):  # which is what this call ends
-            self._tenant.access.check_peer(peer, int(time.time()))
         self._news(data, timestamp, peer)
         return [1, "", 0]
 
@@ -158,15 +158,16 @@ class Exports:
                         int(time.time()),
                     )  # fmt: skip
                     joined = await visit.run(layer)
-            except HangUp as error:
-                _log.info("%s: %s", stream.peer.name, error)
-                return
+            except HangUp:
+                raise
             except HintedError as error:
                 _log.warning("refused %s: %s (%s)", stream.peer.name, error, error.hint)
                 await stream.send(header.error_header(f"rossec: {error}"))
                 return
             if visit.program is not None:
                 await self._pass(joined, visit.program, stream, early, visit.first)
+        except HangUp as error:
+            _log.info("%s: %s", stream.peer.name, error)
         finally:
             await visit.close()
 
@@ -186,3 +187,7 @@ class Exports:
                 _log.warning("%s sends data where it subscribes", stream.peer.name)
             else:
                 await pump.publish(program, stream, joined.guard, first)
+
+
+def _is_dead(local: Endpoint) -> bool:
+    return not peeruid.listeners((LOOPBACK, local.port))

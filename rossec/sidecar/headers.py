@@ -6,25 +6,24 @@ how the bytes that follow must be treated: a guard for outgoing messages that ar
 nothing else.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from ca.certificates import Identity
-from grants import layout
 from grants.decision import Decision
-from grants.guard import Guard, needed_keys
+from grants.guard import Guard
 from grants.model import Right
 from rossec.errors import HangUp, TopicRefused
 from rossec.node import services, topics
 from rossec.node.access import FIELD
 from rossec.node.fields import Fields, text
+from rossec.node.topicguard import FilterKey, guard_of
 from rossec.sidecar.addresses import Endpoint
 from rossec.sidecar.commands import MeetPeer, MeetProgram, Rest
 from rossec.sidecar.events import Event, HeaderArrived, Silent
 from rossec.sidecar.layers import Layer, Tenant, Unforeseen
 
 _CALLER = "callerid"
-FilterKey = Callable[[str], bytes]
 
 
 @dataclass(frozen=True)
@@ -34,7 +33,7 @@ class Joined:
     Attributes:
         answer: the header for the end that asked.
         decision: what the peer may do; when it ends, the connection does.
-        guard: treats each message towards the peer; None: bytes pass as they are.
+        guard: treats each message before it is passed on; None: bytes pass as they are.
         service: both directions carry data; else only from publisher to subscriber.
     """
 
@@ -58,7 +57,7 @@ def admit_peer(
         TopicRefused, GrantError, CAError: it may not, or the program refuses it.
         HangUp: the program does not answer.
     """
-    service = "service" in fields
+    service = _asks_for_service(fields)
     if service:
         decision = services.admit_caller(fields, peer, tenant.access, now)
         decision.require_unrestricted()
@@ -69,8 +68,20 @@ def admit_peer(
         yield Rest(local)
     arrived = _arrived(event)
     answer = _own_answer(tenant, fields, arrived.fields)
-    guard = None if service else _guard(answer, decision, filter_key)
+    guard = None if service else guard_of(answer, decision, filter_key)
     return Joined({**answer, **_proof(tenant, fields, arrived.now)}, decision, guard, service)
+
+
+def _asks_for_service(fields: Mapping[str, bytes]) -> bool:
+    """What a header is for. Both would be judged as one and served as the other: roscpp and rospy
+    look for the topic first.
+
+    Raises:
+        TopicRefused: not exactly one of the two.
+    """
+    if ("service" in fields) is ("topic" in fields):
+        raise TopicRefused("a connection header is for a topic or for a service")
+    return "service" in fields
 
 
 def _own_answer(
@@ -96,32 +107,12 @@ def _proof(tenant: Tenant, asked: Mapping[str, bytes], now: int) -> Fields:
     return {FIELD: tenant.access.present(Right.PUBLISH, text(asked, "topic"), now)}
 
 
-def _guard(answer: Mapping[str, bytes], decision: Decision, filter_key: FilterKey) -> Guard | None:
-    """The guard for what the program says it publishes; its definition must prove its md5sum.
-
-    Without restrictions there is nothing to apply but the end of the grant, which the watch does.
-    """
-    if not decision.restrictions:
-        return None
-    shape = layout.parse(text(answer, "type"), _definition(answer))
-    if shape.md5 != text(answer, "md5sum"):
-        raise TopicRefused(
-            f"the definition of {shape.type_name} does not have the md5sum of the connection",
-            "the grant is restricted, and what is sent cannot be told",
-        )
-    keys = {name: filter_key(name) for name in needed_keys(decision.restrictions)}
-    return Guard(shape, decision, keys)
-
-
-def _definition(answer: Mapping[str, bytes]) -> str:
-    try:
-        return answer.get("message_definition", b"").decode()
-    except UnicodeDecodeError:
-        raise TopicRefused("a message definition that is not UTF-8") from None
-
-
 def reach_peer(
-    tenant: Tenant, remote: Endpoint, fields: Mapping[str, bytes], now: int
+    tenant: Tenant,
+    remote: Endpoint,
+    fields: Mapping[str, bytes],
+    filter_key: FilterKey,
+    now: int,
 ) -> Layer[Joined]:
     """A program subscribes to a topic of the peer at `remote`, or calls its service.
 
@@ -129,8 +120,9 @@ def reach_peer(
         TopicRefused, GrantError, CAError: the peer refuses, or may not publish or provide.
         HangUp: the peer does not answer.
     """
+    service = _asks_for_service(fields)
     asked = {**without_grants(fields), _CALLER: _caller(tenant, fields)}
-    service = "service" in fields
+    guard = None
     if service:
         name = services.requested_service(fields)
         asked |= services.caller_proof(name, tenant.access, now)
@@ -147,7 +139,8 @@ def reach_peer(
         decision = topics.admit_publisher(
             arrived.fields, peer, expected, tenant.access, arrived.now
         )
-    return Joined(without_grants(arrived.fields), decision, None, service)
+        guard = guard_of(arrived.fields, decision, filter_key)
+    return Joined(without_grants(arrived.fields), decision, guard, service)
 
 
 def _from_peer(event: Event) -> tuple[HeaderArrived, Identity]:

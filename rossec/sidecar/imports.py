@@ -18,6 +18,7 @@ from rossec.net.rpc import serve_calls
 from rossec.net.stream import SecureStream
 from rossec.net.tasks import TaskSet
 from rossec.node.fields import text
+from rossec.node.topicguard import FilterKey
 from rossec.ros import header
 from rossec.sidecar import headers, pump, slavecalls
 from rossec.sidecar.addresses import Endpoint
@@ -40,15 +41,22 @@ class Imports:
 
     Args:
         house: whom visits are made for.
+        filter_key: finds a key for pseudonyms by its name.
         ended: told of a topic whose connection, made at that monotonic time, has ended.
     """
 
     def __init__(
-        self, house: House, tenant: Tenant, links: Links, ended: Callable[[str, float], None]
+        self,
+        house: House,
+        tenant: Tenant,
+        links: Links,
+        filter_key: FilterKey,
+        ended: Callable[[str, float], None],
     ) -> None:
         self._house = house
         self._tenant = tenant
         self._links = links
+        self._filter_key = filter_key
         self._ended = ended
         self._tasks = TaskSet()
         self.doorways = Doorways(self._close_door)
@@ -103,7 +111,9 @@ class Imports:
             try:
                 async with asyncio.timeout(HEADER_DEADLINE):
                     fields, early = await split_header(program)
-                    layer = headers.reach_peer(self._tenant, remote, fields, int(time.time()))
+                    layer = headers.reach_peer(
+                        self._tenant, remote, fields, self._filter_key, int(time.time())
+                    )
                     joined = await visit.run(layer)
             except HangUp as error:
                 _log.info("no connection to %s: %s", remote.uri, error)
@@ -136,4 +146,4 @@ class Imports:
             if joined.service:
                 await pump.exchange(program, stream, early, first)
             else:
-                await pump.subscribe(program, stream, first)
+                await pump.subscribe(program, stream, joined.guard, first)

@@ -1,17 +1,22 @@
 """The live connections of one identity, and why each may go on.
 
-A shell. A link is known to the watch before the first byte of data passes: a revocation that
-arrives meanwhile finds it.
+A shell. A link is known to the watch before it is judged once more, and that before the first byte
+of data passes: what was revoked while the two ends introduced themselves is found by one or the
+other.
 """
 
 import contextlib
 import logging
+import time
 from collections.abc import Iterator
 
 from ca.certificates import Identity
+from ca.errors import HintedError
+from ca.revocation import Revocations
 from grants.decision import Decision
-from rossec.errors import RossecError
+from rossec.errors import HangUp
 from rossec.net.stream import SecureStream
+from rossec.node.links import why_cut
 
 _log = logging.getLogger("rossec.sidecar")
 
@@ -28,7 +33,8 @@ class Link:
 class Links:
     """Those of one identity."""
 
-    def __init__(self) -> None:
+    def __init__(self, revocations: Revocations) -> None:
+        self._revocations = revocations
         self._links: set[Link] = set()
 
     def __iter__(self) -> Iterator[Link]:
@@ -36,13 +42,19 @@ class Links:
 
     @contextlib.contextmanager
     def linked(self, stream: SecureStream[Identity], decision: Decision) -> Iterator[None]:
-        """A link while the block runs; a connection that ends meanwhile ends the block alone."""
+        """A link while the block runs; a connection that ends meanwhile ends the block alone.
+
+        Raises:
+            HangUp: it must end before it begins.
+        """
         link = Link(stream, decision)
         self._links.add(link)
         try:
-            yield
-        except* RossecError as group:
-            _log.info("the connection with %s ended: %s", stream.peer.name, group.exceptions[0])
+            reason = why_cut(link, self._revocations, int(time.time()))
+            if reason is not None:
+                raise HangUp(reason)
+            with _ended(stream):
+                yield
         finally:
             self._links.discard(link)
 
@@ -50,3 +62,11 @@ class Links:
         """Cut them all."""
         for link in self:
             link.stream.abort(reason)
+
+
+@contextlib.contextmanager
+def _ended(stream: SecureStream[Identity]) -> Iterator[None]:
+    try:
+        yield
+    except* HintedError as group:  # the guard's too: a grant that expires between two messages
+        _log.info("the connection with %s ended: %s", stream.peer.name, group.exceptions[0])

@@ -20,6 +20,7 @@ from rossec.sidecar.plain import PlainStream
 _BACKLOG: Final = 64
 _ATTEMPTS: Final = 16
 _CONNECTIONS: Final = 256  # at a time and port; a program has one or two
+_REST: Final = 1.0  # seconds, when this process is out of descriptors
 
 _log = logging.getLogger("rossec.sidecar")
 Handler = Callable[[PlainStream], Awaitable[None]]
@@ -49,7 +50,7 @@ class LoopbackPort:
             # Connections from before may still use the number; at rest nobody else may bind it.
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             self._socket.listen(_BACKLOG)
-            self._loop.add_reader(self._socket.fileno(), self._accept)
+            self._watch()
 
     def rest(self) -> None:
         """Refuse callers, keep the number; connections that are served go on."""
@@ -66,10 +67,19 @@ class LoopbackPort:
         self._socket.close()
         await self._tasks.close()
 
+    def _watch(self) -> None:
+        if self._is_open:
+            self._loop.add_reader(self._socket.fileno(), self._accept)
+
     def _accept(self) -> None:
         try:
             sock, _ = self._socket.accept()
-        except OSError:  # gone before it was accepted, or no descriptors: it will try again
+        except (BlockingIOError, InterruptedError, ConnectionAbortedError):  # gone meanwhile
+            return
+        except OSError as error:  # out of descriptors: who waits would be told of again at once
+            _log.warning("cannot accept programs for %s s: %s", _REST, error)
+            self._loop.remove_reader(self._socket.fileno())
+            self._loop.call_later(_REST, self._watch)
             return
         if len(self._tasks) >= _CONNECTIONS:
             _log.warning("too many connections at loopback port %d", self.port)
@@ -81,7 +91,8 @@ class LoopbackPort:
         try:
             await self._callers.check(sock)
         except (PeerUserRefused, OSError) as error:
-            _log.warning("refused a program at port %d: %s", self.port, error)
+            hint = error.hint if isinstance(error, PeerUserRefused) else "nobody knows whose it is"
+            _log.warning("refused a program at port %d: %s (%s)", self.port, error, hint)
             sock.close()
             return
         except BaseException:

@@ -15,8 +15,8 @@ from rossec.ros import names
 from rossec.ros.text import printable
 from rossec.ros.xmlrpc import Fault
 from rossec.sidecar.addresses import Endpoint, endpoint, inside
-from rossec.sidecar.commands import AskLocal, AskMaster, Rest
-from rossec.sidecar.events import Answered, Silent
+from rossec.sidecar.commands import AskLocal, AskMaster, Knock, Rest
+from rossec.sidecar.events import Answered, Event, Silent
 from rossec.sidecar.layers import Layer, Program, Tenant, Unforeseen, own_endpoint
 
 MULTICALL: Final = "system.multicall"
@@ -50,6 +50,11 @@ class Rule:
     key: int | None = None
     result: Result = Result.PLAIN
     undoes: str | None = None
+
+    @property
+    def place(self) -> int:
+        """Where a registration says its address: a service's own, else the slave API."""
+        return next(index for index in (self.service, self.api) if index is not None)
 
     @property
     def registers(self) -> bool:
@@ -160,7 +165,9 @@ def _outward(
     own = _own(rule, params)
     if own is not None and rule.registers:
         tenant.doors.spell(own, str(params[rule.api or 0]))
-        tenant.programs.setdefault(own, Program(caller)).name = caller
+        known = tenant.programs.get(own)
+        if known is None or known.name != caller:  # a dead one's port may be another's now
+            tenant.programs[own] = Program(caller)
     return tuple(changed)
 
 
@@ -189,13 +196,19 @@ def _remember(
     key = str(outside[rule.key]) if rule.key is not None else ""
     own = _own(rule, params)
     if rule.registers and own is not None:
-        tenant.programs.setdefault(own, Program(str(params[0]))).registrations[method, key] = (
-            outside
-        )
+        program = tenant.programs.setdefault(own, Program(str(params[0])))
+        program.registrations[method, key] = outside
     elif rule.undoes is not None:
-        for program in tenant.programs.values():
-            if program.name == params[0]:
-                program.registrations.pop((rule.undoes, key), None)
+        _forget(tenant, rule, rule.undoes, key, outside)
+
+
+def _forget(tenant: Tenant, rule: Rule, undone: str, key: str, outside: tuple[object, ...]) -> None:
+    """The address says whose registration it was: a successor of the same name keeps its own."""
+    place, made_at = rule.place, RULES[undone].place
+    for program in tenant.programs.values():
+        made = program.registrations.get((undone, key))
+        if made is not None and len(outside) > place and made[made_at] == outside[place]:
+            del program.registrations[undone, key]
 
 
 def _inward(
@@ -235,8 +248,13 @@ def _not_covered(tenant: Tenant, caller: str) -> str:
 
 
 def restore(tenant: Tenant) -> Layer[None]:
-    """Make every registration again, for a master that was restarted."""
+    """Make every registration again, for a master that was restarted; the dead are left out.
+
+    They might come back in the place of a successor of the same name, which the master would end.
+    """
     for own, program in tuple(tenant.programs.items()):
+        if (yield from _is_gone(tenant, own, (yield Knock(own)))):
+            continue
         for (method, key), params in tuple(program.registrations.items()):
             yield from _again(tenant, own, method, key, params)
 
@@ -265,7 +283,12 @@ def _again(
 
 def tell(tenant: Tenant, own: Endpoint, method: str, params: tuple[object, ...]) -> Layer[None]:
     """Call a program that may be gone."""
-    event = yield AskLocal(own, method, params)
+    yield from _is_gone(tenant, own, (yield AskLocal(own, method, params)))
+
+
+def _is_gone(tenant: Tenant, own: Endpoint, event: Event) -> Layer[bool]:
     if isinstance(event, Silent) and event.dead:
         tenant.forget(own)
         yield Rest(own)
+        return True
+    return False

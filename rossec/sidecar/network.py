@@ -7,23 +7,37 @@ import time
 from typing import Final
 
 from ca.certificates import Identity, TrustAnchor
-from ca.errors import HintedError
+from ca.errors import HintedError, RevocationsStale
 from rossec.channel.credentials import OwnCredential
 from rossec.channel.known import KnownCertificates
 from rossec.channel.opening import Flavour
+from rossec.channel.records import Limits
 from rossec.errors import HangUp
-from rossec.net.server import Handler, SecureServer, serve_now
+from rossec.net.halfopen import HalfOpenCount
+from rossec.net.server import Handler, SecureServer, serve
 from rossec.net.stream import SecureStream, connect
 from rossec.node.access import Access
+from rossec.ros.header import MESSAGE_LIMIT
 from rossec.ros.settings import is_loopback
+from rossec.ros.xmlrpc import BODY_LIMIT
 from rossec.sidecar.addresses import Endpoint
 from rossec.sidecar.loopback import free_port
 
 _ATTEMPTS: Final = 16
+_CALL: Final = Limits(unit=2 * BODY_LIMIT)  # however it is written
+_DIALLED: Final = {Flavour.HTTP: _CALL, Flavour.TCPROS: Limits()}
+_ACCEPTED: Final = {  # peers send headers and requests; what programs send leaves in small units
+    Flavour.HTTP: _CALL,
+    Flavour.TCPROS: Limits(unit=MESSAGE_LIMIT + BODY_LIMIT),
+}
 
 
 class Network:
-    """Acts with `credentials`, for peers that `anchor` vouches for and `access` knows as alive."""
+    """Acts with `credentials`, for peers that `anchor` vouches for and `access` knows as alive.
+
+    Args:
+        half_open: what strangers have begun at any door of this process.
+    """
 
     def __init__(
         self,
@@ -31,33 +45,39 @@ class Network:
         anchor: TrustAnchor,
         access: Access,
         suites: tuple[int, ...],
+        half_open: HalfOpenCount,
     ) -> None:
+        self._half_open = half_open
         self._credentials = credentials
         self._anchor = anchor
         self._access = access
         self._suites = suites
         self._known = KnownCertificates()
 
-    async def connect(self, remote: Endpoint) -> SecureStream[Identity]:
-        """Connect; who answers is for the caller to judge."""
-        return await connect(
-            remote.host, remote.port, self._credentials, self._anchor.verify,
-            opening=remote.flavour, suites=self._suites, known=self._known,
-        )  # fmt: skip
-
-    async def dial(self, remote: Endpoint) -> SecureStream[Identity]:
+    async def dial(self, remote: Endpoint, *, news: bool = False) -> SecureStream[Identity]:
         """Connect to a peer whose identity holds.
 
+        Args:
+            news: it brings what is revoked, so that it may be met before anybody knows.
+
         Raises:
-            HangUp: it does not.
+            HangUp: it does not hold, or nobody knows.
         """
-        stream = await self.connect(remote)
+        stream = await self._connect(remote)
         try:
             self._access.check_peer(stream.peer, int(time.time()))
         except HintedError as error:
-            stream.abort("the peer's identity does not hold")
-            raise HangUp(str(error), error.hint) from error
+            if not (news and isinstance(error, RevocationsStale)):
+                stream.abort("the peer's identity does not hold")
+                raise HangUp(str(error), error.hint) from error
         return stream
+
+    async def _connect(self, remote: Endpoint) -> SecureStream[Identity]:
+        return await connect(
+            remote.host, remote.port, self._credentials, self._anchor.verify,
+            opening=remote.flavour, limits=_DIALLED[remote.flavour],
+            suites=self._suites, known=self._known,
+        )  # fmt: skip
 
     def listen(
         self, handler: Handler[Identity], host: str, flavour: Flavour
@@ -69,9 +89,10 @@ class Network:
         bind = host if is_loopback(host) else None
         for attempt in range(_ATTEMPTS):
             try:
-                return serve_now(
+                return serve(
                     handler, bind, free_port(), self._credentials, self._anchor.verify,
-                    accept={flavour}, suites=self._suites, known=self._known,
+                    accept={flavour}, limits=_ACCEPTED[flavour], half_open=self._half_open,
+                    suites=self._suites, known=self._known,
                 )  # fmt: skip
             except OSError:
                 if attempt == _ATTEMPTS - 1:

@@ -14,7 +14,7 @@ from rossec.errors import ChannelClosed
 from rossec.net.transport import Transport
 
 _SMALL: Final = 8 * 1024
-_LARGE: Final = 256 * 1024  # what one record of the channel holds
+_LARGE: Final = 512 * 1024  # two records of the channel: what its other end reads at a time
 _LINGER: Final = 2.0
 
 

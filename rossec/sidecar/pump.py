@@ -62,9 +62,11 @@ async def publish(
     await _both(program, peer, outgoing(program, peer, guard, first), _nothing_more(peer))
 
 
-async def subscribe(program: PlainStream, peer: SecureStream[Identity], first: bytes) -> None:
+async def subscribe(
+    program: PlainStream, peer: SecureStream[Identity], guard: Guard | None, first: bytes
+) -> None:
     """Pass a peer's messages to a program that subscribes."""
-    await _both(program, peer, to_program(peer, program, first), _nothing_more(program))
+    await _both(program, peer, incoming(peer, program, guard, first), _nothing_more(program))
 
 
 async def to_peer(program: PlainStream, peer: SecureStream[Identity], first: bytes) -> None:
@@ -90,14 +92,26 @@ def outgoing(
     return guarded(program, peer, guard, first)
 
 
+def incoming(
+    peer: SecureStream[Identity], program: PlainStream, guard: Guard | None, first: bytes
+) -> Coroutine[None, None, None]:
+    """The way of messages in: through the guard if the publisher is restricted."""
+    if guard is None:
+        return to_program(peer, program, first)
+    return guarded(peer, program, guard, first)
+
+
 async def guarded(
-    program: PlainStream, peer: SecureStream[Identity], guard: Guard, data: bytes
+    source: PlainStream | SecureStream[Identity],
+    sink: PlainStream | SecureStream[Identity],
+    guard: Guard,
+    data: bytes,
 ) -> None:
-    """Each message as the peer may see it; one that cannot be judged is withheld.
+    """Each message as the guard leaves it; one that cannot be judged is withheld.
 
     Raises:
         GrantExpired, ChannelClosed: the right, or one of the ends, has ended.
-        FrameRefused: the program's messages cannot be told apart.
+        FrameRefused: the messages cannot be told apart.
     """
     reader = FrameReader()
     while True:
@@ -105,17 +119,17 @@ async def guarded(
         guard.check(now)
         pieces: list[Buffer] = []
         for message in reader.feed(data):
-            pieces += _treated(guard, message, now, peer.peer.name)
+            pieces += _treated(guard, message, now)
         if pieces:
-            await peer.send(*pieces)
-        data = await program.receive()
+            await sink.send(*pieces)
+        data = await source.receive()
 
 
-def _treated(guard: Guard, message: bytes, now: int, name: str) -> list[Buffer]:
+def _treated(guard: Guard, message: bytes, now: int) -> list[Buffer]:
     try:
         treated = guard.treat(message, now)
     except GrantError as error:
-        _log.warning("withheld a message from %s: %s", name, error)
+        _log.warning("withheld a message: %s", error)
         return []
     if treated is None:
         return []

@@ -7,6 +7,7 @@ its own name.
 
 import asyncio
 import logging
+import re
 from pathlib import Path
 from typing import Final
 
@@ -16,10 +17,11 @@ from rossec.channel.opening import Flavour
 from rossec.channel.suites import PRODUCTION
 from rossec.errors import ConfigurationError, HangUp
 from rossec.home import NodeHome
+from rossec.net.halfopen import HalfOpen, HalfOpenCount
 from rossec.net.rpc import serve_calls
-from rossec.ros.settings import Settings
+from rossec.ros.settings import Settings, is_loopback
 from rossec.ros.xmlrpc import Fault
-from rossec.sidecar.addresses import inside
+from rossec.sidecar.addresses import LOOPBACK, inside
 from rossec.sidecar.agent import Agent
 from rossec.sidecar.callers import Callers
 from rossec.sidecar.loopback import LoopbackPort
@@ -28,6 +30,7 @@ from rossec.sidecar.plain import PlainStream
 
 _log = logging.getLogger("rossec.sidecar")
 _LIMIT: Final = 256  # identities in use
+_ANONYMOUS: Final = re.compile(r"([_-][0-9]+)+$")  # what rospy, roscpp and the tools append
 
 
 class Sidecar:
@@ -58,14 +61,30 @@ class Sidecar:
         self._callers = callers
         self._each = each
         self._suites = suites
+        self._half_open = HalfOpenCount(HalfOpen())
         self._agents: dict[str, Agent] = {}
-        self._master = LoopbackPort(callers, self._serve, port)
+        self._master = self._at(port)
         self._default = None if identity is None else self._agent(NodeHome.of(home, identity))
 
     @property
     def uri(self) -> str:
         """What programs must be told in ROS_MASTER_URI."""
         return inside(Flavour.HTTP, self._master.port).uri
+
+    def _at(self, port: int) -> LoopbackPort:
+        try:
+            master = LoopbackPort(self._callers, self._serve, port)
+        except OSError as error:
+            raise ConfigurationError(
+                f"cannot listen at {LOOPBACK} port {port}: {error.strerror}",
+                "is roscore or another sidecar running? choose another port with --port",
+            ) from error
+        if is_loopback(self._outside.master_host) and self._outside.master_port == master.port:
+            raise ConfigurationError(
+                f"ROS_MASTER_URI, {self._outside.master_uri}, is the sidecar's own address",
+                "set it to where the secured master is, for the sidecar alone",
+            )
+        return master
 
     def start(self) -> None:
         """Serve."""
@@ -90,6 +109,9 @@ class Sidecar:
         except HintedError as error:
             _log.warning("%s: %s (%s)", method, error, error.hint)
             return [-1, f"rossec: {error} ({error.hint})", 0]
+        except OSError as error:  # its files cannot be read
+            _log.warning("%s: %s", method, error)
+            return [-1, f"rossec: {error}", 0]
 
     def _agent_for(self, name: str) -> Agent:
         if self._default is not None and not self._each:
@@ -101,10 +123,7 @@ class Sidecar:
         if not (home.path / "node.key").exists():
             if self._default is not None:
                 return self._default
-            raise ConfigurationError(
-                f"{name} has no identity here",
-                f"enroll it: rossec node request {name}, or use --as",
-            )
+            raise ConfigurationError(f"{name} has no identity here", _remedy(name))
         if len(self._agents) >= _LIMIT:
             raise ConfigurationError("too many identities in one sidecar")
         return self._agent(home)
@@ -112,9 +131,15 @@ class Sidecar:
     def _agent(self, home: NodeHome) -> Agent:
         if home.name not in self._agents:
             self._agents[home.name] = Agent(
-                home, self._outside, self._callers, self.uri, self._suites
+                home, self._outside, self._callers, self.uri, self._half_open, self._suites
             )
         return self._agents[home.name]
+
+
+def _remedy(name: str) -> str:
+    base = _ANONYMOUS.sub("", name)
+    anonymous = "" if base == name else " --anonymous"
+    return f"enroll it: rossec node request {base}{anonymous}, or use --as"
 
 
 def _caller(method: str, params: tuple[object, ...]) -> str:

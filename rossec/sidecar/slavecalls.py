@@ -1,15 +1,15 @@
 """Calls between nodes: a peer's to a program's slave API, and a program's to a peer's. Pure layers.
 
 Both directions are default deny and drop UDPROS, which would leave the channel (attack N10). A
-peer is judged before the program hears of it. What a program answers is parsed only where it
-carries an address: roscpp's `getBusStats` is malformed XML-RPC, and travels as it is.
+peer is judged before the program hears of it. Answers are parsed and written anew, and hold a value
+only if the code is 1: rospy takes any positive one for success, and stock parsers read what ours
+refuses, so that an address the sidecar did not see would be dialled in clear. The one answer that
+travels as it is, is that of `getBusStats`, where roscpp's is malformed; it holds no address.
 """
 
-from collections.abc import Mapping
 from typing import Final
 
 from ca.certificates import Identity
-from grants.model import Right
 from rossec.channel.opening import Flavour
 from rossec.errors import CallRefused, HangUp
 from rossec.node.questions import OPEN, PRESENT, QUESTIONS, STEERING, check_question
@@ -18,10 +18,11 @@ from rossec.ros.xmlrpc import Encoded, Fault
 from rossec.sidecar.addresses import Endpoint, endpoint, inside
 from rossec.sidecar.commands import AskLocal, AskRemote, Knock, Rest
 from rossec.sidecar.events import Answered, Event, Passed, Silent
-from rossec.sidecar.layers import Layer, Tenant, Unforeseen
+from rossec.sidecar.layers import Layer, Tenant, Unforeseen, own_endpoint
 
-_PARSED: Final = frozenset({"requestTopic", "getBusInfo", "getUri", "getMasterUri"})
+_UNPARSED: Final = frozenset({"getBusStats"})
 _INWARD: Final = "i"
+_MOST_DOORS: Final = 64  # that one answer of a peer may have opened
 NO_TRANSPORT: Final = "rossec: only TCPROS, inside the secure channel"
 
 
@@ -51,17 +52,32 @@ def ask_program(
     changed = yield from _for_program(tenant, local, method, params)
     if changed is None:
         return [-1, NO_TRANSPORT, []]
-    event = yield AskLocal(local, method, changed, parse=method in _PARSED)
+    event = yield AskLocal(local, method, changed, parse=method not in _UNPARSED)
     yield from _gone(tenant, local, event)
     match event:
-        case Passed(body=body):
+        case Passed(body=body) if method in _UNPARSED:
             return Encoded(body)
-        case Answered(value=[1, status, value]):
+        case Answered(value=[code, str() as status, value]) if _succeeded(code):
             return (yield from _program_says(tenant, local, method, status, value))
         case Answered(value=value):
-            return value
+            return _refusal(value)
         case _:
             raise Unforeseen(method)
+
+
+def _succeeded(code: object) -> bool:
+    return type(code) is int and code == 1  # not True, not 1.0
+
+
+def _refusal(answer: object) -> list[object]:
+    """An answer that is none, or does not say success: without its value, whatever that is."""
+    match answer:
+        case [(-1 | 0) as code, str() as status, _]:
+            return [code, status, 0]
+        case [_, str() as status, _]:
+            return [-1, status, 0]
+        case _:
+            return [-1, "rossec: an answer that is not [code, status, value]", 0]
 
 
 def _gone(tenant: Tenant, local: Endpoint, event: Event) -> Layer[None]:
@@ -106,20 +122,25 @@ def _program_says(
         case "getMasterUri", _:
             return [1, status, ""]
         case "getBusInfo", list() as entries:
-            return [1, status, [_entry(tenant, entry) for entry in entries]]
+            return [1, status, (yield from _connections(tenant, local, entries))]
         case _:
             return [1, status, value]
 
 
-def _entry(tenant: Tenant, entry: object) -> object:
-    """A connection as the program knows it; of incoming ones it names the publisher's URI."""
-    match entry:
-        case [number, uri, "i", *rest]:
-            local = endpoint(uri, Flavour.HTTP)
-            remote = None if local is None else tenant.doors.peer_behind(local)
-            return [number, uri if remote is None else remote.uri, _INWARD, *rest]
-        case _:
-            return entry
+def _connections(tenant: Tenant, local: Endpoint, entries: list[object]) -> Layer[list[object]]:
+    """A program's connections; of incoming ones it names the URI of the publisher, maybe itself."""
+    found: list[object] = []
+    for entry in entries:
+        match entry:
+            case [number, str() as uri, "i", *rest]:
+                place = endpoint(uri, Flavour.HTTP)
+                remote = None if place is None else tenant.doors.peer_behind(place)
+                if own_endpoint(uri) == local:
+                    remote = yield from tenant.export(local)
+                found.append([number, uri if remote is None else remote.uri, _INWARD, *rest])
+            case _:
+                found.append(entry)
+    return found
 
 
 def ask_peer(
@@ -140,21 +161,19 @@ def ask_peer(
         changed = _without_udp(changed or ())
     if changed is None:
         return [-1, NO_TRANSPORT, []]
-    event = yield AskRemote(remote, method, changed, _RIGHTS.get(method), method in _PARSED)
+    parse = method not in _UNPARSED
+    event = yield AskRemote(remote, method, changed, QUESTIONS.get(method), parse)
     match event:
-        case Passed(body=body):
+        case Passed(body=body) if method in _UNPARSED:
             return Encoded(body)
-        case Answered(value=[1, status, value]):
+        case Answered(value=[code, str() as status, value]) if _succeeded(code):
             return (yield from _peer_says(tenant, remote, method, status, value))
         case Answered(value=value):
-            return value
+            return _refusal(value)
         case Silent(reason=reason):
             raise HangUp(reason)
         case _:
             raise Unforeseen(method)
-
-
-_RIGHTS: Final[Mapping[str, Right]] = QUESTIONS
 
 
 def _peer_says(
@@ -174,5 +193,24 @@ def _peer_says(
             return [1, status, (yield from tenant.bring(remote))]
         case "getMasterUri", _:
             return [1, status, tenant.master_uri]
+        case "getBusInfo", list() as entries:
+            return [1, status, (yield from _peers_connections(tenant, entries))]
         case _:
             return [1, status, value]
+
+
+def _peers_connections(tenant: Tenant, entries: list[object]) -> Layer[list[object]]:
+    """A peer's connections, with the URIs that `lookupNode` gives: tools compare the two."""
+    doors: dict[str, str] = {}
+    found: list[object] = []
+    for entry in entries:
+        match entry:
+            case [number, str() as uri, "i", *rest]:
+                remote = endpoint(uri, Flavour.HTTP)
+                if remote is not None and uri not in doors and len(doors) < _MOST_DOORS:
+                    own = tenant.doors.program_behind(remote)
+                    doors[uri] = yield from tenant.bring(remote, own)
+                found.append([number, doors.get(uri, uri), _INWARD, *rest])
+            case _:
+                found.append(entry)
+    return found

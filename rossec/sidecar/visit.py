@@ -12,8 +12,9 @@ from dataclasses import dataclass, field
 from typing import Final, Protocol, assert_never
 
 from ca.certificates import Identity
+from ca.errors import HintedError
 from grants.model import Right
-from rossec.errors import PeerUnreachable, RossecError, XmlRpcRefused
+from rossec.errors import PeerUnreachable, RossecError
 from rossec.net.dial import dial
 from rossec.net.rpc import RpcClient
 from rossec.net.secure import SecureStream
@@ -89,6 +90,9 @@ class House(Protocol):
     async def dial(self, remote: Endpoint) -> SecureStream[Identity]:
         """Connect to a peer whose identity holds."""
 
+    def check(self, peer: Identity) -> None:
+        """Return if the identity of `peer` holds still. Raises a `HintedError`."""
+
     async def ask_master(self, method: str, params: tuple[object, ...]) -> object:
         """The master's answer."""
 
@@ -157,7 +161,7 @@ class Visit:
                 return await self._answer(question)
         except ConnectionRefusedError as error:
             return Silent(str(error), dead=True)
-        except (RossecError, OSError, TimeoutError) as error:
+        except (HintedError, OSError, TimeoutError) as error:
             return Silent(str(error) or "no answer in time")
 
     async def _answer(self, question: Question) -> Event:
@@ -197,8 +201,14 @@ class Visit:
         return self._client
 
     async def _connect(self, local: Endpoint) -> PlainStream:
-        await self._house.callers.check_listener(local.port)
-        return PlainStream(await dial(LOOPBACK, local.port, DEADLINE))
+        holders = await self._house.callers.check_listener(local.port)
+        sock = await dial(LOOPBACK, local.port, DEADLINE)
+        try:
+            self._house.callers.check_unchanged(local.port, holders)
+        except BaseException:
+            sock.close()
+            raise
+        return PlainStream(sock)
 
     async def _bring(self, remote: Endpoint) -> int:
         """A door that opens only if the peer answers; its connection is kept for who comes next."""
@@ -216,6 +226,7 @@ class Visit:
             self._remote = self._house.kept(remote)
         if self._remote is None or not self._remote.usable:
             self._remote = await self._reach(remote)
+        self._house.check(self._remote.peer)  # it may have been met long ago
         if right is not None and right not in self._remote.shown:
             await self._show(self._remote, right)
         return self._remote.client
@@ -240,9 +251,4 @@ async def _call(
     client: RpcClient, method: str, params: tuple[object, ...], *, parse: bool
 ) -> Event:
     body = await client.fetch(method, *params)
-    if not parse:
-        return Passed(body)
-    try:
-        return Answered(xmlrpc.load_response(body))
-    except (XmlRpcRefused, Fault):
-        return Passed(body)
+    return Answered(xmlrpc.load_response(body)) if parse else Passed(body)

@@ -1,6 +1,7 @@
 """The node API of a secured rospy node: who may steer it, and who may ask (N1-N5, N10)."""
 
 import asyncio
+import contextlib
 import socket
 from collections.abc import AsyncIterator
 from pathlib import Path
@@ -9,11 +10,15 @@ from typing import Any
 import pytest
 import pytest_asyncio
 
-from rossec.errors import RossecError
+from ca.encoding import encode
+from grants.model import Right
+from rossec.errors import ChannelError, RossecError
+from rossec.net.rpc import RpcClient
 from rossec.node.slave import MASTER
 from rossec.ros.xmlrpc import Fault
 from tests.support.attacker import EVE, HOST, call, credentials, dial
 from tests.support.victim import COMMAND, PARAMETER, STATE, Victim, attacked
+from tests.support.witness import until
 
 pytestmark = [pytest.mark.ros, pytest.mark.asyncio(loop_scope="module")]
 
@@ -86,6 +91,60 @@ async def test_where_a_topic_is_does_not_tell_whether_it_is(victim: Victim) -> N
     assert there == absent == [1, "ready", ["TCPROS", HOST, victim.port]]
 
 
+async def entitled(victim: Victim, name: str, right: Right, method: str, *params: object) -> Any:
+    """What `name` is answered who has shown a grant for `right` on the robot."""
+    grant = victim.site.grant(name, right, "/robot")
+    client = RpcClient(await dial(victim.uri, credentials(victim.site, name)))
+    try:
+        assert await client.call("rossec.presentGrants", name, encode([grant])) == [1, "", 0]
+        return await client.call(method, name, *params)
+    finally:
+        await client.close()
+
+
+async def test_an_operator_may_ask(victim: Victim) -> None:
+    """What `rosnode info` and `rosnode ping` need."""
+    process = victim.program.process
+    assert await entitled(victim, "/operator", Right.GRAPH, "getPid") == [1, "", process.pid]
+    code, _, topics = await entitled(victim, "/operator", Right.GRAPH, "getPublications")
+    assert code == 1
+    assert [STATE, "std_msgs/String"] in topics
+    for method in ("getBusInfo", "getBusStats", "getSubscriptions", "getMasterUri"):
+        assert (await entitled(victim, "/operator", Right.GRAPH, method))[0] == 1
+
+
+@pytest.mark.parametrize("method", STEERING)
+async def test_no_grant_entitles_to_steer(victim: Victim, method: str) -> None:
+    """Not to see the graph, not to administer; but an administrator may end it."""
+    rights = [Right.GRAPH] if method == "shutdown" else [Right.GRAPH, Right.ADMIN]
+    for right in rights:
+        name = f"/{right.label}_only"
+        answer = await entitled(victim, name, right, method, *STEERING[method])
+        assert answer[0] == -1
+        assert answer[1].startswith("rossec: ")
+    await victim.goes_on(3)
+
+
+async def test_grants_count_for_what_they_say_and_whom_and_once(victim: Victim) -> None:
+    site = victim.site
+    eve = credentials(site)
+    stolen = site.grant("/operator", Right.GRAPH, "/robot")
+    other = site.grant(EVE, Right.GRAPH, "/other")
+    wrong = site.grant(EVE, Right.SUBSCRIBE, "/robot")
+    for shown in (encode([stolen]), encode([other]), encode([wrong]), encode([]), b"", b"\xff"):
+        client = RpcClient(await dial(victim.uri, eve))
+        await client.call("rossec.presentGrants", EVE, shown)
+        answer = await client.call("getPid", EVE)
+        assert isinstance(answer, list)
+        assert answer[0] == -1, shown
+        await client.close()
+    # What one connection has shown counts for no other.
+    await entitled(victim, "/operator", Right.GRAPH, "getPid")
+    later = await call(victim.uri, credentials(site, "/operator"), "getPid", "/operator")
+    assert isinstance(later, list)
+    assert later[:2] == [-1, "rossec: getPid is for the master alone"]
+
+
 async def test_udpros_is_not_spoken(victim: Victim) -> None:
     """N10: there is no transport that is silently plain."""
     udp = ["UDPROS", "x", HOST, 5555, 1500]
@@ -120,3 +179,10 @@ async def test_one_identity_cannot_take_every_thread(victim: Victim) -> None:
     finally:
         for stream in streams:
             stream.abort("enough")
+
+
+async def test_an_administrator_ends_the_node(victim: Victim) -> None:
+    """What `rosnode kill` needs; the last thing that happens here."""
+    with contextlib.suppress(ChannelError):  # as stock: it may end before it has answered
+        await entitled(victim, "/admin", Right.ADMIN, "shutdown", "enough")
+    await until(lambda: "ENDED" in victim.said)

@@ -9,19 +9,25 @@ import contextlib
 import os
 import socket
 import subprocess
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Collection
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from grants.model import Right
 from rossec.channel.opening import Flavour
+from rossec.errors import RossecError
+from rossec.net.dial import dial
+from rossec.net.halfopen import HalfOpen
 from rossec.net.rpc import RpcClient
 from rossec.net.stream import connect
-from rossec.sidecar import headers
+from rossec.sidecar import headers, visit
+from rossec.sidecar.addresses import inside
 from rossec.sidecar.server import Sidecar
 from tests.rossec.sidecar.program import Program, sidecar
 from tests.support.site import Site
+from tests.support.witness import until
 
 NOBODY = 65534
 PRIVATE = (b"robot", b"word", b"std_msgs", b"home", b"callerid", b"md5sum")
@@ -134,6 +140,58 @@ async def test_a_scan_of_everything_it_opens_learns_nothing(site: Site, near: Si
         assert robot.calls == []
 
 
+async def test_who_takes_a_programs_port_is_not_taken_for_it(
+    site: Site, near: Sidecar, robot: Program, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The program ends between the look at who listens and the connection."""
+    thieves: list[socket.socket] = []
+    port = robot.slave.port
+
+    async def taken_meanwhile(*place: Any) -> socket.socket:
+        if place[1] == port and robot.slave._is_open:
+            await robot.slave.close()
+            thieves.append(socket.create_server(("127.0.0.1", port)))
+        return await dial(*place)
+
+    site.subscribe("/ear", "/word")
+    async with sidecar(site) as far, Program("/ear", far) as ear:
+        uris = await ear.register("registerSubscriber", "/word", "std_msgs/String")
+        assert isinstance(uris, list)
+        monkeypatch.setattr(visit, "dial", taken_meanwhile)
+        with pytest.raises(RossecError):
+            await ear.ask(uris[0], "requestTopic", "/word", [["TCPROS"]])
+    with thieves[0] as thief:
+        thief.settimeout(10)
+        sock, _ = thief.accept()
+        with sock:
+            assert sock.recv(100) == b"", "it hears nothing"
+
+
+def knocking(ports: Collection[int], times: int, stack: contextlib.ExitStack) -> None:
+    """Connect and say nothing, as often as it goes."""
+    for port in ports:
+        for _ in range(times):
+            with contextlib.suppress(OSError):
+                stack.enter_context(socket.create_connection(("127.0.0.1", port), timeout=5))
+
+
+async def test_strangers_at_many_doors_cost_no_more_than_at_one(
+    near: Sidecar, robot: Program
+) -> None:
+    """N8: ten doors would be more descriptors than a process has, and its programs need some."""
+    agent = near._agent_for("/robot")
+    for port in range(1, 4):
+        agent.export(inside(Flavour.TCPROS, port))
+    servers = tuple(agent._exports.doorways)
+    cap = HalfOpen().per_address
+    with contextlib.ExitStack() as stack:
+        ports = [server.port for server in servers]
+        await asyncio.to_thread(knocking, ports, cap // 2, stack)
+        await until(lambda: sum(server.connections for server in servers) == cap)
+        assert len(servers) * (cap // 2) > cap
+        assert await robot.ask(near.uri, "getPid") is not None
+
+
 async def test_the_slave_api_is_closed_to_peers(site: Site, near: Sidecar, robot: Program) -> None:
     """N1-N4 and L1 through a sidecar: the program does not even hear of it."""
     home = site.enroll("/mallory")
@@ -191,6 +249,6 @@ async def test_a_failing_guard_closes_the_connection(
         await robot.register("registerPublisher", "/word", "std_msgs/String")
         uris = await ear.register("registerSubscriber", "/word", "std_msgs/String")
         assert isinstance(uris, list)
-        monkeypatch.setattr(headers, "_guard", crash)
+        monkeypatch.setattr(headers, "guard_of", crash)
         with pytest.raises(Exception, match=r"closed|reset"):
             await ear.subscribe(uris[0], "/word")

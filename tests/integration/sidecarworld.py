@@ -19,7 +19,7 @@ from grants.model import Right
 from rossec.node.questions import MASTER
 from rossec.sidecar.callers import descendants, parents
 from tests.support.hosts import Host, Hosts
-from tests.support.site import Site
+from tests.support.site import DAY, Site
 
 ROSSEC: Final = str(Path(sys.executable).parent / "rossec")
 DEADLINE: Final = 40.0
@@ -98,11 +98,12 @@ class World:
             running.close()
 
     @contextlib.contextmanager
-    def master(self) -> Iterator[Running]:
+    def master(self, *options: str) -> Iterator[Running]:
         newest = self.site.authority.store.newest_list()
         assert newest is not None
         self.site.enroll(MASTER).save_revocations(newest)
-        with self.started(self.hosts.near, ROSSEC, "master", "-p", str(self.port)) as running:
+        port = str(self.port)
+        with self.started(self.hosts.near, ROSSEC, "master", "-p", port, *options) as running:
             running.wait_for("master of home at")
             yield running
 
@@ -131,9 +132,11 @@ class World:
         assert done.returncode == 0, done.stdout + done.stderr
         return done.stdout
 
-    def enroll(self, name: str, *, wildcard: bool = False, **rights: str) -> None:
+    def enroll(
+        self, name: str, *, wildcard: bool = False, lifetime: int = DAY, **rights: str
+    ) -> None:
         """Enroll a program with what every ROS node needs, and more: `publish="/a /b"`."""
-        self.site.enroll(name, wildcard=wildcard)
+        self.site.enroll(name, lifetime, wildcard=wildcard)
         self.site.publish(name, "/rosout")
         self.site.grant(name, Right.PROVIDE, "/*/get_loggers")
         self.site.grant(name, Right.PROVIDE, "/*/set_logger_level")

@@ -371,7 +371,7 @@ def test_an_interrupted_prompt_loses_nothing(home: Home) -> None:
     done = subprocess.run(
         [sys.executable, "-m", "tests.support.terminal", "^C", "--", *command],
         env={**os.environ, **home.variables}, cwd=ROOT,
-        text=True, capture_output=True, timeout=30, check=False,
+        text=True, capture_output=True, timeout=100, check=False,
     )  # fmt: skip
     assert done.returncode == 130
     assert done.stdout.startswith("passphrase of the authority's key: ")

@@ -3,8 +3,10 @@
 import asyncio
 import contextlib
 import json
+import os
 import re
 import socket
+import sys
 import urllib.request
 from collections.abc import AsyncIterator
 from pathlib import Path
@@ -108,3 +110,32 @@ def test_a_wrong_configuration_is_refused_with_its_line(
     code = run(["master", "--config", str(config)], {"ROSSEC_HOME": str(tmp_path)})
     assert code == 1
     assert f"{config}:2: there is no setting 'admn'" in capsys.readouterr().err
+
+
+async def another(master: MasterProcess, *options: str) -> tuple[int | None, str]:
+    """Another `rossec master` of the same home; its exit code and what it says."""
+    base = {key: value for key, value in os.environ.items() if not key.startswith("ROS")}
+    process = await asyncio.create_subprocess_exec(
+        sys.executable, "-I", "-m", "rossec", "master", *options,
+        env={**base, **master.environ}, stderr=asyncio.subprocess.PIPE,
+    )  # fmt: skip
+    async with asyncio.timeout(60):
+        _, err = await process.communicate()
+    return process.returncode, err.decode()
+
+
+async def test_a_second_master_is_refused_and_harms_nothing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    async with master_process(tmp_path / "site") as master:
+        await master.start()
+        code, err = await another(master, "--port", "0")
+        assert (code, "another master runs from" in err) == (1, True)
+        await master.terminate()
+        with socket.create_server(("127.0.0.1", master.port)):
+            code, err = await another(master)
+        assert code == 1
+        assert f"cannot listen on port {master.port}: address already in use" in err
+        assert "is a master running already?" in err
+        code, out, err = await asyncio.to_thread(command, master, capsys, "audit", "--verify")
+        assert (code, out.count("the master began"), out.count("ended")) == (0, 1, 1)

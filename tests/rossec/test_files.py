@@ -91,3 +91,16 @@ def test_reading_is_bounded(tmp_path: Path) -> None:
         files.read(tmp_path / "x", 4, MISSING)
     with pytest.raises(ConfigurationError, match="there is none"):
         files.read(tmp_path / "y", 4, MISSING)
+
+
+def test_a_file_is_held_by_one_until_it_lets_go(tmp_path: Path) -> None:
+    busy = ConfigurationError("busy")
+    held = files.hold(tmp_path / "lock", busy)
+    with pytest.raises(ConfigurationError, match="busy"):
+        files.hold(tmp_path / "lock", busy)
+    os.close(held)
+    os.close(files.hold(tmp_path / "lock", busy))
+    assert stat.S_IMODE((tmp_path / "lock").stat().st_mode) == 0o600
+    (tmp_path / "link").symlink_to(tmp_path / "lock")
+    with pytest.raises(OSError, match="symbolic"):
+        files.hold(tmp_path / "link", busy)

@@ -109,6 +109,14 @@ def test_an_enrolled_node(tmp_path: Path) -> None:
     assert home.load_revocations() is None
 
 
+def test_a_key_that_does_not_fit_is_said(tmp_path: Path) -> None:
+    home, other = enrolled(tmp_path), enrolled(tmp_path / "other")
+    (other.path / "node.key").replace(home.path / "node.key")
+    with pytest.raises(ConfigurationError, match="do not belong together") as caught:
+        home.identity(NOW)
+    assert "bring back the key" in caught.value.hint
+
+
 def test_the_bundle_finds_its_directory(tmp_path: Path) -> None:
     home = NodeHome.of(tmp_path, NAME)
     home.create_request("home")

@@ -129,3 +129,58 @@ client = Client("drive", timeout=20)
 print("BEFORE", client.get_configuration(timeout=20)["speed"])
 print("AFTER", client.update_configuration({"speed": 9.0})["speed"])
 """
+
+MARKERS: Final = """
+import rospy
+from geometry_msgs.msg import Point
+from visualization_msgs.msg import Marker
+rospy.init_node("painter")
+wall = Marker(type=Marker.POINTS, points=[Point(x / 4, y / 4, 0) for x in range(-9, 9)
+                                          for y in range(-9, 9)])
+wall.header.frame_id, wall.pose.orientation.w, wall.scale.x, wall.scale.y = "camera", 1, 0.2, 0.2
+wall.color.r = wall.color.b = wall.color.a = 1.0
+paint = rospy.Publisher("/markers", Marker, queue_size=1, latch=True)
+paint.publish(wall)
+print("READY", flush=True)
+rospy.spin()
+"""
+
+RQT: Final = """
+import dynamic_reconfigure, rosgraph.impl.graph, rosgraph_msgs.msg, rosparam, rospy, rosservice
+import rostopic, time
+rospy.init_node("rqt_gui_py_node")
+# rqt_graph
+graph = rosgraph.impl.graph.Graph()
+graph.set_master_stale(0.1)
+graph.set_node_stale(0.1)
+graph.update()
+while not any(edge.label == "/chatter" for edge in graph.nn_edges):
+    time.sleep(0.2)
+    graph.update()
+edge = next(edge for edge in graph.nn_edges if edge.label == "/chatter")
+print("GRAPH", edge.start, edge.label, edge.end, {edge.start, edge.end} & set(graph.bad_nodes))
+print("NODES", "/talker" in graph.nn_nodes, any("/chatter" in name for name in graph.nt_nodes))
+# rqt_topic, rqt_plot
+types = dict(rosgraph.Master("/rqt_topic").getTopicTypes())
+kind, name, _ = rostopic.get_topic_class("/chatter")
+print("TOPIC", types["/chatter"], name, rospy.wait_for_message(name, kind, 20).data[:5])
+rate = rostopic.ROSTopicHz(-1)
+rospy.Subscriber(name, rospy.AnyMsg, rate.callback_hz)
+while not (found := rate.get_hz()):
+    time.sleep(0.05)
+print("HZ", found[0] > 0)
+# rqt_service_caller
+print("SERVICE", "/talker/say" in rosservice.get_service_list(),
+      rosservice.get_service_class_by_name("/talker/say").__name__)
+print("PROVIDER", rosservice.get_service_node("/talker/say"))
+# rqt_reconfigure
+print("RECONFIGURE", dynamic_reconfigure.find_reconfigure_services())
+# rqt_console, rqt_logger_level
+said = rospy.wait_for_message("/rosout", rosgraph_msgs.msg.Log, 20)
+print("ROSOUT", said.name)
+# rqt_publisher
+once = rospy.Publisher("/aim", rostopic.get_topic_class("/chatter")[0], queue_size=1, latch=True)
+once.publish("from rqt")
+print("PARAMETERS", sorted(rosparam.list_params("/talker")))
+rospy.rostime.wallsleep(0.2)
+"""

@@ -1,13 +1,18 @@
 """A person at a terminal: `python -m tests.support.terminal ANSWER... -- COMMAND...`.
 
-Each prompt (output that ends with a colon and a space) gets the next answer; `^C` is Ctrl-C. What
-the command says is passed on; its exit code becomes this program's.
+Each prompt (output that ends with a colon and a space) gets the next answer; `^C` is Ctrl-C,
+pressed again when nothing comes of it. What the command says is passed on; its exit code becomes
+this program's.
 """
 
 import os
 import pty
+import select
 import sys
 from collections.abc import Iterator
+
+_INTERRUPT = b"\x03"
+_PATIENCE = 5.0  # seconds
 
 
 def main(answers: Iterator[str], command: list[str]) -> int:
@@ -15,18 +20,22 @@ def main(answers: Iterator[str], command: list[str]) -> int:
     child, terminal = pty.fork()
     if child == 0:
         os.execvp(command[0], command)
-    said = b""
-    while part := _read(terminal):
+    said, typed = b"", b""
+    while part := _read(terminal, typed):
         os.write(1, part)
         said += part
         if said.endswith(b": "):
             answer = next(answers, "^C")
-            os.write(terminal, b"\x03" if answer == "^C" else answer.encode() + b"\n")
+            typed = _INTERRUPT if answer == "^C" else answer.encode() + b"\n"
+            os.write(terminal, typed)
             said = b""
     return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
 
 
-def _read(terminal: int) -> bytes:
+def _read(terminal: int, typed: bytes) -> bytes:
+    """What is said next; a program that was not yet reading may have missed a Ctrl-C."""
+    while typed == _INTERRUPT and not select.select([terminal], [], [], _PATIENCE)[0]:
+        os.write(terminal, typed)
     try:
         return os.read(terminal, 4096)
     except OSError:  # Linux: the other side is closed

@@ -562,3 +562,14 @@ def test_the_socket_writes_into_the_buffer_of_the_connection() -> None:
     assert right.buffer_updated(len(flight), NOW) == []
     assert right.has_data_to_send
     assert left.unit_limit == Limits().unit
+
+
+def test_what_is_abandoned_says_and_seals_nothing() -> None:
+    """A forked process: its parent goes on with these keys and counters."""
+    left = joined().left.core
+    left.abandon()
+    left.close()
+    assert not left.has_data_to_send
+    assert left.seal_small(b"x") is None
+    with pytest.raises(ChannelClosed):
+        left.send_unit(b"x")

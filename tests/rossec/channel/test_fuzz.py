@@ -1,5 +1,6 @@
 """Every decoder: its seeds, cut anywhere, with a tail; then atheris for a fixed count."""
 
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -39,4 +40,6 @@ def test_coverage_guided(name: str) -> None:
         check=False,
     )
     assert done.returncode == 0, done.stderr[-3000:]
-    assert f"Done {_RUNS} runs" in done.stderr, done.stderr[-3000:]
+    counted = re.search(r"Done (\d+) runs", done.stderr)
+    assert counted is not None, done.stderr[-3000:]
+    assert int(counted[1]) >= _RUNS  # it ends between two batches of mutations

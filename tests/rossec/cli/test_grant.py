@@ -15,13 +15,16 @@ def robot(shell: Shell) -> Shell:
 
 
 def test_a_grant_reaches_its_node(robot: Shell) -> None:
-    said = robot.unlocked("grant", "sign", "/robot", "--publish", "/robot/**", "--graph")
+    said = robot.unlocked(
+        "grant", "sign", "/robot", "--publish", "/robot/**", "--graph", "--admin", "/talker"
+    )
     assert said.out.startswith("grant ")
     assert f"given to /robot in {robot.node('/robot')}" in said.out
     (file,) = (robot.node("/robot") / "grants").iterdir()
     shown = robot("grant", "show", str(file)).out
     assert "may publish /robot/**" in shown
     assert "may graph /**" in shown
+    assert "may admin /talker" in shown
 
 
 def test_restrictions_are_said_in_words(robot: Shell, tmp_path: Path) -> None:

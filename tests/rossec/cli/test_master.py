@@ -9,8 +9,12 @@ from pathlib import Path
 
 import pytest
 
-from rossec.cli.master import JsonLines
+from rossec import intermediatehome
+from rossec.cli.context import Environment
+from rossec.cli.master import JsonLines, _newest_list
+from rossec.succession import sign_intermediate
 from tests.support.commands import Shell, refused
+from tests.support.site import Site
 
 
 @pytest.fixture
@@ -54,6 +58,16 @@ def test_it_takes_the_descriptors_it_may_have(
     monkeypatch.setattr(resource, "setrlimit", lambda _, limit: taken.append(limit))
     refused(shell("master"), "/master has no ca.pem", "rossec node request")
     assert taken == ([] if wanted is None else [wanted])
+
+
+def test_the_host_of_an_intermediate_has_no_list_of_its_own(shell: Shell) -> None:
+    """Its master waits for the root's, as one on any other host."""
+    site = Site(shell.root / "site")
+    request = intermediatehome.begin(shell.root, "home", "secret").read_bytes()
+    _, bundle = sign_intermediate(site.authority, request, site.now(), may_enroll=False)
+    intermediatehome.install(shell.root, bundle, "secret", site.now())
+    assert _newest_list(Environment({"ROSSEC_HOME": str(shell.root)})) is None
+    refused(shell("master"), "/master has no ca.pem", "rossec node request /master")
 
 
 def test_a_line_of_the_log_is_json() -> None:

@@ -2,14 +2,18 @@
 
 import json
 import os
+import signal
+import socket
 import subprocess
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from rossec.cli import main
+from tests.support.site import Site
 
 BIN = str(Path(sys.executable).parent / "rossec")
 
@@ -37,6 +41,13 @@ def test_run(became: dict[str, Any]) -> None:
     assert became["env"] == {"HOME": "/h"}
 
 
+def test_what_follows_the_program_is_the_programs(became: dict[str, Any]) -> None:
+    main.run(["run", "--each", "roslaunch", "--help", "--as", "/x", "-v"], {})
+    assert became["command"] == ["roslaunch", "--help", "--as", "/x", "-v"]
+    assert became["identity"] is None
+    assert main.run(["run", "--no-such", "prog"], {}) == 2
+
+
 def test_without_a_name_each_node_uses_its_own(became: dict[str, Any]) -> None:
     main.run(["run", "prog"], {})
     assert (became["identity"], became["each"]) == (None, True)
@@ -51,6 +62,7 @@ def test_sidecar(became: dict[str, Any]) -> None:
 
 def test_mistakes(capsys: pytest.CaptureFixture[str]) -> None:
     assert main.run(["sidecar", "--user", "no-such-user"], {}) == 2
+    assert main.run(["sidecar", "--user", "4294967295"], {}) == 2
     assert main.run(["run", "--as", "robot", "prog"], {}) == 1
     assert main.run(["run"], {}) == 2
     said = capsys.readouterr().err
@@ -74,6 +86,17 @@ def test_the_program_runs_with_loopback_in_its_environment(tmp_path: Path) -> No
     assert done.stderr == ""
 
 
+def test_the_program_has_the_limit_it_would_have_had(tmp_path: Path) -> None:
+    inside = f"exec {BIN} run -- sh -c 'ulimit -Sn; grep \"open files\" /proc/$PPID/limits'"
+    done = subprocess.run(
+        ["sh", "-c", f"ulimit -Sn 300; {inside}"], text=True, capture_output=True, timeout=30,
+        env={**os.environ, "ROSSEC_HOME": str(tmp_path)}, check=True,
+    )  # fmt: skip
+    limit, ours = done.stdout.splitlines()
+    assert limit == "300"
+    assert int(ours.split()[3]) > 300
+
+
 @pytest.mark.parametrize(
     ("arguments", "code", "words"),
     [
@@ -87,6 +110,41 @@ def test_refusals_teach(tmp_path: Path, arguments: list[str], code: int, words: 
     assert done.stderr.startswith(words)
     assert "rossec: hint: " in done.stderr
     assert "Traceback" not in done.stderr
+
+
+def test_ctrl_c_ends_it_without_a_word_while_it_looks_for_a_master(tmp_path: Path) -> None:
+    site = Site(tmp_path / "site")
+    site.enroll("/robot")
+    with subprocess.Popen(
+        [BIN, "run", "--", "true"], text=True, stderr=subprocess.PIPE,
+        env={**os.environ, "ROSSEC_HOME": str(site.root), "ROS_MASTER_URI": "discover:"},
+    ) as running:  # fmt: skip
+        command = Path(f"/proc/{running.pid}/cmdline")
+        end = time.monotonic() + 30
+        while b"rossec.sidecar" not in command.read_bytes():
+            assert time.monotonic() < end
+        running.send_signal(signal.SIGINT)
+        assert running.wait(30) == -signal.SIGINT
+        assert running.stderr is not None
+        assert running.stderr.read() == ""
+
+
+@pytest.mark.parametrize(
+    ("uri", "words"),
+    [
+        ("http://far:11311", ["rossec: error: cannot listen at 127.0.0.1 port", "--port"]),
+        ("http://localhost:{}", ["is the sidecar's own address", "where the secured master is"]),
+    ],
+)
+def test_a_port_that_cannot_be_the_sidecars(tmp_path: Path, uri: str, words: list[str]) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as roscore:
+        port = roscore.getsockname()[1]
+        if "far" not in uri:
+            roscore.close()
+        done = started(["sidecar", "-p", str(port)],
+                       ROSSEC_HOME=str(tmp_path), ROS_MASTER_URI=uri.format(port))  # fmt: skip
+    assert done.returncode == 1
+    assert all(word in done.stderr for word in words), done.stderr
 
 
 def test_a_service_ends_with_a_signal(tmp_path: Path) -> None:

@@ -92,3 +92,75 @@ async def test_connections_end_when_nobody_confirms_the_list(
             cut = await listener.hears("cut /robot (/robot/words): ", within=90)
             assert "the last confirmation ran out" in cut
     assert "Traceback" not in listener.said
+
+
+EARLY = (
+    SECURE
+    + """
+import rospy, threading, time
+import rospy.impl.registration as registration
+from std_msgs.msg import String
+start = registration.RegManager.start
+def start_late(manager, *arguments):  # as when the master is not there yet
+    while not made:
+        time.sleep(0.01)
+    start(manager, *arguments)
+registration.RegManager.start = start_late
+made = []
+def make():
+    made.append(rospy.Publisher("/robot/words", String, queue_size=1, latch=True))
+    rospy.Subscriber("/robot/orders", String, print)
+threading.Timer(0.2, make).start()
+rospy.init_node("robot")
+made[0].publish("hello")
+print("READY", flush=True)
+rospy.spin()
+print("ENDED", flush=True)
+"""
+)
+
+
+async def test_what_is_refused_waits_for_a_grant_whenever_it_was_made(tmp_path: Path) -> None:
+    """Topics that rospy registers while it starts are no reason to end the program."""
+    site = Site(tmp_path / "site")
+    site.enroll("/robot")
+    site.subscribe("/listener", WORDS)
+    async with site.running(), program(environment(site, tmp_path), EARLY) as robot:
+        await robot.hears("READY")
+        async with site.node("/listener") as listener:
+            words = await listener.subscriber(WORDS, TYPE)
+            site.publish("/robot", WORDS)
+            await until(lambda: words.received > 0, within=30)
+        assert "rossec: the master refuses registerPublisher" in robot.said
+        assert "FATAL" not in robot.said
+        assert "ENDED" not in robot.said
+
+
+CRASHING = (
+    SECURE
+    + """
+import rospy
+from rossec.inprocess.process import Process
+from std_msgs.msg import String
+rospy.init_node("robot")
+rospy.Publisher("/robot/words", String, queue_size=1)
+def fail(process):
+    raise RuntimeError("a fault of ours")
+Process.cut = fail
+rospy.spin()
+try:
+    rospy.get_param("/x")
+except OSError as error:
+    print("SAID", error, flush=True)
+"""
+)
+
+
+async def test_a_guardian_that_crashes_ends_the_node_at_once(tmp_path: Path) -> None:
+    """It asks the master to forget the node, which must not wait for the guardian itself."""
+    site = Site(tmp_path / "site")
+    site.publish("/robot", WORDS)
+    async with site.running(), program(environment(site, tmp_path), CRASHING) as robot:
+        assert await robot.ends(within=20) == 0
+    assert "the guardian failed, everything is cut: a fault of ours" in robot.said
+    assert "SAID [Errno 111] rossec: the guardian of this process has ended" in robot.said

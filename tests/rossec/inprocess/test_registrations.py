@@ -1,3 +1,5 @@
+import threading
+
 import pytest
 
 from rossec.inprocess.registrations import Registrations
@@ -74,3 +76,24 @@ def test_what_rospy_asks_for_by_itself_is_known(
     method: str, params: tuple[object, ...], own: bool
 ) -> None:
     assert Registrations(ME).is_rospys_own(method, params) is own
+
+
+def test_threads_may_register_while_everything_is_registered_again() -> None:
+    registrations = Registrations(ME)
+    going = threading.Event()
+
+    def register() -> None:
+        number = 0
+        while not going.is_set():
+            number += 1
+            registrations.note("registerService", (ME, f"/s{number % 999}", "", ""), NO)
+            registrations.note("unregisterService", (ME, f"/s{number % 777}"), [1, "", 1])
+
+    thread = threading.Thread(target=register)
+    thread.start()
+    try:
+        for _ in range(300):
+            assert len(registrations.refused()) <= len(registrations.all()) + 999
+    finally:
+        going.set()
+        thread.join()

@@ -1,9 +1,11 @@
 import logging
+import threading
 
 import pytest
 
 from rossec.errors import ConfigurationError
 from rossec.inprocess.report import LogBridge, Reporter
+from tests.rossec.net.test_forks import in_child
 
 
 def test_each_cause_is_said_once_with_its_hint() -> None:
@@ -56,3 +58,57 @@ def test_strangers_cannot_flood_the_log() -> None:
     reporter.close()
     assert len(said) == 30
     assert said[-1] == "rossec: more than 30 different warnings; some are left out"
+
+
+def test_threads_may_warn_and_forget_at_once() -> None:
+    said: list[str] = []
+    reporter = Reporter(said.append)
+    going = threading.Event()
+
+    def warn() -> None:
+        number = 0
+        while not going.is_set():
+            number += 1
+            reporter.warn(f"refused {number % 300}")
+
+    thread = threading.Thread(target=warn)
+    thread.start()
+    try:
+        for _ in range(300):
+            reporter.forget("refused 1")
+    finally:
+        going.set()
+        thread.join()
+    reporter.close()
+    assert said
+
+
+def test_one_line_that_cannot_be_written_does_not_silence_the_others() -> None:
+    said: list[str] = []
+
+    def write(line: str) -> None:
+        if "bad" in line:
+            raise ValueError(line)
+        said.append(line)
+
+    reporter = Reporter(write)
+    for text in ("one", "bad", "two"):
+        reporter.warn(text)
+    reporter.close()
+    assert said == ["rossec: one", "rossec: two"]
+    reporter.close()
+
+
+def test_a_forked_process_speaks_for_itself() -> None:
+    said: list[str] = []
+    reporter = Reporter(said.append)
+    reporter.warn("from the parent")
+
+    def work() -> list[str]:
+        said.clear()
+        reporter.warn("from the child")
+        reporter.close()
+        return said
+
+    assert in_child(work) == "['rossec: from the child']"
+    reporter.close()

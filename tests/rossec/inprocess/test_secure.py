@@ -98,7 +98,8 @@ try:
     rospy.get_param("/x")
 except Exception as error:
     print("NAMELESS", error)
-attempt("twice")
+attempt("again with other options", allow_plain=["/x"])
+rossec.secure()
 kept = rospy.topics.QueuedConnection
 rospy.topics.QueuedConnection = None
 try:
@@ -106,7 +107,6 @@ try:
 except SystemExit:
     print("REPLACED")
 rospy.topics.QueuedConnection = kept
-rospy.client._init_node_args = None
 try:
     rospy.init_node("stranger")
 except SystemExit as error:
@@ -117,12 +117,41 @@ os._exit(0)
     )
     env = env_of(site, tmp_path, PYTHONUNBUFFERED="1")
     _, said = await said_by(env, source)
-    for word in ("connected", "late", "a topic", "version", "another rospy", "twice"):
+    for word in ("connected", "late", "a topic", "version", "another rospy"):
         assert f"{word}: ConfigurationError" in said, said
+    assert "again with other options: ConfigurationError" in said
     assert "good:" not in said
     assert "NAMELESS this program has no name yet" in said
     assert "REPLACED" in said
     assert "STOPPED /stranger has no ca.pem" in said
+
+
+async def test_whoever_catches_the_stop_starts_no_node(site: Site, tmp_path: Path) -> None:
+    """As a notebook does, or a thread; a later attempt that succeeds counts."""
+    site.enroll("/robot")
+    source = """
+import rossec, rospy, os
+def attempt(function, *arguments):
+    try:
+        function(*arguments)
+        print("DONE", function.__name__, flush=True)
+    except SystemExit:
+        pass
+home = os.environ["ROSSEC_HOME"]
+os.environ["ROSSEC_HOME"] = "/nonexistent/x"
+attempt(rossec.secure)
+attempt(rospy.init_node, "robot")
+attempt(rospy.init_node, "robot")
+os.environ["ROSSEC_HOME"] = home
+attempt(rossec.secure)
+attempt(rospy.init_node, "stranger")
+"""
+    env = env_of(site, tmp_path, PYTHONUNBUFFERED="1")
+    _, said = await said_by(env, source)
+    assert said.count("rossec: error: no node is enrolled in /nonexistent/x\n") == 3, said
+    assert said.count("DONE secure") == 1
+    assert "DONE init_node" not in said
+    assert "rossec: error: /stranger has no ca.pem" in said
 
 
 async def test_two_names_for_one_program(site: Site, tmp_path: Path) -> None:
@@ -214,3 +243,39 @@ async def test_each_receiver_sees_what_its_grant_allows(tmp_path: Path, topic: s
             await until(lambda: rounded.received > 3)
     assert exact_one.pose.position.x == 3.3
     assert (rounded_one.pose.position.x, rounded_one.header.frame_id) == (4.0, "")
+
+
+TOOLS = """
+import rosgraph.impl.graph, rosnode, rospy, rosservice, rossec
+rossec.secure()
+rospy.init_node("operator")
+print("PING", rosnode.rosnode_ping("/robot", max_count=1), flush=True)
+rosnode.rosnode_info("/robot")
+print("TYPE", rosservice.get_service_type("/robot/reset"), flush=True)
+graph = rosgraph.impl.graph.Graph()
+graph.update()
+print("BAD", graph.bad_nodes, flush=True)
+try:
+    rospy.set_param("/operator/much", 2**40)
+except OverflowError as error:
+    print("NO", error, flush=True)
+print(f"KILLED {rosnode.kill_nodes(['/robot'])}", flush=True)
+"""
+
+
+async def test_the_tools_of_ros_in_the_same_program(tmp_path: Path) -> None:
+    """They connect to nodes by themselves; what they ask has its own right."""
+    async with attacked(tmp_path) as victim:
+        site = victim.site
+        for right in (Right.GRAPH, Right.ADMIN):
+            site.grant("/operator", right, "/robot")
+        site.grant("/operator", Right.GRAPH, "/**")
+        site.grant("/operator", Right.CALL, "/robot/reset")
+        async with program(environment(site, tmp_path / "o"), TOOLS) as operator:
+            await operator.hears("PING True")
+            await operator.hears(f"Pid: {victim.program.process.pid}")
+            await operator.hears("TYPE std_srvs/Trigger")
+            await operator.hears("BAD {}")
+            await operator.hears("NO int exceeds XML-RPC limits")
+            await operator.hears("KILLED (['/robot'], [])")
+        await until(lambda: "ENDED" in victim.said)

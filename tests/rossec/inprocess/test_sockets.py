@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from rossec.channel.opening import Flavour
 from rossec.errors import ChannelClosed, ChannelError
 from rossec.inprocess import plainsocket, sockets
 from rossec.inprocess.member import Member
@@ -238,3 +239,61 @@ def test_a_stand_is_the_module_but_for_some_names() -> None:
     stand = Stand(socket, socket=dict)
     assert stand.socket is dict
     assert stand.AF_INET == socket.AF_INET
+
+
+def test_a_caller_that_is_gone_gives_its_place_back(member: Member) -> None:
+    """Else a stranger who breaks off often enough keeps everybody out for ever."""
+    doors = Doors(member, HalfOpen(total=1, per_address=1))
+    for _ in range(3):
+        assert doors.admit("127.0.0.1")
+        gone = socket.socket()
+        gone.close()
+        with pytest.raises(OSError, match="descriptor"):
+            doors.answer(gone, "127.0.0.1", Flavour.TCPROS)
+
+
+def test_a_caller_that_is_gone_does_not_end_the_accepting(
+    member: Member, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sock = RosSocket(owner(member), socket.socket())
+    sock.bind(("127.0.0.1", 0))
+    sock.listen()
+    answer, first = Doors.answer, [OSError("gone")]
+
+    def fail_once(doors: Doors, caller: socket.socket, *more: Any) -> Any:
+        if first:
+            caller.close()
+            raise first.pop()
+        return answer(doors, caller, *more)
+
+    monkeypatch.setattr(Doors, "answer", fail_once)
+    callers = [socket.create_connection(sock.getsockname()) for _ in range(2)]
+    accepted, where = sock.accept()
+    assert where == callers[1].getsockname()
+    for caller in callers:
+        caller.close()
+    for ours in (accepted, sock):
+        ours.close()
+
+
+def test_a_silent_caller_is_not_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(plainsocket, "_DEADLINE", 0.05)
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        for sent in (b"", b"PO", b"\x06\0\0\0\x02\0"):
+            with socket.create_connection(server.getsockname()) as caller:
+                sock, _ = server.accept()
+                caller.sendall(sent)
+                assert plainsocket.peek(sock) in (b"", sent)
+                assert sock.gettimeout() is None
+                sock.close()
+
+
+def test_what_was_cut_is_ended(member: Member, listening: RosSocket) -> None:
+    left, right = connected(member, listening)
+    right.sendall(b"before")
+    left.abort()
+    assert left.ended
+    assert left.recv(10) == b""
+    left.tend()
+    for sock in (left, right):
+        sock.close()

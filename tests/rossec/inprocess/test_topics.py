@@ -10,7 +10,7 @@ import pytest
 import pytest_asyncio
 
 from ca.encoding import encode
-from grants.model import Right
+from grants.model import Restriction, Right, filter_rules
 from rossec.errors import ChannelError, RossecError
 from rossec.net.rpc import RpcClient
 from rossec.net.stream import connect
@@ -74,7 +74,7 @@ async def test_a_restriction_for_another_type_is_refused(victim: Victim) -> None
         FIELD: encode([grant]),
     }
     answer = await knock(victim.port, own, fields)
-    assert "restrictions that cannot be applied here" in answer.error
+    assert "restricted for messages of type geometry_msgs/PoseStamped" in answer.error
 
 
 async def test_callers_that_break_off_or_talk_nonsense_are_let_go(victim: Victim) -> None:
@@ -165,6 +165,28 @@ async def test_a_publisher_that_goes_away_is_looked_for_and_given_up(victim: Vic
     with pytest.raises((ChannelError, RossecError, OSError)):
         await call(uri, credentials(site), "getPid", "/eve")
     assert parse_uri(uri)
+    await victim.goes_on()
+
+
+async def test_a_restricted_publisher_is_believed_no_further(victim: Victim) -> None:
+    site = victim.site
+    rules = filter_rules({"data": {"truncate": {"length": 2}}})
+    restriction = Restriction(TYPE, ('msg.data != "stop"',), rules)
+    site.grant("/limited", Right.PUBLISH, "/robot/command", restriction=restriction)
+    async with site.node("/limited") as limited:
+        publisher = await limited.publisher("/robot/command", TYPE)
+
+        def obeyed() -> bool:
+            for data in ("stop", "walk"):
+                publisher.publish(publisher.create(data=data))
+            publisher.publish_bytes(b"\x02\0\0\0go, and a tail")
+            refused = "withheld a message on /robot/command" in victim.said
+            return refused and "COMMANDED wa" in victim.said
+
+        await until(obeyed, within=20)
+    assert "COMMANDED stop" not in victim.said
+    assert "walk" not in victim.said
+    victim.program.said = victim.said.replace("COMMANDED", "")
     await victim.goes_on()
 
 

@@ -63,7 +63,9 @@ def hear(path: Path, data: bytes) -> bytes:
         return sock.recv(100)
 
 
-@pytest.mark.parametrize("data", [b"", b"x\n", b'"status"', b"\xff\n", b"[" * 5000 + b"\n"])
+@pytest.mark.parametrize(
+    "data", [b"", b"x\n", b'"status"', b"\xff\n", b"[" * 5000 + b"\n", b"[" * 1020 + b"\n"]
+)
 async def test_garbage_ends_the_connection(path: Path, data: bytes) -> None:
     with contextlib.suppress(ConnectionError):
         assert await asyncio.to_thread(hear, path, data) == b""
@@ -98,3 +100,9 @@ def test_nobody_is_there(tmp_path: Path) -> None:
 def test_what_is_no_socket_is_refused() -> None:
     with pytest.raises(PeerUserRefused):
         module._plain(None)
+
+
+async def test_a_path_too_long_for_a_socket_is_said(tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError, match="too long a name for a socket") as caught:
+        await AdminPort(tmp_path / ("d" * 108), {}).start()
+    assert "ROSSEC_HOME" in caught.value.hint

@@ -56,12 +56,31 @@ def test_nothing_said_is_the_default(text: str) -> None:
         ("port: 1\nport: 2", "m.yaml:2: not YAML"),
         ("port: [", "m.yaml:1: not YAML"),
         ("\0", "m.yaml: not YAML"),
+        ("[" * 5000, "m.yaml: nested too deep"),
     ],
 )
 def test_errors_name_their_line(text: str, said: str) -> None:
     with pytest.raises(ConfigurationError) as caught:
         parse(text, "m.yaml")
     assert str(caught.value).startswith(said)
+
+
+@pytest.mark.parametrize(
+    ("text", "hint"),
+    [
+        ("port: '1'", "without quotes"),
+        ("admin: yes", "true or false"),
+        ("log: xml", "text or json"),
+        ("complaints: 5", "path of a file"),
+        ("port: 1\nport: 2", 'found duplicate key "port"'),
+        ("limits: 5", "for example  body:"),
+        ("prot: 1", "port, log, audit"),
+    ],
+)
+def test_errors_say_what_would_do(text: str, hint: str) -> None:
+    with pytest.raises(ConfigurationError) as caught:
+        parse(text, "m.yaml")
+    assert hint in caught.value.hint
 
 
 def test_a_file_is_read(tmp_path: Path) -> None:

@@ -1,12 +1,15 @@
 """Figures for Prometheus, scraped as it does."""
 
+import asyncio
+import socket
 import sys
+import threading
 import urllib.request
 
 import pytest
 
 from rossec.errors import ConfigurationError
-from rossec.master.metrics import Exporter
+from rossec.master.metrics import Exporter, of_loop
 
 STATUS = {"calls": 5, "denials": 2, "nodes": 3, "registrations": 9, "connections": 4,
           "revocation_number": 7}  # fmt: skip
@@ -31,3 +34,19 @@ def test_without_the_package_the_operator_is_told(monkeypatch: pytest.MonkeyPatc
     with pytest.raises(ConfigurationError, match="prometheus-client") as caught:
         Exporter(lambda: STATUS, 0)
     assert "pip install" in caught.value.hint
+
+
+def test_a_taken_port_is_said() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        with pytest.raises(ConfigurationError, match=f"on port {port}: address already in use"):
+            Exporter(lambda: STATUS, port)
+
+
+async def test_the_loop_is_asked_so_that_nothing_changes_meanwhile() -> None:
+    def status() -> dict[str, int]:
+        assert threading.current_thread() is threading.main_thread()
+        return STATUS
+
+    asked = of_loop(status)
+    assert await asyncio.to_thread(asked) == STATUS

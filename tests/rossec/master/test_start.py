@@ -6,7 +6,8 @@ from pathlib import Path
 import pytest
 
 from ca.certificates import to_pem
-from ca.errors import RollbackRefused
+from ca.errors import CertificateExpired, RenewalRefused, RollbackRefused
+from grants.decision import Check
 from rossec.home import NodeHome
 from rossec.master.server import MasterServer
 from rossec.master.start import master_of
@@ -66,3 +67,28 @@ async def test_a_newer_list_beside_it_is_taken_and_saved(tmp_path: Path) -> None
     server = make(home, None, site.now, newest)
     assert server._standing.current(site.now)[0] == newest
     assert home.load_revocations() == newest
+
+
+async def test_it_renews_itself_with_the_intermediate_it_renews_others_with(tmp_path: Path) -> None:
+    site = Site()
+    home = home_of_master(tmp_path, site)
+    asked: list[tuple[bytes, int]] = []
+
+    def renewer(request: bytes, now: int, check: Check) -> bytes:
+        asked.append((request, now))
+        check(home.identity(site.now).thumbprint, site.now)
+        raise RenewalRefused("seen")
+
+    server = master_of(home, host=None, port=0, newest=site.revoke(), now=site.now, renewer=renewer)
+    server._look_after_self(site.now)
+    assert asked == []
+    server._look_after_self(site.now + 29 * 86400)
+    [(_, now)] = asked
+    assert now == site.now + 29 * 86400
+
+
+async def test_an_expired_identity_is_no_masters(tmp_path: Path) -> None:
+    site = Site()
+    home = home_of_master(tmp_path, site)
+    with pytest.raises(CertificateExpired):
+        make(home, None, site.now + 40 * 86400)

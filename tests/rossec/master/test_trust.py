@@ -5,12 +5,14 @@ import dataclasses
 import pytest
 
 from ca.errors import RevocationRefused, Revoked
+from ca.keys import generate
 from ca.revocation import RevocationList, digest, open_timestamp, sign_list
 from ca.revocationtree import Listing, RevocationTree, is_revoked, open_tree, sign_tree
 from ca.signer import KeySigner
 from grants.document import grant_id
 from grants.errors import GrantError
 from grants.model import Right
+from grants.renewal import open_delegation
 from rossec.master import trust as module
 from rossec.master.holdings import FAILURES_WITHIN, MAX_FAILURES, MAX_HELD
 from rossec.master.registry import NodeRef
@@ -242,6 +244,19 @@ def test_a_renewed_grant_counts_at_once_and_when_it_is_presented(world: World) -
     assert renew(world, token)[0] == (b"",)
 
 
+@pytest.mark.parametrize("which", ["delegation", "delegate"])
+def test_what_was_renewed_ends_with_what_renewed_it(world: World, which: str) -> None:
+    data = world.site.grant(world.node, {"/t": Right.PUBLISH}, lifetime=60, cap=DAY)
+    delegation = world.site.delegation(world.master)
+    assert world.trust.delegated(delegation)
+    renew(world, data)
+    assert world.may(Right.PUBLISH, "/t")
+    opened = open_delegation(delegation, world.site.anchor.public_key)
+    revoked = opened.id if which == "delegation" else opened.holder
+    world.trust.update(world.site.revoke(revoked), world.now)
+    assert not world.may(Right.PUBLISH, "/t")
+
+
 def test_one_that_is_not_renewed_does_not_spoil_the_others(world: World) -> None:
     good = world.site.grant(world.node, {"/t": Right.PUBLISH}, lifetime=60, cap=DAY)
     tokens, refused = renew(delegated(world), b"garbage", good)
@@ -344,3 +359,19 @@ def test_a_tree_takes_the_place_of_the_list(world: World) -> None:
     asked = [grant_id(data), b"x" * 16]
     shown = zip(asked, world.trust.proofs(asked), strict=True)
     assert [is_revoked(signed, entry, proof) for entry, proof in shown] == [True, False]
+
+
+def test_the_entries_of_a_tree_are_on_the_disk_before_it(world: World) -> None:
+    """A master that dies between the two finds entries for no tree: a tree alone knows nothing."""
+    order: list[bytes] = []
+    world.trust = Trust(
+        world.site.anchor, world.master.credentials.signer, world.site.revocations(),
+        order.append, persist_entries=order.append,
+    )  # fmt: skip
+    tree, entries = tree_of(world)
+    forged = sign_tree(KeySigner(generate()), open_tree(tree, world.site.anchor.public_key))
+    with pytest.raises(RevocationRefused):
+        world.trust.update_tree(forged, entries, world.now)
+    assert order == []
+    assert world.trust.update_tree(tree, entries, world.now)
+    assert order == [entries, tree]

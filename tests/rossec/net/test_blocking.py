@@ -2,11 +2,13 @@
 
 import contextlib
 import dataclasses
+import itertools
 import secrets
 import select
 import socket
 import struct
 import threading
+import time
 from collections.abc import Callable, Iterator
 
 import pytest
@@ -394,3 +396,83 @@ def test_sending_at_once_notices_the_end(listener: SecureListener[FakeIdentity])
             left.send_now(b"x")
         with pytest.raises(ChannelClosed):
             left.send_now(b"x")
+
+
+def test_what_is_aborted_delivers_nothing_more(listener: SecureListener[FakeIdentity]) -> None:
+    """Neither what was decrypted, nor what waits in the kernel."""
+    left, right = pair(listener)
+    with left, right:
+        left.sendall(b"one")
+        assert right.recv(1) == b"o"
+        left.sendall(b"two")
+        assert readable(right)
+        right.abort()
+        assert right.recv(10) == b""
+        assert right.receive_unit() == b""
+        with pytest.raises(ChannelClosed):
+            right.sendall(b"x")
+
+
+def test_an_abort_wakes_a_reader(listener: SecureListener[FakeIdentity]) -> None:
+    left, right = pair(listener)
+    with left, right:
+        got: list[bytes] = []
+        thread = background(lambda: got.append(right.recv(1)))
+        thread.join(0.05)
+        right.abort()
+        thread.join(5)
+        assert got == [b""]
+
+
+def test_a_flood_holds_up_nobody(
+    listener: SecureListener[FakeIdentity], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A peer that talks without end to a side that only sends is read a bounded amount."""
+    monkeypatch.setattr("rossec.net.blocking._PUMPED", 3)
+    left, right = pair(listener)
+    with left, right:
+        taken = itertools.count()
+        monkeypatch.setattr(left, "_take_in", lambda *_: next(taken) >= 0)
+        left.pump()
+        assert next(taken) == 3
+
+
+def test_the_core_looks_at_the_clock_once_in_a_second(
+    listener: SecureListener[FakeIdentity], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    left, right = pair(listener)
+    with left, right:
+        looks: list[int] = []
+        monkeypatch.setattr(left._core, "tick", looks.append)
+        start = int(time.time()) + 10
+        for second in (start, start, start + 1, start + 1, start + 9):
+            monkeypatch.setattr("rossec.net.carrier._now", lambda second=second: second)
+            left.sendall(b"map")
+        assert looks == [start, start + 1, start + 9]
+
+
+def test_an_idle_connection_is_tended(listener: SecureListener[FakeIdentity]) -> None:
+    """Nobody reads or writes: renewals are begun and followed nevertheless, and units stay."""
+    left, right = pair(listener, limits=Limits(seconds=1))
+    with left, right:
+        left.sendall(b"map")
+        assert right.recv(10) == b"map"
+        for side in (left, right, left, right):
+            side._core._session.renew_at = 0  # type: ignore[union-attr]
+            side._ticked = -1
+            side.tend()
+        assert left._core._session.receive_epoch == 1  # type: ignore[union-attr]
+        left.sendall(b"kept")
+        select.poll().poll(50)
+        right.tend()
+        right.tend()
+        assert right.recv(10) == b"kept"
+        with left._writing:
+            left.tend()
+        with left._reading:
+            left.tend()
+        right.close()
+        with contextlib.suppress(ChannelError):
+            for _ in range(3):
+                left.tend()
+        assert left.recv(1) == b""

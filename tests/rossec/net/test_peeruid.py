@@ -140,11 +140,13 @@ def test_a_kernel_that_cannot_be_asked_still_has_its_tables(
         raise OSError("no such protocol")
 
     monkeypatch.setattr(sockdiag, "find", unavailable)
-    monkeypatch.setattr(sockdiag, "listeners", unavailable)
+    monkeypatch.setattr(sockdiag, "listener", unavailable)
     with pair(socket.AF_INET, "127.0.0.1") as (near, far):
         inode = os.fstat(far.fileno()).st_ino
         assert peeruid.holder_of(near) == (os.getuid(), inode)
-        (holder,) = peeruid.listeners(near.getsockname()[1])
+        place = near.getsockname()[:2]
+        with socket.create_server(("127.0.0.2", place[1])):  # another place
+            (holder,) = peeruid.listeners(place)
         assert holder.user == os.getuid()
         far.close()
         with pytest.raises(PeerUserRefused):

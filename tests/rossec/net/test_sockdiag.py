@@ -36,12 +36,28 @@ def test_one_connection(client: str) -> None:
         assert found is None or found.inode == 0
 
 
-def test_listeners() -> None:
+def test_the_listener_that_would_be_reached() -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         port = server.getsockname()[1]
-        (found,) = sockdiag.listeners(port)
-        assert (found.user, found.inode) == (os.getuid(), os.fstat(server.fileno()).st_ino)
-    assert sockdiag.listeners(port) == []
+        with socket.create_server(("127.0.0.2", port)) as other:
+            for host, listens in (("127.0.0.1", server), ("127.0.0.2", other)):
+                found = sockdiag.listener((host, port))
+                assert found is not None
+                assert (found.user, found.inode) == (os.getuid(), os.fstat(listens.fileno()).st_ino)
+        assert sockdiag.listener(("127.0.0.2", port)) is None
+        with socket.create_connection(("127.0.0.1", port)):
+            assert sockdiag.listener(("127.0.0.1", port)) is not None
+    assert sockdiag.listener(("127.0.0.1", port)) is None
+
+
+@pytest.mark.parametrize("host", ["0.0.0.0", "::"])
+def test_a_listener_at_every_address(host: str) -> None:
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    dual = family == socket.AF_INET6
+    with socket.create_server((host, 0), family=family, dualstack_ipv6=dual) as server:
+        found = sockdiag.listener(("127.0.0.1", server.getsockname()[1]))
+        assert found is not None
+        assert found.inode == os.fstat(server.fileno()).st_ino
 
 
 @pytest.mark.parametrize(
@@ -59,8 +75,3 @@ def test_listeners() -> None:
 def test_what_is_no_answer_is_refused(data: bytes) -> None:
     with pytest.raises(OSError, match=r"answer|not supported"):
         sockdiag.parse(data)
-
-
-def test_a_list_ends_with_its_end() -> None:
-    assert sockdiag.parse(message(3, bytes(4)) + b"whatever") == ([], True)
-    assert sockdiag.parse(b"") == ([], False)

@@ -80,6 +80,30 @@ def test_a_lost_answer_is_asked_for_again(site: Site) -> None:
     assert credentials.current.chain[0] == from_pem(answers[0])[0]
 
 
+def test_what_an_operator_installed_meanwhile_is_taken_up(site: Site) -> None:
+    home, credentials, asks = renewal(site)
+    before = credentials.certificate
+    site._clock = lambda: NOW
+    site.renew("/robot", LIFE)
+    assert asks.request(NOW) is None
+    assert credentials.certificate == home.credentials().certificate != before
+    assert asks.request(NOW + 13 * DAY) is None
+    assert asks.request(NOW + 14 * DAY) is not None
+
+
+def test_what_is_no_successor_is_not_taken_up(site: Site) -> None:
+    home, credentials, asks = renewal(site)
+    before = credentials.certificate
+    site.renew("/robot", DAY)  # shorter, and over by now
+    assert asks.request(NOW) is not None
+    site._clock = lambda: NOW
+    site.renew("/robot", DAY)
+    assert asks.request(NOW + RETRY) is not None
+    (home.path / "node.pem").unlink()
+    assert asks.request(NOW + 2 * RETRY) is not None
+    assert credentials.certificate == before
+
+
 @pytest.mark.parametrize("bundle", [b"garbage", b""])
 async def test_what_is_no_identity_changes_nothing(
     site: Site, bundle: bytes, caplog: pytest.LogCaptureFixture

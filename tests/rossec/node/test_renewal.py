@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from ca.errors import RevocationRefused
+from ca.errors import RevocationRefused, RevocationsStale, Revoked
 from ca.revocation import (
     RevocationList,
     Revocations,
@@ -185,6 +185,19 @@ def test_tokens_of_a_revoked_delegation_or_master_are_nothing(world: World) -> N
         world.access.hold_renewed(token, world.now)
     with pytest.raises(RevocationRefused):
         world.access.take_news(b"", b"no stamp", world.master.identity, world.now, lambda _: None)
+
+
+def test_a_revoked_master_confirms_nothing(world: World) -> None:
+    """Whoever stole its key could otherwise keep the list fresh that a new one would replace."""
+    fresh = world.revocations.fresh_until
+    with pytest.raises(Revoked):
+        world.at(20, world.site.revoke(world.master.identity.thumbprint))
+    with pytest.raises(Revoked):
+        world.at(25)
+    assert world.revocations.fresh_until <= fresh
+    assert world.revocations.held is not None
+    with pytest.raises(RevocationsStale):
+        world.revocations.check_fresh(world.now + 25)
 
 
 def test_a_peer_that_does_not_know_the_master_takes_no_renewed_grant(tmp_path: Path) -> None:

@@ -96,6 +96,7 @@ def test_continue_is_skipped() -> None:
     ("request_bytes", "status"),
     [
         (b"GET / HTTP/1.1\r\nHost: x\r\n\r\n", 405),
+        (b"POST / HTTP/1.1\r\nHost: x\r\nOrigin: null\r\nContent-Length: 0\r\n\r\n", 403),
         (b"POST / HTTP/1.1\r\nHost: x\r\n\r\n", 411),
         (b"POST / HTTP/1.1\r\nHost: x\r\nTransfer-Encoding: chunked\r\n\r\n", 411),
         (b"POST / HTTP/1.1\r\nHost: x\r\nContent-Length: 101\r\n\r\n", 413),

@@ -66,6 +66,7 @@ def test_arguments_beat_the_environment() -> None:
         ((), {"ROS_MASTER_URI": ""}, "does not begin with http://", "http://"),
         ((), {"ROS_MASTER_URI": "http://h"}, "has no port", ":11311"),
         ((), {"ROS_MASTER_URI": "http://:1"}, "names no host", "http://"),
+        ((), {"ROS_MASTER_URI": "http://[::1"}, "names no host", "http://"),
         ((), {"ROS_MASTER_URI": "http://h:99999"}, "not a number", "http://"),
         ((), {"ROS_IP": ""}, "set but empty", "unset ROS_IP"),
         ((), {"ROS_IP": "robot"}, "not an IP address", "ROS_HOSTNAME"),

@@ -8,6 +8,7 @@ import sys
 import pytest
 
 from rossec.errors import PeerUserRefused
+from rossec.net import peeruid
 from rossec.sidecar.callers import Callers, descendants, descends, held_by, parents
 
 CONNECT = "import socket,sys; s=socket.create_connection(('127.0.0.1',int(sys.argv[1]))); s.recv(1)"
@@ -39,6 +40,12 @@ async def test_a_child_may_and_a_stranger_may_not() -> None:
             ours = Callers({os.getuid()}, os.getpid())
             await ours.check(near)
             await ours.check(near)  # known by now
+            with (
+                socket.create_connection(server.getsockname()),
+                server.accept()[0] as own,
+                pytest.raises(PeerUserRefused, match="belongs to another program"),
+            ):
+                await ours.check(own)  # who is known does not vouch for others
             with pytest.raises(PeerUserRefused, match="belongs to another program"):
                 await Callers({os.getuid()}, child.pid).check(near)
             with pytest.raises(PeerUserRefused, match="may not use this sidecar"):
@@ -59,6 +66,26 @@ async def test_who_listens_is_checked_before_it_is_reached() -> None:
             )  # we are not our own child
     with pytest.raises(ConnectionRefusedError):
         await Callers({os.getuid()}).check_listener(port)
+
+
+async def test_a_listener_beside_the_program_is_nobodys_business() -> None:
+    """Anybody may bind the same port of another loopback address, or only to be in the way."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = server.getsockname()[1]
+        with socket.create_server(("127.0.0.2", port)) as other:
+            (holder,) = await Callers({os.getuid()}).check_listener(port)
+            assert holder.inode == os.fstat(server.fileno()).st_ino
+            assert holder.inode != os.fstat(other.fileno()).st_ino
+
+
+async def test_users_of_another_user_namespace_are_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
+    """They all show as the same one, even if that is the user it serves."""
+    monkeypatch.setattr(peeruid, "is_known", lambda user: user != os.getuid())
+    with (
+        socket.create_server(("127.0.0.1", 0)) as server,
+        pytest.raises(PeerUserRefused),
+    ):
+        await Callers({os.getuid()}).check_listener(server.getsockname()[1])
 
 
 def test_descent_ends_with_the_process() -> None:

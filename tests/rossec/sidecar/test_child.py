@@ -1,7 +1,12 @@
+import contextlib
 import json
 import os
+import pty
+import signal
 import subprocess
 import sys
+import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -15,19 +20,25 @@ LOOPBACK_URI = "http://127.0.0.1:4000/"
 
 
 def test_the_program_sees_loopback_alone() -> None:
-    env = inside(HERE, LOOPBACK_URI)
+    env = inside(HERE, HERE, LOOPBACK_URI)
     assert env.pop(OUTSIDE)
     assert env == {"ROS_MASTER_URI": LOOPBACK_URI, "ROS_IP": "127.0.0.1", "HOME": "/home/me"}
 
 
 def test_a_nested_run_finds_what_the_outer_one_replaced() -> None:
-    once = inside(HERE, LOOPBACK_URI)
+    once = inside(HERE, HERE, LOOPBACK_URI)
     assert {key: outside(once).get(key) for key in HERE} == HERE
     assert "ROS_IP" not in outside(once)
-    twice = inside(once, "http://127.0.0.1:5000/")
+    twice = inside(once, outside(once), "http://127.0.0.1:5000/")
     assert json.loads(twice[OUTSIDE]) == {
         key: HERE[key] for key in ("ROS_MASTER_URI", "ROS_HOSTNAME")
     }
+
+
+def test_a_nested_run_finds_the_master_that_was_settled_on() -> None:
+    settled = HERE | {"ROS_MASTER_URI": "http://found:11311"}
+    once = inside(HERE | {"ROS_MASTER_URI": "discover:"}, settled, LOOPBACK_URI)
+    assert outside(once)["ROS_MASTER_URI"] == "http://found:11311"
 
 
 @pytest.mark.parametrize("damaged", ["", "7", "{", "[]x"])
@@ -44,17 +55,89 @@ async def test_exit_codes(code: str, expected: int) -> None:
     assert await child.run([sys.executable, "-c", code], os.environ) == expected
 
 
-@pytest.mark.parametrize(("command", "code"), [("/no/such", 127), ("/etc/passwd", 126)])
-async def test_programs_that_cannot_be_started(command: str, code: int) -> None:
-    with pytest.raises(NoSuchProgram) as refused:
-        await child.run([command], os.environ)
-    assert refused.value.code == code
+async def test_programs_that_cannot_be_started(tmp_path: Path) -> None:
+    script = tmp_path / "script"
+    script.write_text("echo no first line says who runs this\n")
+    script.chmod(0o755)
+    for command, code in (("/no/such", 127), ("/etc/passwd", 126), (str(script), 126)):
+        with pytest.raises(NoSuchProgram) as refused:
+            await child.run([command], os.environ)
+        assert refused.value.code == code
 
 
-async def test_signals_are_passed_on() -> None:
-    script = "import os, signal, sys; signal.signal(signal.SIGUSR1, lambda *_: sys.exit(5))\n"
-    script += "os.kill(os.getppid(), signal.SIGUSR1)\nsignal.pause()"
-    assert await child.run([sys.executable, "-c", script], os.environ) == 5
+async def test_the_program_has_the_descriptors_that_were_passed() -> None:
+    ours, theirs = os.pipe()
+    os.set_inheritable(theirs, True)
+    try:
+        assert await child.run(["sh", "-c", f"echo hello > /dev/fd/{theirs}"], os.environ) == 0
+        assert os.read(ours, 100) == b"hello\n"
+    finally:
+        os.close(ours)
+        os.close(theirs)
+
+
+RUN = "import asyncio, os, sys; from rossec.sidecar import child\n"
+RUN += "sys.exit(asyncio.run(child.run([sys.executable, '-c', sys.argv[1]], os.environ)))"
+COUNT = """
+import os, signal, sys, time
+seen = []
+for number in (signal.SIGINT, signal.SIGUSR1):
+    signal.signal(number, lambda number, _: seen.append(number))
+signal.signal(signal.SIGUSR2, lambda *_: sys.exit(10 * seen.count(2) + seen.count(10)))
+print("ready", os.getppid(), flush=True)
+while True:
+    time.sleep(60)
+"""
+
+
+@contextlib.contextmanager
+def on_a_terminal(words: str = "") -> Iterator[tuple[int, int]]:
+    """A guarded program that counts its signals, and its terminal."""
+    process, terminal = pty.fork()
+    if process == 0:
+        command = f'exec "$0" "$@" {words}'
+        os.execvp("sh", ["sh", "-c", command, sys.executable, "-c", RUN, COUNT])
+    try:
+        said = b""
+        while not said.endswith(b"\r\n"):
+            said += os.read(terminal, 100)
+        yield int(said.split()[1]), terminal
+    finally:
+        os.close(terminal)
+
+
+def counted(guard: int) -> int:
+    """What the program has counted: ten for each SIGINT, one for each SIGUSR1."""
+    os.kill(guard, signal.SIGUSR2)
+    return os.waitstatus_to_exitcode(os.waitpid(guard, 0)[1])
+
+
+def arrived(guard: int) -> None:
+    """Wait until no signal is pending for the guard, nor for its program."""
+    (program,) = Path(f"/proc/{guard}/task/{guard}/children").read_text().split()
+    end = time.monotonic() + 30
+    for process in (guard, int(program)):
+        while "ShdPnd:\t0000000000000000" not in Path(f"/proc/{process}/status").read_text():
+            assert time.monotonic() < end
+            time.sleep(0.01)
+
+
+@pytest.mark.parametrize("words", ["", "</dev/null"])
+def test_ctrl_c_reaches_the_program_once(words: str) -> None:
+    """The terminal sends it to the program itself, wherever its input comes from."""
+    with on_a_terminal(words) as (guard, terminal):
+        os.write(terminal, b"\x03")
+        assert b"^C" in os.read(terminal, 100)
+        arrived(guard)
+        assert counted(guard) == 10
+
+
+def test_what_a_process_sends_is_passed_on_in_the_foreground_too() -> None:
+    with on_a_terminal() as (guard, _):
+        for number in (signal.SIGINT, signal.SIGUSR1):
+            os.kill(guard, number)
+            arrived(guard)
+        assert counted(guard) == 11
 
 
 def test_a_program_ends_with_its_sidecar(tmp_path: Path) -> None:

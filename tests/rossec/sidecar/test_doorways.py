@@ -28,6 +28,18 @@ def test_the_idle_one_that_was_asked_for_longest_ago_makes_room() -> None:
     assert list(doors) == [second, first, fourth]
 
 
+def test_only_what_can_be_spared_makes_room() -> None:
+    """A live program that nobody calls keeps its door: its address is known to the master."""
+    closed: list[Endpoint] = []
+    dead = {PLACES[1]}
+    doors = Doorways[Door](lambda place, _: closed.append(place), dead.__contains__, limit=3)
+    for place in PLACES[:4]:
+        doors.ask(place, Door)
+    assert closed == PLACES[1:2]
+    with pytest.raises(ConfigurationError):
+        doors.ask(PLACES[4], Door)
+
+
 def test_doors_in_use_stay() -> None:
     doors = Doorways[Door](lambda *_: pytest.fail("closed one in use"), limit=2)
     for place in PLACES[:2]:

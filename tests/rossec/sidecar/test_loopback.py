@@ -1,4 +1,5 @@
 import asyncio
+import errno
 import os
 import socket
 
@@ -76,6 +77,36 @@ async def test_the_connections_of_a_port_are_bounded(monkeypatch: pytest.MonkeyP
     with pytest.raises((ChannelClosed, ConnectionError)):
         await greeted(door.port)
     first.abort()
+    await door.close()
+
+
+class Exhausted(socket.socket):
+    """Out of descriptors for a while; counts how often it is asked."""
+
+    asked = 0
+
+    def accept(self) -> tuple[socket.socket, object]:
+        Exhausted.asked += 1
+        if Exhausted.asked <= 3:
+            raise OSError(errno.EMFILE, "too many open files")
+        return super().accept()
+
+
+async def test_without_descriptors_it_rests(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Whoever waits is told of again at once: to try again at once would take all the time."""
+    monkeypatch.setattr(loopback, "reserve", lambda _: Exhausted(fileno=reserve().detach()))
+    monkeypatch.setattr(loopback, "_REST", 0.05)
+    door = LoopbackPort(ANYBODY, echo)
+    door.open()
+    assert await greeted(door.port) == b"hello"
+    assert Exhausted.asked == 4
+    assert "too many open files" in caplog.text
+    door.rest()
+    door._watch()  # it rests
+    with pytest.raises(ConnectionRefusedError):
+        await dial("127.0.0.1", door.port, 10)
     await door.close()
 
 

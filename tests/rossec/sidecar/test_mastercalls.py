@@ -1,6 +1,7 @@
 """What programs ask their master, and what the secured one is asked instead."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
@@ -8,11 +9,12 @@ from rossec.channel.opening import Flavour
 from rossec.errors import HangUp
 from rossec.ros.xmlrpc import Fault
 from rossec.sidecar.addresses import Endpoint, inside
-from rossec.sidecar.commands import AskLocal, AskMaster, Export, Import, Rest
+from rossec.sidecar.commands import AskLocal, AskMaster, Export, Import, Knock, Rest
 from rossec.sidecar.events import Answered, Done, Opened, Passed, Silent
 from rossec.sidecar.layers import Unforeseen
 from rossec.sidecar.mastercalls import MULTICALL_LIMIT, RULES, call, restore, resubscribe
 from tests.rossec.sidecar.playbook import HOST, MASTER_URI, Stage, play
+from tests.support.site import Site
 
 OWN = "http://localhost:5000"  # as a program may spell it
 SLAVE = inside(Flavour.HTTP, 5000)
@@ -20,6 +22,7 @@ OUTSIDE = f"http://{HOST}:7000/"
 SERVICE = inside(Flavour.TCPROS, 5001)
 PEER = Endpoint(Flavour.HTTP, "10.0.0.7", 6000)
 OK = Answered([1, "done", 0])
+ALIVE = (Knock(SLAVE), Done())
 
 
 def register(stage: Stage, *uris: str) -> object:
@@ -72,7 +75,57 @@ def test_what_was_registered_is_unregistered_and_forgotten(stage: Stage) -> None
         (Export(SLAVE), Opened(7000)),
         (AskMaster("unregisterSubscriber", ("/robot", "/scan", OUTSIDE)), OK),
     )
-    assert play(restore(stage.tenant)) is None
+    assert play(restore(stage.tenant), ALIVE) is None
+
+
+def test_a_successor_keeps_its_registration(stage: Stage) -> None:
+    """The old instance that the master ends says goodbye after the new one has registered."""
+    register(stage)
+    elsewhere = inside(Flavour.HTTP, 5999)
+    play(
+        call(stage.tenant, "unregisterSubscriber", ("/robot", "/scan", elsewhere.uri)),
+        (Export(elsewhere), Opened(7999)),
+        (AskMaster("unregisterSubscriber", ("/robot", "/scan", f"http://{HOST}:7999/")), OK),
+    )
+    params = ("/robot", "/scan", "pkg/Type", OUTSIDE)
+    ask = AskMaster("registerSubscriber", params)
+    assert play(restore(stage.tenant), ALIVE, (ask, Answered([-1, "", []]))) is None
+
+
+def test_a_service_is_forgotten_by_its_own_address(stage: Stage) -> None:
+    outside = f"rosrpc://{HOST}:7001"
+    params = ("/robot", "/say", outside, OUTSIDE)
+    play(
+        call(stage.tenant, "registerService", ("/robot", "/say", SERVICE.uri, OWN)),
+        (Export(SLAVE), Opened(7000)),
+        (Export(SERVICE), Opened(7001)),
+        (AskMaster("registerService", params), OK),
+    )
+    other = inside(Flavour.TCPROS, 5002)
+    play(
+        call(stage.tenant, "unregisterService", ("/robot", "/say", other.uri)),
+        (Export(other), Opened(7002)),
+        (AskMaster("unregisterService", ("/robot", "/say", f"rosrpc://{HOST}:7002")), OK),
+    )
+    play(restore(stage.tenant), ALIVE, (AskMaster("registerService", params), OK))
+    play(
+        call(stage.tenant, "unregisterService", ("/robot", "/say", SERVICE.uri)),
+        (Export(SERVICE), Opened(7001)),
+        (AskMaster("unregisterService", params[:3]), OK),
+    )
+    assert play(restore(stage.tenant), ALIVE) is None
+
+
+def test_who_takes_a_dead_programs_port_has_none_of_its_registrations(tmp_path: Path) -> None:
+    stage = Stage(Site(tmp_path / "site"), wildcard=True)
+    register(stage)
+    params = ("/robot_2", "/word", "pkg/Type", OUTSIDE)
+    play(
+        call(stage.tenant, "registerPublisher", ("/robot_2", "/word", "pkg/Type", OWN)),
+        (Export(SLAVE), Opened(7000)),
+        (AskMaster("registerPublisher", params), OK),
+    )
+    play(restore(stage.tenant), ALIVE, (AskMaster("registerPublisher", params), OK))
 
 
 def test_a_restarted_master_hears_of_everything_again(stage: Stage) -> None:
@@ -81,6 +134,7 @@ def test_a_restarted_master_hears_of_everything_again(stage: Stage) -> None:
     update = ("/master", "/scan", ["http://127.0.0.1:8000/"])
     play(
         restore(stage.tenant),
+        ALIVE,
         (AskMaster("registerSubscriber", params), Answered([1, "ok", [PEER.uri]])),
         (Import(PEER), Opened(8000)),
         (AskLocal(SLAVE, "publisherUpdate", update), Silent("gone", dead=True)),
@@ -89,12 +143,19 @@ def test_a_restarted_master_hears_of_everything_again(stage: Stage) -> None:
     assert play(restore(stage.tenant)) is None
 
 
+def test_a_dead_program_is_left_out(stage: Stage) -> None:
+    register(stage)
+    gone = (Knock(SLAVE), Silent("refused", dead=True)), (Rest(SLAVE), Done())
+    assert play(restore(stage.tenant), *gone) is None
+    assert play(restore(stage.tenant)) is None
+
+
 def test_restoring_ends_with_the_connection_and_bears_refusals(stage: Stage) -> None:
     register(stage)
     ask = AskMaster("registerSubscriber", ("/robot", "/scan", "pkg/Type", OUTSIDE))
-    play(restore(stage.tenant), (ask, Answered([-1, "no right", []])))
+    play(restore(stage.tenant), ALIVE, (ask, Answered([-1, "no right", []])))
     with pytest.raises(HangUp):
-        play(restore(stage.tenant), (ask, Silent("cut")))
+        play(restore(stage.tenant), ALIVE, (ask, Silent("cut")))
 
 
 def test_a_lost_topic_has_its_publishers_named_again(stage: Stage) -> None:

@@ -1,7 +1,12 @@
 """The loopback master: which identity a call is made with."""
 
+import asyncio
+
 import pytest
 
+from rossec.home import NodeHome
+from rossec.ros import xmlrpc
+from rossec.ros.settings import parse_uri
 from rossec.ros.xmlrpc import Fault
 from tests.rossec.sidecar.conversation import Pair
 from tests.rossec.sidecar.program import Program, sidecar
@@ -26,6 +31,50 @@ async def test_a_program_that_may_not_is_told_why(pair: Pair) -> None:
         _, fields = await stranger.subscribe(door, "/word")
         assert b"no grant" in fields["error"]
     assert not pair.talker.connections
+
+
+async def test_an_anonymous_program_is_told_how_to_enroll(pair: Pair) -> None:
+    async with Program("/rosparam-4711", pair.far) as tool:
+        answer = await tool.ask(tool.master_uri, "getPid")
+        assert "rossec node request /rosparam --anonymous, or use --as" in str(answer)
+
+
+async def test_files_that_cannot_be_read_are_named(
+    pair: Pair, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pair.site.enroll("/odd")
+
+    def unreadable(home: NodeHome) -> bytes:
+        raise PermissionError(13, "Permission denied", str(home.path))
+
+    monkeypatch.setattr(NodeHome, "anchor", unreadable)
+    async with Program("/odd", pair.far) as odd:
+        answer = await odd.ask(odd.master_uri, "getPid")
+        assert isinstance(answer, list)
+        assert answer[0] == -1
+        assert "Permission denied" in answer[1]
+
+
+async def test_a_web_page_speaks_for_nobody(pair: Pair) -> None:
+    """A browser is a program of the user; what it sends to a port of loopback is the page's."""
+    reader, writer = await asyncio.open_connection(*parse_uri(pair.near.uri))
+    call = xmlrpc.dump_call("setParam", ("/talker", "/x", 1))
+    head = b"POST / HTTP/1.1\r\nHost: localhost\r\nOrigin: https://evil.example\r\n"
+    writer.write(
+        head + b"Content-Type: text/plain\r\nContent-Length: %d\r\n\r\n" % len(call) + call
+    )
+    assert (await reader.read()).startswith(b"HTTP/1.1 403 ")
+    writer.close()
+    await writer.wait_closed()
+
+
+@pytest.mark.parametrize(("each", "expected"), [(True, "/talker"), (False, "/listener")])
+async def test_whose_identity_an_enrolled_program_uses(
+    pair: Pair, each: bool, expected: str
+) -> None:
+    async with sidecar(pair.site, each=each, identity="/listener") as one:
+        assert one._agent_for("/talker").name == expected
+        assert one._agent_for("/unknown").name == "/listener"
 
 
 async def test_one_identity_for_all_and_empty_multicalls(pair: Pair) -> None:

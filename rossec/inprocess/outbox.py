@@ -1,0 +1,245 @@
+"""Sending over rospy's connections: what waits goes out as one unit.
+
+`Outbox` stands for rospy's `QueuedConnection`; `write_data` is for connections without a queue.
+"""
+
+import struct
+import time
+from collections import deque
+from collections.abc import Iterator
+from contextlib import suppress
+from threading import Condition, Thread
+from typing import Any, Final
+
+from rospy.exceptions import TransportTerminated
+from rospy.impl.tcpros_service import TCPROSServiceClient
+from rospy.service import ServiceException
+
+from ca.errors import HintedError
+from rossec.channel.records import Bytes
+from rossec.inprocess.sockets import RosSocket
+
+LENGTH: Final = struct.Struct("<I")
+ALONE: Final = 128 * 1024  # a message from here on is a unit of its own
+_BATCH: Final = 256 * 1024  # beyond this a unit only adds latency
+_SMALL: Final = 16 * 1024  # the kernel has room for it, or is full
+_PAUSE: Final = 0.001  # seconds; messages that follow faster are worth a batch
+
+Pieces = bytes | tuple[Bytes, ...]
+"""A message with its length in front, whole or in parts."""
+
+
+class Outbox:
+    """A connection with a queue: `write_data` never waits; a full queue drops the oldest.
+
+    The sender takes all that waits and sends it as one unit. It is woken, and given its turn, only
+    when it has nothing to do: a publisher that is faster than the wire makes larger batches. A
+    small message after a pause goes out in the publisher's thread, where that cannot wait: two
+    threads taking turns cost more time than the encryption.
+    """
+
+    def __init__(self, connection: Any, queue_size: int) -> None:
+        self._connection = connection
+        self._queue: deque[Pieces] = deque(maxlen=queue_size if queue_size > 0 else None)
+        self._filled = Condition()
+        self._idle = False
+        self._last = 0.0
+        self._error: Exception | None = None
+        self._connection.set_cleanup_callback(self._closed)
+        self._thread = Thread(target=self._run, name="rossec outbox")
+        self._thread.start()
+
+    @property
+    def socket(self) -> Any:
+        """The connection's; asked for with each message."""
+        return self._connection.socket
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__"):
+            raise AttributeError(name)
+        return getattr(self._connection, name)
+
+    def write_data(self, data: Pieces) -> bool:
+        """Queue a message.
+
+        Raises:
+            Exception: what an earlier one failed with.
+        """
+        if self._error is not None:
+            error, self._error = self._error, None
+            raise error
+        last, self._last = self._last, time.monotonic()
+        if self._last > last + _PAUSE and self._send_now(data):
+            return True
+        self._queue.append(data)
+        idle = self._idle
+        if idle:
+            with self._filled:
+                self._idle = False
+                self._filled.notify()
+        if idle or _size(data) > ALONE:  # while a large one waits, its memory is not used again
+            time.sleep(0)  # as rospy: the sender's turn
+        return True
+
+    def _send_now(self, data: Pieces) -> bool:
+        """Whether `data` was sent past the queue: nobody waits, and nothing is before it."""
+        if not isinstance(data, bytes) or len(data) > _SMALL:
+            return False
+        with self._filled:  # the sender is asleep meanwhile
+            if not self._idle or self._queue or not write_now(self._connection, data):
+                return False
+            if self._connection.socket.unsent:
+                self._queue.append(())  # a message of nothing: sending it sends the rest
+                self._idle = False
+                self._filled.notify()
+        return True
+
+    def _closed(self, _: Any) -> None:
+        with self._filled:
+            self._filled.notify()
+
+    def _run(self) -> None:
+        while not self._connection.done:
+            with self._filled:
+                self._wait()
+            try:
+                self._send_waiting()
+            except Exception as error:  # noqa: BLE001 - as rospy: the publisher's next call raises it
+                self._error = error
+
+    def _send_waiting(self) -> None:
+        for batch in _batches(self._queue):
+            write(self._connection, batch)
+
+    def _wait(self) -> None:
+        """Until there is something to send, or the connection ends; the lock is held."""
+        self._idle = True  # before each look: who queues after the look must find it set
+        while not self._queue and not self._connection.done:
+            self._filled.wait()
+            self._idle = True
+        self._idle = False
+
+
+def _size(message: Pieces) -> int:
+    return len(message) if isinstance(message, bytes) else sum(map(len, message))
+
+
+def _batches(queue: deque[Pieces]) -> Iterator[list[Pieces]]:
+    """Take messages from the front, as many as make a unit; others may be added meanwhile."""
+    batch: list[Pieces] = []
+    size = 0
+    with suppress(IndexError):
+        while True:
+            message = queue.popleft()
+            batch.append(message)
+            size += _size(message)
+            if size >= _BATCH:
+                yield batch
+                batch, size = [], 0
+    if batch:
+        yield batch
+
+
+def write(transport: Any, messages: list[Pieces]) -> None:
+    """Send messages as one unit over a transport of rospy's.
+
+    Raises:
+        TransportTerminated: the connection is at its end; it is closed.
+    """
+    sock = _socket(transport)
+    try:
+        transport.stat_bytes += _send(sock, messages)
+    except (HintedError, OSError) as error:
+        raise _ended(transport, error) from error
+    transport.stat_num_msg += len(messages)
+
+
+def write_now(transport: Any, message: bytes) -> bool:
+    """Send a small message where that needs no waiting (`RosSocket.send_now`).
+
+    Raises:
+        TransportTerminated: as of `write`.
+    """
+    sock = _socket(transport)
+    try:
+        if not sock.send_now(message):
+            return False
+    except (HintedError, OSError) as error:
+        raise _ended(transport, error) from error
+    transport.stat_bytes += len(message)
+    transport.stat_num_msg += not sock.unsent  # else it counts with the rest
+    return True
+
+
+def _socket(transport: Any) -> RosSocket:
+    sock: RosSocket | None = transport.socket
+    if sock is None or transport.done:
+        raise TransportTerminated("connection closed")
+    return sock
+
+
+def _ended(transport: Any, error: Exception) -> TransportTerminated:
+    transport.close()
+    return TransportTerminated(str(error))
+
+
+def _send(sock: RosSocket, messages: list[Pieces]) -> int:
+    """Send messages; a large one without its length, which goes before it.
+
+    It is a unit of its own then, and its receiver need not copy it.
+    """
+    match messages:
+        case [bytes() as message] if len(message) > ALONE:
+            sock.send_unit(message[: LENGTH.size])
+            sock.send_unit(memoryview(message)[LENGTH.size :])
+            return len(message)
+        case _:
+            pieces = _flat(messages)
+            sock.send_unit(*pieces)
+            return sum(map(len, pieces))
+
+
+def _flat(messages: list[Pieces]) -> list[Bytes]:
+    if len(messages) > 1 and all(isinstance(message, bytes) for message in messages):
+        return [b"".join(messages)]  # type: ignore[arg-type]  # all are bytes
+    flat: list[Bytes] = []
+    for message in messages:
+        flat += [message] if isinstance(message, bytes) else message
+    return flat
+
+
+def write_data(transport: Any, data: Pieces) -> bool:
+    """As `TCPROSTransport.write_data`: for publishers without a queue, and for services.
+
+    Raises:
+        ServiceException: a call that a grant does not allow, or over a kept connection that was
+            cut; rospy's own socket takes the request and fails with this when there is no response.
+        TransportTerminated: any other connection is at its end.
+    """
+    calls = isinstance(transport.protocol, TCPROSServiceClient)
+    if isinstance(data, bytes):
+        data = _exchanged(transport, data)
+    try:
+        write(transport, [data])
+    except TransportTerminated as error:
+        if calls:
+            raise ServiceException(f"transport error completing service call: {error}") from error
+        raise
+    return True
+
+
+def _exchanged(transport: Any, data: bytes) -> Pieces:
+    """What of a service's request or response may be sent."""
+    exchange = None if transport.socket is None else transport.socket.exchange
+    if exchange is None:
+        return data
+    try:
+        pieces: Pieces = exchange.outgoing(data)
+    except HintedError as error:
+        if "persistent" in transport.protocol.headers:
+            transport.write_buff.seek(0)  # rospy empties it only after it was sent
+            transport.write_buff.truncate(0)
+        else:
+            transport.close()  # rospy has forgotten it already
+        raise ServiceException(f"rossec: {error}") from error
+    return pieces

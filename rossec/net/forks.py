@@ -1,0 +1,34 @@
+"""A connection does not survive a fork.
+
+Parent and child would both hold its keys and counters, and seal two different records under one
+nonce: with AES-GCM that gives both plaintexts and the authentication key away (RFC 5116, 5.1.1). So
+the child forgets what it inherited; the parent's connections go on. Programs that a connected one
+starts are not concerned: `subprocess` and multiprocessing's `spawn` run no Python before `exec`.
+"""
+
+import os
+from typing import Final, Protocol
+from weakref import WeakSet
+
+
+class Inherited(Protocol):
+    """What a forked process must not use."""
+
+    def abandon(self) -> None:
+        """Forget keys and counters, without a word to the peer: it is not this process's."""
+
+
+_watched: Final[WeakSet[Inherited]] = WeakSet()
+
+
+def forget_in_children(inherited: Inherited) -> None:
+    """From now on a forked child abandons it, before anything else of it runs."""
+    _watched.add(inherited)
+
+
+def _in_child() -> None:
+    for inherited in list(_watched):
+        inherited.abandon()
+
+
+os.register_at_fork(after_in_child=_in_child)

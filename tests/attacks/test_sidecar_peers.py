@@ -1,0 +1,193 @@
+"""Enrolled peers that lie to a sidecar: in headers, in answers. Real sockets on both sides."""
+
+import contextlib
+from collections.abc import AsyncIterator
+from pathlib import Path
+
+import pytest
+
+from ca.certificates import Identity
+from ca.encoding import Value, encode
+from ca.revocation import Timestamp, digest, sign_timestamp
+from grants.model import Right
+from rossec.channel.opening import Flavour
+from rossec.errors import ChannelClosed, ChannelError
+from rossec.net.dial import dial
+from rossec.net.rpc import CallFailed, RpcClient, serve_calls
+from rossec.net.stream import SecureServer, SecureStream, connect, serve
+from rossec.node.access import FIELD
+from rossec.ros import header, xmlrpc
+from rossec.ros.settings import parse_uri
+from rossec.ros.xmlrpc import Encoded
+from rossec.sidecar.plain import PlainStream
+from rossec.sidecar.pump import split_header
+from rossec.sidecar.server import Sidecar
+from tests.rossec.sidecar.program import Program, sidecar
+from tests.support.site import Site
+from tests.support.witness import until
+
+PLAIN = ["TCPROS", "127.0.0.1", 9]
+"""Where the peer would like to be met without the channel."""
+
+
+@pytest.fixture
+async def site(tmp_path: Path) -> AsyncIterator[Site]:
+    site = Site(tmp_path / "site")
+    site.publish("/robot", "/word")
+    site.subscribe("/robot", "/lies")
+    site.publish("/mallory", "/lies")
+    site.grant("/mallory", Right.CALL, "/anything")
+    async with site.running() as site:
+        yield site
+
+
+@pytest.fixture
+async def near(site: Site) -> AsyncIterator[Sidecar]:
+    async with sidecar(site) as near:
+        yield near
+
+
+async def meet(site: Site, port: int, flavour: Flavour) -> SecureStream[Identity]:
+    """Connect as /mallory to a door of the sidecar."""
+    credentials = site.enroll("/mallory").credentials()
+    return await connect("127.0.0.1", port, credentials, site.anchor.verify, opening=flavour)
+
+
+def door_of(near: Sidecar) -> SecureServer[Identity]:
+    """Where peers reach the slave API of /robot."""
+    return next(iter(near._agent_for("/robot")._exports.doorways))
+
+
+async def test_a_right_to_call_reads_no_topic(site: Site, near: Sidecar) -> None:
+    """One header with a service for the guard and a topic for the program behind it."""
+    async with Program("/robot", near) as robot:
+        await robot.register("registerPublisher", "/word", "std_msgs/String")
+        client = RpcClient(await meet(site, door_of(near).port, Flavour.HTTP))
+        answer = await client.call("requestTopic", "/mallory", "/word", [["TCPROS"]])
+        assert isinstance(answer, list)
+        grants: list[Value] = [*site.enroll("/mallory").grants()]
+        fields = {
+            "callerid": b"/mallory", "type": b"*", "md5sum": b"*", "topic": b"/word",
+            "service": b"/anything", FIELD: encode(grants),
+        }  # fmt: skip
+        stream = await meet(site, answer[2][2], Flavour.TCPROS)
+        await stream.send(header.encode(fields))
+        said, _ = await split_header(stream)
+        assert b"for a topic or for a service" in said["error"]
+        assert robot.headers == []
+        stream.abort("done")
+        await client.close()
+
+
+@contextlib.asynccontextmanager
+async def liar(site: Site, answer: object) -> AsyncIterator[str]:
+    """A publisher of /lies, registered with the master, whose slave API says `answer`."""
+    home = site.enroll("/mallory")
+
+    async def handler(stream: SecureStream[Identity]) -> None:
+        await serve_calls(stream, lambda *_: answer)
+
+    server = serve(handler, "127.0.0.1", 0, home.credentials(), site.anchor.verify)
+    assert site.master is not None
+    port = int(site.master.uri.rstrip("/").rpartition(":")[2])
+    client = RpcClient(await meet(site, port, Flavour.HTTP))
+    await client.ask("rossec.presentGrants", "/mallory", home.grants())
+    uri = f"http://127.0.0.1:{server.port}/"
+    await client.ask("registerPublisher", "/mallory", "/lies", "std_msgs/String", uri)
+    try:
+        yield uri
+    finally:
+        await client.close()
+        await server.close()
+
+
+UNSEEN = xmlrpc.dump_response([1, "", PLAIN]).replace(b"</methodResponse>", b"</methodResponse><")
+
+
+@pytest.mark.parametrize("answer", [[2, "", PLAIN], [True, "", PLAIN], Encoded(UNSEEN)])
+async def test_no_peer_names_a_place_outside_the_channel(
+    site: Site, near: Sidecar, answer: object
+) -> None:
+    """rospy takes any positive code for success, lenient parsers read what ours refuses."""
+    async with liar(site, answer), Program("/robot", near) as robot:
+        uris = await robot.register("registerSubscriber", "/lies", "std_msgs/String")
+        assert isinstance(uris, list)
+        program = RpcClient(PlainStream(await dial(*parse_uri(str(uris[0])), 10)))
+        heard = b""
+        with contextlib.suppress(CallFailed, ChannelClosed):
+            heard = await program.fetch("requestTopic", "/robot", "/lies", [["TCPROS"]])
+        assert b"TCPROS" not in heard
+        await program.close()
+
+
+async def test_nobody_but_the_master_says_what_is_revoked(site: Site, near: Sidecar) -> None:
+    """The list is the authority's, but who may vouch that it is the newest becomes the master."""
+    async with Program("/robot", near) as robot:
+        await robot.register("registerPublisher", "/word", "std_msgs/String")
+        agent = near._agent_for("/robot")
+        held = agent._membership._revocations.held
+        assert held is not None
+        until_then = agent._membership._revocations.fresh_until
+        signer = site.enroll("/mallory").credentials().signer
+        stamp = Timestamp(held.seq, digest(agent._membership._revocations.data), site.now() + 4, 30)
+        client = RpcClient(await meet(site, door_of(near).port, Flavour.HTTP))
+        answer = await client.call(
+            "rossec.revocationUpdate", "/master", b"", sign_timestamp(signer, stamp)
+        )
+        assert "for the master alone" in str(answer)
+        assert agent._membership._revocations.fresh_until < site.now() + 34
+        assert agent._membership._revocations.fresh_until >= until_then
+        await client.close()
+
+
+async def test_a_subscriber_that_sends_data_hears_nothing(site: Site, near: Sidecar) -> None:
+    """With its header or after it."""
+    site.subscribe("/mallory", "/word")
+    grants: list[Value] = [*site.enroll("/mallory").grants()]
+    asked = {
+        "callerid": b"/mallory", "type": b"*", "md5sum": b"*", "topic": b"/word",
+        FIELD: encode(grants),
+    }  # fmt: skip
+    async with Program("/robot", near) as robot:
+        await robot.register("registerPublisher", "/word", "std_msgs/String")
+        client = RpcClient(await meet(site, door_of(near).port, Flavour.HTTP))
+        answer = await client.call("requestTopic", "/mallory", "/word", [["TCPROS"]])
+        assert isinstance(answer, list)
+        for units in ([header.encode(asked) + b"data"], [header.encode(asked), b"data"]):
+            stream = await meet(site, answer[2][2], Flavour.TCPROS)
+            for unit in units:
+                await stream.send(unit)
+            said, _ = await split_header(stream)
+            assert "error" not in said
+            with pytest.raises(ChannelError):
+                await stream.receive()
+        await client.close()
+
+
+async def test_a_revoked_peer_is_not_asked_over_an_old_connection(
+    site: Site, near: Sidecar
+) -> None:
+    async with liar(site, [1, "", 4711]) as uri, Program("/robot", near) as robot:
+        uris = await robot.register("registerSubscriber", "/lies", "std_msgs/String")
+        assert isinstance(uris, list)
+        program = RpcClient(PlainStream(await dial(*parse_uri(str(uris[0])), 10)))
+        assert await program.call("getPid", "/robot") == [1, "", 4711]
+        agent = near._agent_for("/robot")
+        data = site.revoke(site.identity("/mallory").thumbprint)
+        await agent._membership._session.call("rossec.updateRevocations", data)
+        await until(lambda: agent._membership._revocations.data == data)
+        with pytest.raises((CallFailed, ChannelClosed)):
+            await program.call("getPid", "/robot")
+        assert uri
+        await program.close()
+
+
+async def test_no_peer_makes_the_sidecar_keep_more_than_a_call(site: Site, near: Sidecar) -> None:
+    """A unit is put together before anybody looks at it."""
+    async with Program("/robot", near) as robot:
+        await robot.register("registerPublisher", "/word", "std_msgs/String")
+        stream = await meet(site, door_of(near).port, Flavour.HTTP)
+        await stream.send(bytes(3 * 1024 * 1024))
+        with pytest.raises(ChannelError):
+            await stream.receive()
+        stream.abort("done")

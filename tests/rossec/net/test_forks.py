@@ -1,0 +1,109 @@
+"""Parent and child never seal under the same nonce: the child has nothing to seal with."""
+
+import asyncio
+import os
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from rossec.errors import ChannelClosed
+from rossec.net.blocking import SecureSocket
+from rossec.net.listener import SecureListener
+from rossec.net.stream import connect, serve
+from tests.rossec.net.test_blocking import live, make_listener, pair
+from tests.support.wire import ALICE, BOB, FakeIdentity
+
+
+@pytest.fixture
+def listener() -> Iterator[SecureListener[FakeIdentity]]:
+    with make_listener() as made:
+        yield made
+
+
+def in_child(work: Callable[[], object]) -> str:
+    """What came of `work` in a forked process."""
+    reading, writing = os.pipe()
+    child = os.fork()
+    if child == 0:
+        try:
+            said = repr(work())
+        except BaseException as error:  # noqa: BLE001 - told to the parent
+            said = f"{type(error).__name__}: {error}"
+        os.write(writing, said.encode())
+        os._exit(0)
+    os.close(writing)
+    with os.fdopen(reading) as told:
+        said = told.read()
+    os.waitpid(child, 0)
+    return said
+
+
+def test_a_child_cannot_use_its_parents_connection(
+    listener: SecureListener[FakeIdentity],
+) -> None:
+    left, right = pair(listener)
+    with left, right:
+        assert left.send_now(b"0")
+        for use in (
+            lambda: left.sendall(b"child"),
+            lambda: left.send_now(b"child"),
+            lambda: left.sendall(bytes(500_000)),
+        ):
+            assert in_child(use).startswith("ChannelClosed: a forked process cannot use its"), use
+        assert in_child(lambda: left.recv(1)) == "b''"
+        assert in_child(left.close) == "None"
+        left.sendall(b"1")
+        assert right.recv(1) + right.recv(1) == b"01"
+
+
+def test_a_lock_held_at_the_fork_stops_no_child(listener: SecureListener[FakeIdentity]) -> None:
+    left, right = pair(listener)
+    with left, right:
+        with left._core_lock, left._reading, left._writing:
+            assert in_child(lambda: left.sendall(b"x")).startswith("ChannelClosed")
+            assert in_child(left.shutdown) == "None"
+        left.sendall(b"x")
+        assert right.recv(1) == b"x"
+
+
+def test_a_child_may_connect_for_itself(listener: SecureListener[FakeIdentity]) -> None:
+    where = listener.getsockname()
+
+    def work() -> bytes:
+        with SecureSocket[FakeIdentity].connect(where, ALICE, live, 5) as own:
+            own.sendall(b"child")
+            return own.recv(10)
+
+    reading, writing = os.pipe()
+    child = os.fork()
+    if child == 0:
+        os.write(writing, work())
+        os._exit(0)
+    accepted, _ = listener.accept()
+    with accepted:
+        assert accepted.recv(10) == b"child"
+        accepted.sendall(b"welcome")
+        assert os.read(reading, 10) == b"welcome"
+    os.waitpid(child, 0)
+    for end in (reading, writing):
+        os.close(end)
+
+
+async def test_streams_of_a_loop_as_well() -> None:
+    heard: asyncio.Queue[bytes] = asyncio.Queue()
+
+    async def handler(stream: object) -> None:
+        while True:
+            await heard.put(await stream.receive())  # type: ignore[attr-defined]
+
+    server = serve(handler, "127.0.0.1", 0, BOB, live)
+    stream = await connect("127.0.0.1", server.port, ALICE, live)
+    try:
+        await stream.send(b"one")
+        assert in_child(lambda: stream.send_nowait(b"child")).startswith(ChannelClosed.__name__)
+        await stream.send(b"two")
+        async with asyncio.timeout(10):
+            assert [await heard.get(), await heard.get()] == [b"one", b"two"]
+    finally:
+        await stream.close()
+        await server.close()

@@ -1,0 +1,49 @@
+"""What a subscriber believes of a publisher whose right is restricted."""
+
+from pathlib import Path
+
+import pytest
+
+from grants.model import Restriction, Right, filter_rules
+from tests.support.site import Site
+from tests.support.witness import until
+
+TYPE = "std_msgs/String"
+
+
+async def test_a_restricted_publisher_is_believed_no_further(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """The publisher here does not hold itself back: nobody makes it."""
+    site = Site(tmp_path / "site")
+    rules = filter_rules({"data": {"truncate": {"length": 4}}})
+    restriction = Restriction(TYPE, ('msg.data != "stop"',), rules)
+    site.grant("/boss", Right.PUBLISH, "/order", restriction=restriction)
+    site.subscribe("/robot", "/order")
+    async with site.running(), site.node("/boss") as boss, site.node("/robot") as robot:
+        heard = await robot.subscriber("/order", TYPE)
+        publisher = await boss.publisher("/order", TYPE)
+        await publisher.wait_for_subscribers()
+        for data in ("stop", "go on"):
+            publisher.publish(publisher.create(data=data))
+        publisher.publish_bytes(b"\x02\0\0\0go, and a tail")
+        publisher.publish(publisher.create(data="end"))
+        words = []
+        async for message in heard:
+            words.append(message.data)
+            if len(words) == 2:
+                break
+        assert words == ["go o", "end"]
+    assert "/order: withheld a message" in caplog.text
+
+
+async def test_a_restriction_for_another_type_refuses_the_publisher(tmp_path: Path) -> None:
+    site = Site(tmp_path / "site")
+    restriction = Restriction("geometry_msgs/Twist", ("msg.linear.x < 1.0",))
+    site.grant("/boss", Right.PUBLISH, "/order", restriction=restriction)
+    site.subscribe("/robot", "/order")
+    async with site.running(), site.node("/boss") as boss, site.node("/robot") as robot:
+        await boss.publisher("/order", TYPE, latch=True)
+        heard = await robot.subscriber("/order", TYPE)
+        await until(lambda: bool(heard.refusals), within=20)
+        assert "restricted for messages of type geometry_msgs/Twist" in str(heard.refusals[0])

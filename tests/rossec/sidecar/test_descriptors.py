@@ -1,0 +1,32 @@
+"""The limit of descriptors: raised here, as it was for the program."""
+
+import resource
+
+import pytest
+
+from rossec.sidecar import descriptors
+
+WHICH = resource.RLIMIT_NOFILE
+
+
+@pytest.mark.parametrize(
+    ("before", "raised"),
+    [
+        ((1024, 4096), [(4096, 4096)]),
+        ((1024, 1 << 20), [(1 << 16, 1 << 20)]),
+        ((1024, resource.RLIM_INFINITY), [(1 << 16, resource.RLIM_INFINITY)]),
+        ((4096, 4096), []),
+        ((1 << 17, 1 << 17), []),
+        ((resource.RLIM_INFINITY, resource.RLIM_INFINITY), []),
+    ],
+)
+def test_it_is_raised_as_far_as_it_goes(
+    monkeypatch: pytest.MonkeyPatch, before: tuple[int, int], raised: list[tuple[int, int]]
+) -> None:
+    made: list[tuple[int, int]] = []
+    monkeypatch.setattr(resource, "getrlimit", lambda _: before)
+    monkeypatch.setattr(resource, "setrlimit", lambda _, limits: made.append(limits))
+    assert descriptors.raise_limit() == before
+    assert made == raised
+    descriptors.restore_limit(before)
+    assert made == [*raised, before]

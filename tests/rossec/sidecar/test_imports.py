@@ -1,0 +1,18 @@
+"""Doors on loopback: what programs hear of peers, and what they do not."""
+
+from grants.model import Restriction, Right, filter_rules
+from tests.rossec.sidecar.conversation import Pair, connect, heard
+from tests.rossec.sidecar.program import word
+
+
+async def test_a_restricted_publisher_is_believed_no_further(pair: Pair) -> None:
+    """Its own sidecar sends what the program says; the subscriber's applies the restriction."""
+    for file in pair.site.enroll("/talker").path.glob("grants/*"):
+        file.unlink()
+    rules = filter_rules({"data": {"truncate": {"length": 2}}})
+    restriction = Restriction("std_msgs/String", ('msg.data != "stop"',), rules)
+    pair.site.grant("/talker", Right.PUBLISH, "/word", restriction=restriction)
+    stream, source = await connect(pair)
+    await source.send(word("hello") + word("stop") + word("world"))
+    expected = word("he") + word("wo")
+    assert await heard(stream, len(expected)) == expected
