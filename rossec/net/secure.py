@@ -226,12 +226,15 @@ class SecureStream(Generic[PeerT]):
         self._write_now(unit)
         return True
 
-    def on_ready(self, callback: Callable[[], None] | None) -> None:
+    def on_ready(
+        self, callback: Callable[[], None] | None, take: Callable[[bytes], bool] | None = None
+    ) -> None:
         """Call back whenever `next_unit` has something new to say: instead of `receive`.
 
-        `callback` must not raise.
+        A unit that came alone is offered to `take` before; if that says yes, it is not kept.
+        Neither must raise.
         """
-        self._driver.on_ready = callback
+        self._driver.on_ready, self._driver.on_unit = callback, take
 
     @property
     def has_unit(self) -> bool:

@@ -191,6 +191,27 @@ async def test_a_burst_is_joined_after_its_first_unit(
         assert await stream.receive() == b"later"
 
 
+async def test_a_unit_alone_is_offered_before_it_is_kept(
+    server: SecureServer[FakeIdentity],
+) -> None:
+    async with await call(server) as stream:
+        told, offered = asyncio.Event(), list[bytes]()
+
+        def take(unit: bytes) -> bool:
+            offered.append(unit)
+            told.set()
+            return unit != b"kept"
+
+        stream.on_ready(told.set, take)
+        for unit in (b"taken", b"kept", b"behind"):
+            await stream.send(unit)
+            await asyncio.wait_for(told.wait(), 10)
+            told.clear()
+        assert offered == [b"taken", b"kept"]
+        assert (stream.next_unit(), stream.next_unit()) == (b"kept", b"behind")
+        assert stream.next_unit() is None
+
+
 async def test_a_slow_reader_stops_the_writer() -> None:
     go = asyncio.Event()
     got = 0
