@@ -10,6 +10,8 @@ from typing import Final
 
 SMALL: Final = 2 * 1024
 """Before authentication; a stranger costs no more than this until its frames are plausible."""
+OPEN: Final = 8 * 1024
+"""After it: several small records fit."""
 
 
 _GIVE_BACK: Final = 64 * 1024  # what is larger costs too much to get again
@@ -45,6 +47,10 @@ class ReceiveBuffer:
         elif self._end == len(self._data):
             self.reserve(len(self) + 1)
         return self._view[self._end :]
+
+    def trust(self) -> None:
+        """Take in more at a time from now on: the peer is authenticated."""
+        self._least = OPEN
 
     def filled(self, count: int) -> None:
         """Say that `count` bytes were written at the start of the free tail."""

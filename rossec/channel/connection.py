@@ -213,6 +213,7 @@ class Connection(Outbound[PeerT]):
     def _advance(self, step: Step[PeerT]) -> State:
         if step.peer is not None:
             self._peer = step.peer
+            self._inbox.trust()
             self._session = self._negotiation.session(self._limits, self._now)
             self._events.append(Authenticated(step.peer))
         self._out.append(step.reply)

@@ -37,7 +37,8 @@ class Links:
     def __init__(self) -> None:
         self._lock = Lock()
         self._cuts: dict[Link, Callable[[], None]] = {}
-        self._held: Counter[bytes] = Counter()
+        self._held: Counter[bytes | str] = Counter()
+        self._holders: dict[object, bytes | str] = {}
         self._peers: dict[object, tuple[Identity, Callable[[], None]]] = {}
 
     def add(self, link: Link, cut: Callable[[], None]) -> None:
@@ -57,20 +58,33 @@ class Links:
             LimitExceeded: it has too many already (attack N8).
         """
         with self._lock:
-            if self._held[peer.thumbprint] >= PEER_CONNECTIONS:
-                raise LimitExceeded(f"{peer.name} has {PEER_CONNECTIONS} connections already")
-            self._held[peer.thumbprint] += 1
+            self._count(key, peer.thumbprint, peer.name)
             self._peers[key] = peer, cut
 
-    def forget(self, key: object) -> None:
-        """A connection counted by `admit` is over; others are not counted and change nothing."""
+    def admit_plain(self, key: object, address: str) -> None:
+        """Count a connection that is plain: all we know of such a peer is its address.
+
+        Raises:
+            LimitExceeded: it has too many already.
+        """
         with self._lock:
-            known = self._peers.pop(key, None)
-            if known is not None:
-                held = self._held[known[0].thumbprint] - 1
-                self._held[known[0].thumbprint] = held
-                if held <= 0:
-                    del self._held[known[0].thumbprint]
+            self._count(key, address, address)
+
+    def _count(self, key: object, holder: bytes | str, name: str) -> None:
+        if self._held[holder] >= PEER_CONNECTIONS:
+            raise LimitExceeded(f"{name} has {PEER_CONNECTIONS} connections already")
+        self._held[holder] += 1
+        self._holders[key] = holder
+
+    def forget(self, key: object) -> None:
+        """A counted connection is over; others are not counted and change nothing."""
+        with self._lock:
+            self._peers.pop(key, None)
+            holder = self._holders.pop(key, None)
+            if holder is not None:
+                self._held[holder] -= 1
+                if self._held[holder] <= 0:
+                    del self._held[holder]
 
     def must_end(self, why: Callable[[Link], str | None]) -> list[tuple[Link, str]]:
         """Cut every link for which `why` has a reason, and forget it; returns them."""

@@ -272,10 +272,11 @@ class RosSocket:
             ChannelError, OSError: as of `SecureSocket`.
         """
         stream = self.stream
-        if self._pump_is_due(stream):
+        if time.monotonic() >= self._pump_at:
             stream.pump()
             self._pump_at = time.monotonic() + _PUMP_EVERY
         stream.sendall(*pieces)
+        self._hurry(stream)
 
     def send_now(self, data: bytes) -> bool:
         """Send a small unit where this needs no waiting; False: nothing has happened.
@@ -284,9 +285,11 @@ class RosSocket:
             ChannelError: the connection is at its end.
         """
         stream = self._stream
-        if not isinstance(stream, SecureSocket) or self._pump_is_due(stream):
+        if time.monotonic() >= self._pump_at or not isinstance(stream, SecureSocket):
             return False
-        return stream.send_now(data)
+        sent = stream.send_now(data)
+        self._hurry(stream)
+        return sent
 
     @property
     def unsent(self) -> bool:
@@ -298,9 +301,12 @@ class RosSocket:
         if isinstance(self._stream, SecureSocket):
             with suppress(ChannelError, OSError):
                 self._stream.tend()
+                self._hurry(self._stream)
 
-    def _pump_is_due(self, stream: Stream | PlainStream) -> bool:
-        return stream.awaits_peer or time.monotonic() >= self._pump_at
+    def _hurry(self, stream: Stream | PlainStream) -> None:
+        """Look for the peer's answer to a renewal before the next message."""
+        if stream.awaits_peer:
+            self._pump_at = 0.0
 
     # -- options and ends
 

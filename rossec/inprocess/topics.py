@@ -155,6 +155,7 @@ class Connections:
         if not name or not self._process.may_be_plain(name, where[0]):
             return False
         sock.go_plain()
+        self._process.links.admit_plain(sock, where[0])
         headers.receive(sock)
         sock.link = PlainLink()
         handler = getattr(server, f"{kind}_connection_handler")

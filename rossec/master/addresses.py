@@ -7,6 +7,7 @@ node that is elsewhere. Whether the node is really there is proved when it is ca
 
 import ipaddress
 import re
+from functools import lru_cache
 from typing import Final
 from urllib.parse import urlsplit
 
@@ -15,8 +16,10 @@ _NUMBER: Final = re.compile(r"(?:.*\.)?(?:[0-9]+|0x[0-9a-f]*)\.?", re.IGNORECASE
 _LOCAL: Final = re.compile(r"(?:.*\.)?(?:localhost|localhost\.localdomain|ip6-localhost)\.?")
 _EVERYBODY: Final = "255.255.255.255"
 _Address = ipaddress.IPv4Address | ipaddress.IPv6Address
+_REMEMBERED: Final = 256  # a node names its own addresses in each call
 
 
+@lru_cache(_REMEMBERED)
 def endpoint(uri: str) -> tuple[str, int | None]:
     """Host and port of a URI that `is_place` has seen, equal for equal places however spelt."""
     parts = urlsplit(uri)

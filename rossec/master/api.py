@@ -103,11 +103,11 @@ class MasterApi:
             taken_by = refused.owner if isinstance(refused, AddressTaken) else None
             refusal = CallRefused(caller.title, method, status, taken_by)
             return Outcome([-1, status, row.default], (refusal, *denied))
-        events: list[MasterEvent] = [*reply.events]
+        events = reply.events
         if request.caller.thumbprint != caller.thumbprint:  # only an administrator gets so far
             what = f"calls {method} for {request.caller.name}: {reply.status}"
-            events.append(Administered(caller.title, what))
-        return Outcome([reply.code, reply.status, reply.value], tuple(events))
+            events = (*events, Administered(caller.title, what))
+        return Outcome([reply.code, reply.status, reply.value], events)
 
     def make(
         self, multicall: Multicall, caller: Caller, now: int, *, near: bool = True
@@ -144,9 +144,7 @@ class MasterApi:
         if not isinstance(caller_id, str):
             raise ArgumentRefused("caller_id must be a string")
         acting = self._gatekeeper.acting(method, caller, caller_id)
-        checked = (
-            check(value, caller_id) for check, value in zip(row.checks, params[1:], strict=True)
-        )
+        checked = [check(params[at], caller_id) for at, check in enumerate(row.checks, 1)]
         request = Request(acting, (caller_id, *checked), now)
         self._gatekeeper.check(method, acting, request.arguments, near=near)
         return request

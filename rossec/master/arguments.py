@@ -5,6 +5,7 @@ well-formed ROS name after it is resolved, and a URI must have a host and a port
 """
 
 from collections.abc import Callable
+from functools import lru_cache
 from typing import Final
 from urllib.parse import urlsplit
 
@@ -171,6 +172,7 @@ def _is_resource(value: str) -> bool:
     return value.count("/") == 1 and len(value) <= KEY_LIMIT and value.isprintable()
 
 
+@lru_cache(256)  # a node names its own in each call
 def _dialable(value: str, scheme: str) -> bool:
     if len(value) > URI_LIMIT or not value.isascii() or not value.isprintable() or " " in value:
         return False

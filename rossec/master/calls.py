@@ -101,8 +101,7 @@ class Reply(NamedTuple):
     events: tuple[MasterEvent, ...] = ()
 
 
-@dataclass(frozen=True)
-class Request:
+class Request(NamedTuple):
     """One call whose arguments are checked and resolved; `arguments[0]` is the caller_id."""
 
     caller: Caller

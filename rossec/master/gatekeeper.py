@@ -6,7 +6,7 @@ tells the caller which right is missing, never whether the thing exists: what a 
 answers as if it were absent.
 """
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Final, Protocol
@@ -297,7 +297,7 @@ def require_room(registry: Registry, kind: Kind, key: str, node: NodeRef) -> Non
         )
 
 
-def require_tree(caller: Caller, right: Right, key: str, leaves: list[str]) -> None:
+def require_tree(caller: Caller, right: Right, key: str, leaves: Collection[str]) -> None:
     """Raise `Refused` unless `caller` has `right` on every one of `leaves`; none means no.
 
     The text depends on `key` alone, which the caller knows: the leaf that is missing, or the

@@ -18,18 +18,22 @@ class News:
 
     def __init__(self) -> None:
         self._version = -1
-        self._turn = asyncio.Event()
+        self._turn: asyncio.Event | None = None  # while somebody waits
 
     def tell(self, version: int | None = None) -> None:
         """There is news, unless the state still has the `version` told before."""
         if version is None or version != self._version:
             self._version = self._version if version is None else version
-            self._turn.set()
-            self._turn = asyncio.Event()
+            if self._turn is not None:
+                self._turn.set()
+                self._turn = None
 
     async def wait(self, longest: float) -> None:
         """Return soon after the next change, or after `longest` seconds."""
+        if self._turn is None:
+            self._turn = asyncio.Event()
+        turn = self._turn
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(longest):
-                await self._turn.wait()
+                await turn.wait()
                 await asyncio.sleep(GATHER)

@@ -76,7 +76,7 @@ class ParameterCalls:
 
     def _set(self, request: Request) -> Reply:
         key, value = request.text(1), request.arguments[2]
-        reach = [*self._parameters.reach(key), *params.leaves_of(key, value)]
+        reach = {*self._parameters.reach(key), *params.leaves_of(key, value)}
         require_tree(request.caller, Right.PARAM_SET, key, reach)
         try:
             self._parameters.set(key, value, self._limit)

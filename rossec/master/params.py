@@ -116,11 +116,14 @@ class Parameters:
     def reach(self, key: str) -> list[str]:
         """What setting `key` changes: `leaves`, or a value on the way, which becomes a tree."""
         segments = _segments(key)
-        for length in range(1, len(segments)):
-            above = names.SEPARATOR + names.SEPARATOR.join(segments[:length])
-            if self.has(above) and not isinstance(self.get(above), dict):
-                return [above, key]
-        return self.leaves(key)
+        value: object = self._top[""]
+        for depth, segment in enumerate(segments):
+            if not isinstance(value, dict):
+                return [names.SEPARATOR + names.SEPARATOR.join(segments[:depth]), key]
+            if segment not in value:
+                return [key]
+            value = value[segment]
+        return leaves_of(key, value)
 
     def search(self, space: str, key: str, visible: Callable[[str], bool]) -> str | None:
         """Climb from `space` to the first namespace that has the first segment of `key`.
@@ -146,6 +149,8 @@ class Parameters:
 
 def leaves_of(key: str, value: object) -> list[str]:
     """The parameters that `value` set at `key` consists of; an empty tree is one itself."""
+    if not isinstance(value, dict):  # nearly always
+        return [key]
     return [name for name, _ in _walk(key, value)]
 
 
@@ -155,10 +160,12 @@ def updates(subscriptions: Iterable[str], key: str, value: object) -> list[Updat
     A subscriber hears of anything at, above or below what it subscribed to; what a replaced tree
     no longer holds is reported as unset.
     """
+    found = list(subscriptions)
+    if not found:
+        return []
     changed = _slashed(key)
     value = deepcopy(value)  # the event is delivered later, when the tree may have changed
     inside = dict(_inside(changed, value)) if isinstance(value, dict) else None
-    found = list(subscriptions)
     result: list[Update] = []
     for subscription in found:
         if changed.startswith(_slashed(subscription)):

@@ -76,8 +76,8 @@ class Trust:
         Raises:
             Revoked: the key is revoked, or that of the intermediate it hangs on.
         """
-        self._chains[peer.thumbprint] = peer.keys
-        if self._is_revoked(peer.keys):
+        keys = self._chains[peer.thumbprint] = peer.keys
+        if self._is_revoked(keys):
             raise Revoked(f"the key of {peer.name} is revoked", "enroll the node with a new key")
         return self._caller(peer, now, wildcard=peer.wildcard)
 

@@ -127,9 +127,7 @@ class SecureSocket(Carrier[PeerT]):
     def receive_unit(self) -> bytes | memoryview:
         """The rest of a unit that `recv` began, or the next one; empty after the peer's close."""
         with self._reading:
-            rest = self._take(sys.maxsize)
-        unit = rest.obj
-        return unit if isinstance(unit, bytes) and len(unit) == len(rest) else rest
+            return self._take(sys.maxsize)
 
     @property
     def awaits_peer(self) -> bool:
@@ -169,20 +167,20 @@ class SecureSocket(Carrier[PeerT]):
         finally:
             self._writing.release()
 
-    def _take(self, size: int) -> memoryview:
+    def _take(self, size: int) -> bytes | memoryview:
         end = self._end()
         while not self._units:
             if isinstance(self._error, ChannelClosed):
-                return memoryview(b"")
+                return b""
             self._raise_if_over()
             self._receive(end)
         if self._aborted:
-            return memoryview(b"")
-        unit = self._units[0]
+            return b""
+        unit = self._units.popleft()
         if len(unit) > size:
-            self._units[0], unit = unit[size:], unit[:size]
-        else:
-            self._units.popleft()
+            whole = memoryview(unit)
+            self._units.appendleft(whole[size:])
+            unit = whole[:size]
         self._flag()
         return unit
 

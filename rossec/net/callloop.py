@@ -150,8 +150,7 @@ class CallLoop(Generic[PeerT]):
                 if http.pending and self._late is None:
                     self._late = self._loop.call_later(self._deadline, self._end)
                 return None
-            http.feed(unit)
-            body = http.next_request()
+            body = http.feed_whole(unit)
         if self._late is not None:
             self._on_time()
         return body
@@ -160,7 +159,7 @@ class CallLoop(Generic[PeerT]):
         try:
             call = xmlrpc.load_call(body, limit=self._limit)
             value = self._dispatch(call.method, call.params, self._stream.peer)
-            if isinstance(value, Awaitable):
+            if type(value) is not list and isinstance(value, Awaitable):  # asking for it is dear
                 self._value = value
                 self._wait_for(self._respond_later(value))
                 return

@@ -11,6 +11,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from copy import copy
 from threading import Lock
 from typing import Any, Final, Generic
 
@@ -45,7 +46,7 @@ class Carrier(SocketOptions, Generic[PeerT]):
         self._socket = sock
         self._core = core
         self._on_settled: Callable[[], None] | None = on_settled
-        self._units: deque[memoryview] = deque()
+        self._units: deque[bytes | memoryview] = deque()
         self._error: ChannelError | None = None
         self._ticked = -1
         self._aborted = False
@@ -110,7 +111,7 @@ class Carrier(SocketOptions, Generic[PeerT]):
     def _note(self, events: Sequence[object]) -> None:
         for event in events:
             if isinstance(event, UnitReceived):
-                self._units.append(memoryview(event.data))
+                self._units.append(event.data)
             elif isinstance(event, Authenticated):
                 self.peer = event.identity
                 self._settle()
@@ -140,7 +141,7 @@ class Carrier(SocketOptions, Generic[PeerT]):
 
     def _raise_if_over(self) -> None:
         if self._error is not None:
-            raise self._error
+            raise copy(self._error)  # with its traceback it would hold whatever it was raised in
 
     # -- sending
 

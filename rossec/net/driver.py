@@ -9,6 +9,7 @@ import socket
 import time
 from collections import deque
 from collections.abc import Awaitable, Callable
+from copy import copy
 from typing import Final, Generic, NoReturn
 
 from rossec.channel.connection import Connection
@@ -80,21 +81,28 @@ class Driver(Generic[PeerT]):
         except ChannelError as error:
             self.fail(error)
             return
-        self.flush()
+        if self.authenticated or not events:
+            self.flush()
         for event in events:
             if isinstance(event, UnitReceived):
                 self._deliver(event.data)
             elif isinstance(event, Authenticated):
-                self.authenticated = True
-                self._on_authenticated(self, event.identity)
-                self._arm()
+                self._introduce(event.identity)
             else:
+                self.flush()
                 self._end(ChannelClosed("the peer closed the connection"))
                 self.transport.finish()  # both sides have said their last word
         if self._units:
             self._tell()
             if self._unread > _PAUSE_ABOVE and self.error is None:
                 self.transport.pause_reading()
+
+    def _introduce(self, peer: PeerT) -> None:
+        """Wake whoever waits for the peer; what it says at once travels with the last flight."""
+        self.authenticated = True
+        self._on_authenticated(self, peer)
+        self._loop.call_soon(self.flush)
+        self._arm()
 
     def _deliver(self, unit: bytes) -> None:
         """Pass the unit on at once if somebody pours; keep it otherwise."""
@@ -136,6 +144,7 @@ class Driver(Generic[PeerT]):
             self._end(ChannelClosed("the connection is closed"))
         self._lost = True
         self._wake()
+        del self._on_authenticated, self._on_end  # they hold whoever holds this
 
     # -- called by the stream
 
@@ -166,8 +175,15 @@ class Driver(Generic[PeerT]):
         if not self.transport.writable:
             while self.transport.backlog > 0 and self.error is None:
                 await self._change()
+        self.check()
+
+    def check(self) -> None:
+        """Raise what ended the connection, if something did.
+
+        A copy: with its traceback the one kept here would keep alive whatever it was raised in.
+        """
         if self.error is not None:
-            raise self.error
+            raise copy(self.error)
 
     def write(self, record: Bytes) -> None:
         """Write a record the core has just sealed.
@@ -175,8 +191,7 @@ class Driver(Generic[PeerT]):
         Raises:
             ChannelError: the connection has ended.
         """
-        if self.error is not None:
-            raise self.error
+        self.check()
         self.transport.write(record)
 
     def flush(self) -> None:
@@ -207,8 +222,7 @@ class Driver(Generic[PeerT]):
             ChannelError: there will be none.
         """
         if self._units is None:
-            if self.error is not None:
-                raise self.error
+            self.check()
             return None
         unit = self._units.popleft()
         if not self._units:
@@ -240,8 +254,7 @@ class Driver(Generic[PeerT]):
                 while self._units:
                     push(await self.receive())
                     await drain()
-                if self.error is not None:
-                    raise self.error
+                self.check()
                 self.transport.resume_reading()
                 self._push = push
                 while self._is_pouring():

@@ -104,8 +104,7 @@ class SecureStream(Generic[PeerT]):
             ChannelError: the connection is at its end.
             SendQueueFull: more than 1 MiB is queued already; nothing was added.
         """
-        if self._driver.error is not None:
-            raise self._driver.error
+        self._driver.check()
         if self._queued >= _QUEUE_LIMIT:
             raise SendQueueFull(
                 "the peer does not read as fast as this side sends",
@@ -180,16 +179,16 @@ class SecureStream(Generic[PeerT]):
             LimitExceeded: the unit is too long; the connection is untouched.
         """
         driver = self._driver
-        if driver.error is not None:
-            raise driver.error
+        driver.check()
         self._flush_queue()
+        transport = driver.transport
         small = driver.connection.seal_small(data)
         if small is not None:
-            driver.write(small)
+            transport.write(small)
         else:
             for record in driver.connection.seal_unit(data, reuse=True):
-                driver.write(record)
-        return driver.writable
+                transport.write(record)
+        return transport.writable
 
     async def drain(self) -> None:
         """Wait until the peer caught up.
@@ -221,8 +220,7 @@ class SecureStream(Generic[PeerT]):
         driver = self._driver
         if self._queue or self._turn.locked() or not driver.transport.writable:
             return False
-        if driver.error is not None:
-            raise driver.error
+        driver.check()
         if len(unit) > self._small:
             driver.connection.check_unit((unit,))
         self._write_now(unit)

@@ -194,3 +194,4 @@ class Transport:
             self.backlog = 0
         self._socket.close()
         self._loop.call_soon(self._owner.lost)
+        del self._owner  # a closed one holds nobody

@@ -15,8 +15,8 @@ from rossec.ros import names
 from rossec.ros.text import printable
 from rossec.ros.xmlrpc import Fault
 from rossec.sidecar.addresses import Endpoint, endpoint, inside
-from rossec.sidecar.commands import AskLocal, AskMaster, Rest
-from rossec.sidecar.events import Answered, Silent
+from rossec.sidecar.commands import AskLocal, AskMaster, Knock, Rest
+from rossec.sidecar.events import Answered, Event, Silent
 from rossec.sidecar.layers import Layer, Program, Tenant, Unforeseen, own_endpoint
 
 MULTICALL: Final = "system.multicall"
@@ -248,8 +248,13 @@ def _not_covered(tenant: Tenant, caller: str) -> str:
 
 
 def restore(tenant: Tenant) -> Layer[None]:
-    """Make every registration again, for a master that was restarted."""
+    """Make every registration again, for a master that was restarted; the dead are left out.
+
+    They might come back in the place of a successor of the same name, which the master would end.
+    """
     for own, program in tuple(tenant.programs.items()):
+        if (yield from _is_gone(tenant, own, (yield Knock(own)))):
+            continue
         for (method, key), params in tuple(program.registrations.items()):
             yield from _again(tenant, own, method, key, params)
 
@@ -278,7 +283,12 @@ def _again(
 
 def tell(tenant: Tenant, own: Endpoint, method: str, params: tuple[object, ...]) -> Layer[None]:
     """Call a program that may be gone."""
-    event = yield AskLocal(own, method, params)
+    yield from _is_gone(tenant, own, (yield AskLocal(own, method, params)))
+
+
+def _is_gone(tenant: Tenant, own: Endpoint, event: Event) -> Layer[bool]:
     if isinstance(event, Silent) and event.dead:
         tenant.forget(own)
         yield Rest(own)
+        return True
+    return False

@@ -1,5 +1,6 @@
 """What a connection of a rospy process lives through: revocation, a fork, hours without a word."""
 
+import socket
 from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Final
@@ -8,7 +9,8 @@ import pytest
 import pytest_asyncio
 
 from grants.model import Right
-from tests.support.attacker import call, credentials
+from rossec.net.halfopen import HalfOpen
+from tests.support.attacker import HOST, call, credentials
 from tests.support.fleet import SECURE, Program, entitle, environment, program
 from tests.support.site import Site
 
@@ -169,3 +171,33 @@ async def test_what_a_revoked_publisher_sent_before_is_not_heard_after(tmp_path:
             with pytest.raises(TimeoutError):
                 await dreamer.hears("\0", within=1)
     assert dreamer.said.count("HEARD") <= 1, "the one that was being heard"
+
+
+PATIENT: Final = (
+    SECURE
+    + """
+import rospy
+from std_msgs.msg import String
+rospy.init_node("patient")
+rospy.Subscriber("/robot/words", String, lambda message: print("HEARD", message.data, flush=True))
+rospy.spin()
+"""
+)
+
+
+async def test_a_publisher_that_was_besieged_is_found_afterwards(tmp_path: Path) -> None:
+    """N8: its half-open places are taken when a subscriber comes, which tries again."""
+    async with Site(tmp_path / "site").running() as site:
+        site.publish("/robot", "/robot/words")
+        site.subscribe("/patient", "/robot/words")
+        async with site.node("/robot") as robot:
+            words = await robot.publisher("/robot/words", "std_msgs/String", latch=True)
+            words.publish(words.create(data="at last"))
+            assert robot._listener is not None
+            where = HOST, robot._listener.topic_port
+            siege = [socket.create_connection(where) for _ in range(HalfOpen().per_address)]
+            async with program(environment(site, tmp_path / "logs"), PATIENT) as patient:
+                await patient.hears("cannot connect to 127.0.0.1")
+                for one in siege:
+                    one.close()
+                await patient.hears("HEARD at last")

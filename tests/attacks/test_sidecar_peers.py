@@ -8,12 +8,13 @@ import pytest
 
 from ca.certificates import Identity
 from ca.encoding import Value, encode
+from ca.revocation import Timestamp, digest, sign_timestamp
 from grants.model import Right
 from rossec.channel.opening import Flavour
 from rossec.errors import ChannelClosed, ChannelError
 from rossec.net.dial import dial
 from rossec.net.rpc import CallFailed, RpcClient, serve_calls
-from rossec.net.stream import SecureStream, connect, serve
+from rossec.net.stream import SecureServer, SecureStream, connect, serve
 from rossec.node.access import FIELD
 from rossec.ros import header, xmlrpc
 from rossec.ros.settings import parse_uri
@@ -52,12 +53,16 @@ async def meet(site: Site, port: int, flavour: Flavour) -> SecureStream[Identity
     return await connect("127.0.0.1", port, credentials, site.anchor.verify, opening=flavour)
 
 
+def door_of(near: Sidecar) -> SecureServer[Identity]:
+    """Where peers reach the slave API of /robot."""
+    return next(iter(near._agent_for("/robot")._exports.doorways))
+
+
 async def test_a_right_to_call_reads_no_topic(site: Site, near: Sidecar) -> None:
     """One header with a service for the guard and a topic for the program behind it."""
     async with Program("/robot", near) as robot:
         await robot.register("registerPublisher", "/word", "std_msgs/String")
-        door = next(iter(near._agent_for("/robot")._exports.doorways))
-        client = RpcClient(await meet(site, door.port, Flavour.HTTP))
+        client = RpcClient(await meet(site, door_of(near).port, Flavour.HTTP))
         answer = await client.call("requestTopic", "/mallory", "/word", [["TCPROS"]])
         assert isinstance(answer, list)
         grants: list[Value] = [*site.enroll("/mallory").grants()]
@@ -82,7 +87,7 @@ async def liar(site: Site, answer: object) -> AsyncIterator[str]:
     async def handler(stream: SecureStream[Identity]) -> None:
         await serve_calls(stream, lambda *_: answer)
 
-    server = await serve(handler, "127.0.0.1", 0, home.credentials(), site.anchor.verify)
+    server = serve(handler, "127.0.0.1", 0, home.credentials(), site.anchor.verify)
     assert site.master is not None
     port = int(site.master.uri.rstrip("/").rpartition(":")[2])
     client = RpcClient(await meet(site, port, Flavour.HTTP))
@@ -115,6 +120,50 @@ async def test_no_peer_names_a_place_outside_the_channel(
         await program.close()
 
 
+async def test_nobody_but_the_master_says_what_is_revoked(site: Site, near: Sidecar) -> None:
+    """The list is the authority's, but who may vouch that it is the newest becomes the master."""
+    async with Program("/robot", near) as robot:
+        await robot.register("registerPublisher", "/word", "std_msgs/String")
+        agent = near._agent_for("/robot")
+        held = agent._membership._revocations.held
+        assert held is not None
+        until_then = agent._membership._revocations.fresh_until
+        signer = site.enroll("/mallory").credentials().signer
+        stamp = Timestamp(held.seq, digest(agent._membership._revocations.data), site.now() + 4, 30)
+        client = RpcClient(await meet(site, door_of(near).port, Flavour.HTTP))
+        answer = await client.call(
+            "rossec.revocationUpdate", "/master", b"", sign_timestamp(signer, stamp)
+        )
+        assert "for the master alone" in str(answer)
+        assert agent._membership._revocations.fresh_until < site.now() + 34
+        assert agent._membership._revocations.fresh_until >= until_then
+        await client.close()
+
+
+async def test_a_subscriber_that_sends_data_hears_nothing(site: Site, near: Sidecar) -> None:
+    """With its header or after it."""
+    site.subscribe("/mallory", "/word")
+    grants: list[Value] = [*site.enroll("/mallory").grants()]
+    asked = {
+        "callerid": b"/mallory", "type": b"*", "md5sum": b"*", "topic": b"/word",
+        FIELD: encode(grants),
+    }  # fmt: skip
+    async with Program("/robot", near) as robot:
+        await robot.register("registerPublisher", "/word", "std_msgs/String")
+        client = RpcClient(await meet(site, door_of(near).port, Flavour.HTTP))
+        answer = await client.call("requestTopic", "/mallory", "/word", [["TCPROS"]])
+        assert isinstance(answer, list)
+        for units in ([header.encode(asked) + b"data"], [header.encode(asked), b"data"]):
+            stream = await meet(site, answer[2][2], Flavour.TCPROS)
+            for unit in units:
+                await stream.send(unit)
+            said, _ = await split_header(stream)
+            assert "error" not in said
+            with pytest.raises(ChannelError):
+                await stream.receive()
+        await client.close()
+
+
 async def test_a_revoked_peer_is_not_asked_over_an_old_connection(
     site: Site, near: Sidecar
 ) -> None:
@@ -137,8 +186,7 @@ async def test_no_peer_makes_the_sidecar_keep_more_than_a_call(site: Site, near:
     """A unit is put together before anybody looks at it."""
     async with Program("/robot", near) as robot:
         await robot.register("registerPublisher", "/word", "std_msgs/String")
-        door = next(iter(near._agent_for("/robot")._exports.doorways))
-        stream = await meet(site, door.port, Flavour.HTTP)
+        stream = await meet(site, door_of(near).port, Flavour.HTTP)
         await stream.send(bytes(3 * 1024 * 1024))
         with pytest.raises(ChannelError):
             await stream.receive()

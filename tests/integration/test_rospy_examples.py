@@ -121,12 +121,10 @@ def commands() -> list[str]:
 
 def script(directory: Path) -> str:
     """The guide's commands as one program, in directories of this test."""
-    passphrase = directory / "passphrase"
-    passphrase.touch(0o600)
-    passphrase.write_text("four random words here\n")
+    passphrase = f"{directory}/passphrase"
     lines = ["set -e", "trap 'kill $(jobs -p)' EXIT", f"cd {shlex.quote(str(ROOT))}"]
     for line in commands():
-        typed = line.replace("file passphrase", f"file {passphrase}")
+        typed = re.sub(r"(file|>) passphrase", rf"\1 {passphrase}", line)
         typed = typed.replace("~/rossec-first", str(directory / "home"))
         if typed == "rossec master &":
             typed = (

@@ -68,3 +68,14 @@ def test_one_peer_holds_only_so_many_connections() -> None:
     links.forget("other")
     links.cut_peers(lambda _: True)
     assert "other" not in cut[1:]
+
+
+def test_a_plain_peer_is_known_by_its_address() -> None:
+    links = Links()
+    for number in range(PEER_CONNECTIONS):
+        links.admit_plain(number, "10.0.0.1")
+    with pytest.raises(LimitExceeded, match=r"10\.0\.0\.1 has 64 connections"):
+        links.admit_plain("more", "10.0.0.1")
+    links.admit_plain("other", "10.0.0.2")
+    links.forget(0)
+    links.admit_plain("again", "10.0.0.1")

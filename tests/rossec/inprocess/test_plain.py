@@ -1,4 +1,6 @@
 import asyncio
+import socket
+import struct
 import xmlrpc.client
 from pathlib import Path
 
@@ -7,7 +9,10 @@ import pytest
 from grants.model import Right
 from rossec.channel.opening import REFUSAL
 from rossec.errors import ConfigurationError
+from rossec.inprocess.links import PEER_CONNECTIONS
 from rossec.inprocess.plain import Plain
+from rossec.net.halfopen import HalfOpen
+from rossec.ros import header
 from tests.support import stock
 from tests.support.attacker import call, credentials
 from tests.support.fleet import entitle, environment, program
@@ -89,6 +94,30 @@ async def introduce(site: Site, api: str, port: int) -> None:
         assert answer[0] == 1, answer
 
 
+async def besiege(api: str, port: int) -> None:
+    """N8: strangers who say nothing, or break off, keep no place; those who stay are few."""
+    port_of_api = int(api.rstrip("/").rpartition(":")[2])
+    for where in (port_of_api, port):
+        for _ in range(2 * HalfOpen().per_address):
+            with socket.create_connection((HERE, where)) as one:
+                one.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+    with xmlrpc.client.ServerProxy(api) as robot_api:
+        answer = await asyncio.to_thread(robot_api.requestTopic, "/x", "/robot/open", [["TCPROS"]])
+    assert isinstance(answer, list)
+    assert answer[0] == 1
+    fields = {"topic": "/robot/open", "md5sum": "*", "type": "*"}
+    guests = []
+    for number in range(PEER_CONNECTIONS + 1):
+        guest = socket.create_connection((HERE, port))
+        guest.settimeout(20)
+        guest.sendall(header.encode({**fields, "callerid": f"/guest{number}"}))
+        guests.append((guest, await asyncio.to_thread(guest.recv, 1 << 16)))
+    for guest, _ in guests:
+        guest.close()
+    assert b"message_definition" in guests[0][1]
+    assert f"{HERE} has {PEER_CONNECTIONS} connections already".encode() in guests[-1][1]
+
+
 @pytest.mark.ros
 async def test_what_is_named_stays_plain_loudly_and_nothing_else(tmp_path: Path) -> None:
     async with Site(tmp_path / "site").running() as site, stock.rosmaster(tmp_path) as uri:
@@ -123,6 +152,7 @@ async def test_what_is_named_stays_plain_loudly_and_nothing_else(tmp_path: Path)
                 answer = await asyncio.to_thread(ask, "/x", "/robot/closed", [["TCPROS"]])
                 assert answer == [-1, REFUSAL, 0]
                 assert await asyncio.to_thread(robot_api.getPid, "/x") == [-1, REFUSAL, 0]
+            await besiege(own, int(own_port))
             said = robot.said
     assert "HEARD closed" not in said
     assert "HEARD secret" not in plain.said

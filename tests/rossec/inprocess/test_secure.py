@@ -259,7 +259,7 @@ try:
     rospy.set_param("/operator/much", 2**40)
 except OverflowError as error:
     print("NO", error, flush=True)
-print("KILLED", rosnode.kill_nodes(["/robot"]), flush=True)
+print(f"KILLED {rosnode.kill_nodes(['/robot'])}", flush=True)
 """
 
 

@@ -36,7 +36,7 @@ class SlaveNode:
         self.answer: list[Any] = [1, "", 0]
 
     async def start(self, rights: dict[str, Right]) -> None:
-        self.server = await serve(
+        self.server = serve(
             self.handle, "127.0.0.1", 0, self.member.credentials, self.world.site.anchor.verify
         )
         self.world.exit.push_async_callback(self.server.close)

@@ -123,11 +123,13 @@ def test_continue_is_skipped() -> None:
     ],
 )
 def test_server_refuses(request_bytes: bytes, status: int) -> None:
-    server = HttpServer(limit=100)
+    server, other = HttpServer(limit=100), HttpServer(limit=100)
     server.feed(request_bytes)
     with pytest.raises(HttpRefused) as refused:
         server.next_request()
-    assert refused.value.status == status
+    with pytest.raises(HttpRefused) as also:
+        other.feed_whole(request_bytes)
+    assert refused.value.status == also.value.status == status
     answer = server.refuse(status)
     assert answer.startswith(b"HTTP/1.1 %d " % status)
     assert b"garbage" not in answer
@@ -143,6 +145,42 @@ PIECES = [
 LINES = [piece + b"\r\n" for piece in PIECES]
 
 
+@pytest.mark.parametrize("end", [b"\r\n\r\n", b"\r\nConnection: close\r\n\r\n"])
+@pytest.mark.parametrize("size", [4, 101])
+def test_the_short_way_leads_where_the_long_one_does(end: bytes, size: int) -> None:
+    whole = b"POST / HTTP/1.1\r\nHost: x\r\nContent-Length: %d" % size + end + b"b" * size
+    for parts in ([whole], [whole[:9], whole[9:]], [whole[:-1], whole[-1:]], [whole + whole]):
+        found = []
+        for short in (False, True):
+            server = HttpServer(limit=100)
+            try:
+                *before, last = parts
+                for part in before:
+                    server.feed(part)
+                    assert server.next_request() is None
+                if short:
+                    body = server.feed_whole(last)
+                else:
+                    server.feed(last)
+                    body = server.next_request()
+                found.append((body, server.respond(b"x"), server.pending, server.closing))
+            except HttpRefused as error:
+                found.append((None, server.refuse(error.status), True, True))
+        assert found[0] == found[1]
+        assert (found[0][0] == b"b" * size) is (size == 4)
+
+
+def test_the_short_way_waits_for_the_answer_and_ends_with_the_connection() -> None:
+    server = HttpServer()
+    assert server.feed_whole(REQUEST) == b"body"
+    assert server.feed_whole(REQUEST) is None
+    server.respond(b"")
+    assert server.next_request() == b"body"
+    server.refuse(400)
+    with pytest.raises(HttpRefused):
+        server.feed_whole(REQUEST)
+
+
 @given(st.lists(st.sampled_from([*PIECES, *LINES])).map(b"".join) | st.binary(max_size=40))
 def test_what_is_accepted_is_what_a_general_library_reads(tail: bytes) -> None:
     """Two readers of one stream must not disagree about where a request ends."""
@@ -155,6 +193,7 @@ def test_what_is_accepted_is_what_a_general_library_reads(tail: bytes) -> None:
             continue
         if body is None:
             continue
+        assert HttpServer().feed_whole(data) == body
         oracle = h11.Connection(h11.SERVER)
         oracle.receive_data(data)
         assert isinstance(oracle.next_event(), h11.Request)

@@ -40,6 +40,12 @@ async def test_a_child_may_and_a_stranger_may_not() -> None:
             ours = Callers({os.getuid()}, os.getpid())
             await ours.check(near)
             await ours.check(near)  # known by now
+            with (
+                socket.create_connection(server.getsockname()),
+                server.accept()[0] as own,
+                pytest.raises(PeerUserRefused, match="belongs to another program"),
+            ):
+                await ours.check(own)  # who is known does not vouch for others
             with pytest.raises(PeerUserRefused, match="belongs to another program"):
                 await Callers({os.getuid()}, child.pid).check(near)
             with pytest.raises(PeerUserRefused, match="may not use this sidecar"):

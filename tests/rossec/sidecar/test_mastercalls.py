@@ -9,7 +9,7 @@ from rossec.channel.opening import Flavour
 from rossec.errors import HangUp
 from rossec.ros.xmlrpc import Fault
 from rossec.sidecar.addresses import Endpoint, inside
-from rossec.sidecar.commands import AskLocal, AskMaster, Export, Import, Rest
+from rossec.sidecar.commands import AskLocal, AskMaster, Export, Import, Knock, Rest
 from rossec.sidecar.events import Answered, Done, Opened, Passed, Silent
 from rossec.sidecar.layers import Unforeseen
 from rossec.sidecar.mastercalls import MULTICALL_LIMIT, RULES, call, restore, resubscribe
@@ -22,6 +22,7 @@ OUTSIDE = f"http://{HOST}:7000/"
 SERVICE = inside(Flavour.TCPROS, 5001)
 PEER = Endpoint(Flavour.HTTP, "10.0.0.7", 6000)
 OK = Answered([1, "done", 0])
+ALIVE = (Knock(SLAVE), Done())
 
 
 def register(stage: Stage, *uris: str) -> object:
@@ -74,7 +75,7 @@ def test_what_was_registered_is_unregistered_and_forgotten(stage: Stage) -> None
         (Export(SLAVE), Opened(7000)),
         (AskMaster("unregisterSubscriber", ("/robot", "/scan", OUTSIDE)), OK),
     )
-    assert play(restore(stage.tenant)) is None
+    assert play(restore(stage.tenant), ALIVE) is None
 
 
 def test_a_successor_keeps_its_registration(stage: Stage) -> None:
@@ -88,7 +89,7 @@ def test_a_successor_keeps_its_registration(stage: Stage) -> None:
     )
     params = ("/robot", "/scan", "pkg/Type", OUTSIDE)
     ask = AskMaster("registerSubscriber", params)
-    assert play(restore(stage.tenant), (ask, Answered([-1, "", []]))) is None
+    assert play(restore(stage.tenant), ALIVE, (ask, Answered([-1, "", []]))) is None
 
 
 def test_a_service_is_forgotten_by_its_own_address(stage: Stage) -> None:
@@ -106,13 +107,13 @@ def test_a_service_is_forgotten_by_its_own_address(stage: Stage) -> None:
         (Export(other), Opened(7002)),
         (AskMaster("unregisterService", ("/robot", "/say", f"rosrpc://{HOST}:7002")), OK),
     )
-    play(restore(stage.tenant), (AskMaster("registerService", params), OK))
+    play(restore(stage.tenant), ALIVE, (AskMaster("registerService", params), OK))
     play(
         call(stage.tenant, "unregisterService", ("/robot", "/say", SERVICE.uri)),
         (Export(SERVICE), Opened(7001)),
         (AskMaster("unregisterService", params[:3]), OK),
     )
-    assert play(restore(stage.tenant)) is None
+    assert play(restore(stage.tenant), ALIVE) is None
 
 
 def test_who_takes_a_dead_programs_port_has_none_of_its_registrations(tmp_path: Path) -> None:
@@ -124,7 +125,7 @@ def test_who_takes_a_dead_programs_port_has_none_of_its_registrations(tmp_path: 
         (Export(SLAVE), Opened(7000)),
         (AskMaster("registerPublisher", params), OK),
     )
-    play(restore(stage.tenant), (AskMaster("registerPublisher", params), OK))
+    play(restore(stage.tenant), ALIVE, (AskMaster("registerPublisher", params), OK))
 
 
 def test_a_restarted_master_hears_of_everything_again(stage: Stage) -> None:
@@ -133,6 +134,7 @@ def test_a_restarted_master_hears_of_everything_again(stage: Stage) -> None:
     update = ("/master", "/scan", ["http://127.0.0.1:8000/"])
     play(
         restore(stage.tenant),
+        ALIVE,
         (AskMaster("registerSubscriber", params), Answered([1, "ok", [PEER.uri]])),
         (Import(PEER), Opened(8000)),
         (AskLocal(SLAVE, "publisherUpdate", update), Silent("gone", dead=True)),
@@ -141,12 +143,19 @@ def test_a_restarted_master_hears_of_everything_again(stage: Stage) -> None:
     assert play(restore(stage.tenant)) is None
 
 
+def test_a_dead_program_is_left_out(stage: Stage) -> None:
+    register(stage)
+    gone = (Knock(SLAVE), Silent("refused", dead=True)), (Rest(SLAVE), Done())
+    assert play(restore(stage.tenant), *gone) is None
+    assert play(restore(stage.tenant)) is None
+
+
 def test_restoring_ends_with_the_connection_and_bears_refusals(stage: Stage) -> None:
     register(stage)
     ask = AskMaster("registerSubscriber", ("/robot", "/scan", "pkg/Type", OUTSIDE))
-    play(restore(stage.tenant), (ask, Answered([-1, "no right", []])))
+    play(restore(stage.tenant), ALIVE, (ask, Answered([-1, "no right", []])))
     with pytest.raises(HangUp):
-        play(restore(stage.tenant), (ask, Silent("cut")))
+        play(restore(stage.tenant), ALIVE, (ask, Silent("cut")))
 
 
 def test_a_lost_topic_has_its_publishers_named_again(stage: Stage) -> None:

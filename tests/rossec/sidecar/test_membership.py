@@ -1,10 +1,13 @@
 """The standing with the master: what programs need not notice."""
 
+import logging
 from pathlib import Path
 
 import pytest
 
+from rossec.channel.opening import Flavour
 from rossec.errors import HangUp, RossecError
+from rossec.sidecar.addresses import Endpoint, inside
 from tests.rossec.sidecar.conversation import Pair, connect, ends, heard
 from tests.rossec.sidecar.program import Program, sidecar, word
 from tests.support.site import Site
@@ -72,3 +75,33 @@ async def test_who_begins_in_vain_keeps_no_connection(
             await pair.talker.ask(pair.talker.master_uri, "getPid")
         with pytest.raises(RossecError, match="out of reach"):
             await session.answer("getPid", "/talker")
+
+
+@pytest.mark.parametrize("restart", [False, True])
+async def test_a_dead_program_does_not_come_back_in_the_place_of_its_successor(
+    pair: Pair, restart: bool, caplog: pytest.LogCaptureFixture
+) -> None:
+    """The master would end the living one: a node of the same name at another address."""
+    caplog.set_level(logging.INFO)
+    await pair.talker.register("registerPublisher", "/word", "std_msgs/String")
+    await pair.talker.close()
+    async with Program("/talker", pair.near) as successor:
+        await successor.register("registerPublisher", "/word", "std_msgs/String")
+        agent = pair.near._agent_for("/talker")
+        if restart:
+            await pair.site.restart_master()
+        else:
+            stream = agent._membership._session._stream
+            assert stream is not None
+            stream.abort("a cable is pulled")
+        await until(lambda: "/talker: connected to the master again" in caplog.text, within=30)
+        place = Endpoint(
+            Flavour.HTTP, "127.0.0.1", agent.export(inside(Flavour.HTTP, successor.slave.port))
+        )
+        assert await agent.ask_master("lookupNode", ("/talker", "/talker")) == [
+            1,
+            "node api",
+            place.uri,
+        ]
+        await pair.listener.register("registerSubscriber", "/word", "std_msgs/String")
+        assert [method for method, _ in successor.calls if method == "shutdown"] == []

@@ -68,6 +68,15 @@ async def test_a_web_page_speaks_for_nobody(pair: Pair) -> None:
     await writer.wait_closed()
 
 
+@pytest.mark.parametrize(("each", "expected"), [(True, "/talker"), (False, "/listener")])
+async def test_whose_identity_an_enrolled_program_uses(
+    pair: Pair, each: bool, expected: str
+) -> None:
+    async with sidecar(pair.site, each=each, identity="/listener") as one:
+        assert one._agent_for("/talker").name == expected
+        assert one._agent_for("/unknown").name == "/listener"
+
+
 async def test_one_identity_for_all_and_empty_multicalls(pair: Pair) -> None:
     async with sidecar(pair.site, each=False, identity="/listener") as one:
         program = Program("/anything", one)
