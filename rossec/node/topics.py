@@ -98,12 +98,9 @@ def admit_publisher(
 ) -> Decision:
     """Decide on a publisher from the header it answered with.
 
-    Restrictions are applied to what a publisher sends to somebody. A subscriber applies none to
-    what it has received already, so a right to publish that is restricted is none.
-
     Raises:
         CallerMismatch, TopicRefused: another topic or type than asked for, or another name.
-        GrantError, CAError: the peer may not publish, or not without restrictions.
+        GrantError, CAError: the peer may not publish.
     """
     if "error" in fields:
         raise TopicRefused(f"{peer.name} refuses: {text(fields, 'error')}")
@@ -111,9 +108,7 @@ def admit_publisher(
     if text(fields, "topic") != expected.topic:
         raise TopicRefused(f"{peer.name} answers with another topic than {expected.topic}")
     check_type(fields, expected)
-    decision = access.authorize(peer, fields.get(FIELD), Right.PUBLISH, expected.topic, now)
-    decision.require_unrestricted()
-    return decision
+    return access.authorize(peer, fields.get(FIELD), Right.PUBLISH, expected.topic, now)
 
 
 def check_type(fields: Mapping[str, bytes], expected: Expected) -> None:

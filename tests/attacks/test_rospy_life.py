@@ -18,11 +18,11 @@ pytestmark = [pytest.mark.ros, pytest.mark.asyncio(loop_scope="module")]
 
 FAST: Final = """
 import struct
-import rossec.inprocess.sockets as sockets
+import rossec.inprocess.doors as doors
 import rossec.net.carrier
 rossec.net.carrier._SLICE = struct.pack("ll", 1, 0)  # how often a reader looks at the clock
 from rossec.channel.records import Limits
-sockets.LIMITS = Limits(seconds=1)
+doors.LIMITS = Limits(seconds=1)
 """
 ROBOT: Final = (
     SECURE

@@ -6,8 +6,7 @@ import pytest
 
 from ca.certificates import Identity
 from ca.revocation import Revocations, Timestamp, digest
-from grants.errors import GrantMissing, RestrictionMismatch
-from grants.model import Restriction, Right
+from grants.errors import GrantMissing
 from rossec.errors import CallerMismatch, TopicRefused
 from rossec.node import topics
 from rossec.node.access import Access
@@ -23,9 +22,9 @@ ENDPOINT = Endpoint("/robot/pose", message_type("geometry_msgs/PoseStamped"))
 class Pair:
     """A publisher and a subscriber that hold the grants they need."""
 
-    def __init__(self, root: Path, restriction: Restriction | None = None) -> None:
+    def __init__(self, root: Path) -> None:
         site = Site(root, clock=lambda: NOW)
-        site.grant("/robot", Right.PUBLISH, ENDPOINT.topic, restriction=restriction)
+        site.publish("/robot", ENDPOINT.topic)
         site.subscribe("/viewer", ENDPOINT.topic)
         self.robot, self.viewer = site.identity("/robot"), site.identity("/viewer")
         self.robot_access = self._access(site, "/robot")
@@ -62,13 +61,6 @@ def test_the_two_headers_admit_each_other(pair: Pair) -> None:
     pair.admit_robot(pair.answer())
     topics.check_type(pair.question(), ENDPOINT.expected)
     assert topics.requested_topic(pair.question()) == ENDPOINT.topic
-
-
-def test_a_restricted_right_to_publish_is_none(tmp_path: Path) -> None:
-    """What nobody would apply must not look as if it held."""
-    pair = Pair(tmp_path / "site", Restriction(rate=1.0))
-    with pytest.raises(RestrictionMismatch, match="restrictions that cannot be applied here"):
-        pair.admit_robot(pair.answer())
 
 
 def test_headers_hold_what_ros_expects(pair: Pair) -> None:
