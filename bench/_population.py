@@ -26,7 +26,7 @@ async def _slave(stream: SecureStream[Identity]) -> None:
 
 async def join(member: Member, port: int, anchor: TrustAnchor) -> RpcClient:
     """One node: a control connection that stays, a slave API, three registrations, a parameter."""
-    slave = await serve(_slave, "127.0.0.1", 0, member.credentials, anchor.verify)
+    slave = serve(_slave, "127.0.0.1", 0, member.credentials, anchor.verify)
     uri = f"http://127.0.0.1:{slave.port}/"
     stream = await connect(
         "127.0.0.1", port, member.credentials, anchor.verify, opening=Flavour.HTTP

@@ -165,7 +165,7 @@ class MasterServer:
             OSError: the address is not ours or the port is taken.
         """
         (host, port), limits = self._listen, self._limits
-        self._server = await serve(
+        self._server = serve(
             self._handle,
             host,
             port,

@@ -181,13 +181,14 @@ class SecureStream(Generic[PeerT]):
         driver = self._driver
         driver.check()
         self._flush_queue()
+        transport = driver.transport
         small = driver.connection.seal_small(data)
         if small is not None:
-            driver.write(small)
+            transport.write(small)
         else:
             for record in driver.connection.seal_unit(data, reuse=True):
-                driver.write(record)
-        return driver.writable
+                transport.write(record)
+        return transport.writable
 
     async def drain(self) -> None:
         """Wait until the peer caught up.

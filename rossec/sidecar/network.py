@@ -14,7 +14,7 @@ from rossec.channel.opening import Flavour
 from rossec.channel.records import Limits
 from rossec.errors import HangUp
 from rossec.net.halfopen import HalfOpenCount
-from rossec.net.server import Handler, SecureServer, serve_now
+from rossec.net.server import Handler, SecureServer, serve
 from rossec.net.stream import SecureStream, connect
 from rossec.node.access import Access
 from rossec.ros.header import MESSAGE_LIMIT
@@ -89,7 +89,7 @@ class Network:
         bind = host if is_loopback(host) else None
         for attempt in range(_ATTEMPTS):
             try:
-                return serve_now(
+                return serve(
                     handler, bind, free_port(), self._credentials, self._anchor.verify,
                     accept={flavour}, limits=_ACCEPTED[flavour], half_open=self._half_open,
                     suites=self._suites, known=self._known,

@@ -123,10 +123,10 @@ class Site:
         home.add_grant(document.grant_id(data), data)
         return data
 
-    def delegate(self) -> bytes:
-        """Let the master renew grants, once it is started."""
+    def delegate(self, at_most: int = HOUR) -> bytes:
+        """Let the master renew grants, for `at_most` seconds each, once it is started."""
         home = self.enroll(MASTER)
-        data = self.authority.delegate(self.identity(MASTER).thumbprint, DAY, HOUR, self.now())
+        data = self.authority.delegate(self.identity(MASTER).thumbprint, DAY, at_most, self.now())
         home.save_delegation(data)
         return data
 

@@ -13,6 +13,7 @@ from ca.certificates import Identity
 from ca.revocation import digest, open_timestamp
 from grants.model import Right
 from rossec.errors import AnswerRefused, RossecError
+from rossec.master.limits import Limits
 from rossec.master.registry import NodeRef
 from rossec.master.server import PEER_CONNECTIONS, MasterServer
 from rossec.master.trust import Trust
@@ -35,7 +36,7 @@ class SlaveNode:
         self.answer: list[Any] = [1, "", 0]
 
     async def start(self, rights: dict[str, Right]) -> None:
-        self.server = await serve(
+        self.server = serve(
             self.handle, "127.0.0.1", 0, self.member.credentials, self.world.site.anchor.verify
         )
         self.world.exit.push_async_callback(self.server.close)
@@ -449,3 +450,38 @@ async def test_a_revoked_identity_does_not_end_its_multicall(world: World) -> No
     await other.ask("rossec.updateRevocations", world.site.revoke(eve.member))
     await ends(asked)
     assert not await other.ask("hasParam", "/p2999")
+
+
+async def test_the_limits_of_a_call_are_those_of_the_configuration(
+    world: World, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given: list[dict[str, Any]] = []
+
+    async def note(*args: Any, **limits: Any) -> None:
+        given.append(limits)
+        await serve_calls(*args, **limits)
+
+    monkeypatch.setattr("rossec.master.server.serve_calls", note)
+    world.server._limits = Limits(body=5000, request_seconds=7, idle_seconds=8)
+    client = await world.call_as(world.site.enroll("/node"))
+    assert isinstance(await client.ask("getPid", "/node"), int)
+    assert given == [{"limit": 5000, "request_deadline": 7, "idle_deadline": 8}]
+
+
+async def test_a_revoked_node_is_in_no_answer_from_the_moment_its_list_is_there(
+    world: World,
+) -> None:
+    """Also within one multicall: before the list it is there, then it is not."""
+    camera, viewer = await world.node("/camera"), await world.node("/viewer")
+    await camera.ask("registerPublisher", "/image", T, camera.uri)
+    await camera.ask("registerService", "/reset", "rosrpc://127.0.0.1:9", camera.uri)
+    revoked = world.site.revoke(camera.member)
+    asked = [
+        ("getSystemState",), ("rossec.updateRevocations", revoked), ("getSystemState",),
+        ("lookupNode", "/camera"), ("lookupService", "/reset"),
+    ]  # fmt: skip
+    calls = [{"methodName": name, "params": ["/viewer", *params]} for name, *params in asked]
+    answers: Any = await viewer.client.call("system.multicall", calls)
+    before, taken, after, node, service = (answer[0] for answer in answers)
+    assert (before[2][0], taken[2]) == ([["/image", ["/camera"]]], 1)
+    assert (after[2], node[0], service[0]) == ([[], [], []], -1, -1)
