@@ -9,7 +9,7 @@ from ca.certificates import Identity
 from rossec.channel.opening import Flavour
 from rossec.errors import HangUp
 from rossec.net.stream import SecureStream
-from rossec.sidecar import network
+from rossec.sidecar import loopback
 from rossec.sidecar.addresses import Endpoint
 from rossec.sidecar.loopback import free_port
 from rossec.sidecar.server import Sidecar
@@ -59,12 +59,12 @@ async def test_a_port_that_is_taken_meanwhile(site: Site, monkeypatch: pytest.Mo
     """Another is tried; where none is free the reason is told."""
     with socket.create_server(("127.0.0.1", 0)) as taken:
         ports = [taken.getsockname()[1]]
-        monkeypatch.setattr(network, "free_port", lambda: ports.pop() if ports else free_port())
+        monkeypatch.setattr(loopback, "free_port", lambda: ports.pop() if ports else free_port())
         async with sidecar(site) as near:
             robot = near._agent_for("/robot")._network
             server = robot.listen(nothing, "127.0.0.1", Flavour.HTTP)
             assert server.port != taken.getsockname()[1]
             await server.close()
-            monkeypatch.setattr(network, "free_port", lambda: taken.getsockname()[1])
+            monkeypatch.setattr(loopback, "free_port", lambda: taken.getsockname()[1])
             with pytest.raises(OSError, match="in use"):
                 robot.listen(nothing, "127.0.0.1", Flavour.HTTP)
