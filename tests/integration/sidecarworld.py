@@ -74,6 +74,7 @@ class World:
     directory: Path
     port: int = 11311
     ipv6: bool = False
+    home: Path | None = None  # that of the master, if it is not the site's
 
     def env(self, host: Host) -> dict[str, str]:
         kept = {key: value for key, value in os.environ.items() if not key.startswith("ROS")}
