@@ -162,8 +162,6 @@ async def test_who_registers_the_address_of_another_is_removed(
     viewer = await world.node("/viewer")
     await viewer.ask("registerSubscriber", "/t", T, viewer.uri)
     await squatter.ask("registerPublisher", "/t", T, victim.uri)
-    with pytest.raises(AnswerRefused, match="registered by another node"):
-        await victim.ask("registerPublisher", "/t", T, victim.uri)
     await squatter.ask("registerSubscriber", "/t", T, victim.uri)
     await viewer.ask("registerPublisher", "/t", T, viewer.uri)  # of which the squatter is told
     await until(lambda: viewer.heard("publisherUpdate")[-1:] == [("/t", [viewer.uri])])
@@ -173,6 +171,44 @@ async def test_who_registers_the_address_of_another_is_removed(
     )
     assert await victim.ask("registerPublisher", "/t", T, victim.uri) == [viewer.uri]
     assert victim.told == []
+
+
+async def test_who_comes_to_the_port_of_one_that_is_gone_is_let_in(
+    world: World, caplog: pytest.LogCaptureFixture
+) -> None:
+    """The address is another's by the registry; whoever answers there, by its key, has it."""
+    gone, heir = await world.node("/gone"), await world.node("/heir")
+    await gone.ask("registerPublisher", "/t", T, heir.uri)
+    assert await heir.ask("registerSubscriber", "/t", T, heir.uri) == []
+    assert f"/gone is removed: /heir answers at {heir.uri}" in caplog.text
+    assert "/heir may not" not in caplog.text
+    eve = await world.node("/eve")
+    with pytest.raises(AnswerRefused, match="registered by another node"):
+        await eve.ask("registerSubscriber", "/t", T, heir.uri)
+    assert caplog.text.count("/eve may not registerSubscriber") == 1
+    assert await eve.ask("lookupNode", "/heir") == heir.uri
+
+
+async def test_nobody_is_doubted_twice_at_a_time(
+    world: World, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rossec.master.server.CALL_DEADLINE", 0.5)
+    loop = asyncio.get_running_loop()
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        silent.setblocking(False)
+        uri = f"http://127.0.0.1:{silent.getsockname()[1]}/"
+        slow, eve, bob = [await world.node(name) for name in ("/slow", "/eve", "/bob")]
+        await slow.ask("registerPublisher", "/t", T, uri)
+        asked = asyncio.ensure_future(eve.ask("registerPublisher", "/t", T, uri))
+        connected, _ = await loop.sock_accept(silent)
+        with connected:
+            with pytest.raises(AnswerRefused, match="registered by another node"):
+                await bob.ask("registerPublisher", "/t", T, uri)
+            assert not asked.done()
+            with pytest.raises(AnswerRefused, match="registered by another node"):
+                await asked
+        assert world.server._doubted == set()
+        assert await bob.ask("lookupNode", "/slow") == uri
 
 
 async def test_a_revoked_node_is_told_nothing_more(world: World) -> None:
