@@ -219,7 +219,7 @@ def test_only_ciphertext_crosses_the_link(world: World, talker: Running, probe: 
 def test_the_same_over_ipv6(world: World, probe: str) -> None:
     if not world.hosts.real:
         pytest.skip("NOT RUN: network namespaces are not permitted here")
-    six = replace(world, port=11366, ipv6=True)
+    six = replace(world, port=11366, ipv6=True, home=world.directory / "six")
     world.enroll("/six", publish="/six", provide="/six/say")
     world.enroll("/six_ear", subscribe="/six", provide="/six_ear/say")
     with six.master(), six.secured(six.hosts.near, probe, "talker", "/six", "__name:=six"):
