@@ -117,7 +117,7 @@ async def secure_updates(site: Site, master: Master, dead: int) -> float:
             _, one = await client(name)
             await one.ask("registerSubscriber", name, TOPIC, TYPE, where)
         live, first = await client("/live")
-        server = await serve(slave, "127.0.0.1", 0, live.credentials, site.anchor.verify)
+        server = serve(slave, "127.0.0.1", 0, live.credentials, site.anchor.verify)
         uri = f"http://127.0.0.1:{server.port}/"
         await first.ask("registerSubscriber", "/live", TOPIC, TYPE, uri)
         _, talker = await client("/talker")

@@ -100,7 +100,7 @@ def _server_process(folder: Path, ports: "Queue[tuple[int, int, int]]") -> None:
         limit = 2 << 20
         a = await asyncio.start_server(plain, "127.0.0.1", 0, limit=limit)
         b = await asyncio.start_server(plain, "127.0.0.1", 0, limit=limit, ssl=context)
-        c = await serve(
+        c = serve(
             secure,
             "127.0.0.1",
             0,

@@ -20,6 +20,7 @@ from ca.certificates import TrustAnchor
 from ca.errors import BackupRefused, HintedError
 from ca.log import Entry
 from ca.revocation import open_list
+from ca.revocationtree import Listing, is_tree, open_tree
 from rossec import files
 from rossec.authority import AuthorityHome
 from rossec.unlocked import OpenAuthority
@@ -61,6 +62,7 @@ def restore(
     over: str | None = None,
     forget: int = 0,
     newest_list: bytes | None = None,
+    entries: bytes | None = None,
 ) -> Restored:
     """Put an authority back into ROSSEC_HOME `home`.
 
@@ -72,10 +74,12 @@ def restore(
         secret: what opens the key, if that is not the same passphrase (a token's PIN).
         over: the trust domain of the authority that may be replaced.
         forget: how many log entries of it the backup lacks, and may be lost.
-        newest_list: a signed revocation list that may be newer than the backup.
+        newest_list: a signed revocation list, or tree, that may be newer than the backup.
+        entries: of the tree, which does not name them itself.
 
     Raises:
         BackupRefused: no backup, not whole, or not in these words.
+        RevocationRefused: the list, tree or entries are not the authority's.
         PassphraseRefused: the passphrase is wrong.
         LogDamaged: the backup's own log does not verify.
     """
@@ -85,10 +89,11 @@ def restore(
         _write(begun, backup.unseal(data, passphrase))
         authority = AuthorityHome(begun).unlock(secret or passphrase)
         authority.store.journal.audit(authority.signer.public_key)
-        entries = authority.store.journal.head(now).size
+        size = authority.store.journal.head(now).size
+        newest = _listed(newest_list, entries, authority)
         if place.exists():
             _check_over(AuthorityHome(place), authority, over, forget)
-        revived = _bring_up_to_date(authority, newest_list, entries, now)
+        revived = _bring_up_to_date(authority, newest, size, now)
         authority.store.close()
         if place.exists():
             aside = (place.with_name(f"ca.replaced.{number}") for number in count(now))
@@ -97,7 +102,7 @@ def restore(
     except BaseException:
         shutil.rmtree(begun, ignore_errors=True)
         raise
-    return Restored(AuthorityHome(place), entries, revived)
+    return Restored(AuthorityHome(place), size, revived)
 
 
 def _write(directory: Path, content: dict[str, bytes]) -> None:
@@ -142,17 +147,33 @@ def _read(there: AuthorityHome) -> tuple[TrustAnchor, list[Entry]]:
         ) from error
 
 
+def _listed(
+    data: bytes | None, entries: bytes | None, authority: OpenAuthority
+) -> frozenset[bytes]:
+    """What a signed statement revokes; none: nothing."""
+    key = authority.authority.anchor.public_key
+    if data is None:
+        return frozenset()
+    if not is_tree(data):
+        return open_list(data, key).entries
+    if entries is None:
+        raise BackupRefused(
+            "the newest revocations are a tree, which does not say what is in it",
+            "name its entries too, with --entries: the master keeps them as revocations.entries",
+        )
+    listing = Listing.read(entries)
+    listing.check(open_tree(data, key))
+    return listing.entries
+
+
 def _bring_up_to_date(
-    authority: OpenAuthority, newest_list: bytes | None, entries: int, now: int
+    authority: OpenAuthority, newest: frozenset[bytes], entries: int, now: int
 ) -> int:
     """A new epoch, and what was revoked since; an intermediate has neither."""
     authority.store.note("restored", "record", f"from {entries} entries", now)
     if not authority.authority.is_root:
         return 0
-    missing: frozenset[bytes] = frozenset()
-    if newest_list is not None:
-        listed = open_list(newest_list, authority.signer.public_key)
-        missing = listed.entries - authority.store.revoked_entries()
+    missing = newest - authority.store.revoked_entries()
     for entry in sorted(missing):
         authority.store.revoke(entry, "from a list newer than the backup", now)
     authority.sign_list(now, new_epoch=True)

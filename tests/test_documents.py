@@ -1,6 +1,8 @@
 """What the documents point at is there."""
 
 import re
+import shutil
+import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -50,3 +52,19 @@ def test_every_threat_names_its_test() -> None:
     (ROOT / "docs" / "architecture.md").read_text(), re.MULTILINE))  # fmt: skip
 def test_a_module_the_architecture_names_exists(part: str) -> None:
     assert (ROOT / "rossec" / f"{part[3:].replace('.', '/')}.py").exists()
+
+
+UNITS = sorted(ROOT.glob("examples/**/*.service"))
+
+
+@pytest.mark.parametrize("unit", UNITS, ids=lambda unit: unit.stem)
+def test_a_unit_is_one_that_systemd_reads(unit: Path, tmp_path: Path) -> None:
+    """Its program is not installed here; everything else is judged."""
+    judge = shutil.which("systemd-analyze")
+    if judge is None:
+        pytest.skip("NOT RUN: no systemd on this machine")
+    copy = tmp_path / unit.name
+    program = re.compile(r"^ExecStart=\S+", re.MULTILINE)
+    copy.write_text(program.sub("ExecStart=/bin/true", unit.read_text()))
+    done = subprocess.run([judge, "verify", copy], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")

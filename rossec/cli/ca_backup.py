@@ -5,6 +5,7 @@ from pathlib import Path
 import click
 
 from ca.backup import MAX_BACKUP
+from ca.revocationtree import MAX_LISTING
 from ca.statements import MAX_LIST
 from rossec import backup as backups
 from rossec import files
@@ -13,6 +14,7 @@ from rossec.cli import passphrase
 from rossec.cli.context import Environment, now, pass_environment
 from rossec.cli.voice import note, say
 from rossec.errors import ConfigurationError
+from rossec.unlocked import ENTRIES
 
 _FILE = click.Path(path_type=Path, exists=True, dir_okay=False)
 
@@ -45,6 +47,10 @@ def backup(environment: Environment, file: Path, passphrase_file: Path | None) -
     "--list", "newest", type=_FILE,
     help="a newer revocation list, for example a node's revocations.cose",
 )  # fmt: skip
+@click.option(
+    "--entries", type=_FILE,
+    help="of that list where it is a tree; by default revocations.entries beside it",
+)  # fmt: skip
 @passphrase.option
 @pass_environment
 def restore(
@@ -53,6 +59,7 @@ def restore(
     over: str | None,
     forget: int,
     newest: Path | None,
+    entries: Path | None,
     passphrase_file: Path | None,
 ) -> None:
     """Prove the backup FILE and put its authority back.
@@ -60,13 +67,14 @@ def restore(
     Nothing is overwritten, and nothing newer is lost, unless it is said: --over, --forget.
     """
     data = files.read(file, MAX_BACKUP, ConfigurationError(f"there is no {file}"))
-    listed = None
-    if newest is not None:
-        listed = files.read(newest, MAX_LIST, ConfigurationError(f"there is no {newest}"))
+    listed = None if newest is None else _read(newest, MAX_LIST)
+    if entries is None and newest is not None and newest.with_name(ENTRIES).exists():
+        entries = newest.with_name(ENTRIES)
     secret = passphrase.read(passphrase_file, environment.variables)
     found = backups.restore(
-        environment.home, data, secret, now(), over=over, forget=forget, newest_list=listed
-    )
+        environment.home, data, secret, now(), over=over, forget=forget, newest_list=listed,
+        entries=None if entries is None else _read(entries, MAX_LISTING),
+    )  # fmt: skip
     say(f"restored {found.home.domain} in {found.home.path}, {found.entries} log entries")
     say(f"fingerprint {fingerprint(found.home.anchor())}")
     if newest is None:
@@ -74,6 +82,10 @@ def restore(
     elif found.revived:
         say(f"{found.revived} revocations are newer than the backup and were taken over")
     note("a new revocation list was signed; deliver it with: rossec ca publish")
+
+
+def _read(path: Path, limit: int) -> bytes:
+    return files.read(path, limit, ConfigurationError(f"there is no {path}"))
 
 
 COMMANDS = (backup, restore)

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Final
 
 from ca.certificates import TrustAnchor
+from ca.errors import CAError
 from ca.names import check_name
 from ca.revocation import Revocations
 from rossec.discovery.candidates import Candidate
@@ -56,7 +57,7 @@ def trusted(home: Path, identity: str | None) -> tuple[TrustAnchor, frozenset[by
         ConfigurationError: no node is enrolled, or they trust different authorities.
     """
     nodes = _nodes(home) if identity is None else [NodeHome.find(home, check_name(identity))]
-    anchors = {anchor.thumbprint: anchor for anchor in (node.anchor() for node in nodes)}
+    anchors = {anchor.thumbprint: anchor for anchor in map(_anchor, nodes)}
     if not anchors:
         raise ConfigurationError(
             "no node is enrolled here, so no master can be trusted",
@@ -74,6 +75,15 @@ def trusted(home: Path, identity: str | None) -> tuple[TrustAnchor, frozenset[by
 def _nodes(home: Path) -> list[NodeHome]:
     found = sorted((home / "nodes").glob("*/ca.pem"))
     return [NodeHome(path.parent, "/" + path.parent.name.replace(".", "/")) for path in found]
+
+
+def _anchor(node: NodeHome) -> TrustAnchor:
+    try:
+        return node.anchor()
+    except (CAError, ValueError) as error:  # which of many files it is must be said
+        raise ConfigurationError(
+            f"{node.path / 'ca.pem'}: {error}", "enroll that node anew, or move its directory away"
+        ) from error
 
 
 def _revoked(node: NodeHome, anchor: TrustAnchor) -> frozenset[bytes]:

@@ -90,7 +90,7 @@ def _for(
     link: Link | PlainLink | None = sock.link
     if link is None or moment >= link.ends:
         return None
-    if isinstance(link, PlainLink) or link.guard is None:
+    if link.guard is None:
         return data
     key = link.guard.key
     if key not in treated:

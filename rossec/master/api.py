@@ -21,7 +21,7 @@ from rossec.master.calls import (
     Request,
     StopMaster,
 )
-from rossec.master.gatekeeper import Caller, Gatekeeper, Refused
+from rossec.master.gatekeeper import AddressTaken, Caller, Gatekeeper, Refused
 from rossec.master.graph import GraphCalls
 from rossec.master.multicall import MULTICALL, Multicall, Outcome
 from rossec.master.paramcalls import ParameterCalls
@@ -100,7 +100,8 @@ class MasterApi:
         except Refused as refused:
             status = f"rossec: {refused}"
             denied = () if refused.wanted is None else (Denied(caller.name, *refused.wanted),)
-            refusal = CallRefused(caller.title, method, status)
+            taken_by = refused.owner if isinstance(refused, AddressTaken) else None
+            refusal = CallRefused(caller.title, method, status, taken_by)
             return Outcome([-1, status, row.default], (refusal, *denied))
         events = reply.events
         if request.caller.thumbprint != caller.thumbprint:  # only an administrator gets so far

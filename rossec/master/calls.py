@@ -61,11 +61,15 @@ class Denied:
 
 @dataclass(frozen=True)
 class CallRefused:
-    """A call was refused by rossec, alone or within a multicall: for the audit."""
+    """A call was refused by rossec, alone or within a multicall: for the audit.
+
+    `taken_by` is the node that has the address, if that was the reason.
+    """
 
     node: str
     method: str
     status: str
+    taken_by: NodeRef | None = None
 
 
 @dataclass(frozen=True)

@@ -32,6 +32,14 @@ class Refused(Exception):
         self.wanted = wanted
 
 
+class AddressTaken(Refused):
+    """The slave API is registered by `owner`, which may be gone: whoever answers there is right."""
+
+    def __init__(self, owner: NodeRef) -> None:
+        super().__init__("this slave API URI is registered by another node")
+        self.owner = owner
+
+
 class Access(Protocol):
     """What one identity may do at one moment, from the grants it presented."""
 
@@ -262,8 +270,9 @@ class Gatekeeper:
                 "set ROS_IP or ROS_HOSTNAME to an address at which others reach it"
             )
         owner = self._registry.owner(uri)
-        if owner is not None and owner != caller.name:
-            raise Refused("this slave API URI is registered by another node")
+        node = None if owner is None or owner == caller.name else self._registry.node(owner)
+        if node is not None:
+            raise AddressTaken(node)
 
 
 def require(caller: Caller, right: Right, name: str) -> None:

@@ -18,6 +18,7 @@ from rossec.master.params import Parameters
 
 GROWTH: Final = 4  # rewritten when it is so many times as long as it need be
 SMALL: Final = 1024 * 1024  # and at least this long
+LARGE: Final = 256 * 1024 * 1024  # what may come between two beats
 
 _log = logging.getLogger(__name__)
 
@@ -31,6 +32,7 @@ class ParameterFile:
         self._file: int | None = None
         self._size = self._needed = 0
         self._dirty = False
+        self._whole = True  # False: a change is missing in it
 
     def open(self) -> None:
         """Read the file, cut off what was not written to its end, and get ready to append.
@@ -57,12 +59,15 @@ class ParameterFile:
             written = os.write(self._file, record)
         except OSError as error:  # the answer must not depend on it: the change was made
             reason = str(error)
+        self._dirty = True
         if written != len(record):
             _log.error("parameters cannot be kept: %s", reason)
             os.ftruncate(self._file, self._size)  # half a record would hide what follows
+            self._whole = False
             return
         self._size += len(record)
-        self._dirty = True
+        if self._size > self._needed + LARGE:  # whoever sets without end must not fill the disk
+            self.sync()
 
     def sync(self) -> None:
         """Put what was written on the disk; rewrite the file when it has grown too long."""
@@ -70,7 +75,7 @@ class ParameterFile:
             return
         self._dirty = False
         try:
-            if self._size > max(SMALL, GROWTH * self._needed):
+            if self._size > max(SMALL, GROWTH * self._needed) or not self._whole:
                 self._rewrite()
             else:
                 os.fdatasync(self._file)
@@ -92,5 +97,6 @@ class ParameterFile:
         flags = os.O_WRONLY | os.O_APPEND | os.O_CLOEXEC | os.O_NOFOLLOW
         self._file = os.open(self._path, flags)
         self._size = self._needed = len(data)
+        self._whole = True
         if old is not None:
             os.close(old)

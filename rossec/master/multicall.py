@@ -9,7 +9,7 @@ import xmlrpc.client
 from collections.abc import Callable, Sequence
 from typing import Final, NamedTuple
 
-from rossec.master.calls import MasterEvent
+from rossec.master.calls import GrantsPresented, MasterEvent, RevocationsChanged
 from rossec.master.gatekeeper import RULES, Scope
 from rossec.master.values import weight
 from rossec.ros.xmlrpc import BODY_LIMIT
@@ -37,6 +37,7 @@ class Outcome(NamedTuple):
     events: tuple[MasterEvent, ...] = ()
 
 
+_RIGHTS: Final = (RevocationsChanged, GrantsPresented)
 Make = Callable[[str, Sequence[object]], Outcome]
 """Makes one call, or raises `Fault`."""
 
@@ -88,8 +89,8 @@ class Multicall:
                 events += outcome.events
             self._answers.append(answer)
             self._room -= weight(answer)
-            if self._room < 0:
-                break
+            if self._room < 0 or (events and isinstance(events[-1], _RIGHTS)):
+                break  # what follows from it must have followed before the next one is made
         return tuple(events)
 
     def _check_once(self, element: object) -> None:

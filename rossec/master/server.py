@@ -21,7 +21,7 @@ from rossec.channel.credentials import OwnCredential, PeerIdentity, Verify
 from rossec.channel.known import KnownCertificates
 from rossec.channel.records import Limits as ChannelLimits
 from rossec.channel.suites import PRODUCTION
-from rossec.errors import CallerMismatch
+from rossec.errors import CallerMismatch, RossecError
 from rossec.master.api import MasterApi
 from rossec.master.calls import (
     Administered,
@@ -39,13 +39,13 @@ from rossec.master.enforce import enforce, steps
 from rossec.master.gatekeeper import Caller, Certified, Peer
 from rossec.master.limits import Limits
 from rossec.master.memory import ParameterFile
-from rossec.master.multicall import MULTICALL, Multicall
+from rossec.master.multicall import MULTICALL, Multicall, Outcome
 from rossec.master.news import WATCH_WAIT, News
 from rossec.master.params import Parameters
 from rossec.master.registry import Kind, NodeRef, PublishersChanged, Registry, ShutdownNode
 from rossec.master.standing import Statements
 from rossec.master.throttle import DENIALS
-from rossec.master.updates import LEAVING, Updates
+from rossec.master.updates import CALL_DEADLINE, LEAVING, Updates
 from rossec.master.watching import WATCH, no_news
 from rossec.net.halfopen import HalfOpen
 from rossec.net.rpc import RpcClient, serve_calls
@@ -139,6 +139,7 @@ class MasterServer:
         self._registry = Registry(limits.nodes_per_identity)
         self._api: MasterApi | None = None
         self._server: SecureServer[ChannelPeer] | None = None
+        self._doubted: set[NodeRef] = set()  # who is being asked whether it is still there
         self._streams: set[SecureStream[ChannelPeer]] = set()
         self._updates = Updates(self._dial, limits.nodes_per_identity + LEAVING)
         self._tasks = TaskSet()
@@ -165,7 +166,7 @@ class MasterServer:
             OSError: the address is not ours or the port is taken.
         """
         (host, port), limits = self._listen, self._limits
-        self._server = await serve(
+        self._server = serve(
             self._handle,
             host,
             port,
@@ -260,10 +261,32 @@ class MasterServer:
             multicall = Multicall(params)
             self._step(near, multicall, peer)
             return multicall.answer if multicall.done else self._multicall(near, multicall, peer)
-        answer = self._answer(near, method, params, peer)
+        outcome = self._outcome(near, method, params, peer)
+        match outcome.events:
+            case [CallRefused(taken_by=NodeRef() as owner)] if owner not in self._doubted:
+                return self._ask_who_is_there(owner, near, method, params, peer)
+        answer = self._follow(outcome)
         if method == WATCH and no_news(answer):
             return self._watch(near, method, params, peer)
         return answer
+
+    async def _ask_who_is_there(
+        self,
+        owner: NodeRef,
+        near: bool,
+        method: str,
+        params: tuple[object, ...],
+        peer: ChannelPeer,
+    ) -> object:
+        """A node says it is where `owner` was: if somebody else answers there, `owner` is gone."""
+        self._doubted.add(owner)
+        try:
+            with contextlib.suppress(RossecError, OSError, TimeoutError):
+                async with asyncio.timeout(CALL_DEADLINE):
+                    await (await self._dial(owner)).close()
+        finally:
+            self._doubted.discard(owner)
+        return self._answer(near, method, params, peer)
 
     async def _watch(
         self, near: bool, method: str, params: tuple[object, ...], peer: ChannelPeer
@@ -280,14 +303,17 @@ class MasterServer:
     def _answer(
         self, near: bool, method: str, params: tuple[object, ...], peer: ChannelPeer
     ) -> object:
+        return self._follow(self._outcome(near, method, params, peer))
+
+    def _outcome(
+        self, near: bool, method: str, params: tuple[object, ...], peer: ChannelPeer
+    ) -> Outcome:
         api, caller, now = self._admit(peer)
-        outcome = api.call(method, params, caller, now, near=near)
-        self._follow(outcome.events)
-        return outcome.answer
+        return api.call(method, params, caller, now, near=near)
 
     def _step(self, near: bool, multicall: Multicall, peer: ChannelPeer) -> None:
         api, caller, now = self._admit(peer)
-        self._follow(api.make(multicall, caller, now, near=near))
+        self._follow(Outcome(None, api.make(multicall, caller, now, near=near)))
 
     def _admit(self, peer: ChannelPeer) -> tuple[MasterApi, Caller, int]:
         """Who calls, and what it may do at this moment."""
@@ -299,12 +325,13 @@ class MasterServer:
         except HintedError as error:  # revoked a moment ago: the connection is being cut
             raise Fault(1, f"rossec: {error}") from error
 
-    def _follow(self, events: tuple[MasterEvent, ...]) -> None:
-        """What follows from a call."""
+    def _follow(self, outcome: Outcome) -> object:
+        """Do what follows from a call; returns the answer."""
         self._calls += 1
-        for event in events:
+        for event in outcome.events:
             self._deliver(event)
         self._news.tell(self._registry.version)
+        return outcome.answer
 
     def _deliver(self, event: MasterEvent) -> None:
         match event:

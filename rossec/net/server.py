@@ -185,35 +185,7 @@ class SecureServer(Generic[PeerT]):
         await self.close()
 
 
-async def serve(
-    handler: Handler[PeerT],
-    host: str | None,
-    port: int,
-    credentials: OwnCredential,
-    verify: Verify[PeerT],
-    *,
-    accept: Collection[Flavour] = frozenset(Flavour),
-    limits: Limits = _DEFAULTS,
-    half_open: HalfOpen = _CAPS,
-    suites: tuple[int, ...] = PRODUCTION,
-    known: KnownCertificates | None = None,
-) -> SecureServer[PeerT]:
-    """Listen on `host` (None or "": every address, IPv4 and IPv6) and `port` (0: any free one).
-
-    `handler` runs once per authenticated connection, which is closed when it returns. `accept`
-    says which openings may lead on; the others hear the refusal meant for plain peers.
-
-    Raises:
-        OSError: the address is not ours or the port is taken.
-    """
-
-    return serve_now(
-        handler, host, port, credentials, verify,
-        accept=accept, limits=limits, half_open=half_open, suites=suites, known=known,
-    )  # fmt: skip
-
-
-def serve_now(
+def serve(
     handler: Handler[PeerT],
     host: str | None,
     port: int,
@@ -226,9 +198,14 @@ def serve_now(
     suites: tuple[int, ...] = PRODUCTION,
     known: KnownCertificates | None = None,
 ) -> SecureServer[PeerT]:
-    """`serve`, for callers that may not wait: nothing in it does.
+    """Listen on `host` (None or "": every address, IPv4 and IPv6) and `port` (0: any free one).
 
-    With a `HalfOpenCount` several ports share one bound, as they share this process.
+    `handler` runs once per authenticated connection, which is closed when it returns. `accept`
+    says which openings may lead on; the others hear the refusal meant for plain peers. With a
+    `HalfOpenCount` several ports share one bound, as they share this process.
+
+    Raises:
+        OSError: the address is not ours or the port is taken.
     """
 
     def make_core() -> Connection[PeerT]:

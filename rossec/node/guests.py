@@ -9,6 +9,7 @@ from typing import Final
 from ca.certificates import Identity
 from rossec.net.server import Handler
 from rossec.net.stream import SecureStream
+from rossec.node.questions import MASTER
 
 PEER_CONNECTIONS: Final = 256  # of one identity, one for each topic or service: rosbag uses all
 
@@ -22,11 +23,13 @@ class Guests:
         self._streams: set[SecureStream[Identity]] = set()
 
     def bounded(self, handler: Handler[Identity]) -> Handler[Identity]:
-        """Serve an entitled peer, and no more than a few connections of one identity (N8)."""
+        """Serve an entitled peer, and no more than a few connections of one identity (N8).
+
+        The master may have more: one for each program, of which a sidecar's identity has many.
+        """
 
         async def serve_one(stream: SecureStream[Identity]) -> None:
-            peer = stream.peer.thumbprint
-            if sum(other.peer.thumbprint == peer for other in self._streams) >= PEER_CONNECTIONS:
+            if stream.peer.name != MASTER and self._count(stream.peer) >= PEER_CONNECTIONS:
                 _log.warning("%s has too many connections", stream.peer.name)
                 return
             self._streams.add(stream)
@@ -36,6 +39,9 @@ class Guests:
                 self._streams.discard(stream)
 
         return serve_one
+
+    def _count(self, peer: Identity) -> int:
+        return sum(other.peer.thumbprint == peer.thumbprint for other in self._streams)
 
     def cut(self, revoked: frozenset[bytes]) -> None:
         """Cut every connection of a revoked key, whatever it is used for."""

@@ -81,7 +81,7 @@ class Listener:
             (self._serve_slave, Flavour.HTTP),
             (self._serve_tcpros, Flavour.TCPROS),
         ):
-            server = await serve(
+            server = serve(
                 self._guests.bounded(handler),
                 bind,
                 0,

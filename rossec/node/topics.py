@@ -98,6 +98,8 @@ def admit_publisher(
 ) -> Decision:
     """Decide on a publisher from the header it answered with.
 
+    The caller applies the restrictions of the decision to each message (`topicguard.guard_of`).
+
     Raises:
         CallerMismatch, TopicRefused: another topic or type than asked for, or another name.
         GrantError, CAError: the peer may not publish.

@@ -14,18 +14,20 @@ from rossec.channel.opening import Flavour
 from rossec.channel.records import Limits
 from rossec.errors import HangUp
 from rossec.net.halfopen import HalfOpenCount
-from rossec.net.server import Handler, SecureServer, serve_now
+from rossec.net.server import Handler, SecureServer, serve
 from rossec.net.stream import SecureStream, connect
 from rossec.node.access import Access
+from rossec.ros.header import MESSAGE_LIMIT
 from rossec.ros.settings import is_loopback
 from rossec.ros.xmlrpc import BODY_LIMIT
 from rossec.sidecar.addresses import Endpoint
-from rossec.sidecar.loopback import free_port
+from rossec.sidecar.loopback import on_free_port
 
-_ATTEMPTS: Final = 16
-_LIMITS: Final = {
-    Flavour.HTTP: Limits(unit=2 * BODY_LIMIT),  # a call, however it is written
-    Flavour.TCPROS: Limits(),
+_CALL: Final = Limits(unit=2 * BODY_LIMIT)  # however it is written
+_DIALLED: Final = {Flavour.HTTP: _CALL, Flavour.TCPROS: Limits()}
+_ACCEPTED: Final = {  # peers send headers and requests; what programs send leaves in small units
+    Flavour.HTTP: _CALL,
+    Flavour.TCPROS: Limits(unit=MESSAGE_LIMIT + BODY_LIMIT),
 }
 
 
@@ -72,7 +74,7 @@ class Network:
     async def _connect(self, remote: Endpoint) -> SecureStream[Identity]:
         return await connect(
             remote.host, remote.port, self._credentials, self._anchor.verify,
-            opening=remote.flavour, limits=_LIMITS[remote.flavour],
+            opening=remote.flavour, limits=_DIALLED[remote.flavour],
             suites=self._suites, known=self._known,
         )  # fmt: skip
 
@@ -84,14 +86,10 @@ class Network:
         The port is named when it is bound, so that the kernel keeps it while the server rests.
         """
         bind = host if is_loopback(host) else None
-        for attempt in range(_ATTEMPTS):
-            try:
-                return serve_now(
-                    handler, bind, free_port(), self._credentials, self._anchor.verify,
-                    accept={flavour}, limits=_LIMITS[flavour], half_open=self._half_open,
-                    suites=self._suites, known=self._known,
-                )  # fmt: skip
-            except OSError:
-                if attempt == _ATTEMPTS - 1:
-                    raise
-        raise AssertionError
+        return on_free_port(
+            lambda port: serve(
+                handler, bind, port, self._credentials, self._anchor.verify,
+                accept={flavour}, limits=_ACCEPTED[flavour], half_open=self._half_open,
+                suites=self._suites, known=self._known,
+            )
+        )  # fmt: skip

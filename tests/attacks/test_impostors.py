@@ -59,8 +59,8 @@ async def impostor(own: Credentials, fields: dict[str, str | bytes]) -> AsyncIte
         await serve_calls(stream, where)
 
     async with (
-        await serve(topic, HOST, 0, own, believe_anyone) as door,
-        await serve(slave, HOST, 0, own, believe_anyone) as api,
+        serve(topic, HOST, 0, own, believe_anyone) as door,
+        serve(slave, HOST, 0, own, believe_anyone) as api,
     ):
         yield f"http://{HOST}:{api.port}/"
 

@@ -130,7 +130,7 @@ async def test_m9_what_a_node_answers_is_bounded(
 
     home = site.enroll(EVE)
     async with (
-        await serve(flood, HOST, 0, home.credentials(), site.anchor.verify) as server,
+        serve(flood, HOST, 0, home.credentials(), site.anchor.verify) as server,
         caller(site, EVE, {"/t": Right.SUBSCRIBE | Right.PUBLISH}) as eve,
     ):
         uri = f"http://{HOST}:{server.port}/"

@@ -201,8 +201,8 @@ async def test_a_false_publisher_is_refused(victim: Victim) -> None:
         await serve_calls(stream, dispatch)
 
     commander, anchor = credentials(site, "/commander"), site.anchor
-    topics = await serve(talk, HOST, 0, credentials(site), anchor.verify)
-    api = await serve(answer_calls, HOST, 0, commander, anchor.verify)
+    topics = serve(talk, HOST, 0, credentials(site), anchor.verify)
+    api = serve(answer_calls, HOST, 0, commander, anchor.verify)
     try:
         assert site.master is not None
         master = site.master.uri

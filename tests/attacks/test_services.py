@@ -259,7 +259,7 @@ async def impostor(
         await stream.send(reply)
         await stream.wait_ended()
 
-    server: SecureServer[Any] = await serve(play, HOST, 0, credentials(site), believe_anyone)
+    server: SecureServer[Any] = serve(play, HOST, 0, credentials(site), believe_anyone)
 
     async def lookup(_: str) -> str:
         return f"rosrpc://{HOST}:{server.port}"

@@ -87,7 +87,7 @@ async def liar(site: Site, answer: object) -> AsyncIterator[str]:
     async def handler(stream: SecureStream[Identity]) -> None:
         await serve_calls(stream, lambda *_: answer)
 
-    server = await serve(handler, "127.0.0.1", 0, home.credentials(), site.anchor.verify)
+    server = serve(handler, "127.0.0.1", 0, home.credentials(), site.anchor.verify)
     assert site.master is not None
     port = int(site.master.uri.rstrip("/").rpartition(":")[2])
     client = RpcClient(await meet(site, port, Flavour.HTTP))

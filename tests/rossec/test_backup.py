@@ -6,8 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from ca.errors import BackupRefused, LogDamaged, PassphraseRefused
+from ca.errors import BackupRefused, LogDamaged, PassphraseRefused, RevocationRefused
 from ca.revocation import open_list
+from ca.revocationtree import Listing, is_tree
 from rossec import files
 from rossec.authority import AuthorityHome
 from rossec.backup import back_up, restore
@@ -72,6 +73,28 @@ def test_revocations_since_then_come_back_from_a_list(home: AuthorityHome, tmp_p
     done = restore(tmp_path / "b", data, PASSPHRASE, NOW, newest_list=newest)
     assert done.revived == 1
     assert revoked(done.home) == {b"k" * 32}
+
+
+def test_revocations_come_back_from_a_tree_with_its_entries(
+    home: AuthorityHome, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    data = back_up(home, PASSPHRASE)
+    monkeypatch.setattr("rossec.unlocked.MAX_ENTRIES", 0)
+    home.unlock(PASSPHRASE).revoke(b"k" * 32, "stolen", NOW)
+    tree, entries = home.revocation_list(), home.entries()
+    assert is_tree(tree)
+    with pytest.raises(BackupRefused, match="a tree, which does not say") as caught:
+        restore(tmp_path / "a", data, PASSPHRASE, NOW, newest_list=tree)
+    assert "--entries" in caught.value.hint
+    for wrong in (Listing([b"x" * 32]).encoded(), b"garbage"):
+        with pytest.raises(RevocationRefused):
+            restore(tmp_path / "a", data, PASSPHRASE, NOW, newest_list=tree, entries=wrong)
+    assert not list((tmp_path / "a").iterdir())
+    done = restore(tmp_path / "b", data, PASSPHRASE, NOW, newest_list=tree, entries=entries)
+    assert done.revived == 1
+    with closing(done.home.store()) as store:
+        assert store.revoked_entries() == {b"k" * 32}
+    assert Listing.read(done.home.entries()).entries == {b"k" * 32}
 
 
 def test_a_wrong_passphrase(home: AuthorityHome, tmp_path: Path) -> None:
@@ -185,3 +208,25 @@ def test_what_is_damaged_is_moved_away_by_hand(home: AuthorityHome, lost: str) -
     assert "move that directory away" in caught.value.hint
     home.path.rename(home.path.with_name("damaged"))
     assert restore(home.path.parent, data, PASSPHRASE, NOW).home.domain == "home"
+
+
+def test_the_entries_beside_a_tree_are_found(
+    shell: Shell, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    target = str(tmp_path / "backup")
+    shell.unlocked("ca", "backup", target)
+    monkeypatch.setattr("rossec.unlocked.MAX_ENTRIES", 0)
+    shell.enroll("/robot")
+    shell.unlocked("ca", "revoke", "/robot", *NOBODY)
+    home, kept = AuthorityHome.at(shell.root), tmp_path / "master"
+    kept.mkdir()
+    (kept / "revocations.cose").write_bytes(home.revocation_list())
+    plain = ("ca", "restore", target, "--over", "home")
+    forget = shell.unlocked(*plain).err.partition("--forget ")[2].split()[0]
+    over = (*plain, "--forget", forget, "--list", str(kept / "revocations.cose"))
+    refused(shell.unlocked(*over), "a tree", "--entries")
+    (kept / "other").write_bytes(home.entries())
+    refused(shell.unlocked(*over, "--entries", str(shell.secret)), "not a listing")
+    (kept / "other").rename(kept / "revocations.entries")
+    done = shell.unlocked(*over)
+    assert "1 revocations are newer than the backup" in done.out

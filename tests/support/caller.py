@@ -65,7 +65,7 @@ async def caller(
         await serve_calls(stream, found.dispatch)
 
     own = site.enroll(name)
-    async with await serve(slave, HOST, 0, own.credentials(), site.anchor.verify) as server:
+    async with serve(slave, HOST, 0, own.credentials(), site.anchor.verify) as server:
         found.uri = f"http://{HOST}:{server.port}/"
         assert (await found("rossec.presentGrants", own.grants()))[0] == 1
         try:

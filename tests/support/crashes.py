@@ -21,6 +21,7 @@ from ca.certificates import build_request, check_request, from_pem
 from ca.keys import generate
 from ca.lifecycle import DAY, State
 from ca.renewal import sign_renewal
+from ca.revocation import open_list
 from ca.signer import KeySigner
 from ca.store import Store
 from rossec.succession import renew
@@ -79,13 +80,22 @@ def succeed(authority: OpenAuthority, directory: Path) -> None:
     (directory / "out.pem").write_bytes(bundle)
 
 
+REPLACEMENT = build_request(NEW, "home", "/held")
+
+
+def replace(authority: OpenAuthority, directory: Path) -> None:
+    """A node that was set up anew takes its name over from its old key, which is revoked."""
+    bundle = authority.issue(REPLACEMENT, NOW, replace_key="/held")
+    (directory / "out.pem").write_bytes(bundle)
+
+
 def migrate(authority: OpenAuthority, _: Path) -> None:
     assert authority.store.journal.entries()[-1].what == "migrated"
 
 
 SCENARIOS: dict[str, Scenario] = {
     "issue": issue, "deny": deny, "collect": collect, "revoke": revoke, "renew": succeed,
-    "migrate": migrate,
+    "replace": replace, "migrate": migrate,
 }  # fmt: skip
 
 
@@ -107,10 +117,19 @@ def check(directory: Path, before: int) -> None:
                 assert from_pem(data)[0] in ders, f"{out.name} was handed out and is not recorded"
 
 
+def check_listed(directory: Path) -> None:
+    """Whatever the record says is revoked stands in a list that was signed."""
+    with closing(opened(directory).store) as store:
+        newest = store.newest_list()
+        revoked = store.revoked_entries()
+        listed = open_list(newest, ROOT.public_key).entries if newest is not None else frozenset()
+        assert revoked <= listed, "a revocation was recorded and never signed"
+
+
 def run(name: str, base: Path, work: Path) -> Counter[str]:
     """Kill one scenario everywhere; how often it died at which system call."""
     scenario, deaths = SCENARIOS[name], Counter[str]()
-    total = _count(base) + (name in {"issue", "renew"})
+    total = _count(base) + (name in {"issue", "renew", "replace"})
     while True:
         directory = work / f"{name}{deaths.total()}"
         shutil.copytree(base, directory)
@@ -120,6 +139,8 @@ def run(name: str, base: Path, work: Path) -> Counter[str]:
         act(scenario, directory)
         check(directory, _count(base))
         assert _count(directory) == total, "doing it again did not complete it"
+        if name != "migrate":  # the old record's list is none
+            check_listed(directory)
         assert recorded in {None, _newest(directory)}, "a second identity for one request"
         shutil.rmtree(directory)
         if died is None:

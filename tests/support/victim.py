@@ -32,7 +32,7 @@ rospy.set_param("/robot/speed", 1)
 rospy.get_param_cached("/robot/speed")
 state = rospy.Publisher("/robot/state", String, queue_size=1000)
 def obey(message):
-    print("COMMANDED", message.data, flush=True)
+    print(f"COMMANDED {message.data}\\n", end="", flush=True)
 rospy.Subscriber("/robot/command", String, obey)
 def reset(request):
     print("RESET", flush=True)

@@ -104,9 +104,13 @@ def test_silence_is_said(hosts: Hosts, home: Site) -> None:
     assert "rossec master --announce" in done.stderr
 
 
-def test_a_master_on_loopback_is_not_announced(home: Site) -> None:
+def test_a_master_on_loopback_is_not_announced(tmp_path: Path) -> None:
+    site = Site(tmp_path / "site")
+    newest = site.authority.store.newest_list()
+    assert newest is not None
+    site.enroll("/master").save_revocations(newest)
     here = Host((), "127.0.0.1", "::1")
-    done = run(home, here, "master", "--port", "0", "--announce", ROS_IP="127.0.0.1")
+    done = run(site, here, "master", "--port", "0", "--announce", ROS_IP="127.0.0.1")
     assert done.returncode == 1
     assert "only this host reaches it" in done.stderr
 
@@ -223,6 +227,17 @@ def test_who_came_over_a_router_is_not_heard() -> None:
 
 
 # --- whom a home trusts
+
+
+def test_a_damaged_authority_is_named_by_its_file(tmp_path: Path) -> None:
+    site = Site(tmp_path / "site")
+    site.enroll("/robot")
+    file = site.enroll("/odd").path / "ca.pem"
+    for damaged in (b"garbage", 2 * file.read_bytes()):
+        file.write_bytes(damaged)
+        with pytest.raises(ConfigurationError, match=r"nodes/odd/ca\.pem: ") as refused:
+            choose.trusted(site.root, None)
+        assert "anew" in refused.value.hint
 
 
 def test_whose_master_is_looked_for(home: Site, elsewhere: Site, tmp_path: Path) -> None:

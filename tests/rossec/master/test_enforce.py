@@ -1,5 +1,7 @@
 """What a lost right takes with it."""
 
+import pytest
+
 from grants.model import Right
 from rossec.master.calls import MasterEvent
 from rossec.master.enforce import BATCH, Step, enforce, steps
@@ -55,6 +57,20 @@ def test_only_what_lost_its_right_goes() -> None:
     assert state.keys_of("/a", Kind.PUBLISHER) == ("/u",)
     assert state.service_uri("/s") is None
     assert state.members(Kind.PARAMETER, "/p/") == ()
+
+
+@pytest.mark.parametrize("right", Right)
+def test_each_registration_lives_by_its_own_right(right: Right) -> None:
+    state = registry()
+    state.register_subscriber("/x", "*", A)
+    rights = dict.fromkeys(("/t", "/u", "/s", "/p/one", "/x"), right)
+    judge(state, FakeStatements({**BOTH, "/a": caller("/a", rights)}))
+    left = {kind for kind in Kind if state.keys_of("/a", kind)}
+    own = {
+        Right.PUBLISH: Kind.PUBLISHER, Right.SUBSCRIBE: Kind.SUBSCRIBER,
+        Right.PROVIDE: Kind.SERVICE, Right.PARAM_GET: Kind.PARAMETER,
+    }  # fmt: skip
+    assert left == ({own[right]} if right in own else set())
 
 
 def test_a_revoked_node_goes_with_all_it_registered() -> None:

@@ -22,6 +22,11 @@ def opened(path: Path) -> ParameterFile:
     return memory
 
 
+def change(memory: ParameterFile, key: str, value: object) -> None:
+    memory.parameters.set(key, value)
+    memory.write(Change(key, value))
+
+
 def test_a_change_survives_without_a_close(path: Path) -> None:
     memory = opened(path)
     memory.write(Change("/a", 1))
@@ -67,15 +72,41 @@ def test_a_full_disk_is_reported_and_leaves_no_half_record(
     path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     memory = opened(path)
-    memory.write(Change("/a", 1))
-    write = os.write
-    with monkeypatch.context() as patch:
-        patch.setattr(os, "write", lambda fd, data: write(fd, data[:5]))
-        memory.write(Change("/b", 2))
+    change(memory, "/a", 1)
     with monkeypatch.context() as patch:
         patch.setattr(os, "fdatasync", lambda fd: os.fsync(1 << 20))
         memory.sync()
+    write = os.write
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "write", lambda fd, data: write(fd, data[:5]))
+        change(memory, "/b", 2)
     assert caplog.text.count("parameters cannot be kept") == 2
-    memory.write(Change("/c", 3))
-    memory.close()
+    change(memory, "/c", 3)
     assert opened(path).parameters.get("/") == {"a": 1, "c": 3}
+
+
+def test_what_a_full_disk_did_not_take_is_written_when_there_is_room(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    memory = opened(path)
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "write", lambda fd, data: os.fsync(1 << 20))
+        change(memory, "/a", 1)
+    with monkeypatch.context() as patch:
+        patch.setattr("rossec.files.replace", lambda *_: os.fsync(1 << 20))
+        memory.sync()  # there is still none
+    assert decode(path.read_bytes())[0] == []
+    memory.sync()
+    assert opened(path).parameters.get("/") == {"a": 1}
+
+
+def test_it_is_rewritten_at_once_when_it_grows_too_fast(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "SMALL", 1000)
+    monkeypatch.setattr(module, "LARGE", 10_000)
+    memory = opened(path)
+    for number in range(200):
+        change(memory, "/a", number)
+        assert path.stat().st_size < 11_000
+    assert opened(path).parameters.get("/") == {"a": 199}

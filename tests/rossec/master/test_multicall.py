@@ -140,6 +140,19 @@ def test_some_are_made_at_a_time_with_the_rights_of_that_time(api: MasterApi) ->
     assert made == [BATCH, 2 * BATCH, 1, 0]  # a refusal is two events
 
 
+@pytest.mark.parametrize(
+    "changes",
+    [element("rossec.updateRevocations", "/a", b"list"), element("rossec.presentGrants", "/a", [])],
+)
+def test_what_changes_rights_is_the_last_of_a_step(api: MasterApi, changes: Any) -> None:
+    multicall = Multicall([[element("getPid", "/a"), changes, element("getPid", "/a")]])
+    api.make(multicall, caller("/a"), 0)
+    made: Any = multicall.answer
+    assert (len(made), multicall.done) == (2, False)
+    api.make(multicall, caller("/a"), 0)
+    assert multicall.done
+
+
 def test_an_empty_one_is_done(api: MasterApi) -> None:
     assert Multicall([[]]).done
     assert ask(api, caller("/a"), "system.multicall", []) == []

@@ -13,6 +13,7 @@ from ca.certificates import Identity
 from ca.revocation import digest, open_timestamp
 from grants.model import Right
 from rossec.errors import AnswerRefused, RossecError
+from rossec.master.limits import Limits
 from rossec.master.registry import NodeRef
 from rossec.master.server import PEER_CONNECTIONS, MasterServer
 from rossec.master.trust import Trust
@@ -35,7 +36,7 @@ class SlaveNode:
         self.answer: list[Any] = [1, "", 0]
 
     async def start(self, rights: dict[str, Right]) -> None:
-        self.server = await serve(
+        self.server = serve(
             self.handle, "127.0.0.1", 0, self.member.credentials, self.world.site.anchor.verify
         )
         self.world.exit.push_async_callback(self.server.close)
@@ -161,8 +162,6 @@ async def test_who_registers_the_address_of_another_is_removed(
     viewer = await world.node("/viewer")
     await viewer.ask("registerSubscriber", "/t", T, viewer.uri)
     await squatter.ask("registerPublisher", "/t", T, victim.uri)
-    with pytest.raises(AnswerRefused, match="registered by another node"):
-        await victim.ask("registerPublisher", "/t", T, victim.uri)
     await squatter.ask("registerSubscriber", "/t", T, victim.uri)
     await viewer.ask("registerPublisher", "/t", T, viewer.uri)  # of which the squatter is told
     await until(lambda: viewer.heard("publisherUpdate")[-1:] == [("/t", [viewer.uri])])
@@ -172,6 +171,44 @@ async def test_who_registers_the_address_of_another_is_removed(
     )
     assert await victim.ask("registerPublisher", "/t", T, victim.uri) == [viewer.uri]
     assert victim.told == []
+
+
+async def test_who_comes_to_the_port_of_one_that_is_gone_is_let_in(
+    world: World, caplog: pytest.LogCaptureFixture
+) -> None:
+    """The address is another's by the registry; whoever answers there, by its key, has it."""
+    gone, heir = await world.node("/gone"), await world.node("/heir")
+    await gone.ask("registerPublisher", "/t", T, heir.uri)
+    assert await heir.ask("registerSubscriber", "/t", T, heir.uri) == []
+    assert f"/gone is removed: /heir answers at {heir.uri}" in caplog.text
+    assert "/heir may not" not in caplog.text
+    eve = await world.node("/eve")
+    with pytest.raises(AnswerRefused, match="registered by another node"):
+        await eve.ask("registerSubscriber", "/t", T, heir.uri)
+    assert caplog.text.count("/eve may not registerSubscriber") == 1
+    assert await eve.ask("lookupNode", "/heir") == heir.uri
+
+
+async def test_nobody_is_doubted_twice_at_a_time(
+    world: World, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rossec.master.server.CALL_DEADLINE", 0.5)
+    loop = asyncio.get_running_loop()
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        silent.setblocking(False)
+        uri = f"http://127.0.0.1:{silent.getsockname()[1]}/"
+        slow, eve, bob = [await world.node(name) for name in ("/slow", "/eve", "/bob")]
+        await slow.ask("registerPublisher", "/t", T, uri)
+        asked = asyncio.ensure_future(eve.ask("registerPublisher", "/t", T, uri))
+        connected, _ = await loop.sock_accept(silent)
+        with connected:
+            with pytest.raises(AnswerRefused, match="registered by another node"):
+                await bob.ask("registerPublisher", "/t", T, uri)
+            assert not asked.done()
+            with pytest.raises(AnswerRefused, match="registered by another node"):
+                await asked
+        assert world.server._doubted == set()
+        assert await bob.ask("lookupNode", "/slow") == uri
 
 
 async def test_a_revoked_node_is_told_nothing_more(world: World) -> None:
@@ -449,3 +486,38 @@ async def test_a_revoked_identity_does_not_end_its_multicall(world: World) -> No
     await other.ask("rossec.updateRevocations", world.site.revoke(eve.member))
     await ends(asked)
     assert not await other.ask("hasParam", "/p2999")
+
+
+async def test_the_limits_of_a_call_are_those_of_the_configuration(
+    world: World, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given: list[dict[str, Any]] = []
+
+    async def note(*args: Any, **limits: Any) -> None:
+        given.append(limits)
+        await serve_calls(*args, **limits)
+
+    monkeypatch.setattr("rossec.master.server.serve_calls", note)
+    world.server._limits = Limits(body=5000, request_seconds=7, idle_seconds=8)
+    client = await world.call_as(world.site.enroll("/node"))
+    assert isinstance(await client.ask("getPid", "/node"), int)
+    assert given == [{"limit": 5000, "request_deadline": 7, "idle_deadline": 8}]
+
+
+async def test_a_revoked_node_is_in_no_answer_from_the_moment_its_list_is_there(
+    world: World,
+) -> None:
+    """Also within one multicall: before the list it is there, then it is not."""
+    camera, viewer = await world.node("/camera"), await world.node("/viewer")
+    await camera.ask("registerPublisher", "/image", T, camera.uri)
+    await camera.ask("registerService", "/reset", "rosrpc://127.0.0.1:9", camera.uri)
+    revoked = world.site.revoke(camera.member)
+    asked = [
+        ("getSystemState",), ("rossec.updateRevocations", revoked), ("getSystemState",),
+        ("lookupNode", "/camera"), ("lookupService", "/reset"),
+    ]  # fmt: skip
+    calls = [{"methodName": name, "params": ["/viewer", *params]} for name, *params in asked]
+    answers: Any = await viewer.client.call("system.multicall", calls)
+    before, taken, after, node, service = (answer[0] for answer in answers)
+    assert (before[2][0], taken[2]) == ([["/image", ["/camera"]]], 1)
+    assert (after[2], node[0], service[0]) == ([[], [], []], -1, -1)

@@ -96,7 +96,7 @@ async def test_streams_of_a_loop_as_well() -> None:
         while True:
             await heard.put(await stream.receive())  # type: ignore[attr-defined]
 
-    server = await serve(handler, "127.0.0.1", 0, BOB, live)
+    server = serve(handler, "127.0.0.1", 0, BOB, live)
     stream = await connect("127.0.0.1", server.port, ALICE, live)
     try:
         await stream.send(b"one")

@@ -4,6 +4,7 @@ import asyncio
 import contextlib
 import errno
 import gc
+import itertools
 import logging
 import socket
 import weakref
@@ -54,7 +55,7 @@ async def echo(stream: Stream) -> None:
 
 @pytest.fixture
 async def server() -> AsyncIterator[SecureServer[FakeIdentity]]:
-    async with await serve(echo, "127.0.0.1", 0, BOB, live) as running:
+    async with serve(echo, "127.0.0.1", 0, BOB, live) as running:
         yield running
 
 
@@ -89,7 +90,7 @@ async def test_units_there_and_back(
 
 @pytest.mark.parametrize("host", ["127.0.0.1", "::1", "localhost"])
 async def test_both_families_on_one_port(host: str) -> None:
-    async with await serve(echo, None, 0, BOB, live) as server:
+    async with serve(echo, None, 0, BOB, live) as server:
         stream = await connect(host, server.port, ALICE, live)
         await stream.send(b"x")
         assert await stream.receive() == b"x"
@@ -128,7 +129,7 @@ async def test_what_is_said_at_once_travels_with_the_last_flight(
         write(self, data)
 
     monkeypatch.setattr(Transport, "write", note)
-    async with await serve(echo, "127.0.0.1", 0, BOB, live) as server:
+    async with serve(echo, "127.0.0.1", 0, BOB, live) as server:
         stream = await call(server)
         await stream.send(b"x" * 1000)
         assert await stream.receive() == b"x" * 1000
@@ -137,7 +138,7 @@ async def test_what_is_said_at_once_travels_with_the_last_flight(
 
 
 async def test_who_says_nothing_still_finishes_the_handshake() -> None:
-    async with await serve(greet, "127.0.0.1", 0, BOB, live) as server:
+    async with serve(greet, "127.0.0.1", 0, BOB, live) as server:
         stream = await call(server)
         assert await stream.receive() == b"welcome"
         stream.abort("done")
@@ -155,7 +156,7 @@ async def test_a_connection_that_ended_holds_nothing() -> None:
         ended.append(weakref.ref(stream._driver))
         await echo(stream)
 
-    async with await serve(serving, "127.0.0.1", 0, BOB, live) as server:
+    async with serve(serving, "127.0.0.1", 0, BOB, live) as server:
         gc.collect()
         gc.disable()  # or it might do the work
         try:
@@ -177,18 +178,39 @@ async def test_a_connection_that_ended_holds_nothing() -> None:
 async def test_a_burst_is_joined_after_its_first_unit(
     server: SecureServer[FakeIdentity], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    now = 1000.0
-    monkeypatch.setattr(secure_module, "monotonic", lambda: now)
+    clock = itertools.count(1)  # a record takes one tick
+    monkeypatch.setattr(secure_module, "monotonic", lambda: next(clock))
     async with await call(server) as stream:
         for unit in (b"alone", b"and ", b"the ", b"others"):
             await stream.send(unit)
         assert stream.backlog == len(b"and the others")
         assert await stream.receive() == b"alone"
         assert await stream.receive() == b"and the others"
-        now += 1
+        next(clock), next(clock)
         await stream.send(b"later")
         assert stream.backlog == 0
         assert await stream.receive() == b"later"
+
+
+async def test_a_unit_alone_is_offered_before_it_is_kept(
+    server: SecureServer[FakeIdentity],
+) -> None:
+    async with await call(server) as stream:
+        told, offered = asyncio.Event(), list[bytes]()
+
+        def take(unit: bytes) -> bool:
+            offered.append(unit)
+            told.set()
+            return unit != b"kept"
+
+        stream.on_ready(told.set, take)
+        for unit in (b"taken", b"kept", b"behind"):
+            await stream.send(unit)
+            await asyncio.wait_for(told.wait(), 10)
+            told.clear()
+        assert offered == [b"taken", b"kept"]
+        assert (stream.next_unit(), stream.next_unit()) == (b"kept", b"behind")
+        assert stream.next_unit() is None
 
 
 async def test_a_slow_reader_stops_the_writer() -> None:
@@ -201,7 +223,7 @@ async def test_a_slow_reader_stops_the_writer() -> None:
         while True:
             got += len(await stream.receive())
 
-    async with await serve(slow, "127.0.0.1", 0, BOB, live) as server:
+    async with serve(slow, "127.0.0.1", 0, BOB, live) as server:
         stream = await call(server)
         sent = 0
         with contextlib.suppress(TimeoutError):
@@ -225,7 +247,7 @@ async def test_a_send_given_up_half_way_ends_the_connection() -> None:
     async def deaf(stream: Stream) -> None:
         await asyncio.sleep(60)
 
-    async with await serve(deaf, "127.0.0.1", 0, BOB, live) as server:
+    async with serve(deaf, "127.0.0.1", 0, BOB, live) as server:
         stream = await call(server)
         await stream.send(b"x" * 3_000_000)  # more than the peer takes unread: it stops reading
         with pytest.raises(TimeoutError):
@@ -243,7 +265,7 @@ async def test_a_crashing_handler_ends_only_its_connection(
         await stream.send(bytes([100 // unit[0]]))
         await echo(stream)
 
-    async with await serve(picky, "127.0.0.1", 0, BOB, live) as server:
+    async with serve(picky, "127.0.0.1", 0, BOB, live) as server:
         bad, good = await call(server), await call(server)
         await bad.send(b"\x00")
         with pytest.raises(ChannelError):
@@ -256,7 +278,7 @@ async def test_a_crashing_handler_ends_only_its_connection(
 
 
 async def test_closing_the_server_ends_everything() -> None:
-    server = await serve(echo, "127.0.0.1", 0, BOB, live)
+    server = serve(echo, "127.0.0.1", 0, BOB, live)
     stream = await call(server)
     await stream.send(b"x")
     await stream.receive()
@@ -289,7 +311,7 @@ async def test_a_stranger_is_refused_on_either_side(server: SecureServer[FakeIde
     stream = await connect("127.0.0.1", server.port, STRANGER, live)
     with pytest.raises(PeerRefused):
         await stream.receive()
-    async with await serve(echo, "127.0.0.1", 0, STRANGER, live) as false:
+    async with serve(echo, "127.0.0.1", 0, STRANGER, live) as false:
         with pytest.raises(IdentityRefused):
             await call(false)
     await still_works(server)
@@ -300,7 +322,7 @@ async def test_a_certificate_that_runs_out_ends_the_connection() -> None:
         found = trust(chain, now)
         return FakeIdentity(found.name, found.public_key, found.certificate, now + 1)
 
-    async with await serve(echo, "127.0.0.1", 0, BOB, short) as server:
+    async with serve(echo, "127.0.0.1", 0, BOB, short) as server:
         stream = await connect("127.0.0.1", server.port, ALICE, short)
         with pytest.raises((IdentityExpired, ConnectionTruncated)):
             await stream.receive()
@@ -362,7 +384,7 @@ async def test_calling_a_plain_server() -> None:
 async def test_the_handshake_deadline(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO)
     limits = Limits(handshake_seconds=1)
-    async with await serve(echo, "127.0.0.1", 0, BOB, live, limits=limits) as server:
+    async with serve(echo, "127.0.0.1", 0, BOB, live, limits=limits) as server:
         stream = await call(server)
         assert await raw(server, b"\x0c\0\0") == b""
         assert "did not finish the handshake in time" in caplog.text
@@ -373,7 +395,7 @@ async def test_the_handshake_deadline(caplog: pytest.LogCaptureFixture) -> None:
 
 @pytest.mark.parametrize("caps", [HalfOpen(per_address=3), HalfOpen(total=3)])
 async def test_half_open_caps_spare_the_others(caps: HalfOpen) -> None:
-    async with await serve(echo, "127.0.0.1", 0, BOB, live, half_open=caps) as server:
+    async with serve(echo, "127.0.0.1", 0, BOB, live, half_open=caps) as server:
         stream = await call(server)
         idle = [await asyncio.open_connection("127.0.0.1", server.port) for _ in range(3)]
         with contextlib.suppress(OSError):
@@ -461,7 +483,7 @@ async def test_a_peer_that_does_not_answer_the_close_is_cut_off(
 
 async def test_the_second_connection_names_certificates() -> None:
     ours, theirs = KnownCertificates(), KnownCertificates()
-    async with await serve(echo, "127.0.0.1", 0, BOB, live, known=theirs) as server:
+    async with serve(echo, "127.0.0.1", 0, BOB, live, known=theirs) as server:
         for count in range(2):
             stream = await connect("127.0.0.1", server.port, ALICE, live, known=ours)
             await stream.send(b"x")
@@ -476,7 +498,7 @@ async def test_the_second_connection_names_certificates() -> None:
 
 async def test_the_hybrid_suite_by_policy() -> None:
     suites = POST_QUANTUM["require"]
-    async with await serve(echo, "127.0.0.1", 0, BOB, live, suites=suites) as server:
+    async with serve(echo, "127.0.0.1", 0, BOB, live, suites=suites) as server:
         stream = await connect("127.0.0.1", server.port, ALICE, live, suites=suites)
         await stream.send(b"x")
         assert await stream.receive() == b"x"
@@ -496,7 +518,7 @@ async def test_units_that_came_while_a_large_one_waited() -> None:
             got += len(await stream.receive())
         await stream.send(b"all")
 
-    async with await serve(count, "127.0.0.1", 0, BOB, live) as server:
+    async with serve(count, "127.0.0.1", 0, BOB, live) as server:
         stream = await call(server)
         large = asyncio.ensure_future(stream.send(bytes(20_000_000)))
         await asyncio.sleep(0.01)
@@ -508,7 +530,7 @@ async def test_units_that_came_while_a_large_one_waited() -> None:
 
 async def test_a_unit_limit_below_what_is_joined() -> None:
     limits = Limits(unit=10)
-    async with await serve(echo, "127.0.0.1", 0, BOB, live, limits=limits) as server:
+    async with serve(echo, "127.0.0.1", 0, BOB, live, limits=limits) as server:
         stream = await connect("127.0.0.1", server.port, ALICE, live, limits=limits)
         for _ in range(5):
             stream.send_nowait(b"1234567")
@@ -527,7 +549,7 @@ async def test_a_unit_limit_below_what_is_joined() -> None:
 
 async def test_a_peer_that_does_not_follow_a_renewal_ends_the_queue() -> None:
     limits = Limits(records=1)
-    async with await serve(echo, "127.0.0.1", 0, BOB, live) as server:
+    async with serve(echo, "127.0.0.1", 0, BOB, live) as server:
         stream = await connect("127.0.0.1", server.port, ALICE, live, limits=limits)
         stream._driver.transport.pause_reading()
         with pytest.raises(LimitExceeded, match="renewal"):  # noqa: PT012 - some sends
@@ -559,7 +581,7 @@ async def test_accepting_goes_on_when_descriptors_come_back(
 
     monkeypatch.setattr(server_module, "bind", bind_exhausted)
     monkeypatch.setattr(server_module, "_REST", 0.01)
-    async with await serve(echo, "127.0.0.1", 0, BOB, live) as server:
+    async with serve(echo, "127.0.0.1", 0, BOB, live) as server:
         await still_works(server)
     assert "too many open files" in caplog.text
     closed = socket.socket()
@@ -576,7 +598,7 @@ async def test_addresses_are_those_of_the_connection(server: SecureServer[FakeId
 
 async def test_keys_are_renewed_by_the_clock() -> None:
     limits = Limits(seconds=1)
-    async with await serve(echo, "127.0.0.1", 0, BOB, live, limits=limits) as server:
+    async with serve(echo, "127.0.0.1", 0, BOB, live, limits=limits) as server:
         stream = await connect("127.0.0.1", server.port, ALICE, live, limits=limits)
         for _ in range(2):
             await stream.send(b"x")
@@ -596,7 +618,7 @@ async def test_small_units_wait_for_a_peer_that_lags() -> None:
             got = (got + await stream.receive())[-3:]
         await stream.send(b"all")
 
-    async with await serve(late, "127.0.0.1", 0, BOB, live) as server:
+    async with serve(late, "127.0.0.1", 0, BOB, live) as server:
         stream = await call(server)
         while stream._driver.writable:
             await stream.send(b"x" * 1000)

@@ -154,18 +154,17 @@ async def test_one_identity_holds_a_bounded_number_of_connections(
     site: Site, robot: Node, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(guests, "PEER_CONNECTIONS", 3)
-    credentials = site.enroll("/viewer").credentials()
     port = int(robot.uri.rstrip("/").rpartition(":")[2])
-    streams = [
-        await connect("127.0.0.1", port, credentials, site.anchor.verify, opening=Flavour.HTTP)
-        for _ in range(3)
-    ]
-    for stream in streams:
-        assert await RpcClient(stream).call("requestTopic", "/viewer", "/t", [["TCPROS"]])
-    one_more = await connect(
-        "127.0.0.1", port, credentials, site.anchor.verify, opening=Flavour.HTTP
-    )
-    await ended(one_more)
+
+    async def met(name: str) -> SecureStream[Identity]:
+        who = site.enroll(name).credentials(), site.anchor.verify
+        return await connect("127.0.0.1", port, *who, opening=Flavour.HTTP)
+
+    callers = ["/viewer"] * 3 + ["/master"] * 4
+    streams = [await met(name) for name in callers]
+    for name, stream in zip(callers, streams, strict=True):
+        assert await RpcClient(stream).call("requestTopic", name, "/t", [["TCPROS"]])
+    await ended(await met("/viewer"))
     await streams[0].close()
 
 

@@ -40,6 +40,12 @@ async def test_a_child_may_and_a_stranger_may_not() -> None:
             ours = Callers({os.getuid()}, os.getpid())
             await ours.check(near)
             await ours.check(near)  # known by now
+            with (
+                socket.create_connection(server.getsockname()),
+                server.accept()[0] as own,
+                pytest.raises(PeerUserRefused, match="belongs to another program"),
+            ):
+                await ours.check(own)  # who is known does not vouch for others
             with pytest.raises(PeerUserRefused, match="belongs to another program"):
                 await Callers({os.getuid()}, child.pid).check(near)
             with pytest.raises(PeerUserRefused, match="may not use this sidecar"):
@@ -67,9 +73,17 @@ async def test_a_listener_beside_the_program_is_nobodys_business() -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         port = server.getsockname()[1]
         with socket.create_server(("127.0.0.2", port)) as other:
-            (holder,) = await Callers({os.getuid()}).check_listener(port)
+            callers = Callers({os.getuid()})
+            (holder,) = await callers.check_listener(port)
             assert holder.inode == os.fstat(server.fileno()).st_ino
+            callers.check_unchanged(port, [holder])
             assert holder.inode != os.fstat(other.fileno()).st_ino
+        server.close()
+        with (
+            socket.create_server(("127.0.0.1", port)),
+            pytest.raises(ConnectionRefusedError, match="changed hands"),
+        ):
+            callers.check_unchanged(port, [holder])
 
 
 async def test_users_of_another_user_namespace_are_nobody(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,13 +2,16 @@
 
 import asyncio
 import struct
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
-from rossec.errors import HeaderRefused
+from grants.errors import GrantExpired, RestrictionMismatch
+from rossec.errors import ChannelClosed, HeaderRefused
 from rossec.ros import header
 from rossec.sidecar.plain import PlainStream
-from rossec.sidecar.pump import split_header
+from rossec.sidecar.pump import guarded, split_header
 from tests.rossec.sidecar.test_plain import pair
 
 
@@ -35,3 +38,59 @@ async def test_a_header_is_bounded_before_it_is_kept() -> None:
         await split_header(far)
     for end in (near, far):
         end.abort()
+
+
+class Judge:
+    """A guard that refuses what begins with an x, until it has expired."""
+
+    def __init__(self, expired: bool = False) -> None:
+        self.expired = expired
+
+    def check(self, now: int) -> None:
+        if self.expired:
+            raise GrantExpired("the grant has expired")
+
+    def treat(self, message: bytes, now: int) -> list[bytes] | None:
+        if message.startswith(b"x"):
+            raise RestrictionMismatch("it cannot be judged")
+        return None if message.startswith(b"-") else [message[:1], message[1:]]
+
+
+class Peer:
+    """Whoever subscribes, and what it was sent."""
+
+    def __init__(self) -> None:
+        self.peer = SimpleNamespace(name="/viewer")
+        self.heard = b""
+
+    async def send(self, *pieces: bytes) -> None:
+        self.heard += b"".join(pieces)
+
+
+async def guard(judge: Judge, *messages: bytes) -> bytes:
+    """What a peer hears of the messages of a program that then ends."""
+    near, far = pair()
+    peer = Peer()
+    await near.send(b"".join(map(header.frame, messages[1:])))
+    closing = asyncio.ensure_future(near.close())
+    guarding: Any = guarded
+    try:
+        await guarding(far, peer, judge, header.frame(messages[0]))
+    except ChannelClosed:
+        return peer.heard
+    finally:
+        far.abort()
+        await closing
+        assert not judge.expired or peer.heard == b""
+    raise AssertionError
+
+
+async def test_what_cannot_be_judged_is_withheld(caplog: pytest.LogCaptureFixture) -> None:
+    heard = await guard(Judge(), b"one", b"x-rated", b"-silent", b"two")
+    assert heard == header.frame(b"one") + header.frame(b"two")
+    assert "withheld a message: it cannot be judged" in caplog.text
+
+
+async def test_nothing_passes_after_the_end_of_the_grant() -> None:
+    with pytest.raises(GrantExpired):
+        await guard(Judge(expired=True), b"one")

@@ -8,6 +8,7 @@ from rossec.home import NodeHome
 from rossec.ros import xmlrpc
 from rossec.ros.settings import parse_uri
 from rossec.ros.xmlrpc import Fault
+from rossec.sidecar import server
 from tests.rossec.sidecar.conversation import Pair
 from tests.rossec.sidecar.program import Program, sidecar
 
@@ -68,6 +69,15 @@ async def test_a_web_page_speaks_for_nobody(pair: Pair) -> None:
     await writer.wait_closed()
 
 
+@pytest.mark.parametrize(("each", "expected"), [(True, "/talker"), (False, "/listener")])
+async def test_whose_identity_an_enrolled_program_uses(
+    pair: Pair, each: bool, expected: str
+) -> None:
+    async with sidecar(pair.site, each=each, identity="/listener") as one:
+        assert one._agent_for("/talker").name == expected
+        assert one._agent_for("/unknown").name == "/listener"
+
+
 async def test_one_identity_for_all_and_empty_multicalls(pair: Pair) -> None:
     async with sidecar(pair.site, each=False, identity="/listener") as one:
         program = Program("/anything", one)
@@ -80,4 +90,14 @@ async def test_one_identity_for_all_and_empty_multicalls(pair: Pair) -> None:
     async with sidecar(pair.site, identity="/listener") as default:
         program = Program("/not/enrolled", default)
         assert await program.ask(default.uri, "getUri") == [1, "", default.uri]
+        await program.close()
+
+
+async def test_identities_in_use_are_bounded(pair: Pair, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(server, "_LIMIT", 0)
+    async with sidecar(pair.site) as one:
+        program = Program("/talker", one)
+        answer = await program.ask(one.uri, "getPid")
+        assert isinstance(answer, list)
+        assert (answer[0], answer[1][:43]) == (-1, "rossec: too many identities in one sidecar ")
         await program.close()
