@@ -1,19 +1,21 @@
 """Nodes that are only there: registered, connected, with a slave API, in a process of their own."""
 
 import asyncio
+import contextlib
 import multiprocessing
 import resource
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
 from multiprocessing.queues import Queue
 
 from bench._lines import Line, request
 from bench._masters import Member
 from ca.certificates import Identity, TrustAnchor
+from rossec.errors import RossecError
 from rossec.net.rpc import RpcClient, serve_calls
 from rossec.net.stream import Flavour, SecureStream, connect, serve
 
 TYPE = "std_msgs/String"
+_ATTEMPTS = 10
 
 
 async def _answer(method: str, params: tuple[object, ...], peer: Identity) -> object:  # noqa: ARG001
@@ -28,6 +30,13 @@ async def join(member: Member, port: int, anchor: TrustAnchor) -> RpcClient:
     """One node: a control connection that stays, a slave API, three registrations, a parameter."""
     slave = serve(_slave, "127.0.0.1", 0, member.credentials, anchor.verify)
     uri = f"http://127.0.0.1:{slave.port}/"
+    for _ in range(_ATTEMPTS):  # as nodes do: a machine that is busy with others may be too slow
+        with contextlib.suppress(RossecError):
+            return await _register(member, uri, port, anchor)
+    raise RuntimeError(f"{member.name} could not register")
+
+
+async def _register(member: Member, uri: str, port: int, anchor: TrustAnchor) -> RpcClient:
     stream = await connect(
         "127.0.0.1", port, member.credentials, anchor.verify, opening=Flavour.HTTP
     )
@@ -66,7 +75,7 @@ def _people(members: Sequence[Member], port: int, anchor: bytes, ready: "Queue[i
     asyncio.run(main())
 
 
-@contextmanager
+@contextlib.contextmanager
 def secure(members: Sequence[Member], port: int, anchor: bytes) -> Iterator[None]:
     """Nodes at our master."""
     ready: Queue[int] = multiprocessing.Queue()
@@ -83,7 +92,7 @@ def secure(members: Sequence[Member], port: int, anchor: bytes) -> Iterator[None
         process.join()
 
 
-@contextmanager
+@contextlib.contextmanager
 def plain(names: Sequence[str], port: int) -> Iterator[None]:
     """Nodes at stock rosmaster, each with a connection that stays."""
     lines = []

@@ -7,7 +7,7 @@ anew when the second, the revocations or the grants change.
 import hashlib
 from collections.abc import Collection
 from dataclasses import dataclass, field
-from typing import Final
+from typing import Final, NamedTuple
 
 from ca.errors import HintedError
 from ca.revocation import Revocations
@@ -22,6 +22,17 @@ MAX_HELD_BYTES: Final = 256 * 1024
 MAX_FAILURES: Final = 256  # refused grants of one key in FAILURES_WITHIN; each costs a verification
 FAILURES_WITHIN: Final = 60  # seconds
 NOTHING: Final = Reach(())
+
+
+class Moment(NamedTuple):
+    """A second, and the list in force: in one moment the same grants hold."""
+
+    now: int
+    revocations: bytes
+    fresh_until: int
+
+
+NEVER: Final = Moment(-1, b"", 0)
 
 
 @dataclass(frozen=True)
@@ -58,37 +69,33 @@ class Held:
     failing_since: int = 0
     version: int = 0
     _reach: Reach = NOTHING
-    _reach_at: tuple[object, ...] = ()
+    _worked_out: tuple[Moment, int] | None = None
     _holding: tuple[bytes, ...] = ()
     _caller: Caller | None = None
 
-    def caller(self, peer: Peer, now: int, revocations: Revocations, *, wildcard: bool) -> Caller:
-        """Who calls; the very same as before while nothing has changed, within one second."""
-        before, caller = self._reach_at, self._caller
-        reach = self.reach(now, revocations)
-        if (
-            caller is None
-            or self._reach_at is not before
-            or (caller.name, caller.wildcard) != (peer.name, wildcard)
-        ):
+    def caller(
+        self, peer: Peer, moment: Moment, revocations: Revocations, *, wildcard: bool
+    ) -> Caller:
+        """Who calls; the very same as before while neither the moment nor a grant has changed."""
+        caller = self._caller
+        if self._worked_out != (moment, self.version):
+            self._work_out(moment, revocations)
+            caller = None
+        if caller is None or caller.name != peer.name or caller.wildcard is not wildcard:
             access = GrantAccess(
-                self.grants.values(), reach, peer.thumbprint, now, revocations.check
+                self.grants.values(), self._reach, peer.thumbprint, moment.now, revocations.check
             )
             caller = self._caller = Caller(peer.name, peer.thumbprint, access, wildcard)
         return caller
 
-    def reach(self, now: int, revocations: Revocations) -> Reach:
-        """What the grants that hold now reach; worked out anew when the answer may differ."""
-        at = now, revocations.data, revocations.fresh_until, self.version
-        if self._reach_at != at:
-            held = [grant for grant in self.grants.values() if _holds(grant, now, revocations)]
-            holding = tuple(grant.id for grant in held)
-            if holding != self._holding:
-                self._reach = Reach(
-                    permission for grant in held for permission in grant.permissions
-                )
-            self._reach_at, self._holding = at, holding
-        return self._reach
+    def _work_out(self, moment: Moment, revocations: Revocations) -> None:
+        """What the grants that hold now reach."""
+        grants = self.grants.values()
+        held = [grant for grant in grants if _holds(grant, moment.now, revocations)]
+        holding = tuple(grant.id for grant in held)
+        if holding != self._holding:
+            self._reach = Reach(permission for grant in held for permission in grant.permissions)
+        self._worked_out, self._holding = (moment, self.version), holding
 
     def drop_expired(self, now: int) -> None:
         """Forget what has ended."""

@@ -20,7 +20,15 @@ from grants.errors import GrantError, GrantNotHeld
 from grants.model import Grant
 from grants.token import Verifier
 from rossec.master.gatekeeper import Caller, Certified, Peer
-from rossec.master.holdings import FAILURES_WITHIN, MAX_HELD, NOTHING, GrantAccess, Held
+from rossec.master.holdings import (
+    FAILURES_WITHIN,
+    MAX_HELD,
+    NEVER,
+    NOTHING,
+    GrantAccess,
+    Held,
+    Moment,
+)
 from rossec.master.renewal import Delegate, forget
 from rossec.master.standing import Presented, Renewed
 
@@ -68,7 +76,7 @@ class Trust:
         self._lists: dict[tuple[str, bytes], bytes] = {}
         self._chains: dict[bytes, tuple[bytes, ...]] = {}  # by the first key: all of an identity
         self._stamp: tuple[int, bytes] = (-1, b"")
-        self._confirmed_at = -1
+        self._moment = NEVER
 
     def caller(self, peer: Certified, now: int) -> Caller:
         """Who calls and what it may do now.
@@ -236,7 +244,7 @@ class Trust:
             for grant in self._known()
             if not self._revocations.entries.isdisjoint((grant.id, grant.holder))
         }
-        self._stamp, self._confirmed_at = (-1, b""), -1
+        self._stamp, self._moment = (-1, b""), NEVER
         return self._revocations.data != before
 
     def keep_only(self, thumbprints: frozenset[bytes], now: int) -> None:
@@ -254,7 +262,7 @@ class Trust:
         self._confirm(now)
         held = self._held.get(peer.thumbprint)
         if held is not None:
-            return held.caller(peer, now, self._revocations, wildcard=wildcard)
+            return held.caller(peer, self._moment, self._revocations, wildcard=wildcard)
         access = GrantAccess((), NOTHING, peer.thumbprint, now, self._revocations.check)
         return Caller(peer.name, peer.thumbprint, access, wildcard)
 
@@ -301,9 +309,12 @@ class Trust:
         )  # fmt: skip
 
     def _confirm(self, now: int) -> None:
-        if self._revocations.held is not None and self._confirmed_at != now:
-            self._revocations.confirm(self._timestamp(now), now)
-            self._confirmed_at = now
+        """Confirm the list to ourselves, once in each second and for each list."""
+        moment, revocations = self._moment, self._revocations
+        if moment.now != now or moment.revocations is not revocations.data:
+            if revocations.held is not None:
+                revocations.confirm(self._timestamp(now), now)
+            self._moment = Moment(now, revocations.data, revocations.fresh_until)
 
     def _timestamp(self, now: int) -> Timestamp:
         return Timestamp(self.number, digest(self._revocations.data), now, MAX_AGE)

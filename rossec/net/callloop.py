@@ -32,8 +32,13 @@ class ServedStream(Protocol[PeerT_co]):
     def peer(self) -> PeerT_co:
         """The authenticated identity at the other end."""
 
-    def on_ready(self, callback: Callable[[], None] | None) -> None:
-        """Whom to call, not at once, whenever `next_unit` has something new to say."""
+    def on_ready(
+        self, callback: Callable[[], None] | None, take: Callable[[bytes], bool] | None = None
+    ) -> None:
+        """Whom to call, not at once, whenever `next_unit` has something new to say.
+
+        `take` may be offered a unit at once instead, and says whether it took it.
+        """
 
     @property
     def has_unit(self) -> bool:
@@ -99,7 +104,7 @@ class CallLoop(Generic[PeerT]):
         try:
             with contextlib.suppress(TimeoutError, RossecError):
                 async with self._scope:
-                    self._stream.on_ready(self._ready)
+                    self._stream.on_ready(self._ready, self._take)
                     self._ready()
                     while (job := await self._job) is not None:
                         self._job = self._loop.create_future()
@@ -123,12 +128,25 @@ class CallLoop(Generic[PeerT]):
     # -- one call
 
     def _ready(self) -> None:
-        """Answer one call if there is one; whatever goes wrong here ends the connection."""
-        if self._busy or self._ended or self._job.cancelled():  # with `run`, a moment ago
-            return
+        """Answer one call if there is one."""
+        if self._is_free():
+            self._go_on(None)
+
+    def _take(self, unit: bytes) -> bool:
+        """The short way: answer the call that has just arrived."""
+        free = self._is_free()
+        if free:
+            self._go_on(unit)
+        return free
+
+    def _is_free(self) -> bool:
+        return not (self._busy or self._ended or self._job.cancelled())  # with `run`, a moment ago
+
+    def _go_on(self, unit: bytes | None) -> None:
+        """Answer the next call; whatever goes wrong here ends the connection."""
         self._busy = True
         try:
-            body = self._next_request()
+            body = self._next_request(unit)
             if body is None:
                 self._busy = False
             else:
@@ -141,16 +159,18 @@ class CallLoop(Generic[PeerT]):
             self._ended = True
             self._job.set_exception(error)
 
-    def _next_request(self) -> bytes | None:
+    def _next_request(self, unit: bytes | None) -> bytes | None:
+        """The body of the next call; `unit` came after all that was kept, if it is not None."""
         http, stream = self._http, self._stream
-        body = http.next_request() if http.pending else None
+        body = http.next_request() if unit is None and http.pending else None
         while body is None:
-            unit = stream.next_unit()
+            if unit is None:
+                unit = stream.next_unit()
             if unit is None:
                 if http.pending and self._late is None:
                     self._late = self._loop.call_later(self._deadline, self._end)
                 return None
-            body = http.feed_whole(unit)
+            body, unit = http.feed_whole(unit), None
         if self._late is not None:
             self._on_time()
         return body

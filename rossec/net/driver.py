@@ -62,6 +62,7 @@ class Driver(Generic[PeerT]):
         self._waiting: list[asyncio.Future[None]] = []
         self._when_writable: list[Callable[[], None]] = []
         self.on_ready: Callable[[], None] | None = None
+        self.on_unit: Callable[[bytes], bool] | None = None
         self._lost = False
         self.authenticated = False
         self.error: ChannelError | None = None
@@ -83,6 +84,10 @@ class Driver(Generic[PeerT]):
             return
         if self.authenticated or not events:
             self.flush()
+        if len(events) == 1 and self.on_unit is not None and self._units is None:
+            event = events[0]
+            if isinstance(event, UnitReceived) and self.on_unit(event.data):
+                return
         for event in events:
             if isinstance(event, UnitReceived):
                 self._deliver(event.data)

@@ -21,7 +21,6 @@ from rossec.net.driver import Driver
 _QUEUE_LIMIT: Final = 1024 * 1024
 _JOIN_LIMIT: Final = 64 * 1024
 _SMALL: Final = 32 * 1024  # below it joining beats a record of its own
-_BURST: Final = 10e-6  # seconds after a record within which another unit belongs to the same burst
 
 
 class SecureStream(Generic[PeerT]):
@@ -63,10 +62,10 @@ class SecureStream(Generic[PeerT]):
     async def send(self, *pieces: Bytes) -> None:
         """Send the pieces as one unit, after what is queued; waits while the peer lags.
 
-        A small unit leaves at once, unless it follows another one within microseconds: such a
-        burst is joined in one record, which leaves at the end of this turn of the loop. A large
-        one must not change until this returns, and a `send` of one that is cancelled while it
-        waits for the peer drops the connection: half a unit cannot be taken back.
+        A small unit leaves at once, unless it follows another one sooner than that one took to
+        send: such a burst is joined in one record, which leaves at the end of this turn of the
+        loop. A large one must not change until this returns, and a `send` of one that is cancelled
+        while it waits for the peer drops the connection: half a unit cannot be taken back.
 
         Raises:
             ChannelError: the connection is at its end.
@@ -119,7 +118,7 @@ class SecureStream(Generic[PeerT]):
             return
         piece = pieces[0] if len(pieces) == 1 else b"".join(pieces)
         unit = piece if isinstance(piece, bytes) else bytes(piece)
-        if now and not self._queue and monotonic() >= self._burst_until:
+        if now and not self._queue and monotonic() > self._burst_until:
             self._write_now(unit)  # the first of a burst does not wait; the others are joined
             return
         if self._queued + size > self._join:
@@ -155,7 +154,9 @@ class SecureStream(Generic[PeerT]):
             self._write_now(unit)
 
     def _write_now(self, unit: bytes) -> None:
+        """Send a record; what follows within the time it took costs less when joined."""
         driver = self._driver
+        began = monotonic()
         try:
             record = driver.connection.seal_small(unit)
             if record is not None:
@@ -166,7 +167,8 @@ class SecureStream(Generic[PeerT]):
         except ChannelError as error:
             driver.fail(error)
             raise
-        self._burst_until = monotonic() + _BURST
+        ended = monotonic()
+        self._burst_until = ended + (ended - began)
 
     def push(self, data: Bytes) -> bool:
         """Send `data` now, as one unit, whether the peer lags or not; false: it does, `drain`.
@@ -226,12 +228,15 @@ class SecureStream(Generic[PeerT]):
         self._write_now(unit)
         return True
 
-    def on_ready(self, callback: Callable[[], None] | None) -> None:
+    def on_ready(
+        self, callback: Callable[[], None] | None, take: Callable[[bytes], bool] | None = None
+    ) -> None:
         """Call back whenever `next_unit` has something new to say: instead of `receive`.
 
-        `callback` must not raise.
+        A unit that came alone is offered to `take` before; if that says yes, it is not kept.
+        Neither must raise.
         """
-        self._driver.on_ready = callback
+        self._driver.on_ready, self._driver.on_unit = callback, take
 
     @property
     def has_unit(self) -> bool:

@@ -143,7 +143,11 @@ class PlainStream:
             self._waiting = asyncio.get_running_loop().create_future()
             await self._waiting
 
-    def on_ready(self, callback: Callable[[], None] | None) -> None:
+    def on_ready(
+        self,
+        callback: Callable[[], None] | None,
+        take: Callable[[bytes], bool] | None = None,  # noqa: ARG002 - what arrives is always kept
+    ) -> None:
         """Whom to call whenever `next_unit` has something new to say, as of `SecureStream`."""
         self._callback = callback
 

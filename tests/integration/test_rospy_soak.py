@@ -14,8 +14,8 @@ from typing import Final
 
 import pytest
 
+from ca.revocation import SKEW
 from grants.model import Right
-from rossec.master.renewal import SKEW
 from tests.support.attacker import call, credentials
 from tests.support.fleet import SECURE, Program, environment, program
 from tests.support.site import DAY, Site

@@ -22,9 +22,12 @@ class MemoryStream:
     closed: bool = False
     lagging: bool = False
     callback: Callable[[], None] | None = None
+    take: Callable[[bytes], bool] | None = None
 
-    def on_ready(self, callback: Callable[[], None] | None) -> None:
-        self.callback = callback
+    def on_ready(
+        self, callback: Callable[[], None] | None, take: Callable[[bytes], bool] | None = None
+    ) -> None:
+        self.callback, self.take = callback, take
 
     @property
     def has_unit(self) -> bool:
@@ -50,6 +53,9 @@ class MemoryStream:
         self.other.arrive(unit)
 
     def arrive(self, unit: bytes | None) -> None:
+        take = self.take if self.inbox.empty() else None
+        if unit is not None and take is not None and take(unit):
+            return
         self.inbox.put_nowait(unit)
         if self.callback is not None:
             self.callback()

@@ -1,7 +1,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rossec.channel.buffers import ReceiveBuffer
+from rossec.channel.buffers import OPEN, SMALL, ReceiveBuffer
 
 
 def put(buffer: ReceiveBuffer, data: bytes) -> int:
@@ -31,6 +31,15 @@ def test_free_is_never_empty() -> None:
     assert len(buffer.free()) > 0
     buffer.consume(4)
     assert len(buffer.free()) == buffer.capacity
+
+
+def test_an_authenticated_peer_gets_more_room() -> None:
+    buffer = ReceiveBuffer()
+    put(buffer, b"a stranger's")
+    assert buffer.capacity == SMALL
+    buffer.trust()
+    buffer.consume(len(buffer))
+    assert len(buffer.free()) == OPEN
 
 
 @given(st.lists(st.tuples(st.binary(max_size=40), st.integers(0, 40), st.integers(0, 60))))

@@ -121,6 +121,23 @@ def test_a_revoked_grant_ends_at_once(world: World) -> None:
     assert not world.may(Right.PUBLISH, "/t")
 
 
+def test_a_list_that_came_by_another_way_counts_at_once_too() -> None:
+    site = Site()
+    node, revocations = site.enroll("/node"), site.revocations()
+    trust = Trust(
+        site.anchor, site.enroll("/master").credentials.signer, revocations, lambda _: None
+    )
+    token = site.grant(node, {"/t": Right.PUBLISH})
+    revocations.update(site.revoke(), site.now)
+    trust.present(trust.caller(node, site.now), [token], site.now)
+    before = trust.caller(node, site.now)
+    assert before.may(Right.PUBLISH, "/t")
+    assert trust.caller(node, site.now) is before
+    revocations.update(site.revoke(token), site.now)
+    assert not trust.caller(node, site.now).may(Right.PUBLISH, "/t")
+    assert not trust.caller(node, site.now + 1).may(Right.PUBLISH, "/t")
+
+
 def test_a_revoked_key_is_nobody(world: World) -> None:
     world.present(world.site.grant(world.node, {"/t": Right.PUBLISH}))
     assert world.trust.caller_of(world.node, world.now) is not None

@@ -73,6 +73,16 @@ async def test_calls_that_came_together_are_answered_one_by_one() -> None:
     await served.task
 
 
+async def test_a_call_in_pieces_is_answered_when_it_is_whole() -> None:
+    served = Served()
+    data = call("now", 1) + call("now", 2)
+    for begin in range(0, len(data), 50):
+        await served.near.send(data[begin : begin + 50])
+    assert [await served.answer() for _ in range(2)] == [["/node", n] for n in (1, 2)]
+    await served.near.close()
+    await served.task
+
+
 async def test_what_takes_time_holds_back_what_follows() -> None:
     served = Served()
     await served.near.send(call("later", 1))

@@ -4,6 +4,7 @@ import asyncio
 import contextlib
 import errno
 import gc
+import itertools
 import logging
 import socket
 import weakref
@@ -177,18 +178,39 @@ async def test_a_connection_that_ended_holds_nothing() -> None:
 async def test_a_burst_is_joined_after_its_first_unit(
     server: SecureServer[FakeIdentity], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    now = 1000.0
-    monkeypatch.setattr(secure_module, "monotonic", lambda: now)
+    clock = itertools.count(1)  # a record takes one tick
+    monkeypatch.setattr(secure_module, "monotonic", lambda: next(clock))
     async with await call(server) as stream:
         for unit in (b"alone", b"and ", b"the ", b"others"):
             await stream.send(unit)
         assert stream.backlog == len(b"and the others")
         assert await stream.receive() == b"alone"
         assert await stream.receive() == b"and the others"
-        now += 1
+        next(clock), next(clock)
         await stream.send(b"later")
         assert stream.backlog == 0
         assert await stream.receive() == b"later"
+
+
+async def test_a_unit_alone_is_offered_before_it_is_kept(
+    server: SecureServer[FakeIdentity],
+) -> None:
+    async with await call(server) as stream:
+        told, offered = asyncio.Event(), list[bytes]()
+
+        def take(unit: bytes) -> bool:
+            offered.append(unit)
+            told.set()
+            return unit != b"kept"
+
+        stream.on_ready(told.set, take)
+        for unit in (b"taken", b"kept", b"behind"):
+            await stream.send(unit)
+            await asyncio.wait_for(told.wait(), 10)
+            told.clear()
+        assert offered == [b"taken", b"kept"]
+        assert (stream.next_unit(), stream.next_unit()) == (b"kept", b"behind")
+        assert stream.next_unit() is None
 
 
 async def test_a_slow_reader_stops_the_writer() -> None:
