@@ -169,8 +169,8 @@ class NodeHome:
             CertificateRefused: it is expired, or not in order.
             ConfigurationError: another node's, or another key's: files were copied or renamed.
         """
-        own = self.credentials()
-        identity = self.anchor().verify(own.chain, now)
+        anchor, own = self.anchor(), self.credentials()
+        identity = anchor.verify(own.chain, now)
         if identity.name != self.name:
             raise ConfigurationError(
                 f"{self.path} holds the identity of {identity.name}, not of {self.name}",
