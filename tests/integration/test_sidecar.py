@@ -219,16 +219,9 @@ def test_only_ciphertext_crosses_the_link(world: World, talker: Running, probe: 
 def test_the_same_over_ipv6(world: World, probe: str) -> None:
     if not world.hosts.real:
         pytest.skip("NOT RUN: network namespaces are not permitted here")
-<<<<<<< ours
     six = replace(world, port=11366, ipv6=True, home=world.directory / "six")
     world.enroll("/six", publish="/six", provide="/six/say")
     world.enroll("/six_ear", subscribe="/six", provide="/six_ear/say")
-=======
-    six = replace(world, port=11366, ipv6=True, site=Site(world.directory / "six"))
-    six.enroll("/six", publish="/six", provide="/six/say")
-    six.enroll("/six_ear", subscribe="/six", provide="/six_ear/say")
-    six.enroll("/rosservice", wildcard=True, call="/**", graph="/**")
->>>>>>> theirs
     with six.master(), six.secured(six.hosts.near, probe, "talker", "/six", "__name:=six"):
         done = six.run(six.hosts.far, probe, "listener", "/six", "3", "__name:=six_ear")
         assert done.returncode == 0, done.stdout + done.stderr
