@@ -64,9 +64,9 @@ class SecureStream(Generic[PeerT]):
         """Send the pieces as one unit, after what is queued; waits while the peer lags.
 
         A small unit leaves at once, unless it follows another one within a part of the time that
-        one took to send: such a burst is joined in one record, which leaves at the end of this turn of the
-        loop. A large one must not change until this returns, and a `send` of one that is cancelled
-        while it waits for the peer drops the connection: half a unit cannot be taken back.
+        one took to send: such a burst is joined in one record, which leaves at the end of this turn
+        of the loop. A large one must not change until this returns; a `send` of one that is
+        cancelled while it waits for the peer drops the connection, as half a unit was sent.
 
         Raises:
             ChannelError: the connection is at its end.
