@@ -74,6 +74,7 @@ class World:
     directory: Path
     port: int = 11311
     ipv6: bool = False
+    home: Path | None = None  # instead of the site's, which is one master's alone
 
     def env(self, host: Host) -> dict[str, str]:
         kept = {key: value for key, value in os.environ.items() if not key.startswith("ROS")}
@@ -81,7 +82,7 @@ class World:
         master = f"[{near.ipv6}]" if self.ipv6 else near.ipv4
         return {
             **kept,
-            "ROSSEC_HOME": str(self.site.root), "ROS_IP": own,
+            "ROSSEC_HOME": str(self.home or self.site.root), "ROS_IP": own,
             "ROS_IPV6": "on" if self.ipv6 else "off",
             "ROS_MASTER_URI": f"http://{master}:{self.port}/",
             "ROS_HOME": str(self.directory), "ROS_LOG_DIR": str(self.directory),
