@@ -21,7 +21,7 @@ from grants.model import Right
 from rossec.sidecar.loopback import free_port
 
 NODES: Final = 50
-ROUNDS: Final = 7
+ROUNDS: Final = 11
 
 
 def _resident(process: int) -> float:

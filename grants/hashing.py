@@ -8,11 +8,13 @@ neither undone nor tried out on guesses. Keys stay with the publisher.
 import hmac
 import re
 from collections.abc import Callable, Iterable, Mapping
-from typing import Final, TypeAlias
+from typing import TYPE_CHECKING, Final, TypeAlias
 
-from grants.codegen import Buffer
 from grants.errors import FilterRefused
 from grants.model import FilterRule
+
+if TYPE_CHECKING:  # a node's home needs no compiler
+    from grants.codegen import Buffer
 
 Keys: TypeAlias = Mapping[str, bytes]
 
@@ -47,7 +49,7 @@ def key_names(rules: Iterable[FilterRule]) -> frozenset[str]:
 
 def pseudonyms(
     name: object, length: int, keys: Keys | None
-) -> Callable[[Buffer], tuple[Buffer, int]]:
+) -> "Callable[[Buffer], tuple[Buffer, int]]":
     """The function from a text to the first `length` hexadecimal digits of its HMAC.
 
     Raises:
@@ -60,11 +62,11 @@ def pseudonyms(
     if key is None or len(key) != FILTER_KEY_SIZE:
         raise FilterRefused(f"the publisher has no key {name!r} of {FILTER_KEY_SIZE} bytes")
 
-    def rewrite(content: Buffer) -> tuple[Buffer, int]:
+    def rewrite(content: "Buffer") -> "tuple[Buffer, int]":
         return hmac.digest(key, bytes(content), "sha256").hex()[:length].encode(), length
 
     return rewrite
 
 
-def _no_key(_: Buffer) -> tuple[Buffer, int]:
+def _no_key(_: "Buffer") -> "tuple[Buffer, int]":
     raise ValueError  # of `codegen.MISFIT`: the message is refused

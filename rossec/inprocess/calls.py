@@ -16,11 +16,11 @@ from ca.errors import HintedError
 from rossec.channel.opening import Flavour
 from rossec.errors import PlainPeer
 from rossec.inprocess.addresses import bracketed
+from rossec.inprocess.doors import CONNECT_TIMEOUT, Stream
 from rossec.inprocess.member import now
 from rossec.inprocess.plainsocket import PlainStream
 from rossec.inprocess.process import Process
 from rossec.inprocess.registrations import REFUSED, REGISTRATIONS
-from rossec.inprocess.sockets import CONNECT_TIMEOUT, Stream
 from rossec.inprocess.xmlrpc import Params, receive_some
 from rossec.net.rpc import CALL_DEADLINE
 from rossec.node.questions import PRESENT, QUESTIONS

@@ -31,11 +31,13 @@ from rospy.impl.validators import ParameterInvalid
 from rossec.errors import ConfigurationError, SettingsRefused
 from rossec.inprocess.addresses import bracketed, parse_rosrpc
 from rossec.inprocess.calls import Client
+from rossec.inprocess.following import Follower
 from rossec.inprocess.outbox import Outbox, write_data
 from rossec.inprocess.process import Process
 from rossec.inprocess.publishing import publish
 from rossec.inprocess.services import Probe
-from rossec.inprocess.sockets import RosSocket, Stand
+from rossec.inprocess.sockets import RosSocket
+from rossec.inprocess.stand import Stand
 from rossec.inprocess.topics import Connections
 from rossec.inprocess.xmlrpc import Server
 
@@ -127,7 +129,7 @@ def hooks(process: Process, start_node: StartNode) -> list[Hook]:
         Hook(transport, "read_header", _plain(connections.read_header), ("self",)),
         Hook(transport, "write_data", write_data, ("self", "data")),
         Hook(
-            pubsub, "robust_connect_subscriber", connections.follow,
+            pubsub, "robust_connect_subscriber", Follower(process).follow,
             ("conn", "dest_addr", "dest_port", "pub_uri", "receive_cb", "resolved_topic_name"),
         ),
         Hook(

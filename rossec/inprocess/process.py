@@ -9,13 +9,14 @@ from typing import Final
 
 from ca.certificates import Identity
 from rossec.errors import ChannelError, ConfigurationError, PlainPeer
+from rossec.inprocess.doors import Doors
 from rossec.inprocess.guardian import Guardian
 from rossec.inprocess.links import Link, Links
 from rossec.inprocess.member import Member
 from rossec.inprocess.plain import Plain
 from rossec.inprocess.registrations import Registrations
 from rossec.inprocess.report import Reporter
-from rossec.inprocess.sockets import Doors, RosSocket
+from rossec.inprocess.sockets import RosSocket
 
 _NAMELESS: Final = "call rospy.init_node first, or name the node: rossec.secure(node='/name')"
 

@@ -15,10 +15,10 @@ from ca.certificates import Identity
 from ca.errors import HintedError, RevocationsStale
 from rossec.channel.opening import REFUSAL, Flavour
 from rossec.errors import ChannelClosed, ChannelError, HttpRefused, XmlRpcRefused
+from rossec.inprocess.doors import Stream
 from rossec.inprocess.member import now
 from rossec.inprocess.plainsocket import PlainStream, peek
 from rossec.inprocess.process import Process
-from rossec.inprocess.sockets import Stream
 from rossec.net.rpc import REQUEST_DEADLINE
 from rossec.node.listener import SLAVE_DEADLINE
 from rossec.node.questions import QUESTIONS, check_question

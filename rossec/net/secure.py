@@ -182,7 +182,8 @@ class SecureStream(Generic[PeerT]):
         """
         driver = self._driver
         driver.check()
-        self._flush_queue()
+        if self._queue:
+            self._flush_queue()
         transport = driver.transport
         small = driver.connection.seal_small(data)
         if small is not None:

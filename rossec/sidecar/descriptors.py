@@ -5,6 +5,7 @@ use select(2), which this one does not. The program may, so it gets the limit it
 """
 
 import resource
+from contextlib import suppress
 from typing import Final, TypeAlias
 
 Limits: TypeAlias = tuple[int, int]
@@ -20,7 +21,8 @@ def raise_limit() -> Limits:
     soft, hard = before
     wanted = ENOUGH if hard == resource.RLIM_INFINITY else min(hard, ENOUGH)
     if soft != resource.RLIM_INFINITY and soft < wanted:
-        resource.setrlimit(_WHICH, (wanted, hard))
+        with suppress(OSError, ValueError):  # a container may forbid it: then fewer must do
+            resource.setrlimit(_WHICH, (wanted, hard))
     return before
 
 

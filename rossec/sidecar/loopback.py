@@ -9,7 +9,7 @@ import contextlib
 import logging
 import socket
 from collections.abc import Awaitable, Callable
-from typing import Final
+from typing import Final, TypeVar
 
 from rossec.errors import PeerUserRefused
 from rossec.net.tasks import TaskSet
@@ -24,6 +24,7 @@ _REST: Final = 1.0  # seconds, when this process is out of descriptors
 
 _log = logging.getLogger("rossec.sidecar")
 Handler = Callable[[PlainStream], Awaitable[None]]
+Bound = TypeVar("Bound")
 
 
 class LoopbackPort:
@@ -113,21 +114,29 @@ def reserve(port: int = 0) -> socket.socket:
     Raises:
         OSError: the port is taken.
     """
-    for attempt in range(_ATTEMPTS):
-        sock = socket.socket()
-        # A service's own port may be in TIME_WAIT from before; it never rests.
-        sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, int(port != 0))
-        sock.setblocking(False)
-        try:
-            sock.bind((LOOPBACK, port or free_port()))
-            sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 0)
-        except OSError:
-            sock.close()
-            if port or attempt == _ATTEMPTS - 1:
-                raise
-        else:
-            return sock
-    raise OSError("no free port")
+    return _bound(port, again=True) if port else on_free_port(_bound)
+
+
+def _bound(port: int, *, again: bool = False) -> socket.socket:
+    sock = socket.socket()
+    # A service's own port may be in TIME_WAIT from before; it never rests.
+    sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, int(again))
+    sock.setblocking(False)
+    try:
+        sock.bind((LOOPBACK, port))
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 0)
+    except BaseException:
+        sock.close()
+        raise
+    return sock
+
+
+def on_free_port(bind: Callable[[int], Bound]) -> Bound:
+    """What `bind` makes of a free port; where another process was faster, of the next one."""
+    for _ in range(_ATTEMPTS - 1):
+        with contextlib.suppress(OSError):
+            return bind(free_port())
+    return bind(free_port())
 
 
 def free_port() -> int:

@@ -21,9 +21,8 @@ from rossec.ros.header import MESSAGE_LIMIT
 from rossec.ros.settings import is_loopback
 from rossec.ros.xmlrpc import BODY_LIMIT
 from rossec.sidecar.addresses import Endpoint
-from rossec.sidecar.loopback import free_port
+from rossec.sidecar.loopback import on_free_port
 
-_ATTEMPTS: Final = 16
 _CALL: Final = Limits(unit=2 * BODY_LIMIT)  # however it is written
 _DIALLED: Final = {Flavour.HTTP: _CALL, Flavour.TCPROS: Limits()}
 _ACCEPTED: Final = {  # peers send headers and requests; what programs send leaves in small units
@@ -87,14 +86,10 @@ class Network:
         The port is named when it is bound, so that the kernel keeps it while the server rests.
         """
         bind = host if is_loopback(host) else None
-        for attempt in range(_ATTEMPTS):
-            try:
-                return serve(
-                    handler, bind, free_port(), self._credentials, self._anchor.verify,
-                    accept={flavour}, limits=_ACCEPTED[flavour], half_open=self._half_open,
-                    suites=self._suites, known=self._known,
-                )  # fmt: skip
-            except OSError:
-                if attempt == _ATTEMPTS - 1:
-                    raise
-        raise AssertionError
+        return on_free_port(
+            lambda port: serve(
+                handler, bind, port, self._credentials, self._anchor.verify,
+                accept={flavour}, limits=_ACCEPTED[flavour], half_open=self._half_open,
+                suites=self._suites, known=self._known,
+            )
+        )  # fmt: skip

@@ -181,6 +181,28 @@ async def test_one_identity_cannot_take_every_thread(victim: Victim) -> None:
             stream.abort("enough")
 
 
+async def test_a_revoked_identity_is_told_nothing(victim: Victim) -> None:
+    """D2: not even where a topic is, over a connection made after its revocation."""
+    site = victim.site
+    traitor = credentials(site, "/traitor")
+    ask = "requestTopic", "/traitor", STATE, [["TCPROS"]]
+    answer = await call(victim.uri, traitor, *ask)
+    assert isinstance(answer, list)
+    assert answer[0] == 1
+    open_still = await dial(victim.uri, traitor)
+    data = site.revoke(site.identity("/traitor").thumbprint)
+    await victim.viewer._session.call("rossec.updateRevocations", data)
+    async with asyncio.timeout(20):
+        await open_still.wait_ended()
+    for _ in range(5):
+        with contextlib.suppress(ChannelError):  # hung up on, by the watch over connections
+            answer = await call(victim.uri, traitor, *ask)
+            assert isinstance(answer, list)
+            assert answer[0] == -1
+            assert answer[1].endswith("is revoked")
+    await victim.goes_on(3)
+
+
 async def test_an_administrator_ends_the_node(victim: Victim) -> None:
     """What `rosnode kill` needs; the last thing that happens here."""
     with contextlib.suppress(ChannelError):  # as stock: it may end before it has answered

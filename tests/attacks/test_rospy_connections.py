@@ -20,6 +20,7 @@ from rossec.channel.opening import REFUSAL, tcpros_refusal
 from rossec.channel.states import Authenticated, UnitReceived
 from rossec.demo.stranger import believe_anyone
 from rossec.errors import ChannelError
+from rossec.inprocess.links import PEER_CONNECTIONS
 from rossec.net.halfopen import HalfOpen
 from rossec.net.rpc import serve_calls
 from rossec.net.stream import SecureStream, connect, serve
@@ -339,3 +340,23 @@ async def test_an_expired_grant_cuts_to_the_second(victim: Victim) -> None:
         await until(lambda: "cut /guest" in victim.said, within=20)
         await until(lambda: not sight.links, within=20)
         await victim.goes_on()
+
+
+async def test_one_identity_holds_only_so_many_connections(victim: Victim) -> None:
+    """N8: also where it is entitled; the others get through, and its key ends all of them (D2)."""
+    site, name = victim.site, "/many"
+    grants = [site.grant(name, Right.CALL, SERVICE)]
+    own = credentials(site, name)
+    fields = for_service(name, SERVICE, grants, persistent="1")
+    streams = []
+    for _ in range(PEER_CONNECTIONS):
+        streams.append(await connect(HOST, victim.port, own, site.anchor.verify))
+        await streams[-1].send(header.encode(fields))
+        assert b"callerid=/robot" in await streams[-1].receive()
+    expect_refusal(await heard(victim, fields, name), "has 64 connections already")
+    data = site.revoke(site.identity(name).thumbprint)
+    await victim.viewer._session.call("rossec.updateRevocations", data)
+    async with asyncio.timeout(20):
+        for stream in streams:
+            await stream.wait_ended()
+    await victim.goes_on()

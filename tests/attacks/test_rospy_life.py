@@ -1,6 +1,5 @@
 """What a connection of a rospy process lives through: revocation, a fork, hours without a word."""
 
-import socket
 from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Final
@@ -9,8 +8,7 @@ import pytest
 import pytest_asyncio
 
 from grants.model import Right
-from rossec.net.halfopen import HalfOpen
-from tests.support.attacker import HOST, call, credentials
+from tests.support.attacker import call, credentials
 from tests.support.fleet import SECURE, Program, entitle, environment, program
 from tests.support.site import Site
 
@@ -18,11 +16,11 @@ pytestmark = [pytest.mark.ros, pytest.mark.asyncio(loop_scope="module")]
 
 FAST: Final = """
 import struct
-import rossec.inprocess.sockets as sockets
+import rossec.inprocess.doors as doors
 import rossec.net.carrier
 rossec.net.carrier._SLICE = struct.pack("ll", 1, 0)  # how often a reader looks at the clock
 from rossec.channel.records import Limits
-sockets.LIMITS = Limits(seconds=1)
+doors.LIMITS = Limits(seconds=1)
 """
 ROBOT: Final = (
     SECURE
@@ -185,7 +183,9 @@ rospy.spin()
 )
 
 
-async def test_a_publisher_that_was_besieged_is_found_afterwards(tmp_path: Path) -> None:
+async def test_a_publisher_that_was_besieged_is_found_afterwards(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """N8: its half-open places are taken when a subscriber comes, which tries again."""
     async with Site(tmp_path / "site").running() as site:
         site.publish("/robot", "/robot/words")
@@ -193,11 +193,10 @@ async def test_a_publisher_that_was_besieged_is_found_afterwards(tmp_path: Path)
         async with site.node("/robot") as robot:
             words = await robot.publisher("/robot/words", "std_msgs/String", latch=True)
             words.publish(words.create(data="at last"))
-            assert robot._listener is not None
-            where = HOST, robot._listener.topic_port
-            siege = [socket.create_connection(where) for _ in range(HalfOpen().per_address)]
-            async with program(environment(site, tmp_path / "logs"), PATIENT) as patient:
-                await patient.hears("cannot connect to 127.0.0.1")
-                for one in siege:
-                    one.close()
-                await patient.hears("HEARD at last")
+            topics = robot._listener._servers[1]
+            with monkeypatch.context() as siege:
+                siege.setattr(topics, "_admit", lambda _: False)
+                async with program(environment(site, tmp_path / "logs"), PATIENT) as patient:
+                    await patient.hears("cannot connect to 127.0.0.1")
+                    siege.undo()
+                    await patient.hears("HEARD at last")

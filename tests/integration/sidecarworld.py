@@ -5,6 +5,7 @@ Nothing is faked: `rossec master` and `rossec run` are started as a person start
 
 import contextlib
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -74,7 +75,7 @@ class World:
     directory: Path
     port: int = 11311
     ipv6: bool = False
-    home: Path | None = None  # instead of the site's, which is one master's alone
+    home: Path | None = None  # that of the master, if it is not the site's
 
     def env(self, host: Host) -> dict[str, str]:
         kept = {key: value for key, value in os.environ.items() if not key.startswith("ROS")}
@@ -82,7 +83,7 @@ class World:
         master = f"[{near.ipv6}]" if self.ipv6 else near.ipv4
         return {
             **kept,
-            "ROSSEC_HOME": str(self.home or self.site.root), "ROS_IP": own,
+            "ROSSEC_HOME": str(self.site.root), "ROS_IP": own,
             "ROS_IPV6": "on" if self.ipv6 else "off",
             "ROS_MASTER_URI": f"http://{master}:{self.port}/",
             "ROS_HOME": str(self.directory), "ROS_LOG_DIR": str(self.directory),
@@ -103,8 +104,10 @@ class World:
         newest = self.site.authority.store.newest_list()
         assert newest is not None
         self.site.enroll(MASTER).save_revocations(newest)
-        port = str(self.port)
-        with self.started(self.hosts.near, ROSSEC, "master", "-p", port, *options) as running:
+        if self.home is not None:
+            shutil.copytree(self.site.root, self.home)
+        command = "env", f"ROSSEC_HOME={self.home or self.site.root}", ROSSEC, "master"
+        with self.started(self.hosts.near, *command, "-p", str(self.port), *options) as running:
             running.wait_for("master of home at")
             yield running
 

@@ -26,9 +26,9 @@ TOPIC: Final = "/day/count"
 SECONDS: Final = 15.0
 LIFETIME: Final = 7
 FAST: Final = """
-import rossec.inprocess.sockets as sockets
+import rossec.inprocess.doors as doors
 from rossec.channel.records import Limits
-sockets.LIMITS = Limits(records=64, seconds=1)
+doors.LIMITS = Limits(records=64, seconds=1)
 import rossec.node.renewal
 rossec.node.renewal.RETRY = 1
 """

@@ -1,7 +1,6 @@
 """Unmodified ROS programs of Debian on two hosts, secured from outside."""
 
 import asyncio
-import shutil
 import signal
 from collections.abc import Iterator
 from dataclasses import replace
@@ -220,11 +219,9 @@ def test_only_ciphertext_crosses_the_link(world: World, talker: Running, probe: 
 def test_the_same_over_ipv6(world: World, probe: str) -> None:
     if not world.hosts.real:
         pytest.skip("NOT RUN: network namespaces are not permitted here")
+    six = replace(world, port=11366, ipv6=True, home=world.directory / "six")
     world.enroll("/six", publish="/six", provide="/six/say")
     world.enroll("/six_ear", subscribe="/six", provide="/six_ear/say")
-    home = world.directory / "six"
-    shutil.copytree(world.site.root, home, ignore=shutil.ignore_patterns("*.sock"))
-    six = replace(world, port=11366, ipv6=True, home=home)
     with six.master(), six.secured(six.hosts.near, probe, "talker", "/six", "__name:=six"):
         done = six.run(six.hosts.far, probe, "listener", "/six", "3", "__name:=six_ear")
         assert done.returncode == 0, done.stdout + done.stderr

@@ -461,6 +461,18 @@ def test_the_short_way_for_small_units() -> None:
     assert w.left.core.seal_small(b"closed") is None
 
 
+def test_what_was_put_back_goes_first() -> None:
+    w = joined()
+    record = w.left.core.seal_small(b"first")
+    assert record is not None
+    w.right.give(bytes(record[:10]))
+    w.left.core.put_back(record[10:])
+    w.left.core.put_back(b"")
+    w.left.core.send_unit(b"second")
+    w.pump()
+    assert w.right.units == [b"first", b"second"]
+
+
 def test_units_never_interleave() -> None:
     w = joined()
     records = w.left.core.seal_unit(b"x" * 600_000)

@@ -1,9 +1,16 @@
 import pytest
 
 from ca.encoding import Value, encode
-from rossec.channel.credentials import MAX_CHAIN, Credentials, encode_id_cred, x5chain
+from rossec.channel.credentials import (
+    MAX_CHAIN,
+    Credentials,
+    LiveCredentials,
+    encode_id_cred,
+    x5chain,
+)
+from rossec.channel.suites import verify_es256
 from rossec.errors import HandshakeFailed, UnknownCredential
-from tests.support.wire import ALICE
+from tests.support.wire import ALICE, BOB
 
 
 @pytest.mark.parametrize("length", range(1, MAX_CHAIN + 1))
@@ -48,3 +55,13 @@ def test_the_short_way_to_id_cred(id_cred: Value) -> None:
 def test_a_reference_is_unknown_where_none_is_kept() -> None:
     with pytest.raises(UnknownCredential):
         x5chain({34: [-15, b"12345678"]})
+
+
+def test_live_credentials_are_the_newest() -> None:
+    live = LiveCredentials(ALICE)
+    assert live.certificate == ALICE.certificate
+    live.current = Credentials(BOB.signer, BOB.chain, shared=True)
+    assert live.certificate == BOB.certificate
+    assert live.id_cred == BOB.id_cred
+    assert live.shared
+    verify_es256(BOB.signer.public_key, live.sign(b"message"), b"message")

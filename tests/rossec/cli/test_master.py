@@ -87,7 +87,8 @@ from rossec.net.server import bind
 assert rossec.get_command(None, "master") is not None
 for listener in bind("127.0.0.1", 0):
     listener.close()
-heavy = ["numpy", "ruamel", "sqlite3", "zoneinfo", "difflib", "encodings.idna", "rossec.node"]
+heavy = ["numpy", "ruamel", "sqlite3", "zoneinfo", "difflib", "encodings.idna"]
+heavy += ["grants.layout", "grants.conditions", "rossec.node"]
 print([name for name in heavy if name in sys.modules])
 """
 

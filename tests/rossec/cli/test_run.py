@@ -115,8 +115,10 @@ def test_refusals_teach(tmp_path: Path, arguments: list[str], code: int, words: 
 def test_ctrl_c_ends_it_without_a_word_while_it_looks_for_a_master(tmp_path: Path) -> None:
     site = Site(tmp_path / "site")
     site.enroll("/robot")
+    # A shell lets what it runs in the background ignore Ctrl-C, and so these tests.
+    heeding = ["env", "--default-signal=INT"]
     with subprocess.Popen(
-        [BIN, "run", "--", "true"], text=True, stderr=subprocess.PIPE,
+        [*heeding, BIN, "run", "--", "true"], text=True, stderr=subprocess.PIPE,
         env={**os.environ, "ROSSEC_HOME": str(site.root), "ROS_MASTER_URI": "discover:"},
     ) as running:  # fmt: skip
         command = Path(f"/proc/{running.pid}/cmdline")

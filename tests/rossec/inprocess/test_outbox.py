@@ -62,6 +62,7 @@ async def test_what_waits_goes_out_as_one() -> None:
     made = connection()
     box = outbox.Outbox(made, 0)
     assert box.endpoint_id == "/x"
+    assert box.socket is made.socket
     with pytest.raises(AttributeError):
         _ = box.__nothing__
     made.socket.gate.clear()

@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 
+from grants.errors import GrantError
 from tests.support.rosconnection import connection
 
 pytestmark = pytest.mark.ros
@@ -25,12 +26,73 @@ def test_nothing_for_a_connection_without_a_right() -> None:
     assert publishing._offer("/x", b"\1\0\0\0a", [broken]) == [broken]
 
 
+class Guard:
+    """Treats every message alike, and notes how often."""
+
+    def __init__(self, key: str, *pieces: bytes, error: GrantError | None = None) -> None:
+        self.key = key
+        self.pieces: Any = pieces or None
+        self.error = error
+        self.seen: list[bytes] = []
+
+    def treat(self, message: memoryview, _now: int) -> Any:
+        self.seen.append(bytes(message))
+        if self.error is not None:
+            raise self.error
+        return self.pieces
+
+
+def guarded(guard: Guard, noted: list[Any]) -> Any:
+    stream = SimpleNamespace(peer=SimpleNamespace(name="/viewer"))
+    made = connection(SimpleNamespace(ends=1 << 40, guard=guard, stream=stream))
+    made.write_data = noted.append
+    return made
+
+
+def test_each_treatment_is_applied_once() -> None:
+    coarse, large = Guard("coarse", b"a", b"bc"), Guard("large", bytes(200_000), b"d")
+    noted: list[Any] = []
+    connections = [guarded(guard, noted) for guard in (coarse, large, coarse)]
+    assert publishing._offer("/x", b"\1\0\0\0m", connections) == []
+    small = b"\3\0\0\0abc"
+    assert noted == [small, ((200_001).to_bytes(4, "little"), bytes(200_000), b"d"), small]
+    assert coarse.seen == large.seen == [b"m"], "without its length"
+
+
+def test_what_is_withheld(caplog: pytest.LogCaptureFixture) -> None:
+    noted: list[Any] = []
+    nothing, failing = Guard("nothing"), Guard("failing", error=GrantError("a NaN"))
+    connections = [guarded(guard, noted) for guard in (nothing, failing)]
+    assert publishing._offer("/x", b"\1\0\0\0m", connections) == []
+    assert noted == []
+    assert "/x: withheld from /viewer: a NaN" in caplog.text
+
+
+def test_nothing_more_is_said_while_the_node_shuts_down(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(publishing, "is_shutdown", lambda: True)
+    noted: list[Any] = []
+    taker = connection(SimpleNamespace(ends=1 << 40, guard=None))
+    taker.write_data = noted.append
+    made = topic(connections=[taker], is_latch=False)
+    publishing.publish(made, message())
+    made.closed = True
+    publishing.publish(made, message())
+    made.closed = False
+
+    def close() -> bool:
+        made.closed = True
+        made.buff.inner.close()
+        return True
+
+    made.has_connections = close
+    publishing.publish(made, message())
+    assert noted == []
+
+
 class Buffer:
     """As rospy's topics have one."""
 
     def __init__(self) -> None:
-        from io import BytesIO
-
         self.inner = BytesIO()
 
     def __getattr__(self, name: str) -> Any:

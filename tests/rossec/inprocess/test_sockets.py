@@ -13,9 +13,11 @@ import pytest
 from rossec.channel.opening import Flavour
 from rossec.errors import ChannelClosed, ChannelError
 from rossec.inprocess import plainsocket, sockets
+from rossec.inprocess.doors import Doors
 from rossec.inprocess.member import Member
 from rossec.inprocess.plain import Plain
-from rossec.inprocess.sockets import Doors, RosSocket, Stand
+from rossec.inprocess.sockets import RosSocket
+from rossec.inprocess.stand import Stand
 from rossec.net.halfopen import HalfOpen
 from tests.rossec.net.test_blocking import background
 from tests.support.site import Site

@@ -3,6 +3,7 @@
 import os
 import socket
 import struct
+from typing import Self
 
 import pytest
 
@@ -75,3 +76,48 @@ def test_a_listener_at_every_address(host: str) -> None:
 def test_what_is_no_answer_is_refused(data: bytes) -> None:
     with pytest.raises(OSError, match=r"answer|not supported"):
         sockdiag.parse(data)
+
+
+ROW = sockdiag.Entry(1, (b"\x7f\0\0\1", 5000), (b"\x7f\0\0\1", 6000), 1000, 4711)
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        ROW._replace(state=10),
+        ROW._replace(state=6),
+        ROW._replace(near=(b"\x7f\0\0\1", 5001)),
+        ROW._replace(far=(b"\x7f\0\0\2", 6000)),
+    ],
+)
+def test_only_the_very_connection_counts(
+    monkeypatch: pytest.MonkeyPatch, other: sockdiag.Entry
+) -> None:
+    ends = ("127.0.0.1", 5000), ("127.0.0.1", 6000)
+    monkeypatch.setattr(sockdiag, "_ask", lambda _: ROW)
+    assert sockdiag.find(*ends) == ROW
+    assert sockdiag.listener(ends[0]) is None, "it is no listener"
+    monkeypatch.setattr(sockdiag, "_ask", lambda _: other)
+    assert sockdiag.find(*ends) is None
+
+
+class Stranger:
+    """A netlink socket on which another process answers."""
+
+    def __init__(self, *_: object) -> None: ...
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None: ...
+
+    def send(self, _: bytes) -> None: ...
+
+    def recvfrom(self, _: int) -> tuple[bytes, tuple[int, int]]:
+        return message(20, bytes(72)), (4711, 0)
+
+
+def test_nobody_answers_for_the_kernel(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(socket, "socket", Stranger)
+    with pytest.raises(OSError, match="an answer from somebody else"):
+        sockdiag.find(("127.0.0.1", 5000), ("127.0.0.1", 6000))

@@ -23,12 +23,17 @@ async def test_revocation_cuts_the_conversation(pair: Pair) -> None:
     await ends(source)
 
 
-async def test_an_expired_grant_cuts_the_conversation(pair: Pair) -> None:
+async def test_an_expired_grant_cuts_the_conversation(
+    pair: Pair, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
     for file in pair.site.enroll("/listener").path.glob("grants/*"):
         file.unlink()
-    pair.site.subscribe("/listener", "/word", lifetime=3)
+    pair.site.subscribe("/listener", "/word", lifetime=60)
     stream, source = await connect(pair)
+    later = SimpleNamespace(time=lambda: time.time() + 60)
+    monkeypatch.setattr("rossec.node.watch.time", later)
     await ends(stream)
+    assert "cut /listener: its grant or its certificate has expired" in caplog.text
     await ends(source)
 
 

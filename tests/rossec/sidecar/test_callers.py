@@ -73,9 +73,17 @@ async def test_a_listener_beside_the_program_is_nobodys_business() -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         port = server.getsockname()[1]
         with socket.create_server(("127.0.0.2", port)) as other:
-            (holder,) = await Callers({os.getuid()}).check_listener(port)
+            callers = Callers({os.getuid()})
+            (holder,) = await callers.check_listener(port)
             assert holder.inode == os.fstat(server.fileno()).st_ino
+            callers.check_unchanged(port, [holder])
             assert holder.inode != os.fstat(other.fileno()).st_ino
+        server.close()
+        with (
+            socket.create_server(("127.0.0.1", port)),
+            pytest.raises(ConnectionRefusedError, match="changed hands"),
+        ):
+            callers.check_unchanged(port, [holder])
 
 
 async def test_users_of_another_user_namespace_are_nobody(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -30,3 +30,12 @@ def test_it_is_raised_as_far_as_it_goes(
     assert made == raised
     descriptors.restore_limit(before)
     assert made == [*raised, before]
+
+
+def test_where_it_cannot_be_raised_it_stays(monkeypatch: pytest.MonkeyPatch) -> None:
+    def forbidden(*_: object) -> None:
+        raise PermissionError
+
+    monkeypatch.setattr(resource, "getrlimit", lambda _: (1024, 4096))
+    monkeypatch.setattr(resource, "setrlimit", forbidden)
+    assert descriptors.raise_limit() == (1024, 4096)

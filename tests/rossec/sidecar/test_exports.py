@@ -5,9 +5,16 @@ import asyncio
 import pytest
 
 from grants.model import Restriction, Right, filter_rules
+from rossec.channel.opening import Flavour
 from rossec.errors import RossecError
 from rossec.net.dial import dial
+from rossec.net.rpc import RpcClient
+from rossec.node.access import FIELD
+from rossec.ros import header
 from rossec.ros.settings import parse_uri
+from rossec.sidecar.addresses import Endpoint
+from rossec.sidecar.agent import Agent
+from rossec.sidecar.pump import split_header
 from tests.rossec.sidecar.conversation import Pair, connect, ends, heard
 from tests.rossec.sidecar.program import word
 
@@ -86,3 +93,33 @@ async def test_a_program_that_died_is_refused_as_a_dead_node_is(pair: Pair) -> N
     assert again[2] == answer[2], "the number must not change"
     with pytest.raises(ConnectionRefusedError):
         await dial(*parse_uri(again[2]), 10)
+
+
+async def door(pair: Pair, flavour: Flavour) -> tuple[Agent, Endpoint]:
+    """The listener's identity, and where peers meet the talker."""
+    await connect(pair)
+    exports = pair.near._agent_for("/talker")._exports.doorways
+    (port,) = (server.port for place, server in exports._doors.items() if place.flavour is flavour)
+    return pair.far._agent_for("/listener"), Endpoint(flavour, "127.0.0.1", port)
+
+
+async def test_a_subscriber_that_says_more_than_its_header_is_cut(pair: Pair) -> None:
+    agent, place = await door(pair, Flavour.TCPROS)
+    asked = {"callerid": b"/listener", "topic": b"/word", "type": b"*", "md5sum": b"*"}
+    proof = {FIELD: agent.proof(Right.SUBSCRIBE, "/word")}
+    for fields, more in ((asked | proof, b"more"), (asked, b"")):
+        stream = await agent.dial(place)
+        await stream.send(header.encode(fields) + more)
+        answer, _ = await split_header(stream)
+        assert ("error" in answer) is (fields == asked)
+        with pytest.raises(RossecError):
+            await stream.receive()
+
+
+async def test_what_is_for_the_master_alone(pair: Pair) -> None:
+    agent, place = await door(pair, Flavour.HTTP)
+    client = RpcClient(await agent.dial(place))
+    params = ("/master", b"list", b"timestamp")
+    answer = await client.call("rossec.revocationUpdate", *params)
+    assert answer == [-1, "rossec: rossec.revocationUpdate is for the master alone", 0]
+    await client.close()

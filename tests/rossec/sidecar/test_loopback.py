@@ -132,3 +132,41 @@ async def test_a_slow_program_slows_the_sender() -> None:
     await stream.close()
     await door.close()
     assert received == 32_000_000
+
+
+async def test_too_many_at_once_are_let_go(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(loopback, "_CONNECTIONS", 1)
+    door = LoopbackPort(ANYBODY, echo)
+    door.open()
+    stream = PlainStream(await dial("127.0.0.1", door.port, 10))
+    await stream.send(b"hello")
+    assert await stream.receive() == b"hello"
+    with pytest.raises(ChannelClosed):
+        await greeted(door.port)
+    assert f"too many connections at loopback port {door.port}" in caplog.text
+    await stream.close()
+    await door.close()
+
+
+async def test_a_mistake_of_ours_lets_nobody_in(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def crash(_: socket.socket) -> None:
+        raise ArithmeticError
+
+    monkeypatch.setattr(ANYBODY, "check", crash)
+    door = LoopbackPort(ANYBODY, echo)
+    door.open()
+    with pytest.raises(ChannelClosed):
+        await greeted(door.port)
+    await door.close()
+
+
+async def test_another_free_port_where_one_is_taken_meanwhile(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        monkeypatch.setattr(loopback, "free_port", lambda: port)
+        with pytest.raises(OSError, match="in use"):
+            reserve()

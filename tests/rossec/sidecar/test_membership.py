@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from grants.model import Right
 from rossec.channel.opening import Flavour
 from rossec.errors import HangUp, RossecError
 from rossec.sidecar.addresses import Endpoint, inside
@@ -105,3 +106,20 @@ async def test_a_dead_program_does_not_come_back_in_the_place_of_its_successor(
         ]
         await pair.listener.register("registerSubscriber", "/word", "std_msgs/String")
         assert [method for method, _ in successor.calls if method == "shutdown"] == []
+
+
+async def test_a_grant_that_arrives_counts_while_the_program_runs(
+    pair: Pair, caplog: pytest.LogCaptureFixture
+) -> None:
+    """What the master refuses is told in the log: a program may not show it."""
+    talker = pair.talker
+    wanted = ("registerPublisher", "/late", "std_msgs/String", talker.uri)
+    refused = await talker.ask(talker.master_uri, *wanted)
+    assert isinstance(refused, list)
+    assert refused[0] == -1
+    assert "the master refuses registerPublisher: /talker needs the right publish" in caplog.text
+    pair.site.publish("/talker", "/late")
+    agent = pair.near._agent_for("/talker")
+    access = agent.tenant.access
+    await until(lambda: access.holds(Right.PUBLISH, "/late", pair.site.now()), within=20)
+    assert await talker.register(*wanted[:3]) == []

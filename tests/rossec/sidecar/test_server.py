@@ -8,6 +8,7 @@ from rossec.home import NodeHome
 from rossec.ros import xmlrpc
 from rossec.ros.settings import parse_uri
 from rossec.ros.xmlrpc import Fault
+from rossec.sidecar import server
 from tests.rossec.sidecar.conversation import Pair
 from tests.rossec.sidecar.program import Program, sidecar
 
@@ -89,4 +90,14 @@ async def test_one_identity_for_all_and_empty_multicalls(pair: Pair) -> None:
     async with sidecar(pair.site, identity="/listener") as default:
         program = Program("/not/enrolled", default)
         assert await program.ask(default.uri, "getUri") == [1, "", default.uri]
+        await program.close()
+
+
+async def test_identities_in_use_are_bounded(pair: Pair, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(server, "_LIMIT", 0)
+    async with sidecar(pair.site) as one:
+        program = Program("/talker", one)
+        answer = await program.ask(one.uri, "getPid")
+        assert isinstance(answer, list)
+        assert (answer[0], answer[1][:43]) == (-1, "rossec: too many identities in one sidecar ")
         await program.close()
