@@ -2,6 +2,7 @@
 
 import importlib.util
 import os
+import signal
 
 import pytest
 from hypothesis import HealthCheck, settings
@@ -9,6 +10,9 @@ from hypothesis import HealthCheck, settings
 # A loaded machine is slow, not wrong: no example is judged by the time it takes.
 settings.register_profile("untimed", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("untimed")
+
+# A background shell ignores Ctrl-C, and what it starts inherits that, with what a test starts.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 _ROS = all(
     importlib.util.find_spec(name) is not None

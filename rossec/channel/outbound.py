@@ -56,6 +56,14 @@ class Outbound(Generic[PeerT]):
         """How long a unit may be."""
         return self._limits.unit
 
+    def welcome(self) -> None:
+        """Take units of up to `Limits.unit` from now on: the peer was judged.
+
+        Raises:
+            ChannelClosed: there is no open connection.
+        """
+        self._open_session().welcome()
+
     def _open_session(self) -> Session:
         if self._session is None:
             raise ChannelClosed("the connection is closed")

@@ -60,12 +60,16 @@ _LENGTHS: Final[dict[int, tuple[int, int]]] = {
 
 @dataclass(frozen=True)
 class Limits:
-    """Where the channel stops or renews its keys; the defaults are the notes' (AEAD limits)."""
+    """Where the channel stops or renews its keys; the defaults are the notes' (AEAD limits).
+
+    `greeting` is how long a unit of a peer may be until it is made welcome, if not as any `unit`.
+    """
 
     records: int = 1 << 23
     octets: int = 1 << 36
     seconds: int = 3600
     unit: int = 256 * 1024 * 1024
+    greeting: int | None = None
     handshake_seconds: int = 5
 
 
@@ -233,10 +237,10 @@ class UnitAssembly:
     a unit has let go of is used again: new pages cost about as much as decrypting into them.
     """
 
-    __slots__ = ("_buffer", "_handed_out", "_last", "_limit", "_room", "length")
+    __slots__ = ("_buffer", "_handed_out", "_last", "_room", "length", "limit")
 
     def __init__(self, limit: int) -> None:
-        self._limit = limit
+        self.limit = limit
         self._buffer = BytesIO()
         self._handed_out: deque[BytesIO] = deque(maxlen=2)  # the next unit comes before one is read
         self._room = 0
@@ -278,8 +282,8 @@ class UnitAssembly:
 
     def _end(self, body: memoryview) -> int:
         end = self.length + len(body) - TAG
-        if end > self._limit:
-            raise LimitExceeded(f"the peer sends a unit of more than {self._limit} bytes")
+        if end > self.limit:
+            raise LimitExceeded(f"the peer sends a unit of more than {self.limit} bytes")
         return end
 
     def _begin(self) -> None:
@@ -291,7 +295,7 @@ class UnitAssembly:
             self._room = self._buffer.seek(0, SEEK_END)
 
     def _grow(self, needed: int) -> None:
-        self._room = min(self._limit, max(needed, 2 * self.length, self._last))
+        self._room = min(self.limit, max(needed, 2 * self.length, self._last))
         self._buffer.seek(self._room - 1)
         self._buffer.write(b"\0")
 

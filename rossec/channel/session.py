@@ -33,7 +33,7 @@ class Session:
     def __init__(self, epochs: Epochs, limits: Limits, now: int) -> None:
         self._epochs = epochs
         self._limits = limits
-        self._unit = UnitAssembly(limits.unit)
+        self._unit = UnitAssembly(limits.unit if limits.greeting is None else limits.greeting)
         self._scratch: bytearray | None = None
         self.renew_at = now + limits.seconds
 
@@ -46,6 +46,10 @@ class Session:
     def ahead(self) -> bool:
         """Whether this direction was renewed, and the peer has not followed yet."""
         return self._epochs.sender.epoch > self._epochs.receiver.epoch
+
+    def welcome(self) -> None:
+        """Take units of up to `Limits.unit` from now on."""
+        self._unit.limit = self._limits.unit
 
     def check_unit(self, pieces: Sequence[Bytes]) -> None:
         """Refuse a unit that the peer would not take; nothing has happened to the connection.

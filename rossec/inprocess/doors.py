@@ -7,14 +7,12 @@ from typing import Final
 from ca.certificates import Identity
 from rossec.channel.connection import Connection
 from rossec.channel.opening import Flavour
-from rossec.channel.records import Limits
 from rossec.inprocess.member import Member, now
 from rossec.net.blocking import SecureSocket
+from rossec.net.bounds import ACCEPTED, DIALLED
 from rossec.net.halfopen import HalfOpen, HalfOpenCount
 
 CONNECT_TIMEOUT: Final = 10.0
-LIMITS = Limits()
-"""When keys are renewed, and what ends a connection."""
 
 Stream = SecureSocket[Identity]
 
@@ -34,7 +32,7 @@ class Doors:
         """
         core = Connection.initiator(
             self._member.credentials, self._member.anchor.verify,
-            random=secrets.token_bytes, now=now(), opening=opening, limits=LIMITS,
+            random=secrets.token_bytes, now=now(), opening=opening, limits=DIALLED[opening],
             suites=self._member.suites,
         )  # fmt: skip
         stream = SecureSocket(sock, core)
@@ -64,7 +62,7 @@ class Doors:
         try:
             core = Connection.responder(
                 self._member.credentials, self._member.anchor.verify,
-                random=secrets.token_bytes, now=now(), accept={flavour}, limits=LIMITS,
+                random=secrets.token_bytes, now=now(), accept={flavour}, limits=ACCEPTED[flavour],
                 suites=self._member.suites,
             )  # fmt: skip
             sock.settimeout(None)  # rospy sets a default for all sockets of the process

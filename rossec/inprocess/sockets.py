@@ -102,6 +102,11 @@ class RosSocket:
             raise ChannelClosed("a plain connection proves nothing")
         return stream.do_handshake()
 
+    def welcome(self) -> None:
+        """The caller may send requests, not a connection header alone."""
+        if isinstance(self._stream, SecureSocket):
+            self._stream.welcome()
+
     @property
     def is_plain(self) -> bool:
         """Whether nobody vouches for this connection."""

@@ -165,6 +165,7 @@ class Connections:
             decision = admit_caller(fields, sock.peer, access, now())
             sock.link = Link(sock, decision)
             sock.exchange = self._server_exchange(requested_service(fields), sock, sock.link)
+            sock.welcome()
             handler = server.service_connection_handler
         else:
             decision = admit_subscriber(fields, sock.peer, access, now())

@@ -76,6 +76,15 @@ class SecureSocket(Carrier[PeerT]):
             raise
         return secure
 
+    def welcome(self) -> None:
+        """Take units of up to `Limits.unit` from now on, not of `Limits.greeting`: it was judged.
+
+        Raises:
+            ChannelClosed: there is no open connection.
+        """
+        with self._core_lock:
+            self._core.welcome()
+
     # -- what a socket tells and is told
 
     def fileno(self) -> int:

@@ -194,6 +194,15 @@ class SecureStream(Generic[PeerT]):
                 transport.write(record)
         return transport.writable
 
+    def welcome(self) -> None:
+        """Take units of up to `Limits.unit` from now on, not of `Limits.greeting`: it was judged.
+
+        Raises:
+            ChannelError: the connection is at its end.
+        """
+        self._driver.check()
+        self._driver.connection.welcome()
+
     async def drain(self) -> None:
         """Wait until the peer caught up.
 

@@ -13,6 +13,7 @@ from rossec.channel.credentials import OwnCredential
 from rossec.channel.known import KnownCertificates
 from rossec.channel.suites import PRODUCTION
 from rossec.errors import TopicRefused
+from rossec.net.bounds import DIALLED
 from rossec.net.rpc import RpcClient
 from rossec.net.stream import Flavour, SecureStream, connect
 from rossec.ros import settings
@@ -71,6 +72,7 @@ class Dialer:
             self._credentials,
             self._anchor.verify,
             opening=opening,
+            limits=DIALLED[opening],
             suites=self._suites,
             known=self._known,
         )

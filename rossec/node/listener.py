@@ -18,6 +18,7 @@ from rossec.channel.credentials import OwnCredential
 from rossec.channel.known import KnownCertificates
 from rossec.channel.suites import PRODUCTION
 from rossec.errors import TopicRefused
+from rossec.net.bounds import ACCEPTED
 from rossec.net.rpc import serve_calls
 from rossec.net.stream import Flavour, SecureServer, SecureStream, serve
 from rossec.node.access import Access
@@ -88,6 +89,7 @@ class Listener:
                 self._credentials,
                 self._anchor.verify,
                 accept={flavour},
+                limits=ACCEPTED[flavour],
                 suites=self._suites,
                 known=self._known,
             )

@@ -161,6 +161,7 @@ class Services:
         if is_set(fields, "probe"):
             return partial(stream.send, answer)
         guard = service.guard(decision)
+        stream.welcome()
         persistent = is_set(fields, "persistent")
         return partial(service.serve, stream, decision, guard, answer, persistent=persistent)
 

@@ -182,6 +182,7 @@ class Exports:
         with self._links.linked(stream, joined.decision):
             await stream.send(header.encode(joined.answer))
             if joined.service:
+                stream.welcome()
                 await pump.exchange(program, stream, first, early)
             elif early:
                 _log.warning("%s sends data where it subscribes", stream.peer.name)

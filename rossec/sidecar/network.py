@@ -13,6 +13,7 @@ from rossec.channel.known import KnownCertificates
 from rossec.channel.opening import Flavour
 from rossec.channel.records import Limits
 from rossec.errors import HangUp
+from rossec.net.bounds import ACCEPTED, DIALLED, GREETING
 from rossec.net.halfopen import HalfOpenCount
 from rossec.net.server import Handler, SecureServer, serve
 from rossec.net.stream import SecureStream, connect
@@ -23,11 +24,10 @@ from rossec.ros.xmlrpc import BODY_LIMIT
 from rossec.sidecar.addresses import Endpoint
 from rossec.sidecar.loopback import on_free_port
 
-_CALL: Final = Limits(unit=2 * BODY_LIMIT)  # however it is written
-_DIALLED: Final = {Flavour.HTTP: _CALL, Flavour.TCPROS: Limits()}
-_ACCEPTED: Final = {  # peers send headers and requests; what programs send leaves in small units
-    Flavour.HTTP: _CALL,
-    Flavour.TCPROS: Limits(unit=MESSAGE_LIMIT + BODY_LIMIT),
+# Peers send headers and requests; what programs send leaves in small units.
+_ACCEPTED: Final = {
+    **ACCEPTED,
+    Flavour.TCPROS: Limits(unit=MESSAGE_LIMIT + BODY_LIMIT, greeting=GREETING),
 }
 
 
@@ -74,7 +74,7 @@ class Network:
     async def _connect(self, remote: Endpoint) -> SecureStream[Identity]:
         return await connect(
             remote.host, remote.port, self._credentials, self._anchor.verify,
-            opening=remote.flavour, limits=_DIALLED[remote.flavour],
+            opening=remote.flavour, limits=DIALLED[remote.flavour],
             suites=self._suites, known=self._known,
         )  # fmt: skip
 

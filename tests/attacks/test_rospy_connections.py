@@ -27,7 +27,17 @@ from rossec.net.stream import SecureStream, connect, serve
 from rossec.node.access import FIELD
 from rossec.node.messages import message_type
 from rossec.ros import header
-from tests.support.attacker import EVE, HOST, Heard, call, credentials, fields_for, knock
+from tests.support.attacker import (
+    EVE,
+    HOST,
+    Heard,
+    call,
+    credentials,
+    dial,
+    expect_no_room,
+    fields_for,
+    knock,
+)
 from tests.support.victim import COMMAND, SERVICE, STATE, TYPE, Victim, attacked, slave_port
 from tests.support.witness import until
 
@@ -65,6 +75,14 @@ def expect_refusal(answer: Heard, *words: str) -> None:
 async def test_without_a_grant_not_a_byte(victim: Victim, grants: list[bytes] | None) -> None:
     """N5."""
     expect_refusal(await heard(victim, fields_for(EVE, STATE, grants)))
+
+
+async def test_no_stranger_makes_it_keep_more_than_a_header(victim: Victim) -> None:
+    """A unit is put together before anybody looks at it."""
+    own, verify = credentials(victim.site), victim.site.anchor.verify
+    await expect_no_room(await connect(HOST, victim.port, own, verify), 300_000)
+    await expect_no_room(await dial(victim.uri, own), 3 * 1024 * 1024)
+    await victim.goes_on()
 
 
 @pytest.mark.parametrize("changes", [{}, {"md5sum": "0" * 32}, {"probe": "1"}])

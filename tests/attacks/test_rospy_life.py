@@ -20,7 +20,7 @@ import rossec.inprocess.doors as doors
 import rossec.net.carrier
 rossec.net.carrier._SLICE = struct.pack("ll", 1, 0)  # how often a reader looks at the clock
 from rossec.channel.records import Limits
-doors.LIMITS = Limits(seconds=1)
+doors.ACCEPTED = doors.DIALLED = dict.fromkeys(doors.Flavour, Limits(seconds=1))
 """
 ROBOT: Final = (
     SECURE

@@ -23,6 +23,7 @@ from rossec.sidecar.plain import PlainStream
 from rossec.sidecar.pump import split_header
 from rossec.sidecar.server import Sidecar
 from tests.rossec.sidecar.program import Program, sidecar
+from tests.support.attacker import expect_no_room
 from tests.support.site import Site
 from tests.support.witness import until
 
@@ -186,8 +187,10 @@ async def test_no_peer_makes_the_sidecar_keep_more_than_a_call(site: Site, near:
     """A unit is put together before anybody looks at it."""
     async with Program("/robot", near) as robot:
         await robot.register("registerPublisher", "/word", "std_msgs/String")
-        stream = await meet(site, door_of(near).port, Flavour.HTTP)
-        await stream.send(bytes(3 * 1024 * 1024))
-        with pytest.raises(ChannelError):
-            await stream.receive()
-        stream.abort("done")
+        port = door_of(near).port
+        client = RpcClient(await meet(site, port, Flavour.HTTP))
+        offered = await client.ask("requestTopic", "/mallory", "/word", [["TCPROS"]])
+        assert isinstance(offered, list)
+        await expect_no_room(await meet(site, offered[2], Flavour.TCPROS), 300_000)
+        await client.close()
+        await expect_no_room(await meet(site, port, Flavour.HTTP), 3 * 1024 * 1024)

@@ -37,6 +37,7 @@ from tests.support.attacker import (
     credentials,
     dial,
     drafted,
+    expect_no_room,
     expect_refused,
     fields_for,
     flip,
@@ -284,6 +285,17 @@ async def test_a_header_without_caller_or_topic_is_refused(
         del fields[missing]
         heard = await knock(witness.topic_port, credentials(site), fields)
         expect_refused(heard, caplog, TopicRefused, missing)
+
+
+async def test_no_stranger_makes_a_node_keep_more_than_a_header(
+    site: Site, witness: Witness
+) -> None:
+    """A unit is put together before anybody looks at it."""
+    stream = await connect(HOST, witness.topic_port, credentials(site), site.anchor.verify)
+    await expect_no_room(stream, 300_000)
+    uri = f"http://{HOST}:{witness.robot._listener.slave_port}/"
+    await expect_no_room(await dial(uri, credentials(site)), 3 * 1024 * 1024)
+    await witness.goes_on()
 
 
 async def test_one_who_may_subscribe_must_still_mean_the_same_type(

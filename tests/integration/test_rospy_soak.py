@@ -28,7 +28,7 @@ LIFETIME: Final = 7
 FAST: Final = """
 import rossec.inprocess.doors as doors
 from rossec.channel.records import Limits
-doors.LIMITS = Limits(records=64, seconds=1)
+doors.ACCEPTED = doors.DIALLED = dict.fromkeys(doors.Flavour, Limits(records=64, seconds=1))
 import rossec.node.renewal
 rossec.node.renewal.RETRY = 1
 """

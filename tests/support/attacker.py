@@ -1,5 +1,6 @@
 """What an attacker does: the secure protocol by hand, with whatever identity and grants it has."""
 
+import contextlib
 import dataclasses
 import logging
 import secrets
@@ -85,6 +86,15 @@ async def call(uri: str, credentials: Credentials, method: str, *params: object)
         return await RpcClient(stream).call(method, *params)
     finally:
         await stream.close()
+
+
+async def expect_no_room(stream: SecureStream[Any], size: int) -> None:
+    """A unit of `size` is not taken from who merely has an identity: it ends the connection."""
+    with contextlib.suppress(ChannelError):  # it may end before all is sent
+        await stream.send(bytes(size))
+    with pytest.raises(ChannelError):
+        await stream.receive()  # a refusal that can be read would mean that all of it was kept
+    stream.abort("done")
 
 
 def refusals(caplog: pytest.LogCaptureFixture) -> list[HintedError]:

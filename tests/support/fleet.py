@@ -3,7 +3,7 @@
 import asyncio
 import contextlib
 import sys
-from collections.abc import AsyncIterator, Mapping
+from collections.abc import AsyncIterator, Callable, Mapping
 from pathlib import Path
 from typing import Final
 
@@ -78,7 +78,7 @@ async def program(
     try:
         yield running
     except BaseException:
-        process.kill()
+        _signal(process.kill)
         assert process.stdout is not None
         sys.stderr.write(running.said + (await process.stdout.read()).decode())
         raise
@@ -89,10 +89,15 @@ async def program(
 async def _end(process: asyncio.subprocess.Process) -> None:
     """As a person would: with an interrupt first, so that what counts coverage is heard."""
     if process.returncode is None:
-        process.terminate()
+        _signal(process.terminate)
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(5):
                 await process.communicate()
     if process.returncode is None:
-        process.kill()
+        _signal(process.kill)
     await process.communicate()
+
+
+def _signal(send: Callable[[], None]) -> None:
+    with contextlib.suppress(ProcessLookupError):  # it has just ended by itself
+        send()

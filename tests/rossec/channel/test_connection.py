@@ -117,6 +117,22 @@ def test_a_peer_that_sends_a_unit_beyond_the_limit(size: int) -> None:
     assert w.right.units == []
 
 
+def test_a_peer_is_given_more_room_once_it_is_welcome() -> None:
+    limits = Limits(unit=100, greeting=10)
+    w = joined(right=bob(limits=limits))
+    w.left.core.send_unit(b"x" * 10)
+    w.pump().right.core.welcome()
+    w.left.core.send_unit(b"y" * 100)
+    assert w.pump().right.units == [b"x" * 10, b"y" * 100]
+    w.left.core.send_unit(b"z" * 101)
+    assert isinstance(w.pump().right.error, LimitExceeded)
+    w = joined(right=bob(limits=limits))
+    w.left.core.send_unit(b"x" * 11)
+    assert isinstance(w.pump().right.error, LimitExceeded)
+    with pytest.raises(ChannelError):
+        wire().right.core.welcome()
+
+
 def test_sending_before_the_handshake_and_after_the_close() -> None:
     w = wire()
     with pytest.raises(ChannelClosed):
