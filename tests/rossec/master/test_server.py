@@ -192,7 +192,7 @@ async def test_who_comes_to_the_port_of_one_that_is_gone_is_let_in(
 async def test_nobody_is_doubted_twice_at_a_time(
     world: World, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("rossec.master.server.CALL_DEADLINE", 0.5)
+    monkeypatch.setattr("rossec.master.dialling.CALL_DEADLINE", 0.5)
     loop = asyncio.get_running_loop()
     with socket.create_server(("127.0.0.1", 0)) as silent:
         silent.setblocking(False)
@@ -207,7 +207,7 @@ async def test_nobody_is_doubted_twice_at_a_time(
             assert not asked.done()
             with pytest.raises(AnswerRefused, match="registered by another node"):
                 await asked
-        assert world.server._doubted == set()
+        assert world.server._dialler.doubted == set()
         assert await bob.ask("lookupNode", "/slow") == uri
 
 
@@ -243,7 +243,7 @@ async def test_an_older_key_of_a_name_cannot_disturb_the_node(world: World) -> N
     thief = await world.call_as(older)
     assert isinstance(await thief.ask("getPid", "/viewer"), int)
     assert await thief.ask("unregisterSubscriber", "/viewer", "/image", viewer.uri) == 0
-    await world.server._enforce()
+    await world.server._upkeep._enforce()
     assert await camera.ask("registerPublisher", "/image", T, camera.uri) == [viewer.uri]
     await until(lambda: viewer.heard("publisherUpdate") == [("/image", [camera.uri])])
 
@@ -415,9 +415,9 @@ async def test_a_fault_of_ours_does_not_end_freshness(
         raise RuntimeError("a fault of ours")
 
     monkeypatch.setattr(world.trust, "news_for", crash)
-    world.server._changed.set()
+    world.server._upkeep._changed.set()
     await until(lambda: "a fault of ours" in caplog.text)
-    world.server._changed.set()
+    world.server._upkeep._changed.set()
     await until(lambda: node.heard("rossec.revocationUpdate") != [])
 
 
