@@ -3,7 +3,8 @@
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple, Protocol
 
-from rossec.master.gatekeeper import Caller, Peer
+from rossec.channel.credentials import PeerIdentity
+from rossec.master.gatekeeper import Caller, Certified, Peer
 
 
 class Presented(NamedTuple):
@@ -61,3 +62,21 @@ class Statements(Protocol):
 
     def update(self, data: bytes, now: int) -> bool:
         """Take a list; returns whether it is newer. Raises `HintedError`."""
+
+
+class ChannelPeer(Certified, PeerIdentity, Protocol):
+    """A peer as the channel hands it over: `ca.certificates.Identity` is one."""
+
+
+class Standing(Statements, Protocol):
+    """What the authority has said and the nodes have shown; `rossec.master.trust` is it."""
+
+    def caller(self, peer: Certified, now: int) -> Caller:
+        """Who calls and what it may do now; remembers the peer. Raises `HintedError`: revoked."""
+
+    @property
+    def number(self) -> int:
+        """Sequence number of the revocation list in force; 0: none."""
+
+    def keep_only(self, thumbprints: frozenset[bytes], now: int) -> None:
+        """Forget what identities presented that are neither connected nor registered."""

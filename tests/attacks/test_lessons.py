@@ -157,7 +157,7 @@ async def test_f1_a_guard_that_crashes_lets_nobody_through(
                 with contextlib.suppress(RossecError, xmlrpc.Fault):
                     assert (await eve(method, *params))[0] == -1
         assert not list(site.master._registry.nodes())
-        assert not site.master._stopping.is_set()
+        assert not site.master._consequences.stopping.is_set()
     async with caller(site, EVE) as eve:
         assert (await eve("hasParam", "/p"))[2] is False
 
@@ -312,7 +312,7 @@ async def test_f11_a_node_that_was_given_nothing_may_nothing(site: Site, witness
             nothing = value in ("", 0, [], [[], [], []], b"", [b""], {}) or value is False
             assert method in told or code == -1 or nothing, (method, value)
     assert site.master._registry.version == before
-    assert not site.master._stopping.is_set()
+    assert not site.master._consequences.stopping.is_set()
 
 
 # --- F12, F13: what cannot be read, or is misspelt, is no reason to go on without

@@ -132,7 +132,7 @@ async def test_m5_the_master_is_not_killed(site: Site, witness: Witness) -> None
         refusal(await eve.lie("shutdown", "/master", "now"))
         refusal(await eve.lie("shutdown", "/robot", "now"))
         assert (await eve("getPid"))[0] == 1
-    assert not site.master._stopping.is_set()
+    assert not site.master._consequences.stopping.is_set()
 
 
 SAFETY = "/ns/safety/max_speed"
@@ -206,7 +206,7 @@ async def test_m7_no_ros_time_keeps_an_expired_right_alive(tmp_path: Path) -> No
             assert "param-set" in await eve.refused("setParam", "/eve/p", 2)
             await eve.refused("getParam", "/eve/p")
             await eve.refused("registerPublisher", "/clock", "rosgraph_msgs/Clock", eve.uri)
-            site.master._changed.set()
+            site.master._upkeep._changed.set()
             registry = site.master._registry
             await until(lambda: not list(registry.nodes()))
             assert (await eve("getParam", "/use_sim_time"))[2] is True

@@ -1,0 +1,124 @@
+"""What nodes are told and what is written down after a call, over real connections."""
+
+import asyncio
+import contextlib
+import socket
+
+import pytest
+
+from grants.model import Right
+from rossec.errors import AnswerRefused
+from tests.rossec.master.world import EVERYTHING, T, World, until
+
+
+async def test_a_subscriber_hears_of_its_publishers(world: World) -> None:
+    camera, viewer = await world.node("/camera"), await world.node("/viewer")
+    assert await viewer.ask("registerSubscriber", "/image", T, viewer.uri) == []
+    assert await camera.ask("registerPublisher", "/image", T, camera.uri) == [viewer.uri]
+    await until(lambda: viewer.heard("publisherUpdate") == [("/image", [camera.uri])])
+    assert viewer.told[0][0] == "/master"
+    await camera.ask("unregisterPublisher", "/image", camera.uri)
+    await until(lambda: viewer.heard("publisherUpdate")[1:] == [("/image", [])])
+    assert await camera.ask("getUri") == world.server.uri
+
+
+async def test_three_dead_subscribers_do_not_delay_a_live_one(world: World) -> None:
+    """Attack M9: ports that accept and never answer."""
+    with socket.create_server(("0.0.0.0", 0), backlog=64) as silent:
+        for n in range(2, 5):  # loopback has 16 million addresses: one per dead node
+            dead = await world.node(f"/dead{n}")
+            uri = f"http://127.0.0.{n}:{silent.getsockname()[1]}/"
+            await dead.ask("registerSubscriber", "/t", T, uri)
+        live, talker = await world.node("/live"), await world.node("/talker")
+        await live.ask("registerSubscriber", "/t", T, live.uri)
+        await talker.ask("registerPublisher", "/t", T, talker.uri)
+        await until(lambda: live.heard("publisherUpdate") == [("/t", [talker.uri])])
+
+
+async def test_a_restarted_node_replaces_itself(world: World) -> None:
+    node = await world.node("/node")
+    await node.ask("registerPublisher", "/t", T, node.uri)
+    await node.ask("registerPublisher", "/t", T, "http://127.0.0.1:9/")
+    await until(lambda: node.heard("shutdown") != [])
+    assert node.heard("shutdown") == [("[/node] Reason: new node registered with same name",)]
+
+
+async def test_parameters_are_passed_on(world: World) -> None:
+    one, two = await world.node("/one"), await world.node("/two")
+    assert await one.ask("subscribeParam", one.uri, "/rate") == {}
+    await two.ask("setParam", "/rate", 5)
+    await until(lambda: one.heard("paramUpdate") == [("/rate/", 5)])
+
+
+async def test_an_administrator_stops_it(world: World) -> None:
+    admin = await world.node("/admin", {"/master": Right.ADMIN})
+    await admin.ask("shutdown", "maintenance")
+    async with asyncio.timeout(30):
+        await world.server.stopped()
+
+
+async def test_refused_grants_are_audited_but_no_error(
+    world: World, caplog: pytest.LogCaptureFixture
+) -> None:
+    node = await world.node("/node")
+    member = world.site.enroll("/late")
+    old = world.site.grant(member, EVERYTHING, start=-9 * 86400)
+    late = await world.call_as(member)
+    assert await late.ask("rossec.presentGrants", "/late", [old]) == 0
+    assert "/late presents grants that are refused: " in caplog.text
+    assert await node.ask("rossec.presentGrants", [old]) == 1
+
+
+async def test_nobody_writes_lines_into_the_log(
+    world: World, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level("INFO")
+    eve = await world.node("/eve", {"/eve/t": Right.SUBSCRIBE, "/master": Right.ADMIN})
+    forged = "x\nrossec: WARNING: /robot is cut off\x9b31m\u202e"
+    for method, *params in (
+        ("getParam", f"/{forged}"),
+        ("setParam", f"/{forged}", 1),
+        ("setParam", "/a", {forged: 1}),
+        ("lookupNode", f"/{forged}"),
+        ("lookupService", f"/{forged}"),
+        ("registerPublisher", "/t", f"a/{forged}", eve.uri),
+        ("rossec.presentGrants", [forged.encode()]),
+        ("rossec.updateRevocations", forged.encode()),
+    ):
+        with contextlib.suppress(AnswerRefused):
+            await eve.ask(method, *params)
+    eve.answer = [-1, forged, 0]
+    await eve.ask("registerSubscriber", "/eve/t", T, eve.uri)
+    robot = await world.node("/robot", {"/eve/t": Right.PUBLISH})
+    await robot.ask("registerPublisher", "/eve/t", T, robot.uri)  # eve is told at once
+    await until(lambda: "/eve answers" in caplog.text)
+    await eve.ask("shutdown", forged)
+    messages = [record.getMessage() for record in caplog.records]
+    assert any("stopping: /eve: x" in message for message in messages)
+    assert [message for message in messages if not message.isprintable()] == []
+
+
+async def test_denials_are_audited(world: World, caplog: pytest.LogCaptureFixture) -> None:
+    eve = await world.node("/eve", {"/t": Right.CALL})
+    with pytest.raises(AnswerRefused):
+        await eve.ask("registerPublisher", "/t", T, eve.uri)
+    assert "/eve may not registerPublisher: rossec: /eve needs the right publish" in caplog.text
+
+
+async def test_what_is_administered_is_audited(
+    world: World, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level("INFO", "rossec.audit")
+    admin, robot = await world.node("/admin"), await world.node("/robot", {"/t": Right.PUBLISH})
+    await robot.ask("registerPublisher", "/t", T, robot.uri)
+    await admin.client.ask("unregisterPublisher", "/robot", "/t", robot.uri)
+    await admin.ask("rossec.updateRevocations", world.site.revoke(robot.member))
+    await admin.ask("rossec.updateDelegation", world.site.delegation(world.master))
+    lines = [record.getMessage() for record in caplog.records if record.name == "rossec.audit"]
+    number = world.trust.number
+    assert lines == [
+        "/admin calls unregisterPublisher for /robot: Unregistered [/robot] as provider of [/t]",
+        f"/admin brought revocation list {number}",
+        "/robot is cut off: the key of /robot is revoked",
+        "/admin brought a delegation to renew grants",
+    ]

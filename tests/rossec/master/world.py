@@ -1,0 +1,106 @@
+"""A running master over real secure connections on loopback, a real authority and its nodes."""
+
+import asyncio
+from collections.abc import Awaitable, Callable
+from contextlib import AsyncExitStack
+from typing import Any
+
+import pytest
+
+from ca.certificates import Identity
+from grants.model import Right
+from rossec.errors import RossecError
+from rossec.master.server import MasterServer
+from rossec.master.trust import Trust
+from rossec.net.rpc import RpcClient, serve_calls
+from rossec.net.stream import Flavour, SecureStream, connect, serve
+from rossec.ros.settings import parse_uri
+from tests.support.authority import Member, Site
+
+T = "std_msgs/String"
+EVERYTHING = {"/**": Right(255)}
+
+
+class SlaveNode:
+    """An enrolled node: a control connection, and a slave API that records what it is told."""
+
+    def __init__(self, world: "World", member: Member) -> None:
+        self.world = world
+        self.member = member
+        self.told: list[tuple[Any, ...]] = []
+        self.answer: list[Any] = [1, "", 0]
+
+    async def start(self, rights: dict[str, Right]) -> None:
+        self.server = serve(
+            self.handle, "127.0.0.1", 0, self.member.credentials, self.world.site.anchor.verify
+        )
+        self.world.exit.push_async_callback(self.server.close)
+        self.uri = f"http://127.0.0.1:{self.server.port}/"
+        self.grant = self.world.site.grant(self.member, rights)
+        self.client = await self.world.call_as(self.member)
+        await self.ask("rossec.presentGrants", [self.grant])
+
+    async def handle(self, stream: SecureStream[Identity]) -> None:
+        await serve_calls(stream, self.dispatch)
+
+    async def dispatch(self, method: str, params: tuple[object, ...], peer: Identity) -> object:
+        self.told.append((peer.name, method, *params[1:]))
+        return self.answer
+
+    async def ask(self, method: str, *params: object) -> Any:
+        return await self.client.ask(method, self.member.name, *params)
+
+    def heard(self, method: str) -> list[tuple[Any, ...]]:
+        return [call[2:] for call in self.told if call[1] == method]
+
+
+class World:
+    def __init__(self, exit_stack: AsyncExitStack) -> None:
+        self.exit = exit_stack
+        self.site = Site()
+        self.master = self.site.enroll("/master")
+        self.trust = Trust(
+            self.site.anchor,
+            self.master.credentials.signer,
+            self.site.revocations(),
+            lambda _: None,
+        )
+        self.trust.update(self.site.revoke(), self.site.now)
+
+    async def start(self) -> None:
+        self.server = MasterServer(
+            self.master.credentials,
+            self.site.anchor.verify,
+            self.trust,
+            host="127.0.0.1",
+            port=0,
+            advertise="127.0.0.1",
+        )
+        await self.server.start()
+        self.exit.push_async_callback(self.server.close)
+
+    async def node(self, name: str, rights: dict[str, Right] = EVERYTHING) -> SlaveNode:
+        node = SlaveNode(self, self.site.enroll(name))
+        await node.start(rights)
+        return node
+
+    async def call_as(self, member: Member) -> RpcClient:
+        host, port = parse_uri(self.server.uri)
+        stream = await connect(
+            host, port, member.credentials, self.site.anchor.verify, opening=Flavour.HTTP
+        )
+        client = RpcClient(stream)
+        self.exit.push_async_callback(client.close)
+        return client
+
+
+async def until(condition: Callable[[], bool]) -> None:
+    async with asyncio.timeout(30):
+        while not condition():  # noqa: ASYNC110 - the condition is in another task's hands
+            await asyncio.sleep(0.005)
+
+
+async def ends(call: Awaitable[object]) -> None:
+    with pytest.raises(RossecError):
+        async with asyncio.timeout(30):
+            await call
