@@ -178,7 +178,7 @@ async def test_a_request_that_never_ends(
 
 async def test_nonsense_for_a_request_is_refused_and_no_more(site: Site, lamp: Node) -> None:
     async with open_call(site, lamp, persistent="true") as stream:
-        for nonsense in (b"\0\0\0\0", b"\2\0\0\0\1\1"):
+        for nonsense in (b"\0\0\0\0", b"\2\0\0\0\1\1", header.frame(bytes(300_000))):
             await stream.send(nonsense)
             async with asyncio.timeout(30):
                 answer = await stream.receive()
