@@ -27,8 +27,11 @@ def forget_in_children(inherited: Inherited) -> None:
 
 
 def _in_child() -> None:
-    for inherited in list(_watched):
-        inherited.abandon()
+    try:
+        for inherited in list(_watched):
+            inherited.abandon()
+    except BaseException:  # noqa: BLE001 - rather no child than one that holds its parent's keys
+        os._exit(os.EX_SOFTWARE)
 
 
 os.register_at_fork(after_in_child=_in_child)

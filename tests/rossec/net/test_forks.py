@@ -8,6 +8,7 @@ import pytest
 
 from rossec.errors import ChannelClosed
 from rossec.net.blocking import SecureSocket
+from rossec.net.forks import forget_in_children
 from rossec.net.listener import SecureListener
 from rossec.net.stream import connect, serve
 from tests.rossec.net.test_blocking import live, make_listener, pair
@@ -54,6 +55,18 @@ def test_a_child_cannot_use_its_parents_connection(
         assert in_child(left.close) == "None"
         left.sendall(b"1")
         assert right.recv(1) + right.recv(1) == b"01"
+
+
+def test_a_child_that_could_not_forget_does_not_run() -> None:
+    class Stubborn:
+        def abandon(self) -> None:
+            raise RuntimeError("no")
+
+    stubborn = Stubborn()
+    forget_in_children(stubborn)
+    assert in_child(lambda: "ran") == ""
+    del stubborn
+    assert in_child(lambda: "ran") == "'ran'"
 
 
 def test_a_lock_held_at_the_fork_stops_no_child(listener: SecureListener[FakeIdentity]) -> None:
