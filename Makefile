@@ -25,9 +25,9 @@ demo: $(READY)
 	@$(BIN)/rossec demo
 
 # The venv is looked at after the ROS packages: installing them may bring a better Python for it.
-# Unit tests alone must cover the packages; integration tests only add confidence.
+# Unit tests alone must cover the packages; integration tests only add confidence, a worker a file.
 test: cover
-	$(BIN)/python -m pytest $(ARGS) --ignore tests/ca --ignore tests/grants --ignore tests/rossec
+	$(BIN)/python -m pytest -q -n 2 --dist loadfile $(ARGS) --ignore tests/ca --ignore tests/grants --ignore tests/rossec
 
 cover: ros
 	@tools/venv.sh

@@ -12,13 +12,14 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
 from grants.model import Right
 from rossec.node.questions import MASTER
 from rossec.sidecar.callers import descendants, parents
+from rossec.sidecar.loopback import free_port
 from tests.support.hosts import Host, Hosts
 from tests.support.site import DAY, Site
 
@@ -73,7 +74,7 @@ class World:
     hosts: Hosts
     site: Site
     directory: Path
-    port: int = 11311
+    port: int = field(default_factory=free_port)
     ipv6: bool = False
     home: Path | None = None  # that of the master, if it is not the site's
 

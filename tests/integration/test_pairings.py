@@ -17,7 +17,6 @@ from typing import Final
 import pytest
 
 from grants.model import Right
-from rossec.sidecar.loopback import free_port
 from tests.integration.sidecarworld import ROSSEC, Running, World, wait
 from tests.support.attacker import call, credentials
 from tests.support.hosts import Host, Hosts
@@ -63,7 +62,7 @@ def cast(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cast]:
     directory = tmp_path_factory.mktemp("pairings")
     loopback = Host((), "127.0.0.1", "::1")
     site = Site(directory / "site")
-    world = World(Hosts(loopback, loopback, real=False), site, directory, port=free_port())
+    world = World(Hosts(loopback, loopback, real=False), site, directory)
     signal = directory / "follow"
     words, calls = {}, {}
     for kind in KINDS:

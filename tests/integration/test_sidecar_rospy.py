@@ -9,7 +9,6 @@ from collections.abc import Iterator
 
 import pytest
 
-from rossec.sidecar.loopback import free_port
 from tests.integration.sidecarworld import Running, World, wait
 from tests.support import rospyuse
 from tests.support.fleet import SECURE
@@ -24,7 +23,7 @@ def world(tmp_path_factory: pytest.TempPathFactory) -> Iterator[World]:
     directory = tmp_path_factory.mktemp("sidecar_rospy")
     loopback = Host((), "127.0.0.1", "::1")
     site = Site(directory / "site")
-    world = World(Hosts(loopback, loopback, real=False), site, directory, port=free_port())
+    world = World(Hosts(loopback, loopback, real=False), site, directory)
     world.enroll("/basics", publish="/basics/*", provide="/basics/*", param_set="/basics/*")
     world.enroll("/asker", subscribe="/basics/*", call="/basics/*", param_set="/asker/*")
     world.enroll(
