@@ -70,9 +70,10 @@ def test_messages_services_and_parameters(world: World) -> None:
 
 
 def test_an_action_reaches_its_goal_or_is_cancelled(world: World) -> None:
+    """actionlib's client may log that a goal before the last has changed: a race of its own."""
     with serving(world, rospyuse.ACTION_SERVER):
         for lines in said(world, rospyuse.ACTION_CLIENT):
-            assert lines == [
+            assert [line for line in lines if "we're not tracking" not in line] == [
                 "SERVER True", "FINISHED True", "RESULT 42  [0, 1, 2]",
                 "FINISHED True", "CANCELLED True",
             ]  # fmt: skip
