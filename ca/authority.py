@@ -20,7 +20,7 @@ from ca.errors import IssueRefused
 from ca.intermediates import Intermediate, check_intermediate_request, policy
 from ca.names import check_domain, check_wildcard, spiffe_id
 from ca.publickey import require_p256, thumbprint
-from ca.renewal import Renewal
+from ca.renewal import BACKDATE, Renewal
 from ca.requests import check_request
 from ca.signer import Signer
 from ca.svid import SCHEME, WILDCARD, WILDCARD_VALUE
@@ -30,8 +30,6 @@ DAY: Final = 86_400
 LIFETIME: Final = 30 * DAY
 MAX_LIFETIME: Final = 366 * DAY
 ROOT_LIFETIME: Final = 3650 * DAY
-# Robots without a battery-backed clock start a little in the past.
-BACKDATE: Final = 3600
 _SERIAL_LIMIT: Final = 1 << 128
 
 

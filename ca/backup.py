@@ -3,7 +3,8 @@
 scrypt (RFC 7914) makes a key from the passphrase, AES-256-GCM encrypts one deterministic CBOR map
 from file names to contents; everything before the ciphertext is authenticated with it. A wrong
 passphrase and a changed byte look the same, as they must. Names are of a closed set: a backup from
-a stranger cannot write outside the directory it is restored to.
+a stranger cannot write outside the directory it is restored to, nor beside the record what SQLite
+would take for its journal and play into it.
 """
 
 import re
@@ -23,6 +24,8 @@ NONCE_SIZE: Final = 12
 MAX_BACKUP: Final = 256 * 1024 * 1024
 _HEAD: Final = len(MAGIC) + SALT_SIZE + NONCE_SIZE
 _N, _R, _P = 2**15, 8, 3  # OWASP's equivalent of 2^17, 8, 1 in a quarter of its memory
+_DIRECTORIES: Final = ("node", "inbox")
+_JOURNALS: Final = ("-journal", "-wal", "-shm")  # of SQLite, which plays them back on opening
 _NAME: Final = re.compile(r"(?:node/|inbox/)?[A-Za-z0-9_-][A-Za-z0-9_.-]{0,127}")
 
 
@@ -80,7 +83,7 @@ def _read(plain: bytes) -> dict[str, bytes]:
 
 def _check_names(files: Mapping[str, bytes]) -> None:
     for name in files:
-        if _NAME.fullmatch(name) is None:
+        if _NAME.fullmatch(name) is None or name in _DIRECTORIES or name.endswith(_JOURNALS):
             raise BackupRefused(f"{name!a} is no file of an authority")
 
 

@@ -2,27 +2,35 @@
 
 A shell. What the tables are, `ca.schema` knows; this module opens them, so that a foreign, damaged
 or vanished file is refused and left as it is, and runs transactions: all of it on the disk when the
-call returns, or nothing.
+call returns, or nothing. What is read to decide a change is read inside `changing`, which keeps
+every other command out until the change is made.
 """
 
 import os
 import sqlite3
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Final, Self
 
-from ca import schema
+from ca import places, schema
 from ca.errors import StoreError
+from ca.faults import fault
 
-_RESTORE: Final = "is the disk full, or another command at work? else restore a backup"
+_PATIENCE: Final = 30.0  # seconds for other commands, which take the lock for milliseconds
+# How a transaction begins, is kept and is undone: a whole one, and one inside another.
+_WHOLE: Final = ("BEGIN IMMEDIATE", "COMMIT", ("ROLLBACK",))
+_PART: Final = ("SAVEPOINT part", "RELEASE part", ("ROLLBACK TO part", "RELEASE part"))
 
 
 class Database:
     """An open record. Make one with `create` or `open`."""
 
-    def __init__(self, connection: sqlite3.Connection) -> None:
+    def __init__(self, connection: sqlite3.Connection, path: Path) -> None:
         self.connection = connection
+        self._path = path.absolute()
+        found = path.stat()
+        self._file = found.st_dev, found.st_ino
 
     @classmethod
     def create(cls, path: Path) -> Self:
@@ -35,8 +43,11 @@ class Database:
             os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_RDWR | os.O_CLOEXEC, 0o600))
         except OSError as error:
             raise StoreError(f"cannot create {path}: {error.strerror}") from error
-        database = cls(_connect(path))
-        _configure(database.connection)
+        database = cls(_connect(path), path)
+        try:
+            _configure(database.connection)
+        except sqlite3.Error as error:
+            raise fault(path, error) from error
         with database.changing() as db:
             schema.create(db)
         return database
@@ -46,10 +57,12 @@ class Database:
         """Open an existing record; one of an older version is brought up first.
 
         Raises:
-            StoreError: no file, not a record of rossec, damaged, or of a newer version.
+            StoreError: no file, not a record of rossec, damaged, or of a newer version; or it
+                cannot be used now.
+            PlaceRefused: another user owns it, or could have written it.
         """
         _check_file(path)
-        database = cls(_connect(path))
+        database = cls(_connect(path), path)
         try:
             _check_kind(database.connection, path)
             _configure(database.connection)
@@ -58,7 +71,7 @@ class Database:
             database.close()
             if isinstance(error, StoreError):
                 raise
-            raise StoreError(f"{path} is damaged: {error}", "restore it from a backup") from error
+            raise fault(path, error) from error
         return database
 
     def close(self) -> None:
@@ -74,7 +87,7 @@ class Database:
         try:
             return self.connection.serialize()
         except sqlite3.Error as error:
-            raise StoreError(f"the record cannot be read: {error}", _RESTORE) from error
+            raise fault(self._path, error) from error
 
     def rows(self, query: str, *values: object) -> list[Any]:
         """What `query` finds.
@@ -85,28 +98,75 @@ class Database:
         try:
             return self.connection.execute(query, values).fetchall()
         except sqlite3.Error as error:
-            raise StoreError(f"the record cannot be read: {error}", _RESTORE) from error
+            raise fault(self._path, error) from error
+
+    def check(self) -> None:
+        """Return if the file is whole, and nothing in it runs or answers but what rossec made.
+
+        Raises:
+            StoreError: see `ca.schema.check_alone`; or the file is damaged.
+        """
+        try:
+            schema.check_alone(self.connection)
+            found = self.connection.execute("PRAGMA quick_check").fetchall()
+        except sqlite3.Error as error:
+            raise fault(self._path, error) from error
+        if found != [("ok",)]:
+            raise StoreError(f"{self._path} is damaged: {found[0][0]}", "restore another backup")
 
     @contextmanager
     def changing(self) -> Iterator[sqlite3.Connection]:
-        """One transaction: all of it, durably, or nothing.
+        """One transaction, alone: all of it, durably, or nothing.
+
+        Inside another one it is a part of that: undone alone if it fails, kept when that is.
 
         Raises:
-            StoreError: an entry is refused, or the file cannot be written.
+            StoreError: an entry is refused, the file cannot be written, or it was replaced.
         """
         try:
-            self.connection.execute("BEGIN IMMEDIATE")
-            with self.connection:
+            begin, keep, undo = _PART if self.connection.in_transaction else _WHOLE
+            self.connection.execute(begin)
+            try:
+                self._check_in_place()
                 yield self.connection
-        except sqlite3.IntegrityError as error:
-            raise StoreError(f"the record refuses the entry: {error}") from error
+                self.connection.execute(keep)
+            except BaseException:
+                if self.connection.in_transaction:  # a full disk ends it by itself
+                    for statement in undo:
+                        self.connection.execute(statement)
+                raise
         except sqlite3.Error as error:
-            raise StoreError(f"the record cannot be written: {error}", _RESTORE) from error
+            raise fault(self._path, error) from error
+
+    @contextmanager
+    def reading(self) -> Iterator[None]:
+        """What is read inside is of one moment, whatever others write meanwhile."""
+        if self.connection.in_transaction:
+            yield
+            return
+        self.rows("BEGIN")
+        try:
+            yield
+        finally:
+            self.connection.execute("ROLLBACK")
+
+    def _check_in_place(self) -> None:
+        """A record that was moved aside while this command waited must not take anything in."""
+        try:
+            found = self._path.stat()
+        except OSError:
+            found = None
+        if found is None or (found.st_dev, found.st_ino) != self._file:
+            raise StoreError(
+                f"{self._path} was replaced by another command, nothing was changed",
+                "run the command again: it then works on what is there now",
+            )
 
     def _bring_up(self) -> None:
         if schema.version(self.connection) != schema.VERSION:
             with self.changing() as db:
                 schema.migrate(db)
+        schema.check(self.connection)
 
 
 def _check_file(path: Path) -> None:
@@ -117,15 +177,17 @@ def _check_file(path: Path) -> None:
             f"{path} can be read or written by others",
             f"it tells who may see what: chmod 600 {path}",
         )
+    with suppress(FileNotFoundError):  # SQLite will say so
+        places.check_own(path)
 
 
 def _connect(path: Path) -> sqlite3.Connection:
     try:
         return sqlite3.connect(
-            f"{path.absolute().as_uri()}?mode=rw", timeout=10, isolation_level=None, uri=True
+            f"{path.absolute().as_uri()}?mode=rw", timeout=_PATIENCE, isolation_level=None, uri=True
         )
     except sqlite3.Error as error:
-        raise StoreError(f"{path} cannot be opened: {error}", _RESTORE) from error
+        raise fault(path, error) from error
 
 
 def _check_kind(db: sqlite3.Connection, path: Path) -> None:

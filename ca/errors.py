@@ -39,6 +39,10 @@ class KeyRefused(CAError):
     """A key, or the file it lives in, that may not be used."""
 
 
+class PlaceRefused(CAError):
+    """A file or directory that somebody else owns or can write, where what it says is believed."""
+
+
 class PassphraseRefused(KeyRefused):
     """The passphrase is missing, wrong, or given for a key that has none."""
 
@@ -69,6 +73,10 @@ class ForeignCertificate(CertificateRefused):
 
 class RevocationRefused(CAError):
     """A revocation list or timestamp that is malformed or does not belong to what is held."""
+
+
+class ClocksDisagree(RevocationRefused):
+    """A timestamp for the list held, and of another time."""
 
 
 class RollbackRefused(RevocationRefused):
@@ -133,6 +141,10 @@ class DigitsRefused(EnrollmentRefused):
 
 class StoreError(CAError):
     """The authority's database is missing, foreign, damaged, or refuses the entry."""
+
+
+class RecordUnusable(StoreError):
+    """The authority's record cannot be used now: a full disk, another command, or it is damaged."""
 
 
 class NameCovered(StoreError):

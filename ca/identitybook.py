@@ -13,7 +13,7 @@ from ca.database import Database
 from ca.errors import KeyChanged, NameCovered, RenewalRefused, StoreError
 from ca.journal import record
 from ca.log import digest_of
-from ca.rows import CertificateRow
+from ca.rows import INTERMEDIATE, CertificateRow
 
 _COLUMNS = "serial, name, thumbprint, der, not_before, not_after"
 
@@ -33,12 +33,29 @@ class IdentityBook:
         return self._find("WHERE name = ? ORDER BY rowid", name)
 
     def alive(self, name: str, now: int) -> list[CertificateRow]:
-        """Those with which `name` can still prove itself: not expired, key not revoked."""
+        """Those with which `name` can still prove itself: no key of the chain is revoked."""
+        return self.in_force(self.unrevoked(name, now))
+
+    def unrevoked(self, name: str, now: int) -> list[CertificateRow]:
+        """Those not expired whose own key is not revoked: more than these no revocation can end."""
         return self._find(
             "WHERE name = ? AND not_after >= ?"
             " AND thumbprint NOT IN (SELECT entry FROM revocation) ORDER BY rowid",
             name, now,
         )  # fmt: skip
+
+    def in_force(self, rows: list[CertificateRow]) -> list[CertificateRow]:
+        """Those of `rows` that no revoked intermediate signed."""
+        ended = self._find(
+            "WHERE substr(name, 1, ?) = ? AND thumbprint IN (SELECT entry FROM revocation)",
+            len(INTERMEDIATE), INTERMEDIATE,
+        )  # fmt: skip
+        return [row for row in rows if _signer(row, ended) is None]
+
+    def signer(self, row: CertificateRow) -> CertificateRow | None:
+        """The intermediate of this record that signed `row`, newest first; None: the authority."""
+        clause = "WHERE substr(name, 1, ?) = ? ORDER BY rowid DESC"
+        return _signer(row, self._find(clause, len(INTERMEDIATE), INTERMEDIATE))
 
     def certified(self, name: str, now: int) -> str:
         """The name under which grants, rules and revocations are for the node called `name`.
@@ -105,6 +122,7 @@ class IdentityBook:
             )
         known = [row.thumbprint for row in self.alive(name, now)]
         if renews is not None:
+            self.check_not_revoked(name, renews)
             _check_newest(name, known, renews)
         elif replace_key is None and set(known) - {thumbprint}:
             raise KeyChanged(
@@ -125,15 +143,22 @@ class IdentityBook:
 
     def _related(self, name: str, now: int) -> list[CertificateRow]:
         """Living identities whose name begins with `name`, or the other way round."""
-        return self._find(
+        found = self._find(
             "WHERE (substr(?, 1, length(name)) = name OR substr(name, 1, length(?)) = ?)"
             " AND not_after >= ? AND thumbprint NOT IN (SELECT entry FROM revocation)",
             name, name, name, now,
         )  # fmt: skip
+        return self.in_force(found)
 
     def _find(self, clause: str, *values: object) -> list[CertificateRow]:
         rows = self._database.rows(f"SELECT {_COLUMNS} FROM certificate {clause}", *values)  # noqa: S608  (constants)
         return [CertificateRow(int.from_bytes(serial), *rest) for serial, *rest in rows]
+
+
+def _signer(row: CertificateRow, made: list[CertificateRow]) -> CertificateRow | None:
+    if row.name.startswith(INTERMEDIATE):  # which only the root signs
+        return None
+    return next((issuer for issuer in made if row.is_signed_by(issuer)), None)
 
 
 def _check_newest(name: str, known: list[bytes], renews: bytes) -> None:

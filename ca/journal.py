@@ -62,6 +62,10 @@ class Journal:
         Raises:
             LogDamaged: the first thing found that is not what was written.
         """
+        with self._database.reading():  # another command may be writing
+            return self._audit(key, more)
+
+    def _audit(self, key: ec.EllipticCurvePublicKey, more: tuple[bytes, ...]) -> Head:
         tree = check_entries(self._recorded())
         entries = self.entries()
         for what in schema.RECORDED:

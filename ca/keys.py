@@ -21,7 +21,7 @@ from cryptography.hazmat.primitives.serialization import (
     load_pem_private_key,
 )
 
-from ca import pbes2
+from ca import pbes2, places
 from ca.errors import KeyRefused, PassphraseRefused
 from ca.publickey import thumbprint
 
@@ -61,7 +61,9 @@ def write_private(
         _write_durably(descriptor, pem, path.parent)
     except OSError as error:
         path.unlink(missing_ok=True)
-        raise KeyRefused(f"cannot write {path}: {error.strerror}") from error
+        raise KeyRefused(
+            f"cannot write {path}: {error.strerror}", "no key was made: make room, then do it again"
+        ) from error
 
 
 def load_private(path: Path, passphrase: str | None = None) -> ec.EllipticCurvePrivateKey:
@@ -69,6 +71,7 @@ def load_private(path: Path, passphrase: str | None = None) -> ec.EllipticCurveP
 
     Raises:
         PassphraseRefused: the passphrase is missing, wrong, or given for a key without one.
+        PlaceRefused: another user owns it, or can put another in its place.
         KeyRefused: no readable regular file, open to group or others, or not a P-256 key.
     """
     pem = _read(path)
@@ -119,6 +122,7 @@ def _sync_directory(directory: Path) -> None:
 
 
 def _read(path: Path) -> bytes:
+    places.check_directory(path.parent)
     try:
         descriptor = os.open(path, _READ)
     except FileNotFoundError:
@@ -142,6 +146,7 @@ def _check_file(path: Path, status: os.stat_result) -> None:
             f"{path} can be read or written by others",
             f"if nobody used that: chmod 600 {path}; otherwise make a new key",
         )
+    places.check_file(path, status)
     if status.st_size > _MAX_FILE:
         raise KeyRefused(f"{path} is too large for a key", "name the file of the private key")
 

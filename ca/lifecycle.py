@@ -8,9 +8,9 @@ request never gets two certificates.
 """
 
 from enum import StrEnum
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, NoReturn
 
-from ca.errors import RequestClosed
+from ca.errors import RequestClosed, StoreError
 
 HOUR: Final = 3600
 DAY: Final = 24 * HOUR
@@ -24,6 +24,13 @@ class State(StrEnum):
     APPROVED = "approved"
     DENIED = "denied"
     ISSUED = "issued"
+
+    @classmethod
+    def _missing_(cls, value: object) -> NoReturn:
+        raise StoreError(
+            f"the record has a request in a state that is none: {str(value)[:40]!a}",
+            "restore it from a backup, and find out who changed it",
+        )
 
 
 TRANSITIONS: Final[dict[State, frozenset[State]]] = {

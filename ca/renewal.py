@@ -26,6 +26,9 @@ PROFILE: Final = Profile("rossec-renewal+cwt")
 MAX_CHAIN: Final = 2
 MAX_RENEWAL: Final = MAX_REQUEST + MAX_CHAIN * MAX_CERTIFICATE + 512
 MAX_AGE: Final = 300  # seconds: two clocks and a slow network
+# Certificates begin so long before they are signed: robots without a battery-backed clock start a
+# little in the past.
+BACKDATE: Final = 3600
 _IAT, _CSR, _CHAIN = 6, -70021, -70022
 
 
@@ -40,12 +43,30 @@ class Renewal:
     @property
     def longest(self) -> int:
         """The longest life (seconds) the successor may have: that of the identity it succeeds."""
-        return self.identity.not_after - self.identity.not_before
+        return self.identity.not_after - signed_at(
+            self.identity.not_before, self.identity.not_after
+        )
+
+
+def signed_at(not_before: int, not_after: int) -> int:
+    """When an identity's life began: the backdated hour is no part of it.
+
+    If it were, each successor would live an hour longer, and a short one be due at once.
+    """
+    began = not_before + BACKDATE
+    return began if began < not_after else not_before
 
 
 def renew_at(not_before: int, not_after: int) -> int:
     """When to ask: two thirds of an identity's life are over."""
-    return not_before + (not_after - not_before) * 2 // 3
+    began = signed_at(not_before, not_after)
+    return began + (not_after - began) * 2 // 3
+
+
+def ask_again_in(not_before: int, not_after: int, longest: int) -> int:
+    """Seconds to wait after a refusal, at most `longest`: a short life leaves time for a few."""
+    life = not_after - signed_at(not_before, not_after)
+    return max(1, min(longest, life // 20))
 
 
 def sign_renewal(old: Signer, chain: Sequence[bytes], csr: bytes, now: int) -> bytes:
@@ -86,7 +107,8 @@ def open_renewal(
 
 
 def _check_due(identity: Identity, now: int) -> None:
-    half = identity.not_before + (identity.not_after - identity.not_before) // 2
+    began = signed_at(identity.not_before, identity.not_after)
+    half = began + (identity.not_after - began) // 2
     if now < half:
         raise RenewalRefused(
             f"the identity of {identity.name} is not due for renewal for {half - now} s",

@@ -88,19 +88,11 @@ class RequestBook:
             NameCovered: no two keys may go by one name.
             KeyChanged, NameContested: the name has another key, or somebody else asks for it.
         """
-        row = self.get(digest)
-        for other in self._open():
-            if other.name == row.name and other.thumbprint != row.thumbprint:
-                raise NameContested(
-                    f"two different keys ask for the name {row.name}",
-                    f"compare fingerprints, then deny the other: rossec ca deny {_short(other)}",
-                )
-        self._identities.check_names(
-            row.name, row.thumbprint, now, lambda other: covers(row.name, other, wildcard=wildcard)
-        )
-        self._identities.check_key(row.name, row.thumbprint, now, replace_key=replace_key)
-        said = row._replace(replaces=replace_key is not None, wildcard=wildcard)
-        return self._advance(said, State.APPROVED, now, reason)
+        with self._database.changing():
+            row = self.get(digest)
+            self._check_name(row, now, replace_key, wildcard=wildcard)
+            said = row._replace(replaces=replace_key is not None, wildcard=wildcard)
+            return self._advance(said, State.APPROVED, now, reason)
 
     def deny(self, digest: bytes, now: int, reason: str = "") -> RequestRow:
         """Say no, also to what was approved and not yet issued.
@@ -108,16 +100,18 @@ class RequestBook:
         Raises:
             RequestClosed: it was issued, or denied before.
         """
-        return self._advance(self.get(digest), State.DENIED, now, reason)
+        with self._database.changing():
+            return self._advance(self.get(digest), State.DENIED, now, reason)
 
     def collect(self, now: int) -> list[RequestRow]:
         """Forget every request whose time is over; returns what was forgotten."""
-        over = self._rows(f"WHERE changed + CASE state {_KEPT} END < ?", now)
-        if over:
-            with self._database.changing() as db:
-                for row in over:
-                    db.execute("DELETE FROM csr WHERE digest = ?", (row.digest,))
-                    record(db, now, COLLECTED, row.name, row.state, row.digest)
+        if not self._over(now):  # who only looks takes no lock
+            return []
+        with self._database.changing() as db:
+            over = self._over(now)
+            for row in over:
+                db.execute("DELETE FROM csr WHERE digest = ?", (row.digest,))
+                record(db, now, COLLECTED, row.name, row.state, row.digest)
         return over
 
     def settle(self, db: sqlite3.Connection, digest: bytes, now: int) -> None:
@@ -130,6 +124,24 @@ class RequestBook:
         if held is None:
             raise RequestClosed("the request is not recorded", "first: rossec ca approve")
         _move(db, advance(held, State.ISSUED, now))
+
+    def _over(self, now: int) -> list[RequestRow]:
+        return self._rows(f"WHERE changed + CASE state {_KEPT} END < ?", now)
+
+    def _check_name(
+        self, row: RequestRow, now: int, replace_key: str | None, *, wildcard: bool
+    ) -> None:
+        """Return if the key that asks may have the name, as `approve` says."""
+        for other in self._open():
+            if other.name == row.name and other.thumbprint != row.thumbprint:
+                raise NameContested(
+                    f"two different keys ask for the name {row.name}",
+                    f"compare fingerprints, then deny the other: rossec ca deny {_short(other)}",
+                )
+        self._identities.check_names(
+            row.name, row.thumbprint, now, lambda other: covers(row.name, other, wildcard=wildcard)
+        )
+        self._identities.check_key(row.name, row.thumbprint, now, replace_key=replace_key)
 
     def _check_new(self, request: Request) -> None:
         if self._identities.answer(request.digest) is not None:

@@ -15,7 +15,13 @@ from typing import Final
 
 from cryptography.hazmat.primitives.asymmetric import ec
 
-from ca.errors import RevocationRefused, RevocationsStale, Revoked, RollbackRefused
+from ca.errors import (
+    ClocksDisagree,
+    RevocationRefused,
+    RevocationsStale,
+    Revoked,
+    RollbackRefused,
+)
 from ca.revocationtree import Listing, RevocationTree, is_revoked, is_tree, open_tree
 from ca.statements import (
     MAX_AGE,
@@ -60,6 +66,7 @@ class Revocations:
         self._absent: set[bytes] = set()
         self._wanted: dict[bytes, None] = {}
         self._confirmed: Timestamp | None = None
+        self._relied = 0  # until when on a confirmation that is doubted now
 
     @property
     def floor(self) -> tuple[int, int]:
@@ -83,9 +90,9 @@ class Revocations:
 
     @property
     def fresh_until(self) -> int:
-        """The last second at which `check` may say yes; 0 if there is none."""
+        """The last second at which `check` may say yes, or might have; 0 if there is none."""
         if self._list is None or self._confirmed is None:
-            return 0
+            return self._relied
         return min(self._confirmed.issued + self._confirmed.max_age, self._list.expires - 1)
 
     def known_until(self, entry: bytes) -> int:
@@ -152,7 +159,8 @@ class Revocations:
         entries = revocations.entries if isinstance(revocations, RevocationList) else self._entries
         added = entries - self._entries
         self._list, self._data, self._floor = revocations, data, revocations.number
-        self._entries, self._taken, self._confirmed = entries, now, None
+        self._entries, self._taken = entries, now
+        self._confirmed, self._relied = None, 0
         self._absent, self._wanted = set(), {}
         return added
 
@@ -160,7 +168,8 @@ class Revocations:
         """Take the master's word, opened with `open_timestamp`, that the list held is the newest.
 
         Raises:
-            RevocationRefused: for another list, too old, or from the future.
+            RevocationRefused: for another list.
+            ClocksDisagree: too old, or from the future.
         """
         if self._list is None:
             raise RevocationRefused("a timestamp came before any revocation list", _HINT_STALE)
@@ -172,11 +181,16 @@ class Revocations:
         if timestamp.max_age > MAX_AGE:
             raise RevocationRefused("the timestamp claims to be valid for too long")
         if timestamp.issued > now + SKEW:
-            raise RevocationRefused("the timestamp is from the future", "check both clocks")
+            raise ClocksDisagree("the timestamp is from the future", "check both clocks")
         if timestamp.issued + timestamp.max_age < now:
-            raise RevocationRefused("the timestamp is too old", "check both clocks")
+            raise ClocksDisagree("the timestamp is too old", "check both clocks")
         if self._confirmed is None or not self._newer_held(self._confirmed, timestamp, now):
             self._confirmed = timestamp
+
+    def doubt(self, until: int = 0) -> None:
+        """Rely on the last confirmation no longer than `until`, and wait for a new one."""
+        self._relied = min(self.fresh_until, until)
+        self._confirmed = None
 
     def check(self, entry: bytes, now: int) -> None:
         """Return if `entry` (a grant id or key thumbprint) is known not to be revoked.

@@ -1,8 +1,10 @@
 """The rows of the authority's record, as values."""
 
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from ca import names, svid
+
+INTERMEDIATE: Final = "intermediate/"  # before the key: no node's name begins like this
 
 
 class CertificateRow(NamedTuple):
@@ -24,6 +26,11 @@ class CertificateRow(NamedTuple):
         """Whether its holder may go by `name`."""
         related = names.covers(self.name, name, wildcard=True)
         return related and (self.name == name or self.wildcard)
+
+    def is_signed_by(self, issuer: "CertificateRow") -> bool:
+        """Whether the key of `issuer`, an intermediate, signed it."""
+        by = svid.parse(issuer.der)
+        return svid.is_signed_by(svid.parse(self.der), svid.subject(by), svid.key_of(by))
 
 
 class GrantRow(NamedTuple):

@@ -5,17 +5,20 @@ change. A request moves along `ca.lifecycle.TRANSITIONS` and is deleted at its e
 from that table refuse every other way. Everything here runs inside the caller's transaction.
 """
 
+import re
 import sqlite3
 from collections.abc import Iterator
 from typing import Final
 
-from ca.errors import LogDamaged
+from ca.errors import LogDamaged, StoreError
 from ca.lifecycle import TRANSITIONS, State
 from ca.log import Entry, digest_of, grow
 
 APPLICATION_ID: Final = 0x524F5343  # "ROSC"
 VERSION: Final = 2
+_OWN: Final = "restore a backup of your own, and find out who made this one"
 APPEND_ONLY: Final = ("certificate", "grant_", "revocation", "list", "head", "log")
+_OURS: Final = (*APPEND_ONLY, "answer", "csr")
 # What the log says of a table, and the columns its digest is over, in this order.
 RECORDED: Final = {
     "certificate": ("certificate", "serial, name, thumbprint, der, not_before, not_after"),
@@ -76,6 +79,7 @@ CREATE TRIGGER csr_moves BEFORE UPDATE OF state, reason, changed, replaces, wild
 WHEN (OLD.state || '>' || NEW.state) NOT IN ({allowed})
 BEGIN SELECT RAISE(ABORT, 'a request does not go this way'); END;
 """
+_SET: Final = re.compile(r"in \(([^()]*)\)")
 
 
 def create(db: sqlite3.Connection) -> None:
@@ -86,10 +90,80 @@ def create(db: sqlite3.Connection) -> None:
     db.execute(f"PRAGMA user_version = {VERSION}")
 
 
+def check_alone(db: sqlite3.Connection) -> None:
+    """Return if nothing runs or answers in this file but what is made here.
+
+    A trigger could let an entry vanish that it was told to keep, a view or a virtual table could
+    answer for a table. Plain tables may stand beside these, with triggers that make them
+    append-only in this module's form and no others: the inbox for grants has some.
+
+    Raises:
+        StoreError: with the name of the first that is foreign, missing or changed.
+    """
+    ours = sqlite3.connect(":memory:")
+    create(ours)
+    wanted, found = _made(ours), _made(db)
+    ours.close()
+    for name, made in found.items():
+        if name in wanted and wanted[name] == made:
+            continue
+        if name in wanted or not _is_beside(*made):
+            raise StoreError(f"the record holds a {made[0]} that is not rossec's: {name!a}", _OWN)
+    if missing := wanted.keys() - found.keys():
+        raise StoreError(f"the record lacks {min(missing)}", _OWN)
+
+
+def _is_beside(kind: str, table: str, text: str) -> bool:
+    """Whether it is a plain table beside ours, or what keeps that append-only."""
+    if kind == "trigger":
+        body = text.split()[3:]  # a table that was renamed left its trigger the old name
+        return table not in _OURS and body in [
+            _plain(_NO_CHANGE.format(table=table, verb=verb)).split()[3:]
+            for verb in ("UPDATE", "DELETE")
+        ]
+    return kind == "table" and text.startswith("create table ")
+
+
+def _made(db: sqlite3.Connection) -> dict[str, tuple[str, str, str]]:
+    """What is in a file: kind, table and text of each by its name, but for SQLite's own indexes."""
+    rows = db.execute("SELECT name, type, tbl_name, sql FROM sqlite_master WHERE sql IS NOT NULL")
+    return {name: (kind, table, _plain(text)) for name, kind, table, text in rows}
+
+
+def _plain(text: str) -> str:
+    """A statement without what does not matter: blanks, case, quotes, IF NOT EXISTS, its end.
+
+    Nor does the order of a set: until 0.1.0 that of `csr_moves` was another in each process.
+    """
+    words = text.lower().replace('"', "").replace("if not exists ", "").replace(";", " ").split()
+    return _SET.sub(lambda found: str(sorted(found[1].split(", "))), " ".join(words))
+
+
 def version(db: sqlite3.Connection) -> int:
     """The version of the tables in this file; 0 in a file that is no record."""
     (number,) = db.execute("PRAGMA user_version").fetchone()
     return int(number)
+
+
+def check(db: sqlite3.Connection) -> None:
+    """Return if the tables are those made here, which hold values of their types alone.
+
+    Raises:
+        StoreError: one is missing, or of another form: then nothing in it can be relied on.
+    """
+    rows = db.execute("SELECT name, sql FROM sqlite_master WHERE type = 'table'")
+    found = {name: _normal(sql) for name, sql in rows}
+    for statement in (*_KEPT, *_SINCE_2):
+        kind, name = statement.split()[1:3]
+        if kind == "TABLE" and found.get(name) != _normal(statement):
+            raise StoreError(
+                f"the table {name} of the record is not as rossec makes it",
+                "restore it from a backup of your own, and find out who changed it",
+            )
+
+
+def _normal(statement: str) -> str:
+    return " ".join(statement.split())
 
 
 def migrate(db: sqlite3.Connection) -> None:
@@ -138,6 +212,6 @@ def _triggers(tables: tuple[str, ...]) -> Iterator[str]:
         for verb in ("UPDATE", "DELETE"):
             yield _NO_CHANGE.format(table=table, verb=verb)
     ways = ", ".join(
-        f"'{old}>{new}'" for old, following in TRANSITIONS.items() for new in following
+        f"'{old}>{new}'" for old, following in TRANSITIONS.items() for new in sorted(following)
     )
     yield from (_NEW_REQUEST, _REQUEST_FIXED, _REQUEST_MOVES.format(allowed=ways))

@@ -3,9 +3,11 @@
 A shell, and the one door to it. What was handed out exists and a revocation cannot be undone:
 nothing is ever changed or deleted (triggers refuse it) but requests, which end. Every change
 appends its entry to the log in the same transaction, and is on the disk when the call returns.
+Whoever decides by what is recorded, and then records, does both inside `changing`.
 """
 
 import sqlite3
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any, Self
 
@@ -27,7 +29,7 @@ class Store:
     """
 
     def __init__(self, database: Database) -> None:
-        self._database = database
+        self.database = database
         self.identities = IdentityBook(database)
         self.requests = RequestBook(database, self.identities)
         self.journal = Journal(database)
@@ -52,11 +54,31 @@ class Store:
 
     def close(self) -> None:
         """Close the file."""
-        self._database.close()
+        self.database.close()
+
+    def check(self) -> None:
+        """Return if the file is rossec's own, through and through: one from elsewhere is asked.
+
+        Raises:
+            StoreError: it is damaged, or holds a trigger or view that is not rossec's.
+        """
+        self.database.check()
+
+    def changing(self) -> AbstractContextManager[sqlite3.Connection]:
+        """Several steps as one: all or none of them, and no other command in between.
+
+        Raises:
+            StoreError: as `ca.database.Database.changing`.
+        """
+        return self.database.changing()
+
+    def reading(self) -> AbstractContextManager[None]:
+        """What is read inside is of one moment."""
+        return self.database.reading()
 
     def snapshot(self) -> bytes:
         """The whole record at this moment, as the content of a file."""
-        return self._database.snapshot()
+        return self.database.snapshot()
 
     def add_certificate(
         self,
@@ -80,7 +102,7 @@ class Store:
             RequestClosed: the request is not approved, or has its certificate already.
             StoreError: the key is revoked, or the serial is taken.
         """
-        with self._database.changing() as db:
+        with self.database.changing() as db:
             self.identities.check_names(row.name, row.thumbprint, now, row.covers)
             self.identities.check_key(
                 row.name, row.thumbprint, now, replace_key=replace_key, renews=renews
@@ -102,8 +124,11 @@ class Store:
         return self.identities.all()
 
     def live_keys(self, name: str, now: int) -> frozenset[bytes]:
-        """Thumbprints of the keys with which `name` can still prove itself."""
-        return frozenset(row.thumbprint for row in self.identities.alive(name, now))
+        """Thumbprints of the keys of `name` that are not revoked: those that a revocation ends.
+
+        Also keys that only a revoked intermediate vouches for: they may be certified anew.
+        """
+        return frozenset(row.thumbprint for row in self.identities.unrevoked(name, now))
 
     def certified(self, name: str, now: int) -> str:
         """The name under which grants, rules and revocations are for the node called `name`.
@@ -120,10 +145,16 @@ class Store:
         """
         alive = self.identities.alive(name, now)
         if not alive:
+            if self.identities.unrevoked(name, now):
+                raise StoreError(
+                    f"the intermediate that signed the identity of {name} is revoked",
+                    f"enroll it anew: rossec node request {name}, then rossec ca sign",
+                )
             certified = self.certified(name, now)
             raise StoreError(
                 f"{name} has no valid identity here",
-                f"first enroll it: rossec node request {name}, then rossec ca sign"
+                f"first enroll it: rossec node request {name}, then rossec ca sign;"
+                " where an intermediate enrolled or renewed it: rossec ca import NODE.pem"
                 if certified == name
                 else f"it is one of the anonymous nodes of {certified}: name that",
             )
@@ -135,25 +166,32 @@ class Store:
         Raises:
             StoreError: the id is taken.
         """
-        with self._database.changing() as db:
+        with self.database.changing() as db:
             db.execute("INSERT INTO grant_ VALUES (?, ?, ?, ?, ?, ?)", (*row, now))
             record(db, now, "grant", row.name, row.id.hex(), digest_of(row))
 
     def grants(self) -> list[GrantRow]:
         """Every grant signed, oldest first."""
-        rows = self._database.rows(
-            "SELECT id, name, data, not_before, expires FROM grant_ ORDER BY rowid"
+        return self._grants("")
+
+    def revoked_grants(self) -> list[GrantRow]:
+        """The grants among what was revoked, oldest first."""
+        return self._grants("WHERE id IN (SELECT entry FROM revocation)")
+
+    def _grants(self, clause: str) -> list[GrantRow]:
+        rows = self.database.rows(
+            f"SELECT id, name, data, not_before, expires FROM grant_ {clause} ORDER BY rowid"  # noqa: S608  (constants)
         )
         return [GrantRow(*row) for row in rows]
 
     def revoke(self, entry: bytes, reason: str, now: int) -> None:
         """Record that a grant id or key thumbprint is revoked; twice is once."""
-        with self._database.changing() as db:
+        with self.database.changing() as db:
             _revoke(db, entry, reason, now)
 
     def revocations(self) -> list[RevocationRow]:
         """Everything revoked, oldest first."""
-        rows = self._database.rows("SELECT entry, reason, at FROM revocation ORDER BY rowid")
+        rows = self.database.rows("SELECT entry, reason, at FROM revocation ORDER BY rowid")
         return [RevocationRow(*row) for row in rows]
 
     def revoked_entries(self) -> frozenset[bytes]:
@@ -171,7 +209,7 @@ class Store:
         Raises:
             StoreError: its number is taken.
         """
-        with self._database.changing() as db:
+        with self.database.changing() as db:
             db.execute("INSERT INTO list VALUES (?, ?, ?, ?)", (*number, data, now))
             record(db, now, "list", f"{number[0]}.{number[1]}", "", digest_of((*number, data)))
 
@@ -180,20 +218,13 @@ class Store:
         found = self._newest("data")
         return None if found is None else bytes(found[0])
 
-    def is_list_behind(self) -> bool:
-        """Whether something was revoked after the newest list was signed."""
-        newest = self._database.rows(
-            "SELECT what FROM log WHERE what IN ('revocation', 'list') ORDER BY number DESC LIMIT 1"
-        )
-        return newest == [("revocation",)]
-
     def note(self, what: str, subject: str, detail: str, now: int) -> None:
         """Write into the log what changes nothing else in the record, such as a restoration."""
-        with self._database.changing() as db:
+        with self.database.changing() as db:
             record(db, now, what, subject, detail, b"")
 
     def _newest(self, columns: str) -> tuple[Any, ...] | None:
-        rows = self._database.rows(
+        rows = self.database.rows(
             f"SELECT {columns} FROM list ORDER BY epoch DESC, seq DESC LIMIT 1"  # noqa: S608  (constants)
         )
         return rows[0] if rows else None

@@ -136,7 +136,7 @@ def test_a_cut_log_contradicts_a_head_kept_elsewhere(store: Store, path: Path) -
 def test_a_way_no_request_goes(store: Store, path: Path) -> None:
     for what in ("issued", "approved", "collected", "pending"):
         with closing(Store.create(path.with_name(what))) as other:
-            with other._database.changing() as db:
+            with other.database.changing() as db:
                 from ca.journal import record
 
                 record(db, NOW, what, "/a", "", b"d" * 32)
@@ -159,7 +159,7 @@ def test_heads_are_kept_once(store: Store) -> None:
 def test_a_closed_record_has_no_journal(path: Path) -> None:
     store = Store.create(path)
     store.close()
-    with pytest.raises(StoreError, match="the record cannot be read"):
+    with pytest.raises(StoreError, match="cannot be used"):
         store.journal.entries()
-    with pytest.raises(StoreError, match="the record cannot be read"):
+    with pytest.raises(StoreError, match="cannot be used"):
         store.snapshot()

@@ -14,7 +14,16 @@ from ca.errors import (
     Revoked,
 )
 from ca.intermediates import build_intermediate_request
-from ca.renewal import MAX_RENEWAL, PROFILE, Renewal, open_renewal, renew_at, sign_renewal
+from ca.renewal import (
+    MAX_RENEWAL,
+    PROFILE,
+    Renewal,
+    ask_again_in,
+    open_renewal,
+    renew_at,
+    sign_renewal,
+    signed_at,
+)
 from ca.signer import KeySigner
 from tests.support.pki import DAY, NOW, Site, new_signer
 
@@ -66,7 +75,33 @@ def test_no_successor_lives_longer() -> None:
     renewal = asked(chain=(short,), now=late)
     der = SITE.authority.renew(renewal, now=late, serial=4)
     assert SITE.anchor.verify([der], late).not_after == late + renewal.longest
-    assert renewal.longest == DAY + 3600
+    assert renewal.longest == DAY
+
+
+@pytest.mark.parametrize("life", [120, 2 * 3600, DAY, 30 * DAY])
+def test_a_line_of_successors_lives_no_longer_each(life: int) -> None:
+    """The hour by which certificates are backdated was added at each renewal: 2 min, then 62."""
+    now, csr = NOW, build_request(OLD, "home", "/robot")
+    leaf = SITE.authority.issue(csr, now=now, serial=10, lifetime=life)
+    for serial in range(11, 16):
+        identity = SITE.anchor.verify([leaf], now)
+        assert identity.not_after == now + life
+        due = renew_at(identity.not_before, identity.not_after)
+        assert due == now + life * 2 // 3
+        with pytest.raises(RenewalRefused, match="is not due for renewal for 1 s"):
+            asked(csr, chain=(leaf,), now=now + life // 2 - 1)
+        now = due
+        leaf = SITE.authority.renew(asked(csr, chain=(leaf,), now=now), now=now, serial=serial)
+
+
+def test_of_a_certificate_that_is_not_backdated_all_is_its_life() -> None:
+    assert signed_at(NOW, NOW + 3600) == NOW
+    assert signed_at(NOW, NOW + 3601) == NOW + 3600
+
+
+@pytest.mark.parametrize(("life", "pause"), [(10, 1), (120, 6), (4 * 3600, 600), (DAY, 600)])
+def test_a_short_life_leaves_time_to_ask_again(life: int, pause: int) -> None:
+    assert ask_again_in(NOW - 3600, NOW + life, 600) == pause
 
 
 def test_an_intermediate_that_may_only_renew() -> None:
@@ -87,13 +122,11 @@ def test_an_intermediate_that_may_only_renew() -> None:
 
 def test_two_thirds() -> None:
     identity = SITE.anchor.verify([LEAF], NOW)
-    assert (
-        renew_at(identity.not_before, identity.not_after) == NOW - 3600 + (30 * DAY + 3600) * 2 // 3
-    )
+    assert renew_at(identity.not_before, identity.not_after) == NOW + 20 * DAY
 
 
 def test_not_before_half_its_life() -> None:
-    half = NOW - 3600 + (30 * DAY + 3600) // 2
+    half = NOW + 15 * DAY
     asked(now=half)
     with pytest.raises(RenewalRefused, match=r"/robot is not due for renewal for 1 s") as caught:
         asked(now=half - 1)

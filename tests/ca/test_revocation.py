@@ -392,3 +392,17 @@ def test_what_is_remembered_of_a_tree_is_bounded(monkeypatch: pytest.MonkeyPatch
     state.check((5).to_bytes(16), NOW)
     with pytest.raises(RevocationsStale):
         state.check((2).to_bytes(16), NOW)
+
+
+def test_a_confirmation_that_is_doubted_lets_nobody_in_and_cuts_nobody() -> None:
+    state = fresh(A)
+    state.doubt(NOW + 3)
+    assert state.fresh_until == NOW + 3
+    with pytest.raises(RevocationsStale, match="not confirmed"):
+        state.check(B, NOW)
+    state.doubt(NOW + 9)
+    assert state.fresh_until == NOW + 3, "doubt does not make it last"
+    state.confirm(stamp(1, state.data), NOW)
+    state.check(B, NOW)
+    state.doubt()
+    assert state.fresh_until == 0

@@ -1,12 +1,16 @@
+import os
 import sqlite3
-from collections.abc import Iterator
+import subprocess
+import sys
+from collections.abc import Iterable, Iterator
 from contextlib import closing
+from itertools import permutations
 from pathlib import Path
 
 import pytest
 
 from ca import schema
-from ca.errors import LogDamaged
+from ca.errors import LogDamaged, StoreError
 from ca.lifecycle import TRANSITIONS, State
 from ca.store import Store
 from tests.support import oldstore
@@ -138,3 +142,102 @@ def test_a_request_begins_pending_and_does_not_change(new: sqlite3.Connection) -
         new.execute("UPDATE csr SET name = '/b'")
     with pytest.raises(sqlite3.IntegrityError, match="a request does not go this way"):
         new.execute("UPDATE csr SET replaces = 1")
+
+
+@pytest.fixture
+def record() -> sqlite3.Connection:
+    db = sqlite3.connect(":memory:", isolation_level=None)
+    schema.create(db)
+    return db
+
+
+def test_a_record_of_ours_is_ours(record: sqlite3.Connection) -> None:
+    schema.check_alone(record)
+    record.execute("CREATE TABLE beside (x TEXT)")
+    record.execute(
+        "CREATE TRIGGER IF NOT EXISTS other_name BEFORE DELETE ON beside\n"
+        "BEGIN SELECT RAISE(ABORT, 'the record is append-only'); END;"
+    )
+    schema.check_alone(record)
+
+
+def moves(record: sqlite3.Connection, ways: Iterable[str]) -> None:
+    """Let the record's requests go these ways."""
+    listed = ", ".join(f"'{way}'" for way in ways)
+    record.executescript("DROP TRIGGER csr_moves;" + schema._REQUEST_MOVES.format(allowed=listed))
+
+
+WAYS = [f"{old}>{new}" for old, following in TRANSITIONS.items() for new in following]
+
+
+@pytest.mark.parametrize("ways", list(permutations(WAYS)))
+def test_the_ways_of_a_request_are_a_set(record: sqlite3.Connection, ways: tuple[str, ...]) -> None:
+    """Older versions wrote them in the order of a frozenset: any, and another in each process."""
+    moves(record, ways)
+    schema.check_alone(record)
+
+
+@pytest.mark.parametrize("ways", [WAYS[1:], [*WAYS, "denied>issued"], [*WAYS[1:], WAYS[1]]])
+def test_a_set_of_other_ways_is_not_ours(record: sqlite3.Connection, ways: list[str]) -> None:
+    moves(record, ways)
+    with pytest.raises(StoreError, match="a trigger that is not rossec's: 'csr_moves'"):
+        schema.check_alone(record)
+
+
+def test_every_process_makes_the_same_record() -> None:
+    script = (
+        "import sqlite3; from ca import schema; db = sqlite3.connect(':memory:');"
+        "schema.create(db); print('\\n'.join(db.iterdump()))"
+    )
+    made = {
+        subprocess.run(
+            (sys.executable, "-c", script), env={**os.environ, "PYTHONHASHSEED": seed},
+            capture_output=True, check=True, timeout=300,
+        ).stdout
+        for seed in "12345678"
+    }  # fmt: skip
+    assert len(made) == 1
+
+
+@pytest.mark.parametrize(
+    ("script", "said"),
+    [
+        ("CREATE TRIGGER x AFTER INSERT ON log BEGIN SELECT 1; END", "a trigger that is not"),
+        ("CREATE TABLE y (a); CREATE TRIGGER x AFTER INSERT ON y BEGIN SELECT 1; END", "a trigger"),
+        ("CREATE VIEW x AS SELECT 1", "a view that is not rossec's: 'x'"),
+        ("CREATE VIRTUAL TABLE x USING fts5(a)", "a table that is not rossec's: 'x'"),
+        ("CREATE INDEX x ON log (at)", "a index that is not rossec's: 'x'"),
+        ("DROP TRIGGER log_no_DELETE", "lacks log_no_DELETE"),
+        ("DROP TABLE answer; CREATE TABLE answer (request)", "'answer'"),
+    ],
+)
+def test_a_record_of_somebody_else(record: sqlite3.Connection, script: str, said: str) -> None:
+    record.executescript(script)
+    with pytest.raises(StoreError, match=said) as caught:
+        schema.check_alone(record)
+    assert "a backup of your own" in caught.value.hint
+
+
+def test_tables_of_another_form_hold_nothing_that_counts(tmp_path: Path) -> None:
+    """Somebody else's file, in which a number may be a text, and a name nothing at all."""
+    path = tmp_path / "ca.db"
+    Store.create(path).close()
+    with closing(sqlite3.connect(path, isolation_level=None)) as db:
+        db.execute("DROP TABLE head")
+        db.execute("CREATE TABLE head (data, at)")
+        db.execute("INSERT INTO head VALUES (-1, 'never')")
+    with pytest.raises(StoreError, match="the table head of the record is not as rossec makes it"):
+        Store.open(path)
+
+
+def test_a_state_that_is_none_is_told(tmp_path: Path) -> None:
+    path = tmp_path / "ca.db"
+    Store.create(path).close()
+    with closing(sqlite3.connect(path, isolation_level=None)) as db:
+        db.execute("DROP TRIGGER csr_begins")
+        row = (b"d", "/a", b"t", b"der", "file", 0, "begun", "", 0, 0, 0)
+        db.execute(f"INSERT INTO csr VALUES ({','.join('?' * len(row))})", row)
+    with closing(Store.open(path)) as store:
+        for look in (store.requests.all, lambda: store.journal.audit(new_signer().public_key)):
+            with pytest.raises(StoreError, match="a state that is none: 'begun'"):
+                look()
