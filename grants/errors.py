@@ -50,6 +50,15 @@ class GrantMissing(GrantError):
         self.near_misses = near_misses
 
 
+class YamlRefused(GrantError):
+    """Text that is not YAML, or more of it than is read here; `line` and `column` count from 1."""
+
+    def __init__(self, message: str, hint: str = "", line: int = 1, column: int = 1) -> None:
+        super().__init__(message, hint)
+        self.line = line
+        self.column = column
+
+
 class PolicyRefused(GrantError):
     """A policy with mistakes; `mistakes` holds all of them, the message the first."""
 
@@ -76,6 +85,10 @@ class RestrictionMismatch(GrantError):
 
 class MessageRefused(GrantError):
     """A message that does not have the layout of its type; it is dropped."""
+
+
+class MemoryExhausted(GrantError):
+    """More rates and hystereses than can be remembered: a further one would limit nothing."""
 
 
 class RenewalForged(GrantError):

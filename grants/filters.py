@@ -6,17 +6,29 @@ deserialized, so no message classes are needed, and types never seen before can 
 """
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, TypeAlias
 
 from grants.codegen import MISFIT, Buffer, misfit
 from grants.errors import FilterRefused
 from grants.hashing import Keys
 from grants.layout import Array, Layout, Struct, Type
+from grants.memory import Cell, CellName, Memory
 from grants.model import FilterRule
 from grants.operators import Treat, treatment
 from grants.rewriting import generate
-from grants.treatments import DESCEND, Each, Inside, Keep, Node, Parts, Treated, remembers
+from grants.treatments import (
+    DESCEND,
+    Each,
+    Inside,
+    Keep,
+    Node,
+    Numbers,
+    Parts,
+    Remembering,
+    Treated,
+    remembers,
+)
 
 _SMALL: Final = 2048  # bytes; below it a copy is cheaper than a view
 
@@ -26,7 +38,6 @@ class Filter:
     """A compiled filter for messages of one type."""
 
     type_name: str
-    remembers: bool  # a message's treatment depends on the messages before it
     _rewrite: Callable[[Buffer], list[Buffer]]
 
     def __call__(self, message: Buffer) -> list[Buffer]:
@@ -41,11 +52,16 @@ class Filter:
             raise misfit(self.type_name) from None
 
 
-def compile_filter(layout: Layout, rules: Iterable[FilterRule], keys: Keys | None = None) -> Filter:
+def compile_filter(
+    layout: Layout,
+    rules: Iterable[FilterRule],
+    keys: Keys | None = None,
+    cells: Callable[[CellName], Cell] | None = None,
+) -> Filter:
     """Compile `rules` (see `model.filter_rules`) for messages of `layout`.
 
     `keys` by name are for `hash`; without them the rules are only checked, and what is hashed is
-    refused.
+    refused. `cells` finds what a field with hysteresis remembers; without it nothing was before.
 
     Raises:
         FilterRefused: an unknown field or operator, a treatment that does not fit the field's
@@ -54,8 +70,8 @@ def compile_filter(layout: Layout, rules: Iterable[FilterRule], keys: Keys | Non
     branch = _Branch({})
     for rule in rules:
         _plant(branch, rule, treatment(rule, keys))
-    node = _resolve(layout.root, branch, "")
-    return Filter(layout.type_name, remembers(node), generate(node))
+    node = _bound(_resolve(layout.root, branch, ""), cells or Memory().cell, ())
+    return Filter(layout.type_name, generate(node))
 
 
 @dataclass(frozen=True)
@@ -113,6 +129,21 @@ def _check_beside(kind: Struct, name: str, treatment: Inside, path: str) -> None
         raise FilterRefused(
             f"{path}{name} of a {kind.name}: this needs the data of a {treatment.message}"
         )
+
+
+def _bound(node: Node, cells: Callable[[CellName], Cell], path: CellName) -> Node:
+    """Every field that remembers, with its cell; a field of another type has another."""
+    match node:
+        case Treated(kind, Numbers(remembering=Remembering(name, bind)) as numbers):
+            cell = cells((*path, kind.name, *name))
+            return Treated(kind, replace(numbers, scalar=bind(cell)))
+        case Parts(kind, parts):
+            fields = zip(kind.fields, parts, strict=True)
+            return Parts(
+                kind, tuple(_bound(part, cells, (*path, name)) for (name, _), part in fields)
+            )
+        case _:
+            return node
 
 
 def _field(name: str, kind: Type, branch: _Branch, path: str) -> Node:

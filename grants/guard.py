@@ -1,10 +1,12 @@
 """What stands between a publisher and one receiver: expiry, conditions, rate, filters, in order.
 
 Built once per connection from the layout the wire proved and the decision; then called for every
-message. It fails closed: what it does not understand is not sent.
+message. What it remembers (a rate, a hysteresis) is the holder's and outlives the connection
+(`grants.memory`). It fails closed: what it does not understand is not sent.
 """
 
-from collections.abc import Hashable, Iterable
+from collections.abc import Callable, Hashable, Iterable
+from functools import partial
 from typing import Final, TypeAlias
 
 from grants.codegen import Buffer
@@ -14,6 +16,7 @@ from grants.errors import GrantError, GrantExpired, MessageRefused, RestrictionM
 from grants.filters import Filter, compile_filter
 from grants.hashing import Keys, key_names
 from grants.layout import Layout
+from grants.memory import Bucket, Cell, CellName, Memory
 from grants.model import FilterRule, Restriction
 from grants.validity import moment
 
@@ -25,32 +28,60 @@ class Guard:
         layout: of the messages; may be None only if no restriction looks into them.
         decision: from `authorize`.
         keys: the publisher's keys for `hash`, 32 bytes each, by name (see `needed_keys`).
+        recall: finds what the holder's earlier connections have left; without it the guard
+            begins afresh, which is for trials only.
+
+    Attributes:
+        memory: of its holder, if it needs one.
+        key: equal for guards that treat every message alike: treat once, send to all of them.
+            Expiry is not part of it: call `check` for every receiver.
 
     Raises:
         RestrictionMismatch: a restriction is written for another message type.
         ConditionRefused, FilterRefused: a restriction does not fit the layout, or a key is missing.
+        MemoryExhausted: what it must remember has no room.
     """
 
-    def __init__(self, layout: Layout | None, decision: Decision, keys: Keys | None = None) -> None:
+    def __init__(
+        self,
+        layout: Layout | None,
+        decision: Decision,
+        keys: Keys | None = None,
+        recall: Callable[[Decision], Memory] | None = None,
+    ) -> None:
         for restriction in decision.restrictions:
-            _check_type(layout, restriction)
+            check_type("unknown" if layout is None else layout.type_name, restriction)
         self.expires: Final = decision.expires
+        self.memory: Memory | None = None
+        self._recall = Memory if recall is None else partial(recall, decision)
         self._conditions = _conditions(layout, decision.restrictions)
-        self._filters = _filters(layout, decision.restrictions, keys or {})
-        self._bucket = _bucket(decision.restrictions)
-        self._key = (layout.type_name, layout.md5) if layout is not None else None
-        self._restrictions = decision.restrictions
+        self._filters = self._compiled(layout, decision.restrictions, keys or {})
+        self._bucket = self._limited(decision.restrictions)
+        shape = layout.digest if layout is not None else None
+        self.key: Hashable = (self.memory, shape, decision.restrictions)
 
-    @property
-    def key(self) -> Hashable:
-        """Equal for guards that treat every message alike: treat once, send to all of them.
+    def _remembering(self) -> Memory:
+        if self.memory is None:
+            self.memory = self._recall()
+        return self.memory
 
-        A guard with a memory (a rate, a hysteresis) equals only itself. Expiry is not part of
-        it: call `check` for every receiver.
-        """
-        if self._bucket is not None or any(rewrite.remembers for rewrite in self._filters):
-            return self
-        return (self._key, self._restrictions)
+    def _cell(self, stage: int, name: CellName) -> Cell:
+        return self._remembering().cell((stage, *name))
+
+    def _compiled(
+        self, layout: Layout | None, restrictions: Iterable[Restriction], keys: Keys
+    ) -> tuple[Filter, ...]:
+        if layout is None:
+            return ()
+        return tuple(
+            compile_filter(layout, stage.values(), keys, partial(self._cell, number))
+            for number, stage in enumerate(_stages(restrictions))
+        )
+
+    def _limited(self, restrictions: Iterable[Restriction]) -> Bucket | None:
+        """The tightest of the rates: what it lets through, the others do too."""
+        rates = [restriction.rate for restriction in restrictions if restriction.rate is not None]
+        return self._remembering().bucket(min(rates)) if rates else None
 
     def check(self, now: int) -> None:
         """Return if the right still holds at `now`.
@@ -63,14 +94,27 @@ class Guard:
                 f"the grant expired at {moment(self.expires)}", "ask the authority to renew it"
             )
 
-    def treat(self, message: Buffer, now: int) -> list[Buffer] | None:
+    def ready(self, now: int) -> bool:
+        """Whether the rate, if there is one, lets a message through at `now`."""
+        if self.memory is None or self._bucket is None:
+            return True
+        with self.memory.lock:
+            return self.memory.ready(self._bucket, now)
+
+    def treat(self, message: Buffer, now: int, mark: object = None) -> list[Buffer] | None:
         """Return `message` in pieces as the receiver may see it, or None if it may not.
+
+        Args:
+            message: without its length.
+            now: seconds since the epoch.
+            mark: is the same object for the same message, on whatever connection of the holder:
+                it was judged then, and the rate counts it once. None: a message not seen before.
 
         Raises:
             MessageRefused: the message does not have its type's layout, or anything unforeseen.
         """
         try:
-            return self._treat(message, now)
+            return self._treat(message, now, object() if mark is None else mark)
         except GrantError:
             raise
         except Exception as error:
@@ -86,12 +130,18 @@ class Guard:
         self.check(now)
         return self.treat(message, now)
 
-    def _treat(self, message: Buffer, now: int) -> list[Buffer] | None:
+    def _treat(self, message: Buffer, now: int, mark: object) -> list[Buffer] | None:
         for condition in self._conditions:
             if condition(message, now) is not True:
                 return None
-        if self._bucket is not None and not self._bucket.take(now):
-            return None
+        if self.memory is None:
+            return self._filtered(message)
+        with self.memory.lock:
+            if self._bucket is not None and not self.memory.take(self._bucket, mark, now):
+                return None
+            return self._filtered(message)
+
+    def _filtered(self, message: Buffer) -> list[Buffer]:
         pieces: list[Buffer] = [message]
         for rewrite in self._filters:
             pieces = rewrite(pieces[0] if len(pieces) == 1 else b"".join(pieces))
@@ -101,13 +151,15 @@ class Guard:
 _Stage: TypeAlias = dict[str, FilterRule]
 
 
-def _check_type(layout: Layout | None, restriction: Restriction) -> None:
-    if restriction.type is None:
-        return
-    if layout is None or layout.type_name != restriction.type:
-        found = layout.type_name if layout is not None else "unknown"
+def check_type(name: str, restriction: Restriction) -> None:
+    """Return if `restriction` may be applied to messages of the type `name`.
+
+    Raises:
+        RestrictionMismatch: it is written for another.
+    """
+    if restriction.type not in (None, name):
         raise RestrictionMismatch(
-            f"the grant is restricted for messages of type {restriction.type}, these are {found}",
+            f"the grant is restricted for messages of type {restriction.type}, these are {name}",
             "the right does not hold for another type; ask for a grant for it",
         )
 
@@ -125,51 +177,21 @@ def _conditions(
     )
 
 
-class _Bucket:
-    """A token bucket: over any time, `rate` messages a second and `max(1, rate)` more at most."""
-
-    def __init__(self, rate: float) -> None:
-        self._rate = rate
-        self._most = max(1.0, rate)
-        self._tokens = self._most
-        self._at: int | None = None
-
-    def take(self, now: int) -> bool:
-        """Whether one more message may pass at `now`; a clock set back brings nothing."""
-        if self._at is not None and now > self._at:
-            self._tokens = min(self._tokens + (now - self._at) * self._rate, self._most)
-        self._at = now
-        if self._tokens < 1:
-            return False
-        self._tokens -= 1
-        return True
-
-
-def _bucket(restrictions: Iterable[Restriction]) -> _Bucket | None:
-    """The tightest of the rates: what it lets through, the others do too."""
-    rates = [restriction.rate for restriction in restrictions if restriction.rate is not None]
-    return _Bucket(min(rates)) if rates else None
-
-
 def needed_keys(restrictions: Iterable[Restriction]) -> frozenset[str]:
     """The names of the filter keys a guard for `restrictions` must be given."""
     return frozenset().union(*(key_names(restriction.filters) for restriction in restrictions))
 
 
-def _filters(
-    layout: Layout | None, restrictions: Iterable[Restriction], keys: Keys
-) -> tuple[Filter, ...]:
+def _stages(restrictions: Iterable[Restriction]) -> list[_Stage]:
     """As few passes as possible: rules for the same fields must come one after another.
 
     Every pass can only take information away, so the order of the passes decides the form of
     the result, never that it reveals more than a single pass would.
     """
-    if layout is None:
-        return ()
     stages: list[_Stage] = []
     for restriction in restrictions:
         _place(stages, {rule.path: rule for rule in restriction.filters})
-    return tuple(compile_filter(layout, stage.values(), keys) for stage in stages if stage)
+    return [stage for stage in stages if stage]
 
 
 def _place(stages: list[_Stage], rules: _Stage) -> None:

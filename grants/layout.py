@@ -1,10 +1,11 @@
 """From the text of a message definition to the layout of its bytes.
 
 The text is the `message_definition` field of a TCPROS connection header: the definition, then
-each definition it needs after a line of 80 `=` and `MSG: package/Type`. It comes from a peer, so
-every size is bounded before it is used. `Layout.md5` is computed as genmsg does
-(`genmsg/gentools.py`, `compute_md5_text`): comparing it with the connection's md5sum proves that
-the layout describes the bytes on the wire.
+each definition it needs after a line of 80 `=` and `MSG: package/Type`. It may come from a peer,
+so every size is bounded before it is used. `Layout.md5` is computed as genmsg does
+(`genmsg/gentools.py`, `compute_md5_text`), which forgets array brackets behind the name of a
+message type: an md5 proves the layout only where `Layout.is_proven` says so. `Layout.digest` is
+over all of it.
 """
 
 import hashlib
@@ -20,9 +21,9 @@ MAX_DEPTH: Final = 32
 MAX_FIELDS: Final = 4096  # after all nested messages are written out
 MAX_FIXED: Final = 16 * 1024 * 1024  # bytes of a fixed-size part
 
-_SEPARATOR: Final = "=" * 80
+SEPARATOR: Final = "=" * 80
 _NAME: Final = re.compile(r"[A-Za-z][A-Za-z0-9_]*", re.ASCII)
-_TYPE_NAME: Final = re.compile(r"[A-Za-z][A-Za-z0-9_]*/[A-Za-z][A-Za-z0-9_]*", re.ASCII)
+TYPE_NAME: Final = re.compile(r"[A-Za-z][A-Za-z0-9_]*/[A-Za-z][A-Za-z0-9_]*", re.ASCII)
 _FIELD_TYPE: Final = re.compile(
     r"((?:[A-Za-z][A-Za-z0-9_]*/)?[A-Za-z][A-Za-z0-9_]*)(?:\[([0-9]{0,9})\])?", re.ASCII
 )
@@ -112,13 +113,20 @@ _CONSTANT_TYPES: Final = _BUILT_IN.keys() - {"time", "duration"}
 class Layout:
     """The layout of one message type: `md5` is ROS's checksum of the definition.
 
-    `checked` is the text that checksum is over: constants and fields, in genmsg's form.
+    `checked` is the text that checksum is over: constants and fields, in genmsg's form. `digest`
+    (SHA-256, 32 bytes) is equal for layouts with the same fields at the same places.
     """
 
     type_name: str
     md5: str
     root: Struct
     checked: str
+    digest: bytes
+
+    @property
+    def is_proven(self) -> bool:
+        """Whether the md5 proves where every field is: none of them is made of messages."""
+        return not any(_made_of_messages(kind) for _, kind in self.root.fields)
 
 
 def parse(type_name: str, definition: str) -> Layout:
@@ -131,12 +139,29 @@ def parse(type_name: str, definition: str) -> Layout:
         raise DefinitionRefused(
             f"{len(definition)} characters of definition where at most {MAX_TEXT} are allowed"
         )
-    if _TYPE_NAME.fullmatch(type_name) is None:
+    if TYPE_NAME.fullmatch(type_name) is None:
         raise DefinitionRefused(f"not a message type: {type_name[:80]!r}", "package/Type")
     if any("\ud800" <= character <= "\udfff" for character in definition):
         raise DefinitionRefused("a definition that is not text: it has lone surrogates")
     built = _Builder(_sections(type_name, definition)).build(type_name, ())
-    return Layout(type_name, built.md5, built.struct, built.checked)
+    return Layout(type_name, built.md5, built.struct, built.checked, built.digest)
+
+
+def _made_of_messages(kind: Type) -> bool:
+    return isinstance(kind.element if isinstance(kind, Array) else kind, Struct)
+
+
+def needed(type_name: str, definition: str) -> frozenset[str]:
+    """The message types that the fields of one definition (a .msg file) are made of.
+
+    Raises:
+        DefinitionRefused: malformed.
+    """
+    _, declared = _statements(type_name, definition.split("\n"))
+    bases = ((_base(type_name, text)[0], text) for text in declared.values())
+    return frozenset(
+        _full_name(type_name, base, text) for base, text in bases if base not in _BUILT_IN
+    )
 
 
 def service_md5(request: Layout, response: Layout) -> str:
@@ -150,7 +175,7 @@ def _sections(type_name: str, definition: str) -> dict[str, list[str]]:
     lines = iter(definition.split("\n"))
     current = sections[type_name]
     for line in lines:
-        if line != _SEPARATOR:
+        if line != SEPARATOR:
             current.append(line)
             continue
         name = _section_name(next(lines, ""))
@@ -163,7 +188,7 @@ def _sections(type_name: str, definition: str) -> dict[str, list[str]]:
 
 def _section_name(line: str) -> str:
     name = line.removeprefix("MSG: ").strip()
-    if not line.startswith("MSG: ") or _TYPE_NAME.fullmatch(name) is None:
+    if not line.startswith("MSG: ") or TYPE_NAME.fullmatch(name) is None:
         raise DefinitionRefused(f"expected 'MSG: package/Type', found {line[:80]!r}")
     return name
 
@@ -174,6 +199,7 @@ class _Built:
     checked: str
     md5: str
     leaves: int
+    digest: bytes
 
 
 @dataclass
@@ -196,23 +222,33 @@ class _Builder:
         constants, declared = _statements(name, self.sections[name])
         fields: list[tuple[str, Type]] = []
         lines: list[str] = []
+        whole = hashlib.sha256(name.encode())
         leaves = 0
         for field_name, text in declared.items():
             kind, digest, count = self._resolve(name, text, (*above, name))
             fields.append((field_name, kind))
             lines.append(f"{digest} {field_name}")
+            whole.update(f"\n{self._whole(kind)} {field_name}".encode())
             leaves += count
             if leaves > MAX_FIELDS:
                 raise DefinitionRefused(f"{name} has more than {MAX_FIELDS} fields")
         checked = "\n".join(constants + lines).strip()
-        return _Built(_bounded(Struct(name, tuple(fields))), checked, _md5(checked), leaves)
+        struct = _bounded(Struct(name, tuple(fields)))
+        return _Built(struct, checked, _md5(checked), leaves, whole.digest())
+
+    def _whole(self, kind: Type) -> str:
+        """The type of a field with all that is below it, in one word."""
+        match kind:
+            case Array(element, length):
+                return f"{self._whole(element)}[{'' if length is None else length}]"
+            case Struct(name):
+                return f"{name}:{self.done[name].digest.hex()}"
+            case _:
+                return kind.name
 
     def _resolve(self, inside: str, text: str, above: tuple[str, ...]) -> tuple[Type, str, int]:
         """The type `text` means inside a message, what it adds to the checksum, and its leaves."""
-        matched = _FIELD_TYPE.fullmatch(text)
-        if matched is None:
-            raise DefinitionRefused(f"not a field type in {inside}: {text[:80]!r}")
-        base, length = matched.groups()
+        base, length = _base(inside, text)
         digest, leaves = text, 1
         if base in _BUILT_IN:
             kind = _BUILT_IN[base]
@@ -222,6 +258,14 @@ class _Builder:
         if length is not None:
             kind = _bounded(Array(kind, int(length) if length else None))
         return kind, digest, leaves
+
+
+def _base(inside: str, text: str) -> tuple[str, str | None]:
+    """A field's type without brackets, and what stands in them; None: there are none."""
+    matched = _FIELD_TYPE.fullmatch(text)
+    if matched is None:
+        raise DefinitionRefused(f"not a field type in {inside}: {text[:80]!r}")
+    return matched[1], matched[2]
 
 
 def _full_name(inside: str, base: str, text: str) -> str:

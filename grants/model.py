@@ -9,7 +9,7 @@ import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from enum import IntFlag
-from typing import Final, Self, TypeAlias
+from typing import Any, Final, Self, TypeAlias
 
 from ca.names import check_name
 from grants.errors import FilterRefused, GrantMalformed
@@ -78,8 +78,8 @@ class FilterRule:
         return f"{self.path}: {' '.join(words)}"
 
 
-def filter_rules(rules: Mapping[str, Mapping[str, object]]) -> tuple[FilterRule, ...]:
-    """Read `{path: {operator: parameter}}`, sorted by path.
+def filter_rules(rules: Mapping[Any, Any]) -> tuple[FilterRule, ...]:
+    """Read `{path: {operator: parameter}}`, sorted by path, from whatever a decoder made of it.
 
     The parameter is `True` for an operator without parameters, else a map of scalars:
     `{"header.frame_id": {"clear": True}, "pose.position": {"round": {"step": 0.5}}}`.
@@ -87,13 +87,20 @@ def filter_rules(rules: Mapping[str, Mapping[str, object]]) -> tuple[FilterRule,
     Raises:
         FilterRefused: anything else.
     """
-    return tuple(sorted(_filter_rule(path, treatment) for path, treatment in rules.items()))
+    read = [_filter_rule(path, treatment) for path, treatment in rules.items()]
+    return tuple(sorted(read, key=lambda rule: rule.path))
 
 
-def _filter_rule(path: str, treatment: Mapping[str, object]) -> FilterRule:
-    if len(treatment) != 1:
+def _filter_rule(path: Any, treatment: Any) -> FilterRule:
+    if not isinstance(path, str):
+        raise FilterRefused(f"a field path is text, not {str(path)[:40]}", "for example header.seq")
+    if not isinstance(treatment, Mapping) or len(treatment) != 1:
         raise FilterRefused(f"{path}: exactly one operator per field", "for example {clear: true}")
     [(operator, parameter)] = treatment.items()
+    if not isinstance(operator, str):
+        raise FilterRefused(
+            f"{path}: an operator is a word, not {str(operator)[:40]}", "for example {clear: true}"
+        )
     if parameter is True:
         return FilterRule(path, operator)
     if not isinstance(parameter, Mapping) or len(parameter) == 0:
@@ -214,8 +221,8 @@ class Draft:
 
     def __post_init__(self) -> None:
         check_name(self.subject)
-        if not 0 < len(self.domain) <= 255:
-            raise GrantMalformed("a grant needs a trust domain of 1 to 255 characters")
+        if not 0 < len(self.domain.encode()) <= 255:  # .size of a tstr counts bytes (RFC 8610)
+            raise GrantMalformed("a grant needs a trust domain of 1 to 255 bytes")
         if len(self.holder) != KEY_SIZE or len(self.serial) != ID_SIZE:
             raise GrantMalformed("holder must be 32 bytes, serial 16")
         if not 0 <= self.not_before < self.expires <= self.cap < _MAX_TIME:

@@ -6,6 +6,9 @@ names must be resolved before they come here, or they are refused. Names are ASC
 letter can never reach a decision.
 """
 
+from collections.abc import Sequence
+from functools import lru_cache
+
 from ca.errors import NameRefused
 from ca.names import check_name
 from grants.errors import PatternRefused
@@ -53,16 +56,50 @@ def covers_tree(pattern: str, name: str) -> bool:
     Raises:
         PatternRefused, NameRefused: one of them is not in its syntax.
     """
-    check_pattern(pattern)
+    parts = _parts(pattern)
     check_name(name)
-    return bool(_reach(_segments(pattern), _segments(name)))
+    return bool(_reach(parts, _segments(name)))
+
+
+def covers_below(pattern: str, space: str) -> bool:
+    """Whether `covers_tree` holds for every name below `space`, a name or `/` for all.
+
+    Raises:
+        PatternRefused: `pattern` is not in its syntax.
+    """
+    below = [*_space(space), _WILDCARDS[0]]  # a segment that no pattern spells out
+    return bool(_reach(_parts(pattern), below))
+
+
+def touches(pattern: str, space: str) -> bool:
+    """Whether `covers_tree` holds for `space`, or for any name below it (`/`: for any at all).
+
+    Raises:
+        PatternRefused: `pattern` is not in its syntax.
+    """
+    name, reached = _space(space), {0}
+    for segment in _parts(pattern):
+        if len(name) in reached:  # what is left of the pattern stands for something below
+            return True
+        reached = _advance(reached, segment, name)
+    return bool(reached)
+
+
+def _space(text: str) -> list[str]:
+    return [] if text == "/" else _segments(text)
 
 
 def _segments(text: str) -> list[str]:
     return text[1:].split("/")
 
 
-def _reach(pattern: list[str], name: list[str]) -> set[int]:
+@lru_cache(maxsize=4096)
+def _parts(pattern: str) -> tuple[str, ...]:
+    """The segments of a pattern, which is asked about thousands of names."""
+    return (*_segments(check_pattern(pattern)),)
+
+
+def _reach(pattern: Sequence[str], name: list[str]) -> set[int]:
     """How many leading segments of `name` all of `pattern` can stand for; each at least one.
 
     A set of positions instead of backtracking: time is the product of the lengths, whatever
@@ -70,8 +107,11 @@ def _reach(pattern: list[str], name: list[str]) -> set[int]:
     """
     reached = {0}
     for segment in pattern:
-        if segment == "**":
-            reached = set(range(min(reached, default=len(name)) + 1, len(name) + 1))
-        else:
-            reached = {at + 1 for at in reached if at < len(name) and segment in ("*", name[at])}
+        reached = _advance(reached, segment, name)
     return reached
+
+
+def _advance(reached: set[int], segment: str, name: list[str]) -> set[int]:
+    if segment == "**":
+        return set(range(min(reached, default=len(name)) + 1, len(name) + 1))
+    return {at + 1 for at in reached if at < len(name) and segment in ("*", name[at])}

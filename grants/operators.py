@@ -21,7 +21,15 @@ from grants.layout import PRIMITIVES, Array, Primitive, Struct, Text, Type
 from grants.model import FilterRule, Scalar
 from grants.pictures import BESIDE, MAX_SIDE, pixelation
 from grants.rounding import hold, round_floats, round_integers, round_times
-from grants.treatments import DESCEND, Body, Constant, Inside, Numbers, Treatment
+from grants.treatments import (
+    DESCEND,
+    Body,
+    Constant,
+    Inside,
+    Numbers,
+    Remembering,
+    Treatment,
+)
 
 Treat: TypeAlias = Callable[[Type], Treatment]
 Parameters: TypeAlias = dict[str, Scalar]
@@ -91,7 +99,8 @@ def _round(parameters: Parameters) -> Treat:
             return found
         if len(kind.code if isinstance(kind, Primitive) else "") > 1:
             raise FilterRefused(f"hysteresis needs numbers, not {kind.name}")
-        return replace(found, remembering=hold(found.scalar, step, hysteresis))
+        holding = hold(found.scalar, step, hysteresis)
+        return replace(found, remembering=Remembering((step, hysteresis), holding))
 
     return treat
 

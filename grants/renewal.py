@@ -38,6 +38,8 @@ TICKET: Final = Profile("rossec-ticket+cwt")
 MAX_STATEMENT: Final = 1024  # bytes
 MAX_DELEGATION: Final = 90 * 86400  # seconds a delegation may hold
 MAX_TICKET: Final = 7 * 86400  # seconds any delegation may allow a ticket
+# The least the tools let a delegation allow: a node asks after two thirds, and may have to again.
+MIN_TICKET: Final = 60
 
 _MAX_TIME: Final = 1 << 53
 _ID_PREFIX: Final = (
@@ -71,8 +73,8 @@ class Delegation:
     serial: bytes
 
     def __post_init__(self) -> None:
-        if not 0 < len(self.domain) <= 255:
-            raise RenewalMalformed("a delegation needs a trust domain of 1 to 255 characters")
+        if not 0 < len(self.domain.encode()) <= 255:
+            raise RenewalMalformed("a delegation needs a trust domain of 1 to 255 bytes")
         if len(self.holder) != KEY_SIZE or len(self.serial) != ID_SIZE:
             raise RenewalMalformed("holder must be 32 bytes, serial 16")
         if not 0 <= self.not_before < self.expires < _MAX_TIME:

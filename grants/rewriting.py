@@ -182,8 +182,7 @@ class _Writer(Cursor):
             names = [self.source.new("x") for _ in kind.code]
             values += names
             star = "*" if len(names) > 1 else ""
-            scalar = numbers.remembering() if numbers.remembering else numbers.scalar
-            results.append(f"{star}{self.source.bind(scalar)}({','.join(names)})")
+            results.append(f"{star}{self.source.bind(numbers.scalar)}({','.join(names)})")
         if not values:
             return self.source.bind(b"".join(item for item in run.items if isinstance(item, bytes)))
         read = self.source.bind(struct.Struct(unpack).unpack_from)

@@ -13,6 +13,7 @@ from typing import Any, Final, TypeAlias
 from grants.arrays import Vector, np
 from grants.errors import FilterRefused
 from grants.layout import Primitive
+from grants.memory import Cell
 
 Rounding: TypeAlias = tuple[Callable[..., Any], Callable[[Vector], Vector]]
 
@@ -118,27 +119,25 @@ def _exact(step: int, low: int, high: int) -> Callable[[int], int]:
 
 def hold(
     scalar: Callable[[float], float], step: float, hysteresis: float
-) -> Callable[[], Callable[[float], float]]:
+) -> Callable[[Cell], Callable[[float], float]]:
     """Rounding that stays in its cell until the value is `hysteresis` beyond the border.
 
     A value that trembles about a border would tell, by the flips, exactly where it is. Returns a
-    maker of functions with a memory, one for each field of each receiver.
+    maker of functions that remember in a cell: one for each field of each holder.
     """
     reach = step / 2 + hysteresis
 
-    def fresh() -> Callable[[float], float]:
-        held: float | None = None
-
+    def bind(cell: Cell) -> Callable[[float], float]:
         def remembering(value: float) -> float:
-            nonlocal held
+            held = cell.held
             # With NaN the comparison is false; NaN and infinities pass and are not remembered.
             if held is not None and abs(value - held) <= reach:
                 return held
             rounded = scalar(value)
             if math.isfinite(rounded):
-                held = rounded
+                cell.held = rounded
             return rounded
 
         return remembering
 
-    return fresh
+    return bind

@@ -11,6 +11,7 @@ from typing import Any, Final, Literal, TypeAlias
 from grants.arrays import Vector
 from grants.codegen import Buffer
 from grants.layout import Array, Struct, Type
+from grants.memory import Cell
 
 DESCEND: Final = "descend"
 
@@ -23,17 +24,28 @@ class Constant:
 
 
 @dataclass(frozen=True)
+class Remembering:
+    """A `scalar` with a memory: `bind` makes it of the cell that the field has in it.
+
+    `name` says what it does, so that only its like shares the cell.
+    """
+
+    name: tuple[float, ...]
+    bind: Callable[[Cell], Callable[..., Any]]
+
+
+@dataclass(frozen=True)
 class Numbers:
     """The values of a `Primitive` go through `scalar`, arrays of them through `vector`.
 
     `scalar` takes as many values as the type's format has, and returns as many (one: bare).
-    With `remembering`, every field gets a `scalar` of its own from it, which may have a memory;
+    With `remembering`, every field gets a `scalar` of its own from it;
     such a treatment has no place in an array, whose elements come and go.
     """
 
     scalar: Callable[..., Any]
     vector: Callable[[Vector], Vector]
-    remembering: Callable[[], Callable[..., Any]] | None = None
+    remembering: Remembering | None = None
 
 
 @dataclass(frozen=True)

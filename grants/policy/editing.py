@@ -5,6 +5,7 @@ Whoever writes the result should load it once more.
 """
 
 from collections.abc import Iterable, Mapping
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field
 from io import StringIO
 from typing import Any, Final
@@ -43,9 +44,10 @@ def add_rules(text: str, rules: Iterable[NewRule]) -> str:
     """`text` with `rules` added; one whose id is there gains what it lacks."""
     yaml = _yaml()
     data = yaml.load(text)
+    known = _rules(data)
     for rule in rules:
         _add_types(data, rule.types)
-        _add_rule(data, rule)
+        _add_rule(data, known, rule)
     out = StringIO()
     yaml.dump(data, out)
     return out.getvalue()
@@ -53,7 +55,7 @@ def add_rules(text: str, rules: Iterable[NewRule]) -> str:
 
 def free_id(taken: Iterable[str], wish: str) -> str:
     """`wish`, or `wish-2` and so on."""
-    used = set(taken)
+    used = taken if isinstance(taken, AbstractSet) else set(taken)
     number = 1
     name = wish
     while name in used:
@@ -78,19 +80,23 @@ def _add_types(data: Any, types: Mapping[str, str]) -> None:
             data["types"].insert(0, topic, kind)
 
 
-def _add_rule(data: Any, rule: NewRule) -> None:
+def _rules(data: Any) -> dict[str, Any]:
+    """The rules that are there, by their ids; the list is made fit to be added to."""
     if not data["rules"]:
         data["rules"] = CommentedSeq()
     if isinstance(data["rules"], CommentedMap):  # a single rule may stand without a dash
         data["rules"] = CommentedSeq([data["rules"]])
-    known = next((item for item in data["rules"] if item["id"] == rule.id), None)
-    if known is None:
-        known = CommentedMap(id=rule.id, why=rule.why, who=rule.who)
-        known[rule.effect] = CommentedMap()
+    return {item["id"]: item for item in data["rules"]}
+
+
+def _add_rule(data: Any, known: dict[str, Any], rule: NewRule) -> None:
+    if rule.id not in known:
+        made = known[rule.id] = CommentedMap(id=rule.id, why=rule.why, who=rule.who)
+        made[rule.effect] = CommentedMap()
         if rule.filter is not None:
-            known["filter"] = CommentedMap(use=rule.filter)
-        data["rules"].append(known)
-    rights = known[rule.effect]
+            made["filter"] = CommentedMap(use=rule.filter)
+        data["rules"].append(made)
+    rights = known[rule.id][rule.effect]
     for label, patterns in rule.rights.items():
         there = rights.get(label, [])
         there = there if isinstance(there, list) else [there]

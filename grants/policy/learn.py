@@ -83,12 +83,11 @@ def learn(text: str, decider: Decider, seen: Sequence[Seen], day: str) -> tuple[
         day: when it was seen, for the reason.
     """
     new = [item for item in seen if not _decided(decider, item)]
-    rules = [_rule(node, [s for s in new if s.node == node], day) for node in _nodes(new)]
+    by_node: dict[str, list[Seen]] = {}
+    for item in new:
+        by_node.setdefault(item.node, []).append(item)
+    rules = [_rule(node, items, day) for node, items in by_node.items()]
     return add_rules(text, rules) if rules else text, rules
-
-
-def _nodes(seen: Iterable[Seen]) -> list[str]:
-    return list(dict.fromkeys(item.node for item in seen))
 
 
 def _rule(node: str, seen: Sequence[Seen], day: str) -> NewRule:

@@ -49,9 +49,14 @@ class Mistakes:
     found: list[Mistake] = field(default_factory=list)
 
     def add(self, place: Place, message: str, hint: str = "") -> None:
-        """Note one mistake."""
-        if len(self.found) < MAX_MISTAKES:
-            self.found.append(Mistake(place.line, place.column, message, hint, self.file))
+        """Note one mistake.
+
+        Raises:
+            PolicyRefused: there are so many that to go on would be work for nobody.
+        """
+        self.found.append(Mistake(place.line, place.column, message, hint, self.file))
+        if len(self.found) >= MAX_MISTAKES:
+            self.refuse()
 
     def refuse_any(self) -> None:
         """Return if there are none.

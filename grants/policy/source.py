@@ -1,9 +1,9 @@
 """From YAML text to a tree in which every part knows its line. YAML 1.2, and less than all of it.
 
-The size is checked before the parser sees the text. Anchors, aliases, tags, directives and
-further documents are refused while parsing (an alias bomb never grows), duplicate keys while
-building: in a policy the second of two equal keys would silently win. Words are texts unless
-they are plainly a number or true/false: `22:00`, `no` and `2026-11-20` stay what was written.
+`grants.yamltext` bounds the text and refuses anchors, aliases, tags, directives and further
+documents; duplicate keys are refused here: in a policy the second of two equal keys would silently
+win. Words are texts unless they are plainly a number or true/false: `22:00`, `no` and `2026-11-20`
+stay what was written.
 """
 
 import re
@@ -11,24 +11,21 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Final, TypeAlias
 
-from ruamel.yaml import YAML
-from ruamel.yaml.error import MarkedYAMLError, YAMLError
 from ruamel.yaml.events import (
-    AliasEvent,
-    DocumentStartEvent,
     MappingEndEvent,
-    MappingStartEvent,
     NodeEvent,
     ScalarEvent,
     SequenceEndEvent,
     SequenceStartEvent,
 )
 
+from grants.errors import YamlRefused
 from grants.model import Scalar
 from grants.policy.mistakes import Mistakes
+from grants.yamltext import Bounds, events, place, quoted
 
-MAX_SIZE: Final = 4 * 1024 * 1024  # characters: 10,000 rules of 400
-MAX_DEPTH: Final = 16
+BOUNDS: Final = Bounds()  # 10,000 rules of 400 characters and 30 words
+MAX_SIZE: Final = BOUNDS.size
 
 _INT: Final = re.compile(r"[-+]?[0-9]{1,18}", re.ASCII)
 _FLOAT: Final = re.compile(
@@ -72,67 +69,18 @@ class Table:
 Part: TypeAlias = Word | Row | Table
 
 
-@dataclass(frozen=True)
-class _Start:
-    line: int = 1
-    column: int = 1
-
-
-def read_source(text: str, mistakes: Mistakes) -> Part | None:
+def read_source(text: str, mistakes: Mistakes, bounds: Bounds = BOUNDS) -> Part | None:
     """Read one YAML document; duplicate keys are noted and left out.
 
     Raises:
         PolicyRefused: not one document of the subset; what was read so far means nothing.
     """
-    if len(text) > MAX_SIZE:
-        mistakes.add(_Start(), f"{len(text)} characters where at most {MAX_SIZE} are allowed")
-        mistakes.refuse_any()
     try:
-        events = _checked(text, mistakes)
-        mistakes.refuse_any()
-        return _Builder(iter(events), mistakes).document()
-    except MarkedYAMLError as error:
-        place = _place(error.problem_mark or error.context_mark)
-        mistakes.add(place, f"not YAML: {error.problem or error.context}", "check the indentation")
-    except (YAMLError, RecursionError, ValueError) as error:
-        mistakes.add(_Start(), f"not YAML: {str(error).splitlines()[0]}")
+        return _Builder(events(text, bounds), mistakes).document()
+    except YamlRefused as error:
+        mistakes.found.clear()  # what was noted on the way there means nothing
+        mistakes.add(error, str(error), error.hint)
     return mistakes.refuse()
-
-
-def _place(mark: Any) -> _Start:
-    return _Start() if mark is None else _Start(mark.line + 1, mark.column + 1)
-
-
-def _checked(text: str, mistakes: Mistakes) -> list[Any]:
-    """All events; stops at the first that is outside the subset."""
-    events: list[Any] = []
-    depth = documents = 0
-    for event in YAML(typ="rt", pure=True).parse(text):
-        documents += isinstance(event, DocumentStartEvent)
-        depth += isinstance(event, MappingStartEvent | SequenceStartEvent)
-        depth -= isinstance(event, MappingEndEvent | SequenceEndEvent)
-        problem = _outside(event) or _beyond(depth, documents)
-        if problem:
-            mistakes.add(_place(event.start_mark), problem, "write it out, plainly")
-            break
-        events.append(event)
-    return events
-
-
-def _outside(event: Any) -> str:
-    if isinstance(event, DocumentStartEvent):
-        return "directives are not allowed" if event.version or event.tags else ""
-    if isinstance(event, AliasEvent) or (isinstance(event, NodeEvent) and event.anchor):
-        return "anchors and aliases are not allowed"
-    if getattr(event, "ctag", None) is not None and event.tag not in (None, "!"):
-        return "tags are not allowed"
-    return ""
-
-
-def _beyond(depth: int, documents: int) -> str:
-    if depth > MAX_DEPTH:
-        return f"nested deeper than {MAX_DEPTH}"
-    return "a second document" if documents > 1 else ""
 
 
 class _Builder:
@@ -143,22 +91,23 @@ class _Builder:
         self._mistakes = mistakes
 
     def document(self) -> Part | None:
-        """The one document, None when there is none."""
+        """The one document, None when there is none; all of the text has been read then."""
+        found = None
         for event in self._events:
             if isinstance(event, NodeEvent):
-                return self._part(event)
-        return None
+                found = self._part(event)
+        return found
 
     def _part(self, event: Any) -> Part:
         if isinstance(event, ScalarEvent):
             return _word(event)
-        place = _place(event.start_mark)
+        line, column = place(event.start_mark)
         if isinstance(event, SequenceStartEvent):
             items = []
             while not isinstance(after := next(self._events), SequenceEndEvent):
                 items.append(self._part(after))
-            return Row(tuple(items), place.line, place.column)
-        return Table(self._entries(), place.line, place.column)
+            return Row(tuple(items), line, column)
+        return Table(self._entries(), line, column)
 
     def _entries(self) -> dict[str, tuple[Word, Part]]:
         entries: dict[str, tuple[Word, Part]] = {}
@@ -179,10 +128,8 @@ class _Builder:
 
 
 def _word(event: Any) -> Word:
-    place = _place(event.start_mark)
-    quoted = event.style in ("'", '"', "|", ">")
-    value: Scalar = event.value if quoted else _plain(event.value)
-    return Word(value, place.line, place.column)
+    value: Scalar = event.value if quoted(event) else _plain(event.value)
+    return Word(value, *place(event.start_mark))
 
 
 def _plain(text: str) -> Scalar:

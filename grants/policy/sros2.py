@@ -5,18 +5,22 @@ Read: `policy/enclaves/enclave/profiles/profile(ns, node)` with `topics`, `servi
 looked at. SROS2 matches with fnmatch; of that only whole segments of `*` exist here.
 """
 
+import io
+from collections import Counter
 from collections.abc import Iterator
 from typing import Any, Final
 from xml.etree.ElementTree import ParseError
 
 from defusedxml.common import DefusedXmlException
-from defusedxml.ElementTree import fromstring
+from defusedxml.ElementTree import iterparse
 
 from grants.errors import PatternRefused, PolicyRefused
 from grants.names import check_pattern
 from grants.policy.editing import NewRule, add_rules, empty, free_id
 
 MAX_SIZE: Final = 4 * 1024 * 1024
+MAX_PARTS: Final = 20_000
+MAX_DEPTH: Final = 16
 _KINDS: Final[dict[str, tuple[str, dict[str, tuple[str, ...]]]]] = {
     "topics": ("topic", {"publish": ("publish",), "subscribe": ("subscribe",)}),
     "services": ("service", {"reply": ("provide",), "request": ("call",)}),
@@ -39,9 +43,14 @@ def import_sros2(xml: str) -> tuple[str, list[str]]:
     root = _parse(xml)
     notes: list[str] = []
     rules: list[NewRule] = []
+    taken: set[str] = set()
+    repeated: Counter[str] = Counter()
     for profile in root.iter("profile"):
         for rule in _profile(profile, notes):
-            name = free_id((known.id for known in rules), rule.id)
+            repeated[rule.id] += 1
+            again = repeated[rule.id] > 1
+            name = free_id(taken, f"{rule.id}-{repeated[rule.id]}" if again else rule.id)
+            taken.add(name)
             rules.append(NewRule(name, rule.why, rule.who, rule.effect, rule.rights))
     notes += [f"{item.tag} is not followed" for item in root.iter() if "include" in str(item.tag)]
     if not rules:
@@ -53,13 +62,29 @@ def _parse(xml: str) -> Any:
     if len(xml) > MAX_SIZE:
         raise PolicyRefused(f"{len(xml)} characters where at most {MAX_SIZE} are allowed")
     try:
-        root = fromstring(xml, forbid_dtd=True)
+        root = _bounded(xml)
     except DefusedXmlException as error:
         raise PolicyRefused("a policy with a DTD is refused", "take the DOCTYPE out") from error
     except (ParseError, ValueError) as error:
         raise PolicyRefused(f"not XML: {error}", "is it an SROS2 policy?") from error
     if root.tag != "policy":
         raise PolicyRefused(f"not an SROS2 policy but {str(root.tag)[:60]!r}", "<policy> expected")
+    return root
+
+
+def _bounded(xml: str) -> Any:
+    """The root; what a tree costs lies in its elements and attributes, so each is counted first."""
+    root, depth, count = None, 0, 0
+    data = io.BytesIO(xml.encode(errors="replace"))
+    for event, element in iterparse(data, events=("start", "end"), forbid_dtd=True):
+        root = element if root is None else root
+        depth += 1 if event == "start" else -1
+        count += (1 + len(element.attrib)) if event == "start" else 0
+        if depth > MAX_DEPTH or count > MAX_PARTS:
+            raise PolicyRefused(
+                f"more than {MAX_PARTS} elements and attributes, or deeper than {MAX_DEPTH}",
+                "import it in parts",
+            )
     return root
 
 
@@ -70,7 +95,7 @@ def _profile(profile: Any, notes: list[str]) -> Iterator[NewRule]:
     if not _is_pattern(node):
         notes.append(f"profile {node}: not a node name or pattern")
         return
-    rights: dict[str, dict[str, list[str]]] = {"allow": {}, "deny": {}}
+    rights: dict[str, dict[str, dict[str, None]]] = {"allow": {}, "deny": {}}
     for tag, (child, labels) in _KINDS.items():
         for group in profile.findall(tag):
             for attribute, names in labels.items():
@@ -88,7 +113,7 @@ def _profile(profile: Any, notes: list[str]) -> Iterator[NewRule]:
 
 
 def _add(
-    rights: dict[str, list[str]], attribute: str, labels: tuple[str, ...],
+    rights: dict[str, dict[str, None]], attribute: str, labels: tuple[str, ...],
     pattern: str, node: str, notes: list[str],
 ) -> None:  # fmt: skip
     if pattern.rsplit("/", 1)[-1] in _ROS2_ONLY:
@@ -98,9 +123,7 @@ def _add(
         notes.append(f"{node}: {attribute} {pattern} is not a pattern of whole segments")
         return
     for label, name in _rights(attribute, labels, pattern):
-        names = rights.setdefault(label, [])
-        if name not in names:
-            names.append(name)
+        rights.setdefault(label, {})[name] = None
 
 
 def _rights(attribute: str, labels: tuple[str, ...], name: str) -> list[tuple[str, str]]:

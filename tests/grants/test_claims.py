@@ -62,6 +62,7 @@ CLAIMS: dict[str, tuple[Callable[[Any], Any], str]] = {
     "relative subject": (put(2, "heating"), "not an absolute ROS name"),
     "subject is bytes": (put(2, b"/heating"), "sub of a grant"),
     "no domain": (put(3, ""), "trust domain"),
+    "domain of 256 bytes": (put(3, "\u00e4" * 128), "trust domain of 1 to 255 bytes"),
     "iss is bytes": (put(1, bytes(32)), "iss of a grant"),
     "iss is another uri": (put(1, "urn:x"), "thumbprint URI"),
     "iss is short": (put(1, URI + "AAAA"), "thumbprint URI"),
@@ -103,6 +104,8 @@ CLAIMS: dict[str, tuple[Callable[[Any], Any], str]] = {
     "empty condition": (restricted({1: [""]}), "a condition is empty"),
     "long condition": (restricted({1: ["t" * 1001]}), "a condition is empty or longer"),
     "filter is text": (restricted({0: TYPE, 2: {"x": "clear"}}), "a filter of a grant"),
+    "path is a number": (restricted({0: TYPE, 2: {7: {"clear": True}}}), "a field path is text"),
+    "operator is a number": (restricted({0: TYPE, 2: {"x": {7: True}}}), "an operator is a word"),
     "unknown operator": (restricted({0: TYPE, 2: {"x": {"blur": True}}}), "unknown operator"),
     "unknown parameter": (
         restricted({0: TYPE, 2: {"x": {"round": {"step": 1, "half": 1}}}}),

@@ -15,6 +15,7 @@ from grants.errors import (
     RestrictionMismatch,
 )
 from grants.guard import Guard, needed_keys
+from grants.memory import Memory
 from grants.model import Restriction, Right, filter_rules, merge
 from tests.grants.messages import layout, text
 
@@ -128,7 +129,7 @@ def test_keys() -> None:
     for other in (
         Guard(LAYOUT, decision()),
         Guard(LAYOUT, decision(filtered(x=rounded(0.25)))),
-        Guard(replace(LAYOUT, md5="0"), decision(filtered(x=rounded(0.5)))),
+        Guard(replace(LAYOUT, digest=b"0"), decision(filtered(x=rounded(0.5)))),
         Guard(None, decision()),
     ):
         assert other.key != guard.key
@@ -208,6 +209,36 @@ def test_guards_with_a_memory_share_nothing() -> None:
     for restriction in (held, Restriction(rate=1)):
         one, other = (Guard(LAYOUT, decision(restriction)) for _ in range(2))
         assert one.key == one.key != other.key
+
+
+def test_guards_of_one_memory_are_one_receiver() -> None:
+    """However many connections there are, and whenever they were made."""
+    held: dict[str, object] = {"round": {"step": 1.0, "hysteresis": 0.25}}
+    memory = Memory()
+    limited = Restriction("t/T", (), filter_rules({"x": held, "y": held}), rate=0.5)
+    one, other = (Guard(LAYOUT, decision(limited), None, lambda _: memory) for _ in range(2))
+    assert one.key == other.key
+    mark = object()
+    assert one.treat(message(1.4), NOW, mark) == other.treat(message(1.4), NOW, mark)
+    assert other.treat(message(1.6), NOW) is None
+    assert not other.ready(NOW)
+    assert other.ready(NOW + 2)
+    treated = other.treat(message(1.6), NOW + 2)
+    assert treated is not None
+    assert b"".join(treated)[:8] == _double(1.0)
+    assert Guard(LAYOUT, decision()).ready(NOW)
+
+
+def test_a_field_that_changes_its_type_has_another_cell() -> None:
+    memory = Memory()
+    rules = Restriction("t/T", (), filter_rules({"x": {"round": {"step": 2, "hysteresis": 1}}}))
+    seen = []
+    for kind, code in (("float64", "d"), ("int32", "i")):
+        guard = Guard(layout(f"{kind} x"), decision(rules), None, lambda _: memory)
+        pieces = guard(struct.pack(f"<{code}", 3), NOW)
+        assert pieces is not None
+        seen.append(struct.unpack(f"<{code}", b"".join(pieces))[0])
+    assert seen == [4.0, 4]
 
 
 def test_keys_for_pseudonyms() -> None:

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from grants.errors import DefinitionRefused
-from grants.layout import MAX_TEXT, Array, Primitive, Struct, Text, parse, service_md5
+from grants.layout import MAX_TEXT, Array, Primitive, Struct, Text, needed, parse, service_md5
 from tests.grants.messages import EVERYTHING, LAYOUT, SEPARATOR, chance, layout
 
 ROS_PACKAGES = (
@@ -151,3 +151,39 @@ def test_the_checksum_of_a_service_is_over_both_parts() -> None:
     nothing = parse("std_srvs/TriggerRequest", "")
     assert service_md5(request, response) == "09fb03525b03e7ea1fd3992bafd87e16"
     assert service_md5(nothing, response) == "937c9679a518e3a18d831e57125ea522"
+
+
+def test_the_checksum_does_not_see_what_the_digest_sees() -> None:
+    """genmsg forgets array brackets behind a message type."""
+    plain = parse("t/A", f"B x\nt/B y\n{SEPARATOR}\nMSG: t/B\nint8 v\n")
+    same = parse("t/A", f"t/B x # first\nB y\n{SEPARATOR}\nMSG: t/B\n# inner\nint8 v\n")
+    assert plain.digest == same.digest
+    others = [
+        parse("t/A", f"{x} x\n{y} y\n{SEPARATOR}\nMSG: t/B\nint8 v\n")
+        for x, y in (("B[]", "B"), ("B[0]", "B[2]"), ("B[1]", "B"), ("B", "B[]"))
+    ]
+    others.append(parse("t/A", f"C x\nC y\n{SEPARATOR}\nMSG: t/C\nint8 v\n"))
+    assert {other.md5 for other in others} == {plain.md5}
+    assert len({plain.digest, *(other.digest for other in others)}) == 1 + len(others)
+    deep = [
+        parse("t/A", f"B x\n{SEPARATOR}\nMSG: t/B\nC{array} v\n{SEPARATOR}\nMSG: t/C\nint8 v\n")
+        for array in ("", "[3]")
+    ]
+    assert deep[0].md5 == deep[1].md5
+    assert deep[0].digest != deep[1].digest
+
+
+@pytest.mark.parametrize(
+    ("text", "proven"),
+    [("string[] a\nfloat64[3] b\ntime c\n", True), ("", True), ("B a", False), ("B[2] a", False)],
+)
+def test_what_a_checksum_proves(text: str, proven: bool) -> None:
+    assert parse("t/A", f"{text}\n{SEPARATOR}\nMSG: t/B\nint8 v\n").is_proven is proven
+
+
+def test_what_one_definition_needs() -> None:
+    text = "Header header\nB[] b\nu/C c\nHeader[2] more\nstring s\nint8 X=1"
+    assert needed("t/A", text) == {"std_msgs/Header", "t/B", "u/C", "t/Header"}
+    for bad in ("what is this", "B[-1] b"):
+        with pytest.raises(DefinitionRefused):
+            needed("t/A", bad)

@@ -31,6 +31,47 @@ def test_any_of_some_rights(held: list[Permission], rights: Right, name: str) ->
     assert reach.covers_any(rights, name) == expected  # what was worked out is remembered
 
 
+tree_rights = st.sampled_from([Right.PARAM_GET, Right.PARAM_SET])
+spaces = st.just("/") | names
+PARTS = ("a", "ab", "b", "zz")  # the last is in no pattern
+
+
+def below(space: str, depth: int) -> list[str]:
+    """Names at most `depth` segments below `space`."""
+    found = [] if space == "/" else [space]
+    for _ in range(depth):
+        found += [f"{name.removesuffix('/')}/{part}" for name in [space, *found] for part in PARTS]
+    return [name for name in dict.fromkeys(found) if name != space]
+
+
+@given(st.lists(permissions, max_size=3), tree_rights, spaces)
+def test_what_is_given_below_a_namespace(held: list[Permission], right: Right, space: str) -> None:
+    """Names one segment below decide about all: a right to a key is one to what lies below it."""
+    reach = Reach(held)
+    # Here a name that no single pattern covers all siblings of is a refusal, as it must be.
+    single = any(
+        all(permission.covers(right, name) for name in below(space, 1)) for permission in held
+    )
+    assert reach.covers_below(right, space) == single
+    if reach.covers_below(right, space):
+        assert all(reach.covers(right, name) for name in below(space, 2))
+
+
+@given(st.lists(permissions, max_size=3), tree_rights, spaces)
+def test_what_is_given_somewhere_below(held: list[Permission], right: Right, space: str) -> None:
+    somewhere = any(Reach(held).covers(right, name) for name in [space, *below(space, 4)])
+    assert Reach(held).touches(right, space) == somewhere
+
+
+@pytest.mark.parametrize("space", ["/", "/a"])
+def test_other_rights_are_none_on_a_tree(space: str) -> None:
+    reach = Reach([Permission("/**", ALL_RIGHTS)])
+    assert reach.covers_below(Right.PARAM_GET, space)
+    assert not reach.covers_below(Right.PUBLISH, space)
+    assert not reach.touches(Right.SUBSCRIBE, space)
+    assert not Reach([]).touches(Right.PARAM_GET, space)
+
+
 @pytest.mark.parametrize(("pattern", "name"), COVERED)
 def test_covered(pattern: str, name: str) -> None:
     assert Reach([Permission(pattern, Right.PUBLISH)]).covers(Right.PUBLISH, name)

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from grants.errors import FilterRefused
 from grants.layout import PRIMITIVES
+from grants.memory import Cell
 from grants.rounding import hold, round_floats, round_integers, round_times
 
 STEPS = st.floats(min_value=1e-320, max_value=1e308) | st.sampled_from([0.1, 0.5, 1.0, 2.0, 1e40])
@@ -104,13 +105,13 @@ PLAIN = (lambda value: value if not math.isfinite(value) else math.floor(value +
 
 def test_hysteresis() -> None:
     fresh = hold(lambda value: math.floor(value + 0.5), 1, 0.2)
-    one, other = fresh(), fresh()
+    one, other = fresh(Cell()), fresh(Cell())
     assert [one(x) for x in (0.4, 0.6, 0.7, 0.71, 0.31, 0.3, 0.29)] == [0, 0, 0, 1, 1, 1, 0]
     assert other(0.6) == 1  # a memory of its own
 
 
 def test_hysteresis_passes_and_forgets_what_is_no_number() -> None:
-    held = hold(*PLAIN)()
+    held = hold(*PLAIN)(Cell())
     assert held(0.6) == 1.0
     assert math.isnan(held(math.nan))
     assert held(math.inf) == math.inf
@@ -119,5 +120,5 @@ def test_hysteresis_passes_and_forgets_what_is_no_number() -> None:
 
 def test_hysteresis_of_whole_numbers() -> None:
     scalar, _ = round_integers(PRIMITIVES["int32"], 10)
-    held = hold(scalar, 10, 2)()
+    held = hold(scalar, 10, 2)(Cell())
     assert [held(value) for value in (4, 6, 7, 8, 3, 2)] == [0, 0, 0, 10, 10, 0]

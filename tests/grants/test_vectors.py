@@ -7,7 +7,11 @@ import pytest
 from cryptography.hazmat.primitives.asymmetric import ec
 
 from grants import document, errors
+from grants.filters import compile_filter
+from grants.layout import parse
+from grants.model import filter_rules
 from grants.renewal import open_delegation, renew
+from grants.token import Verifier
 from tests.vectors import make_grants
 
 Vectors = list[dict[str, Any]]
@@ -23,11 +27,13 @@ def key(encoded: str) -> ec.EllipticCurvePublicKey:
 
 
 VALID, REFUSED, RENEWALS = (load(stem) for stem in ("valid", "refused", "renewals"))
+TOKENS, FILTERS, TRUNCATIONS = (load(stem) for stem in ("tokens", "filters", "truncations"))
 
 
 def test_the_corpus() -> None:
     assert len(VALID) >= 6
     assert len(REFUSED) >= 70
+    assert min(len(TOKENS), len(FILTERS), len(TRUNCATIONS)) >= 8
     assert len(RENEWALS) >= 10
     for vectors in (VALID, REFUSED, RENEWALS):
         assert len({vector["name"] for vector in vectors}) == len(vectors)
@@ -72,3 +78,42 @@ def test_renewals(vector: dict[str, Any]) -> None:
     with pytest.raises(failure) as refused:
         renewed()
     assert type(refused.value) is failure
+
+
+@pytest.mark.parametrize("vector", TOKENS, ids=lambda vector: vector["name"])
+def test_tokens(vector: dict[str, Any]) -> None:
+    ca, delegate = key(vector["ca_key"]), key(vector["key"])
+    verifier = Verifier(ca, "home", delegate, vector["seq"], lambda *_: None)
+    data = bytes.fromhex(vector["data"])
+    if vector["failure"] is None:
+        assert verifier.open(data, vector["now"]).expires > vector["now"]
+        return
+    failure = getattr(errors, vector["failure"])
+    with pytest.raises(failure) as refused:
+        verifier.open(data, vector["now"])
+    assert type(refused.value) is failure
+
+
+@pytest.mark.parametrize("vector", FILTERS, ids=lambda vector: vector["name"])
+def test_filters(vector: dict[str, Any]) -> None:
+    data, ca = bytes.fromhex(vector["data"]), make_grants.CA.public_key
+    if vector["valid"]:
+        assert document.open_grant(data, ca, make_grants.NOW).permissions[0].restriction
+        return
+    with pytest.raises(errors.GrantMalformed):
+        document.open_grant(data, ca, make_grants.NOW)
+
+
+@pytest.mark.parametrize("vector", TRUNCATIONS, ids=lambda vector: vector["name"])
+def test_truncations(vector: dict[str, Any]) -> None:
+    layout = parse("std_msgs/String", "string data")
+    rules = filter_rules({"data": {"truncate": {"length": vector["length"]}}})
+    truncate = compile_filter(layout, rules)
+    data = bytes.fromhex(vector["data"])
+    message = len(data).to_bytes(4, "little") + data
+    if vector["result"] is None:
+        with pytest.raises(errors.MessageRefused):
+            truncate(message)
+        return
+    left = bytes.fromhex(vector["result"])
+    assert b"".join(truncate(message)) == len(left).to_bytes(4, "little") + left

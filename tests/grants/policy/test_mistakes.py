@@ -31,9 +31,11 @@ def test_one_mistake_is_the_message() -> None:
 
 def test_their_number_is_bounded() -> None:
     mistakes = Mistakes("p.yaml")
-    for line in range(MAX_MISTAKES + 5):
+    for line in range(MAX_MISTAKES - 1):
         mistakes.add(Word("", line, 1), "x")
-    assert len(mistakes.found) == MAX_MISTAKES
+    with pytest.raises(PolicyRefused) as caught:  # to read on would be work for nobody
+        mistakes.add(Word("", MAX_MISTAKES, 1), "x")
+    assert len(caught.value.mistakes) == MAX_MISTAKES
 
 
 @pytest.mark.parametrize(

@@ -63,6 +63,28 @@ def test_what_is_refused(xml: str, message: str) -> None:
 
 
 def test_a_large_file_is_refused_before_it_is_parsed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sros2, "fromstring", None)
+    monkeypatch.setattr(sros2, "iterparse", None)
     with pytest.raises(PolicyRefused, match="where at most"):
         import_sros2(" " * (sros2.MAX_SIZE + 1))
+
+
+@pytest.mark.parametrize(
+    "xml",
+    [
+        "<policy>" + "<a/>" * 30_000 + "</policy>",
+        "<policy>" + "<a>" * 100 + "</a>" * 100 + "</policy>",
+        "<policy " + " ".join(f"a{number}=''" for number in range(30_000)) + "/>",
+    ],
+    ids=["wide", "deep", "attributes"],
+)
+def test_what_costs_by_its_structure_is_refused(xml: str) -> None:
+    with pytest.raises(PolicyRefused, match="more than 20000 elements and attributes"):
+        import_sros2(xml)
+
+
+def test_one_node_again_and_again_has_rules_of_its_own() -> None:
+    one = '<profile ns="/" node="a"><topics publish="ALLOW"><topic>x</topic></topics></profile>'
+    other = one.replace('"a"', '"a-2"').replace("a-2", "a_2")
+    text, _ = import_sros2(f"<policy>{one}{other}{one}{one}</policy>")
+    ids = [rule.id for rule in policy(text).rules]
+    assert ids == ["sros2-a", "sros2-a_2", "sros2-a-2", "sros2-a-3"]

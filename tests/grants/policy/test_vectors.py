@@ -1,0 +1,37 @@
+"""The vectors of policies: rules, and the scope of the grant that follows; None: refused."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from ca.encoding import decode
+from grants.claims import written
+from grants.model import Draft, Right
+from grants.policy.drafts import drafts
+from tests.grants.authority import NOW
+from tests.grants.policy.policies import decide, mistakes, node, rules
+
+FILE = Path(__file__).parents[2] / "vectors" / "policy" / "on_stale.json"
+VECTORS: list[dict[str, Any]] = json.loads(FILE.read_text())
+X = node("/x")
+
+
+def scope(draft: Draft) -> Any:
+    claims: Any = written(draft, bytes(32))
+    return json.loads(json.dumps(decode(claims[9])))
+
+
+def test_the_corpus() -> None:
+    assert len(VECTORS) >= 8
+
+
+@pytest.mark.parametrize("vector", VECTORS, ids=lambda vector: vector["name"])
+def test_on_stale(vector: dict[str, Any]) -> None:
+    if vector["scope"] is None:
+        assert mistakes(*vector["rules"])
+        return
+    verdict = decide(rules(*vector["rules"]), X, Right.SUBSCRIBE, "/stop")
+    (draft,) = drafts([verdict], domain="home", now=NOW, serial=lambda: bytes(16))
+    assert scope(draft) == vector["scope"]
