@@ -16,6 +16,7 @@ from rossec.channel.messages import UNKNOWN_CREDENTIAL, UNSPECIFIED, encode_erro
 from rossec.channel.negotiation import Negotiation, Preamble, Step
 from rossec.channel.opening import Flavour
 from rossec.channel.outbound import HINT_SILENT, Outbound
+from rossec.channel.owndials import OwnDials
 from rossec.channel.records import (
     HEADER,
     MAX_PLAINTEXT,
@@ -74,14 +75,18 @@ class Connection(Outbound[PeerT]):
         limits: Limits = _DEFAULTS,
         known: KnownCertificates | None = None,
         brief: bool = False,
+        own_dials: OwnDials | None = None,
     ) -> Self:
         """The side that connected; its first flight is ready to send.
 
         With `known` certificates are remembered, and `brief` asks the responder to name its own by
         a hash: for a place where one was met before. `CredentialUnknown` and `UnknownCredential`
-        mean: forget the introductions, and begin again without `brief`.
+        mean: forget the introductions, and begin again without `brief`. With `own_dials`, which
+        this node's listeners share, it means to reach itself, and nobody else will do.
         """
-        party = Party(credentials, verify, random, suites, known=known, brief=brief)
+        party = Party(
+            credentials, verify, random, suites, known=known, brief=brief, own_dials=own_dials
+        )
         negotiation, message_1 = Negotiation.begin(party)
         preamble = Preamble(opening, None)
         connection = cls(preamble, negotiation, now, limits)
@@ -100,9 +105,13 @@ class Connection(Outbound[PeerT]):
         suites: tuple[int, ...] = PRODUCTION,
         limits: Limits = _DEFAULTS,
         known: KnownCertificates | None = None,
+        own_dials: OwnDials | None = None,
     ) -> Self:
-        """The side that was connected to; `accept` says which openings may lead on."""
-        party = Party(credentials, verify, random, suites, known=known)
+        """The side that was connected to; `accept` says which openings may lead on.
+
+        With `own_dials` this node may call itself, where it noted that it means to.
+        """
+        party = Party(credentials, verify, random, suites, known=known, own_dials=own_dials)
         preamble = Preamble(Flavour.TCPROS, accept)
         return cls(preamble, Negotiation(Responder(party)), now, limits)
 
@@ -216,7 +225,8 @@ class Connection(Outbound[PeerT]):
             self._inbox.trust()
             self._session = self._negotiation.session(self._limits, self._now)
             self._events.append(Authenticated(step.peer))
-        self._out.append(step.reply)
+        if step.reply:
+            self._out.append(step.reply)
         if step.state is State.OPEN:
             self._negotiation.forget()
         return step.state
@@ -224,7 +234,7 @@ class Connection(Outbound[PeerT]):
     # -- records: the rows of the table for an open connection
 
     def _on_data(self, head: bytes, body: memoryview) -> State:
-        self._open_session().data(head, body)
+        self._open_session().data(head, body, self._now)
         return State.OPEN
 
     def _on_data_end(self, head: bytes, body: memoryview) -> State:

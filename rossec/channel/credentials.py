@@ -62,8 +62,13 @@ class OwnCredential(Protocol):
         ...
 
     @property
+    def public_key(self) -> PublicKey:
+        """The certified key."""
+        ...
+
+    @property
     def shared(self) -> bool:
-        """Whether several nodes hold this certificate: a peer that shows it is no reflection."""
+        """Whether several nodes hold this key: a peer that shows it is no reflection."""
         ...
 
     def sign(self, message: bytes) -> bytes:
@@ -92,6 +97,11 @@ class Credentials:
         """The end-entity certificate, DER."""
         return self.chain[0]
 
+    @property
+    def public_key(self) -> PublicKey:
+        """The certified key."""
+        return self.signer.public_key
+
     def sign(self, message: bytes) -> bytes:
         """ES256 over `message`."""
         return self.signer.sign(message)
@@ -112,6 +122,11 @@ class LiveCredentials:
     def certificate(self) -> bytes:
         """As of `Credentials`."""
         return self.current.certificate
+
+    @property
+    def public_key(self) -> PublicKey:
+        """As of `Credentials`."""
+        return self.current.public_key
 
     @property
     def shared(self) -> bool:

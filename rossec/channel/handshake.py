@@ -51,6 +51,8 @@ class Initiator(Side[PeerT]):
         self._suite = SUITES[number]
         self._finish_exchange: Finish | None
         self._finish_exchange, self._g_x = self._suite.exchange.start(party.random)
+        if party.own_dials is not None:
+            self._dial = party.own_dials.begin(self._g_x)
         # The list keeps its order up to the selected one: the responder checks against downgrade.
         suites = party.suites[: party.suites.index(number) + 1]
         c_i = C_I_BRIEF if party.brief else party.c_i
@@ -92,6 +94,7 @@ class Initiator(Side[PeerT]):
         if self._finish_exchange is None:
             raise HandshakeFailed("a second message_2")
         shared, self._finish_exchange = self._finish_exchange(g_y), None
+        self._g_y = g_y
         self._agree(shared, g_y, self._message_1)
         plaintext = _xor(ciphertext, keystream_2(self._prk, self._th, len(ciphertext)))
         peer = self._check(Label.MAC_2, plaintext, now)
@@ -141,6 +144,9 @@ class Responder(Side[PeerT]):
         self._suite = suite
         self.brief = self._party.known is not None and parsed.c_i == C_I_BRIEF
         g_y, shared = suite.exchange.answer(self._party.random, parsed.g_x)
+        self._g_x, self._g_y = parsed.g_x, g_y
+        if self._party.own_dials is not None:
+            self._party.own_dials.answer(parsed.g_x, g_y)
         self._agree(shared, g_y, data)
         return self._message_2(g_y)
 

@@ -56,13 +56,18 @@ class Outbound(Generic[PeerT]):
         """How long a unit may be."""
         return self._limits.unit
 
-    def welcome(self) -> None:
-        """Take units of up to `Limits.unit` from now on: the peer was judged.
+    @property
+    def has_unfinished_unit(self) -> bool:
+        """Whether the peer has begun a unit: `deadline` says when to ask whether it gets on."""
+        return self._session is not None and self._session.deadline is not None
+
+    def welcome(self, limit: int | None = None) -> None:
+        """Take units of up to `limit` from now on, or of `Limits.unit`: the peer was judged.
 
         Raises:
             ChannelClosed: there is no open connection.
         """
-        self._open_session().welcome()
+        self._open_session().welcome(limit)
 
     def _open_session(self) -> Session:
         if self._session is None:
@@ -180,10 +185,14 @@ class Outbound(Generic[PeerT]):
             return None
         if self.state is not State.OPEN or self._session is None or self._peer is None:
             return self._give_up_at
-        return min(self._session.renew_at, self._peer.not_after)
+        unit = self._session.deadline
+        last = min(self._session.renew_at, self._peer.not_after)
+        return last if unit is None else min(last, unit)
 
-    def tick(self, now: int) -> None:
+    def tick(self, now: int, *, reading: bool = True) -> None:
         """Act on the time: renew keys, or end a connection that has outlived its right.
+
+        While the shell is not `reading`, the peer cannot finish a unit, and is not blamed for it.
 
         Raises:
             HandshakeTimeout, IdentityExpired, LimitExceeded: the connection is at its end.
@@ -193,12 +202,12 @@ class Outbound(Generic[PeerT]):
         if deadline is None or now < deadline:
             return
         try:
-            self._act(now)
+            self._act(now, reading=reading)
         except ChannelError:
             self._die()
             raise
 
-    def _act(self, now: int) -> None:
+    def _act(self, now: int, *, reading: bool) -> None:
         if self.state is not State.OPEN or self._session is None or self._peer is None:
             raise HandshakeTimeout(
                 "the peer did not finish the handshake in time",
@@ -206,6 +215,7 @@ class Outbound(Generic[PeerT]):
             )
         if now >= self._peer.not_after:
             raise IdentityExpired("the peer's certificate ran out", "renew it")
+        self._session.look(now, reading=reading)
         self._out.append(self._session.renew(now))
 
     def _die(self) -> None:

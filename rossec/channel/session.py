@@ -20,6 +20,7 @@ from rossec.channel.records import (
     UnitAssembly,
     fragments,
 )
+from rossec.channel.unfinished import Unfinished
 from rossec.errors import ConnectionTruncated, LimitExceeded
 
 _REUSE_ABOVE: Final = 64 * 1024
@@ -34,6 +35,7 @@ class Session:
         self._epochs = epochs
         self._limits = limits
         self._unit = UnitAssembly(limits.unit if limits.greeting is None else limits.greeting)
+        self._unfinished = Unfinished()
         self._scratch: bytearray | None = None
         self.renew_at = now + limits.seconds
 
@@ -47,9 +49,24 @@ class Session:
         """Whether this direction was renewed, and the peer has not followed yet."""
         return self._epochs.sender.epoch > self._epochs.receiver.epoch
 
-    def welcome(self) -> None:
-        """Take units of up to `Limits.unit` from now on."""
-        self._unit.limit = self._limits.unit
+    def welcome(self, limit: int | None) -> None:
+        """Take units of up to `limit` from now on, never more than `Limits.unit`."""
+        most = self._limits.unit
+        self._unit.limit = most if limit is None else min(limit, most)
+
+    @property
+    def deadline(self) -> int | None:
+        """When `look` is due; None: no unit is begun."""
+        return self._unfinished.deadline
+
+    def look(self, now: int, *, reading: bool) -> None:
+        """Ask whether the unit that was begun gets on; time counts while this side is `reading`.
+
+        Raises:
+            LimitExceeded: it does not.
+        """
+        if self._unit.length > 0:
+            self._unfinished.look(now, self._unit.length, reading=reading)
 
     def check_unit(self, pieces: Sequence[Bytes]) -> None:
         """Refuse a unit that the peer would not take; nothing has happened to the connection.
@@ -142,12 +159,15 @@ class Session:
             raise LimitExceeded("the peer does not follow the renewal of the keys")
         return self._rekey() if sender.records > 0 else b""
 
-    def data(self, head: bytes, body: memoryview) -> None:
+    def data(self, head: bytes, body: memoryview, now: int) -> None:
         """Take a record that does not end its unit."""
         self._unit.add(self._receiver(), head, body)
+        self._unfinished.look(now, self._unit.length)
 
     def data_end(self, head: bytes, body: memoryview) -> bytes:
         """Take the last record of a unit and return the unit."""
+        if self._unit.length > 0:
+            self._unfinished.done()
         return self._unit.finish(self._receiver(), head, body)
 
     def _receiver(self) -> Direction:

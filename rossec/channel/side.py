@@ -37,6 +37,7 @@ from rossec.channel.messages import (
     decode_plaintext,
     encode_identifier,
 )
+from rossec.channel.owndials import Dial, OwnDials
 from rossec.channel.suites import (
     HASH_LENGTH,
     PRODUCTION,
@@ -53,6 +54,8 @@ C_R: Final = b"\x01"
 # The beginnings of Sig_structure and Enc_structure (RFC 9052 sections 4.4 and 5.3).
 _SIGNATURE1: Final = b"\x84" + encode("Signature1")
 _ENCRYPT0: Final = b"\x83" + encode("Encrypt0") + encode(b"")
+_HINT_REFLECTED: Final = "another process has this identity, or something redirects connections"
+_HINT_ADDRESS: Final = "do two hosts go by one address? see ROS_IP and ROS_HOSTNAME"
 
 
 @dataclass(frozen=True)
@@ -65,6 +68,7 @@ class Party(Generic[PeerT]):
     suites: tuple[int, ...] = PRODUCTION
     find_chain: FindChain = x5chain
     known: KnownCertificates | None = None  # with it, references to certificates are spoken
+    own_dials: OwnDials | None = None  # with it, an initiator means to reach this node itself
     brief: bool = False  # an initiator's: ask the responder for a reference
     ead: bytes = b""
     c_i: bytes = C_I
@@ -98,6 +102,8 @@ class Side(Generic[PeerT]):
         self._exporter: Exporter | None = None
         self._chain: tuple[bytes, ...] = ()
         self._by_reference = False  # how the peer named its certificate
+        self._g_x = self._g_y = b""
+        self._dial: Dial | None = None  # this side is an initiator that means to reach itself
         self.brief = False  # this side names its certificate by a hash
 
     @property
@@ -151,15 +157,26 @@ class Side(Generic[PeerT]):
         chain = self._party.find_chain(id_cred) if known is None else known.find(id_cred)
         self._chain = chain
         self._by_reference = known is not None and id_cred == reference(chain[0])
-        own = self._party.credential
-        if chain[0] == own.certificate and not own.shared:
-            # Reflection: nobody else can hold this certificate's key (notes: selfie attack).
-            raise IdentityRefused("the peer shows this node's own certificate")
         try:
-            return chain[0], self._party.verify(chain, now)
+            peer = self._party.verify(chain, now)
         except HintedError as error:
             text = f"the peer's certificate is refused: {error}"
             raise IdentityRefused(text, error.hint) from error
+        self._check_meant(peer)
+        return chain[0], peer
+
+    def _check_meant(self, peer: PeerT) -> None:
+        """Refuse this node where another one is meant, and another one where this node is.
+
+        The key is compared: a certificate that was renewed meanwhile has the same.
+        """
+        own, dials = self._party.credential, self._party.own_dials
+        shows_own = peer.public_key == own.public_key
+        is_itself = shows_own and dials is not None and dials.is_own(self._g_x, self._g_y)
+        if shows_own and not (is_itself or own.shared):
+            raise IdentityRefused("the peer shows this node's own certificate", _HINT_REFLECTED)
+        if self._dial is not None and not is_itself:
+            raise IdentityRefused("another one answers at this node's own address", _HINT_ADDRESS)
 
     def _seal(self, key: Label, iv: Label, plaintext: bytes) -> bytes:
         return bstr(self._aead(key, iv, lambda aead: aead.encrypt, plaintext))

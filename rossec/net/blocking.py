@@ -10,11 +10,11 @@ import secrets
 import select
 import socket
 import sys
-import time
 from collections.abc import Callable
 from contextlib import suppress
 from typing import Any, Final
 
+from rossec import clock
 from rossec.channel.connection import Connection
 from rossec.channel.credentials import OwnCredential, PeerT, Verify
 from rossec.channel.records import Bytes
@@ -66,7 +66,7 @@ class SecureSocket(Carrier[PeerT]):
         """
         sock = socket.create_connection(address, timeout)
         core = Connection.initiator(
-            credentials, verify, random=secrets.token_bytes, now=int(time.time()), **options
+            credentials, verify, random=secrets.token_bytes, now=clock.now(), **options
         )
         secure = SecureSocket(sock, core)
         try:
@@ -76,14 +76,14 @@ class SecureSocket(Carrier[PeerT]):
             raise
         return secure
 
-    def welcome(self) -> None:
-        """Take units of up to `Limits.unit` from now on, not of `Limits.greeting`: it was judged.
+    def welcome(self, limit: int | None = None) -> None:
+        """Take units of up to `limit` from now on, or of `Limits.unit`: the peer was judged.
 
         Raises:
             ChannelClosed: there is no open connection.
         """
         with self._core_lock:
-            self._core.welcome()
+            self._core.welcome(limit)
 
     # -- what a socket tells and is told
 
@@ -240,6 +240,7 @@ class SecureSocket(Carrier[PeerT]):
         """Give the TCP socket back, before anything was read from it."""
         self._closed = True
         self._fail(ChannelClosed("the connection was given back"))
+        self._settle()
         return self._socket
 
     def shutdown(self, how: int = socket.SHUT_RDWR) -> None:
@@ -269,6 +270,7 @@ class SecureSocket(Carrier[PeerT]):
             self._epoll.close()
             os.close(self._event)
         self._socket.close()
+        self._settle()
 
     def __enter__(self) -> "SecureSocket[PeerT]":
         return self

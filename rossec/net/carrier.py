@@ -15,10 +15,11 @@ from copy import copy
 from threading import Lock
 from typing import Any, Final, Generic
 
+from rossec import clock
 from rossec.channel.connection import Connection
 from rossec.channel.credentials import PeerT
 from rossec.channel.records import Bytes
-from rossec.channel.states import Authenticated, UnitReceived
+from rossec.channel.states import Authenticated, State, UnitReceived
 from rossec.errors import ChannelClosed, ChannelError
 from rossec.net.forks import forget_in_children
 from rossec.net.options import SocketOptions
@@ -64,6 +65,7 @@ class Carrier(SocketOptions, Generic[PeerT]):
         self._core.abandon()
         self._units.clear()
         self._error = ChannelClosed("a forked process cannot use its parent's connections")
+        self._on_settled = None  # who counts it may be locked for ever
         self._socket.close()
 
     def abort(self) -> None:
@@ -79,7 +81,7 @@ class Carrier(SocketOptions, Generic[PeerT]):
 
     def _receive(self, end: float | None) -> None:
         """Move bytes from the socket to the core, once; the caller is the one reader."""
-        self._tick()
+        self._tick(reading=True)
         self._flush(end)
         # One system call where there is no deadline to meet: the kernel waits, a slice at a time.
         flags = 0 if end is None and self.peer is not None else AT_ONCE
@@ -132,9 +134,9 @@ class Carrier(SocketOptions, Generic[PeerT]):
 
     def _fail(self, error: ChannelError) -> None:
         self._error = self._error or error
-        self._settle()
 
     def _settle(self) -> None:
+        """The peer is authenticated, or the socket is not ours any more."""
         settled, self._on_settled = self._on_settled, None
         if settled is not None:
             settled()
@@ -214,21 +216,36 @@ class Carrier(SocketOptions, Generic[PeerT]):
             raise BlockingIOError if self._timeout == 0 else TimeoutError("timed out")
         deadline = self._core.deadline()
         if deadline is not None:
-            left = min(left, max(0.0, deadline - time.time()) + 0.001)
+            left = min(left, max(0.0, deadline - clock.time()) + 0.001)
         poll = select.poll()
         poll.register(self._socket.fileno(), event)
         poll.poll(left * 1000)
-        self._tick()
+        self._tick(reading=event == select.POLLIN)
 
-    def _tick(self) -> None:
+    def _tick(self, *, reading: bool = False) -> None:
         """Let the core look at the clock, once in a second: its deadlines are whole ones."""
         now = _now()
         if now == self._ticked:
             return
+        if self._core.state is State.WAIT_4:
+            self._take_in_confirmation(reading=reading)
         with self._core_lock:
             self._guarded(self._core.tick, now)
         self._ticked = now
 
+    def _take_in_confirmation(self, *, reading: bool) -> None:
+        """What has arrived counts before the time does: message_4 may have waited for a reader.
+
+        Nobody reads where a connection is only written to, or kept for later.
+        """
+        if not reading and not self._reading.acquire(blocking=False):
+            return  # whoever reads takes it in
+        try:
+            self._take_in(None, AT_ONCE)
+        finally:
+            if not reading:
+                self._reading.release()
+
 
 def _now() -> int:
-    return int(time.time())
+    return clock.now()

@@ -11,12 +11,16 @@ from rossec.channel.connection import Connection
 from rossec.channel.credentials import OwnCredential, PeerT, Verify
 from rossec.channel.known import KnownCertificates
 from rossec.channel.opening import Flavour
+from rossec.channel.owndials import OwnDials
 from rossec.channel.records import Limits
 from rossec.channel.suites import PRODUCTION
 from rossec.errors import (
     ChannelClosed,
     ChannelError,
     CredentialUnknown,
+    HandshakeFailed,
+    HandshakeTimeout,
+    PeerRefused,
     PeerUnreachable,
     UnknownCredential,
 )
@@ -39,6 +43,7 @@ async def connect(
     timeout: float = _CONNECT_TIMEOUT,  # noqa: ASYNC109 - one deadline over TCP and handshake
     suites: tuple[int, ...] = PRODUCTION,
     known: KnownCertificates | None = None,
+    own_dials: OwnDials | None = None,
 ) -> SecureStream[PeerT]:
     """Connect and authenticate; one round trip after TCP's own.
 
@@ -47,6 +52,7 @@ async def connect(
 
     `suites` is the policy (`rossec.channel.suites.POST_QUANTUM`). With `known`, certificates of
     peers met before are named by a hash; whoever does not know one is called again, by value.
+    `own_dials` says that this node means to reach itself (`Connection.initiator`).
 
     Raises:
         PeerUnreachable: no TCP connection.
@@ -65,15 +71,20 @@ async def connect(
             limits=limits,
             known=known,
             brief=brief,
+            own_dials=own_dials,
         )
 
     if known is None:
         return await _introduce(await _reach(host, port, timeout), partial(core, brief=False))
-    brief = partial(core, brief=known.was_at((host, port)))
+    brief = known.was_at((host, port))
     try:
-        stream = await _introduce(await _reach(host, port, timeout), brief)
-    except (UnknownCredential, CredentialUnknown):
-        known.forget_introductions()
+        stream = await _introduce(await _reach(host, port, timeout), partial(core, brief=brief))
+    except (HandshakeFailed, PeerRefused) as error:
+        # Whatever is wrong with a handshake that spoke in hashes, a hash may have led it astray.
+        if isinstance(error, UnknownCredential | CredentialUnknown):
+            known.forget_introductions()
+        elif not brief or isinstance(error, HandshakeTimeout):
+            raise
         at_length = partial(core, brief=False)
         stream = await _introduce(await _reach(host, port, timeout), at_length)
     known.visit((host, port))

@@ -6,16 +6,16 @@ lags, writing waits while the peer does. `rossec.net.secure.SecureStream` is wha
 
 import asyncio
 import socket
-import time
 from collections import deque
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Sequence
 from copy import copy
 from typing import Final, Generic, NoReturn
 
+from rossec import clock
 from rossec.channel.connection import Connection
 from rossec.channel.credentials import PeerT
 from rossec.channel.records import Bytes
-from rossec.channel.states import Authenticated, UnitReceived
+from rossec.channel.states import Authenticated, Event, UnitReceived
 from rossec.errors import ChannelClosed, ChannelError
 from rossec.net.forks import forget_in_children
 from rossec.net.transport import Transport
@@ -26,7 +26,7 @@ _LINGER: Final = 5.0  # seconds to wait for the peer's end after the last flight
 
 def wall_clock() -> int:
     """The host's clock in whole seconds; never ROS time."""
-    return int(time.time())
+    return clock.now()
 
 
 class Driver(Generic[PeerT]):
@@ -64,6 +64,7 @@ class Driver(Generic[PeerT]):
         self.on_ready: Callable[[], None] | None = None
         self.on_unit: Callable[[bytes], bool] | None = None
         self._lost = False
+        self._when_lost: list[Callable[[], None]] | None = None
         self.authenticated = False
         self.error: ChannelError | None = None
         self.address = address
@@ -88,6 +89,11 @@ class Driver(Generic[PeerT]):
             event = events[0]
             if isinstance(event, UnitReceived) and self.on_unit(event.data):
                 return
+        self._take_in(events)
+        if self.connection.has_unfinished_unit:
+            self._arm()
+
+    def _take_in(self, events: Sequence[Event[PeerT]]) -> None:
         for event in events:
             if isinstance(event, UnitReceived):
                 self._deliver(event.data)
@@ -149,6 +155,9 @@ class Driver(Generic[PeerT]):
             self._end(ChannelClosed("the connection is closed"))
         self._lost = True
         self._wake()
+        callbacks, self._when_lost = self._when_lost, None
+        for callback in callbacks or ():
+            callback()
         del self._on_authenticated, self._on_end  # they hold whoever holds this
 
     # -- called by the stream
@@ -166,6 +175,15 @@ class Driver(Generic[PeerT]):
     def writable(self) -> bool:
         """Whether a write would not pile up."""
         return self.transport.writable
+
+    def when_lost(self, callback: Callable[[], None]) -> None:
+        """Call back, once, when the socket is closed."""
+        if self._lost:
+            callback()
+            return
+        if self._when_lost is None:
+            self._when_lost = []
+        self._when_lost.append(callback)
 
     def when_writable(self, callback: Callable[[], None]) -> None:
         """Call back, once, when the peer caught up."""
@@ -333,7 +351,7 @@ class Driver(Generic[PeerT]):
         deadline = self.connection.deadline()
         if deadline is not None:
             # A day at most: the host's clock may be set while we wait.
-            self._look_within(min(max(0.0, deadline - time.time()), 86400.0))
+            self._look_within(min(max(0.0, deadline - clock.time()), 86400.0))
 
     def _look_within(self, delay: float) -> None:
         """One timer does: when it fires too early for anything, it is set again."""
@@ -353,7 +371,7 @@ class Driver(Generic[PeerT]):
 
     def _tick(self) -> None:
         try:
-            self.connection.tick(wall_clock())
+            self.connection.tick(wall_clock(), reading=self.transport.reading)
         except ChannelError as error:
             self.fail(error)
             return

@@ -1,10 +1,19 @@
-"""How many handshakes may be unfinished at a time, in all and from one source (attacks N8, M11)."""
+"""How many strangers may hold a socket of this process, in all and from one source (N8, M11).
+
+A socket counts from `accept` until its peer is authenticated, or until it is closed: one whose
+handshake failed lingers, so that its peer can read the refusal, and costs a descriptor as before.
+Where there is no room, the one that lingers longest is closed first; then, where all places are
+taken, one of the source that has most, if it has more than who comes.
+"""
 
 import functools
 import ipaddress
-from collections import Counter
+from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 from threading import Lock
+from typing import Any
+from weakref import finalize
 
 
 @dataclass(frozen=True)
@@ -15,33 +24,106 @@ class HalfOpen:
     total: int = 512
 
 
+class Place:
+    """What one caller holds; made by `HalfOpenCount.admit`."""
+
+    __slots__ = ("_count", "close", "source")
+
+    def __init__(self, count: "HalfOpenCount", source: str) -> None:
+        self._count = count
+        self.source = source
+        self.close: Callable[[], None] | None = None
+        """Closes its socket at once, to make room; None where that cannot be done."""
+
+    def linger(self) -> None:
+        """Its handshake has failed, and its socket is open still: it is the first to make room."""
+        self._count.lingers(self)
+
+    def settle(self) -> None:
+        """Its peer is authenticated, or its socket is closed; once is enough."""
+        self._count.forget(self)
+
+    def bind(self, sock: Any) -> None:
+        """Give the place back with `sock` at the latest, whatever becomes of who handles it."""
+        finalize(sock, self._count.gone.append, self).atexit = False
+
+
 class HalfOpenCount:
     """The count against the caps; threads may share it."""
 
     def __init__(self, caps: HalfOpen) -> None:
         self._caps = caps
         self._total = 0
-        self._sources: Counter[str] = Counter()
+        # Both in the order in which it began.
+        self._sources: dict[str, dict[Place, None]] = {}
+        self._lingering: dict[Place, None] = {}
         self._lock = Lock()
+        self.gone: deque[Place] = deque()
+        """Whose sockets were collected as garbage: that may happen here, with the lock held."""
 
-    def admit(self, address: str) -> bool:
-        """Count one more from this address, or refuse it."""
+    def __len__(self) -> int:
+        with self._lock:
+            self._forget_gone()
+            return self._total
+
+    def admit(self, address: str) -> Place | None:
+        """Count one more from this address; None: there is no room."""
         source = source_of(address)
         with self._lock:
-            if self._total >= self._caps.total or self._sources[source] >= self._caps.per_address:
-                return False
+            self._forget_gone()
+            victim = None
+            if self._is_full(source):
+                victim = self._victim(source)
+                if victim is None:
+                    return None
+                self._remove(victim)
+            place = Place(self, source)
+            self._sources.setdefault(source, {})[place] = None
             self._total += 1
-            self._sources[source] += 1
-            return True
+        if victim is not None and victim.close is not None:
+            victim.close()
+        return place
 
-    def settle(self, address: str) -> None:
-        """A handshake from this address is over, one way or the other."""
-        source = source_of(address)
+    def forget(self, place: Place) -> None:
+        """As of `Place.settle`."""
         with self._lock:
-            self._total -= 1
-            self._sources[source] -= 1
-            if self._sources[source] <= 0:
-                del self._sources[source]
+            self._remove(place)
+
+    def _forget_gone(self) -> None:
+        while self.gone:
+            self._remove(self.gone.popleft())
+
+    def lingers(self, place: Place) -> None:
+        """As of `Place.linger`."""
+        with self._lock:
+            if place in self._sources.get(place.source, ()):
+                self._lingering[place] = None
+
+    def _is_full(self, source: str) -> bool:
+        held = len(self._sources.get(source, ()))
+        return self._total >= self._caps.total or held >= self._caps.per_address
+
+    def _victim(self, source: str) -> Place | None:
+        """Whose socket is closed for a caller from `source`."""
+        own = self._sources.get(source, {})
+        own_full = len(own) >= self._caps.per_address
+        for place in self._lingering:
+            if place.close is not None and (place.source == source or not own_full):
+                return place
+        most = max(self._sources.values(), key=len, default={})
+        if own_full or len(most) <= len(own) + 1:
+            return None
+        return next((place for place in most if place.close is not None), None)
+
+    def _remove(self, place: Place) -> None:
+        places = self._sources.get(place.source, {})
+        if place not in places:
+            return
+        self._total -= 1
+        self._lingering.pop(place, None)
+        del places[place]
+        if not places:
+            del self._sources[place.source]
 
 
 @functools.lru_cache(maxsize=256)

@@ -6,9 +6,9 @@ half open until it is authenticated or gone.
 
 import secrets
 import socket
-import time
 from typing import Any, Generic
 
+from rossec import clock
 from rossec.channel.connection import Connection
 from rossec.channel.credentials import OwnCredential, PeerT, Verify
 from rossec.net.blocking import SecureSocket
@@ -41,17 +41,19 @@ class SecureListener(Generic[PeerT]):
         """
         while True:
             sock, where = self._socket.accept()
-            if self._count.admit(where[0]):
+            place = self._count.admit(where[0])
+            if place is not None:
                 break
             sock.close()
+        place.bind(sock)
         core = Connection.responder(
             self._credentials,
             self._verify,
             random=secrets.token_bytes,
-            now=int(time.time()),
+            now=clock.now(),
             **self._options,
         )
-        return SecureSocket(sock, core, lambda: self._count.settle(where[0])), where
+        return SecureSocket(sock, core, place.settle), where
 
     def fileno(self) -> int:
         """The descriptor to wait on."""

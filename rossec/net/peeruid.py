@@ -56,9 +56,11 @@ def holder_in(tables: Iterable[str], near: Endpoint, far: Endpoint) -> Holder | 
 
 
 def listeners_in(tables: Iterable[str], place: Endpoint) -> list[Holder]:
-    """Who listens where a connection to `place`, an IPv4 address, may arrive. Pure."""
-    _, port = place
-    wanted = {_hex(place, 0), _hex(place, 1), _hex(("0.0.0.0", port), 0), _hex(("::", port), 0)}  # noqa: S104 - looked for
+    """Who listens where a connection to `place` may arrive. Pure."""
+    address, port = place
+    wanted = {_hex(place, 0), _hex(place, 1), _hex(("::", port), 0)}
+    if ":" not in address:
+        wanted.add(_hex(("0.0.0.0", port), 0))  # noqa: S104 - looked for
     return [
         holder
         for row, holder in _rows(tables)
@@ -120,7 +122,7 @@ def _holder(near: Endpoint, far: Endpoint) -> Holder | None:
 
 
 def listeners(place: Endpoint) -> list[Holder]:
-    """Who listens where a connection to `place`, an IPv4 address of this host, arrives.
+    """Who listens where a connection to `place`, an address of this host, arrives.
 
     It is one at most, unless only the tables can be asked: then all who may be.
 

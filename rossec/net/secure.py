@@ -60,6 +60,11 @@ class SecureStream(Generic[PeerT]):
         """Bytes of small units queued and not handed to the socket."""
         return self._queued
 
+    @property
+    def lags(self) -> bool:
+        """Whether more would have to wait here for the peer."""
+        return not self._driver.writable
+
     async def send(self, *pieces: Bytes) -> None:
         """Send the pieces as one unit, after what is queued; waits while the peer lags.
 
@@ -194,14 +199,14 @@ class SecureStream(Generic[PeerT]):
                 transport.write(record)
         return transport.writable
 
-    def welcome(self) -> None:
-        """Take units of up to `Limits.unit` from now on, not of `Limits.greeting`: it was judged.
+    def welcome(self, limit: int | None = None) -> None:
+        """Take units of up to `limit` from now on, or of `Limits.unit`: the peer was judged.
 
         Raises:
             ChannelError: the connection is at its end.
         """
         self._driver.check()
-        self._driver.connection.welcome()
+        self._driver.connection.welcome(limit)
 
     async def drain(self) -> None:
         """Wait until the peer caught up.
@@ -270,6 +275,10 @@ class SecureStream(Generic[PeerT]):
             ChannelError: it ended in another way; the leaf says how.
         """
         return self._driver.receive()
+
+    def when_lost(self, callback: Callable[[], None]) -> None:
+        """Call back, once, when the socket is closed: a while after the end, which is told."""
+        self._driver.when_lost(callback)
 
     async def wait_ended(self) -> None:
         """Return when the connection is at its end, whoever ended it; takes no unit."""

@@ -11,6 +11,7 @@ import secrets
 import socket
 from collections.abc import Awaitable, Callable, Collection
 from contextlib import suppress
+from functools import partial
 from types import TracebackType
 from typing import Final, Generic, Self, TypeAlias
 
@@ -18,11 +19,12 @@ from rossec.channel.connection import Connection
 from rossec.channel.credentials import OwnCredential, PeerT, Verify
 from rossec.channel.known import KnownCertificates
 from rossec.channel.opening import Flavour
+from rossec.channel.owndials import OwnDials
 from rossec.channel.records import Limits
 from rossec.channel.suites import PRODUCTION
 from rossec.errors import ChannelClosed, ChannelError, PlainPeer
 from rossec.net.driver import Driver, wall_clock
-from rossec.net.halfopen import HalfOpen, HalfOpenCount
+from rossec.net.halfopen import HalfOpen, HalfOpenCount, Place
 from rossec.net.secure import SecureStream
 from rossec.net.tasks import TaskSet
 
@@ -52,6 +54,7 @@ class SecureServer(Generic[PeerT]):
         self._make_core = make_core
         self._half_open = half_open
         self._drivers: set[Driver[PeerT]] = set()
+        self._places: dict[Driver[PeerT], Place] = {}  # of those that are not authenticated
         self._tasks = TaskSet()
         self._loop = asyncio.get_running_loop()
         self._listeners: list[socket.socket] = []
@@ -94,30 +97,46 @@ class SecureServer(Generic[PeerT]):
                 self._loop.remove_reader(listener.fileno())
                 self._loop.call_later(_REST, self._watch, listener)
                 return
-            if self._admit(where[0]):
-                self._begin(sock, where[0])
-            else:
+            place = self._admit(where[0])
+            if place is None:
                 sock.close()
+            else:
+                self._begin(sock, where[0], place)
 
-    def _admit(self, address: str) -> bool:
-        """Whether one more unfinished handshake is bearable; nothing was spent on it yet."""
-        if self._half_open.admit(address):
-            return True
+    def _admit(self, address: str) -> Place | None:
+        """The place of one more unfinished handshake, if it is bearable; nothing was spent yet."""
+        place = self._half_open.admit(address)
+        if place is not None:
+            return place
         self._refused += 1
         if self._loop.time() >= self._report_again:  # a flood of callers is no flood of lines
             _log.warning(
                 "too many unfinished handshakes: refused %d, last %s", self._refused, address
             )
             self._refused, self._report_again = 0, self._loop.time() + _REPORT_EVERY
-        return False
+        return None
 
-    def _begin(self, sock: socket.socket, address: str) -> None:
-        driver = Driver(self._make_core(), sock, address, self.on_authenticated, self.on_end)
+    def _begin(self, sock: socket.socket, address: str, place: Place) -> None:
+        try:
+            driver = Driver(self._make_core(), sock, address, self.on_authenticated, self.on_end)
+        except BaseException:
+            sock.close()
+            place.settle()
+            raise
         self._drivers.add(driver)
+        self._places[driver] = place
+        place.close = partial(driver.abort, ChannelClosed("others need its place"))
+        driver.when_lost(partial(self._leave, driver))
+
+    def _leave(self, driver: Driver[PeerT]) -> None:
+        """It is authenticated, or its socket is closed."""
+        place = self._places.pop(driver, None)
+        if place is not None:
+            place.settle()
 
     def on_authenticated(self, driver: Driver[PeerT], peer: PeerT) -> None:
         """Start the handler."""
-        self._half_open.settle(driver.address)
+        self._leave(driver)
         stream = SecureStream(driver, peer)
         self._tasks.spawn(self._handle(stream), name=f"rossec connection from {driver.address}")
 
@@ -127,7 +146,8 @@ class SecureServer(Generic[PeerT]):
             return
         self._drivers.discard(driver)
         if not driver.authenticated:
-            self._half_open.settle(driver.address)
+            if driver in self._places:
+                self._places[driver].linger()  # until it is closed
             level = logging.WARNING if isinstance(error, PlainPeer) else logging.INFO
             _log.log(level, "connection from %s refused: %s", driver.address, error)
 
@@ -170,7 +190,7 @@ class SecureServer(Generic[PeerT]):
             listener.close()
         self._listeners.clear()
         await self._tasks.close()
-        for driver in list(self._drivers):
+        for driver in [*self._drivers, *self._places]:
             driver.abort(ChannelClosed("the server was closed"))
 
     async def __aenter__(self) -> Self:
@@ -197,6 +217,7 @@ def serve(
     half_open: HalfOpen | HalfOpenCount = _CAPS,
     suites: tuple[int, ...] = PRODUCTION,
     known: KnownCertificates | None = None,
+    own_dials: OwnDials | None = None,
 ) -> SecureServer[PeerT]:
     """Listen on `host` (None or "": every address, IPv4 and IPv6) and `port` (0: any free one).
 
@@ -218,6 +239,7 @@ def serve(
             suites=suites,
             limits=limits,
             known=known,
+            own_dials=own_dials,
         )
 
     count = HalfOpenCount(half_open) if isinstance(half_open, HalfOpen) else half_open

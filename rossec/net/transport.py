@@ -80,6 +80,11 @@ class Transport:
 
     # -- reading
 
+    @property
+    def reading(self) -> bool:
+        """Whether what arrives is taken in."""
+        return self._reading
+
     def resume_reading(self) -> None:
         """Read, from now on, whenever there is something."""
         if not (self._reading or self._closing or self.closed):

@@ -5,7 +5,7 @@ The syntax of a complete name is `ca.names`'s; here is only the arithmetic, equa
 read in `rossec.ros.settings`.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Final
 
 from ca.names import check_name
@@ -54,6 +54,15 @@ def resolve(name: str, node: str, remappings: Mapping[str, str] | None = None) -
     else:
         resolved = namespace(node) + name
     return resolved if remappings is None else remappings.get(resolved, resolved)
+
+
+def upwards(space: str, key: str) -> Iterator[tuple[str, str]]:
+    """Where stock looks for `key` from `space`, innermost first: what must exist, and is found."""
+    above = [part for part in space.split(SEPARATOR) if part]
+    first, *_ = key.split(SEPARATOR)
+    for length in range(len(above), -1, -1):
+        prefix = SEPARATOR + SEPARATOR.join(above[:length])
+        yield join(prefix, first), join(prefix, key)
 
 
 def resolve_checked(name: str, node: str, remappings: Mapping[str, str] | None = None) -> str:

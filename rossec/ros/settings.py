@@ -103,6 +103,11 @@ def parse_uri(uri: str, what: str = "uri", *, scheme: str = "http") -> tuple[str
     return host, port
 
 
+def build_uri(host: str, port: int, *, scheme: str = "http") -> str:
+    """The URI that `parse_uri` takes apart; a numeric IPv6 host is put in brackets."""
+    return f"{scheme}://[{host}]:{port}/" if ":" in host else f"{scheme}://{host}:{port}/"
+
+
 def is_loopback(host: str) -> bool:
     """Whether only this host can reach `host`, an address or name, without asking anybody.
 
@@ -212,4 +217,4 @@ def _checked(name: str, what: str) -> str:
     try:
         return check_name(name)
     except NameRefused as error:
-        raise SettingsRefused(f"{what} {name!r} is not a ROS name", error.hint) from error
+        raise SettingsRefused(f"{what} {name!a} is not a ROS name", error.hint) from error

@@ -137,8 +137,14 @@ def _parse(data: bytes) -> Body:
         return Body(target.close(), target.getmethodname(), target.root)
     except (XmlRpcRefused, Fault):
         raise
-    except (expat.ExpatError, xmlrpc.client.Error, ValueError, TypeError, LookupError) as error:
+    except _MALFORMED as error:
         raise XmlRpcRefused("malformed XML-RPC") from error
+
+
+_MALFORMED: Final = (
+    expat.ExpatError, xmlrpc.client.Error, ValueError, TypeError, LookupError,
+    ArithmeticError,  # of decimal: the library reads <bigdecimal>
+)  # fmt: skip
 
 
 class _Target(xmlrpc.client.Unmarshaller):

@@ -8,6 +8,7 @@ from rossec.channel.messages import encode_error
 from rossec.channel.opening import REFUSAL, Flavour, tcpros_refusal
 from rossec.channel.records import Bytes, Frame, Limits, frame
 from rossec.channel.states import TABLE, Authenticated, Closed, State
+from rossec.channel.unfinished import STEP, WINDOW
 from rossec.errors import (
     ChannelClosed,
     ChannelError,
@@ -131,6 +132,59 @@ def test_a_peer_is_given_more_room_once_it_is_welcome() -> None:
     assert isinstance(w.pump().right.error, LimitExceeded)
     with pytest.raises(ChannelError):
         wire().right.core.welcome()
+
+
+def test_who_was_judged_is_given_what_its_messages_need() -> None:
+    w = joined(right=bob(limits=Limits(unit=100)))
+    w.right.core.welcome(20)
+    w.left.core.send_unit(b"x" * 20)
+    assert w.pump().right.units == [b"x" * 20]
+    w.left.core.send_unit(b"x" * 21)
+    assert isinstance(w.pump().right.error, LimitExceeded)
+    w = joined(right=bob(limits=Limits(unit=100)))
+    w.right.core.welcome(1000)
+    w.left.core.send_unit(b"x" * 101)
+    assert isinstance(w.pump().right.error, LimitExceeded), "never more than the channel takes"
+
+
+def begins(end: End) -> bool:
+    return end.core.has_unfinished_unit
+
+
+def test_a_unit_that_was_begun_must_get_on() -> None:
+    """Whether bytes come or not; only while this side reads; small units are begun and ended."""
+    w = joined(right=bob())
+    core, begun = w.right.core, w.left.core.seal_unit(bytes(1_000_000))
+    before = core.deadline()
+    assert begins(w.right) is False
+    core.receive_data(next(begun), NOW)
+    assert begins(w.right) is True
+    assert core.deadline() == NOW + STEP
+    for second in range(0, 10 * WINDOW, STEP):
+        core.tick(NOW + second, reading=False)
+        assert core.deadline() == NOW + second + STEP
+    start = NOW + 10 * WINDOW
+    for second in range(0, WINDOW - STEP, STEP):
+        core.tick(start + second)
+    core.receive_data(next(begun), start + WINDOW)
+    for record in begun:
+        core.receive_data(record, start + 2 * WINDOW)
+    assert begins(w.right) is False
+    assert core.deadline() == before
+    core.receive_data(next(w.left.core.seal_unit(bytes(1_000_000))), start)
+    with pytest.raises(LimitExceeded, match="not whole after 60 seconds"):  # noqa: PT012 - at last
+        for second in range(0, 2 * WINDOW, STEP):
+            core.tick(start + second)
+    assert core.deadline() is None
+    assert core.state is State.CLOSED
+
+
+def test_a_unit_that_comes_in_drops_is_given_up() -> None:
+    w = joined(right=bob())
+    core = w.right.core
+    with pytest.raises(LimitExceeded, match="not whole after 600 seconds"):  # noqa: PT012 - at last
+        for second, record in enumerate(w.left.core.seal_unit(bytes(200 * 1024 * 1024))):
+            core.receive_data(record, NOW + second)
 
 
 def test_sending_before_the_handshake_and_after_the_close() -> None:

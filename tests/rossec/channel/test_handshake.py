@@ -47,7 +47,8 @@ class TraceCredential:
         self._key = ed25519.Ed25519PrivateKey.from_private_bytes(key)
         self.id_cred: Value = decode_sequence(value(f"ID_CRED_{who} (CBOR Data Item)"))[0]
         self.certificate = value(f"CRED_{who} (Raw Value)")
-        self.identity = TraceIdentity(self._key.public_key())
+        self.public_key = self._key.public_key()
+        self.identity = TraceIdentity(self.public_key)
 
     def sign(self, message: bytes) -> bytes:
         return self._key.sign(message)

@@ -24,10 +24,11 @@ from rossec.errors import (
     IdentityRefused,
     PeerRefused,
 )
+from rossec.net import carrier
 from rossec.net.blocking import SecureSocket
 from rossec.net.halfopen import HalfOpen
 from rossec.net.listener import SecureListener
-from tests.support.wire import ALICE, BOB, STRANGER, FakeIdentity, trust
+from tests.support.wire import ALICE, BOB, NOW, STRANGER, FakeIdentity, bob, trust
 
 Secure = SecureSocket[FakeIdentity]
 
@@ -243,6 +244,48 @@ def test_the_handshake_deadline() -> None:
         sock, _ = listener.accept()
         with sock, pytest.raises(HandshakeTimeout):
             sock.recv(1)
+
+
+@pytest.mark.parametrize("use", ["sendall", "send_now", "recv"])
+def test_a_connection_nobody_used_for_longer_than_the_handshake_may_take(
+    listener: SecureListener[FakeIdentity], monkeypatch: pytest.MonkeyPatch, use: str
+) -> None:
+    """Its confirmation, message_4, has waited in the kernel: nobody had read meanwhile."""
+    left, right = pair(listener)
+    with left, right:
+        if use == "recv":
+            right.sendall(b"x")
+        select.select([left._socket], [], [])
+        monkeypatch.setattr(carrier, "_now", lambda: int(time.time()) + 60)
+        if use == "recv":
+            assert left.recv(1) == b"x"
+        elif use == "send_now":
+            assert left.send_now(b"x")
+            assert right.recv(1) == b"x"
+        else:
+            left.sendall(b"x")
+            assert right.recv(1) == b"x"
+
+
+def test_a_responder_that_never_confirms(monkeypatch: pytest.MonkeyPatch) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        core = bob()
+
+        def half_way() -> None:
+            sock, _ = server.accept()
+            with sock:
+                core.receive_data(sock.recv(65536), NOW)
+                sock.sendall(core.data_to_send())
+                done.wait()
+
+        done = threading.Event()
+        thread = background(half_way)
+        left = Secure.connect(server.getsockname(), ALICE, live, 5)
+        monkeypatch.setattr(carrier, "_now", lambda: int(time.time()) + 60)
+        with left, pytest.raises(HandshakeTimeout):
+            left.sendall(b"x")
+        done.set()
+        thread.join(30)
 
 
 def test_half_open_caps() -> None:

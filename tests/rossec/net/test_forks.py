@@ -2,6 +2,7 @@
 
 import asyncio
 import os
+import socket
 from collections.abc import Callable, Iterator
 
 import pytest
@@ -44,7 +45,7 @@ def test_a_child_cannot_use_its_parents_connection(
 ) -> None:
     left, right = pair(listener)
     with left, right:
-        assert left.send_now(b"0")
+        assert left.send_now(b"0")  # however long the children take now
         for use in (
             lambda: left.sendall(b"child"),
             lambda: left.send_now(b"child"),
@@ -77,6 +78,19 @@ def test_a_lock_held_at_the_fork_stops_no_child(listener: SecureListener[FakeIde
             assert in_child(left.shutdown) == "None"
         left.sendall(b"x")
         assert right.recv(1) == b"x"
+
+
+def test_a_count_locked_at_the_fork_stops_no_child(
+    listener: SecureListener[FakeIdentity],
+) -> None:
+    """The parent counts strangers; a thread of it may be at that, and the child counts nobody."""
+    with socket.create_connection(listener.getsockname()):
+        stranger, _ = listener.accept()
+        with stranger:
+            with listener._count._lock:
+                assert in_child(lambda: stranger.recv(1)) == "b''"
+            assert len(listener._count) == 1
+        assert len(listener._count) == 0
 
 
 def test_a_child_may_connect_for_itself(listener: SecureListener[FakeIdentity]) -> None:

@@ -161,3 +161,19 @@ def test_a_socket_that_nobody_holds_is_nobodys(monkeypatch: pytest.MonkeyPatch) 
     with pair(socket.AF_INET, "127.0.0.1") as (near, _), pytest.raises(PeerUserRefused):
         peeruid.holder_of(near)
     assert peeruid.listeners(("127.0.0.1", 1)) == []
+
+
+@pytest.mark.parametrize("asked", [True, False])
+def test_who_listens_at_a_place_of_ipv6(monkeypatch: pytest.MonkeyPatch, asked: bool) -> None:
+    """The kernel's answer, and what its tables say: a listener of IPv4 alone is beside the way."""
+    if not asked:
+
+        def unavailable(*_: object) -> None:
+            raise OSError("no such protocol")
+
+        monkeypatch.setattr(sockdiag, "listener", unavailable)
+    with socket.create_server(("::1", 0), family=socket.AF_INET6) as server:
+        port = server.getsockname()[1]
+        with socket.create_server(("127.0.0.1", port)):
+            (holder,) = peeruid.listeners(("::1", port))
+        assert holder == (os.getuid(), os.fstat(server.fileno()).st_ino)

@@ -37,10 +37,21 @@ def test_one_connection(client: str) -> None:
         assert found is None or found.inode == 0
 
 
+def two_at_one_port() -> tuple[socket.socket, socket.socket]:
+    """Listeners at 127.0.0.1 and 127.0.0.2; others take ports at the same time."""
+    while True:
+        server = socket.create_server(("127.0.0.1", 0))
+        try:
+            return server, socket.create_server(("127.0.0.2", server.getsockname()[1]))
+        except OSError:
+            server.close()
+
+
 def test_the_listener_that_would_be_reached() -> None:
-    with socket.create_server(("127.0.0.1", 0)) as server:
+    server, other = two_at_one_port()
+    with server:
         port = server.getsockname()[1]
-        with socket.create_server(("127.0.0.2", port)) as other:
+        with other:
             for host, listens in (("127.0.0.1", server), ("127.0.0.2", other)):
                 found = sockdiag.listener((host, port))
                 assert found is not None

@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import dataclasses
 import errno
 import gc
 import logging
@@ -224,6 +225,7 @@ async def test_a_slow_reader_stops_the_writer() -> None:
 
     async with serve(slow, "127.0.0.1", 0, BOB, live) as server:
         stream = await call(server)
+        lags = [stream.lags]
         sent = 0
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(1):
@@ -231,6 +233,7 @@ async def test_a_slow_reader_stops_the_writer() -> None:
                     await asyncio.shield(asyncio.ensure_future(stream.send(b"x" * 500_000)))
                     sent += 500_000
         assert sent < 64_000_000
+        assert [*lags, stream.lags] == [False, True]
         with pytest.raises(SendQueueFull):  # noqa: PT012 - fills whatever is left
             while True:
                 stream.send_nowait(b"y" * 10_000)
@@ -413,6 +416,35 @@ async def test_half_open_caps_spare_the_others(caps: HalfOpen) -> None:
 # -- small parts
 
 
+async def test_a_caller_that_is_gone_at_once_gives_its_place_back(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    only = HalfOpen(total=1)
+    async with serve(echo, "127.0.0.1", 0, BOB, live, half_open=only) as server:
+        gone: list[str] = []
+
+        def broken(*_: object) -> None:
+            gone.append("reset")
+            raise OSError(errno.EINVAL, "reset")
+
+        with monkeypatch.context() as patch:
+            patch.setattr(server_module, "Driver", broken)
+            with contextlib.suppress(OSError):
+                assert await raw(server, b"") == b""
+        assert gone
+        await still_works(server)
+
+
+async def test_the_end_of_the_socket_is_told() -> None:
+    async with serve(echo, "127.0.0.1", 0, BOB, live) as server:
+        stream = await call(server)
+        told: list[str] = []
+        stream.when_lost(lambda: told.append("then"))
+        await stream.close()
+        stream.when_lost(lambda: told.append("later"))
+        assert told == ["then", "later"]
+
+
 def test_what_counts_as_one_source() -> None:
     assert source_of("192.0.2.1") == "192.0.2.1"
     assert source_of("::ffff:192.0.2.1") == "192.0.2.1"
@@ -493,6 +525,21 @@ async def test_the_second_connection_names_certificates() -> None:
         async with await connect("127.0.0.1", server.port, ALICE, live, known=ours) as stream:
             await stream.send(b"x")
             assert await stream.receive() == b"x"
+
+
+async def test_a_hash_that_leads_astray_is_called_again_by_value() -> None:
+    ours, theirs = KnownCertificates(), KnownCertificates()
+    async with serve(echo, "127.0.0.1", 0, BOB, live, known=theirs) as server:
+        for _ in range(3):
+            stream = await connect("127.0.0.1", server.port, ALICE, live, known=ours)
+            await stream.send(b"x")
+            assert await stream.receive() == b"x"
+            await stream.close()
+            theirs._chains.update(dict.fromkeys(theirs._chains, STRANGER.chain))
+        thief = dataclasses.replace(ALICE, signer=STRANGER.signer)
+        stream = await connect("127.0.0.1", server.port, thief, live, known=ours)
+        with pytest.raises(PeerRefused):  # by value as well
+            await stream.receive()
 
 
 async def test_the_hybrid_suite_by_policy() -> None:

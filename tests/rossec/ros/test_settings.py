@@ -3,7 +3,7 @@
 import pytest
 
 from rossec.errors import SettingsRefused
-from rossec.ros.settings import Settings, is_loopback, parse_uri, read
+from rossec.ros.settings import Settings, build_uri, is_loopback, parse_uri, read
 
 
 def settings(*argv: str, **environ: str) -> Settings:
@@ -110,3 +110,9 @@ def test_the_uri_of_a_service() -> None:
     with pytest.raises(SettingsRefused, match="does not begin with rosrpc://") as refused:
         parse_uri("http://localhost:1", scheme="rosrpc")
     assert "rosrpc://localhost" in refused.value.hint
+
+
+@pytest.mark.parametrize("host", ["robot.local", "10.0.0.1", "fd99::1"])
+@pytest.mark.parametrize("scheme", ["http", "rosrpc"])
+def test_what_is_built_can_be_taken_apart(host: str, scheme: str) -> None:
+    assert parse_uri(build_uri(host, 4000, scheme=scheme), scheme=scheme) == (host, 4000)

@@ -85,6 +85,10 @@ BOMB = b"""<?xml version="1.0"?><!DOCTYPE m [<!ENTITY a "aaaaaaaaaa"><!ENTITY b 
         (xmlrpc.dump_response(xmlrpc.Fault(1, "x")), "not an XML-RPC call"),
         (xmlrpc.dump_call("m" * 300, []), "too long"),
         (nested(1).replace(b"<array><data></data></array>", b"<int>x</int>"), "malformed"),
+        (
+            nested(1).replace(b"<array><data></data></array>", b"<bigdecimal>x</bigdecimal>"),
+            "malformed",
+        ),
     ],
 )
 def test_refuses(data: bytes, message: str) -> None:

@@ -1,0 +1,102 @@
+"""Who has a place, who lingers, and whose is taken when there is no room."""
+
+import gc
+import socket
+
+from rossec.net.halfopen import HalfOpen, HalfOpenCount, Place
+
+
+def taken(count: HalfOpenCount, *addresses: str) -> tuple[list[Place], list[str]]:
+    """A place from each address, and who was closed to make room, by the name `address-number`."""
+    places, closed = [], []
+    for number, address in enumerate(addresses):
+        place = count.admit(address)
+        assert place is not None
+        name = f"{address}-{number}"
+        place.close = lambda name=name: closed.append(name)
+        places.append(place)
+    return places, closed
+
+
+def test_a_place_is_held_until_it_is_settled_once() -> None:
+    count = HalfOpenCount(HalfOpen(per_address=1, total=2))
+    (place,), closed = taken(count, "a")
+    assert count.admit("a") is None
+    place.linger()
+    place.settle()
+    place.settle()
+    place.linger()
+    assert len(count) == 0
+    assert count.admit("a") is not None
+    assert closed == []
+
+
+def test_who_lingers_longest_makes_room_for_its_source() -> None:
+    count = HalfOpenCount(HalfOpen(per_address=3, total=9))
+    (first, second, _), closed = taken(count, "a", "a", "a")
+    second.linger()
+    first.linger()
+    assert count.admit("a") is not None
+    assert closed == ["a-1"]
+    assert count.admit("a") is not None
+    assert closed == ["a-1", "a-0"]
+    assert count.admit("a") is None, "who is at work is not closed for its own like"
+    assert len(count) == 3
+
+
+def test_no_source_makes_room_for_another_that_has_its_share() -> None:
+    count = HalfOpenCount(HalfOpen(per_address=1, total=9))
+    (other, _), closed = taken(count, "b", "a")
+    other.linger()
+    assert count.admit("a") is None
+    assert closed == []
+
+
+def test_where_all_places_are_taken_anybody_who_lingers_makes_room() -> None:
+    count = HalfOpenCount(HalfOpen(per_address=3, total=3))
+    (_, late, early), closed = taken(count, "a", "b", "c")
+    early.linger()
+    late.linger()
+    assert count.admit("d") is not None
+    assert closed == ["c-2"]
+    assert count.admit("d") is not None
+    assert closed == ["c-2", "b-1"]
+    assert len(count) == 3
+
+
+def test_where_nobody_lingers_the_source_with_most_makes_room() -> None:
+    count = HalfOpenCount(HalfOpen(per_address=4, total=5))
+    _, closed = taken(count, "b", "a", "a", "a", "b")
+    assert count.admit("c") is not None
+    assert closed == ["a-1"]
+    assert len(count) == 5
+    assert count.admit("c") is None, "one more than its own is no reason"
+
+
+def test_what_cannot_be_closed_makes_no_room() -> None:
+    count = HalfOpenCount(HalfOpen(per_address=2, total=2))
+    places = [count.admit("a"), count.admit("a")]
+    for place in places:
+        assert place is not None
+        place.linger()
+    assert count.admit("a") is None
+    assert count.admit("b") is None
+
+
+def test_a_place_goes_with_its_socket_at_the_latest() -> None:
+    count = HalfOpenCount(HalfOpen(per_address=1, total=1))
+    place = count.admit("a")
+    assert place is not None
+    sock = socket.socket()
+    place.bind(sock)
+    sock.close()
+    del sock
+    gc.collect()
+    assert len(count) == 0
+
+
+def test_addresses_of_one_network_are_one_source() -> None:
+    count = HalfOpenCount(HalfOpen(per_address=1, total=9))
+    assert count.admit("2001:db8::1") is not None
+    assert count.admit("2001:db8::2") is None
+    assert count.admit("2001:db8:0:1::1") is not None
