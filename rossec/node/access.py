@@ -15,7 +15,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 
 from ca.certificates import Identity, TrustAnchor
 from ca.encoding import Value, decode, encode
-from ca.errors import EncodingError, RevocationsStale
+from ca.errors import CAError, EncodingError, RevocationsStale
 from ca.revocation import Revocations, open_timestamp
 from grants.decision import Decision, authorize
 from grants.document import peek
@@ -24,6 +24,10 @@ from grants.model import Grant, Right
 from grants.token import Verifier
 
 FIELD: Final = "rossec_grants"
+NO_LIST: Final = (
+    "the master has no revocation list yet",
+    "at the authority: rossec ca refresh, then rossec ca publish; until then nobody is trusted",
+)
 MAX_PRESENTED: Final = 40 * 1024  # a header field holds 48 KiB
 MAX_GRANTS: Final = 16
 _CACHE_SIZE: Final = 1024
@@ -101,10 +105,19 @@ class Access:
         A list that holds counts, whatever is wrong with the rest.
 
         Raises:
-            CAError: one of the statements is refused, or the master's key is revoked.
+            RevocationsStale: the master gives the list and does not confirm it.
+            CAError: one of the statements is refused, missing, or the master's key is revoked.
         """
+        if not timestamp and not revocations and self._revocations.held is None:
+            raise CAError(*NO_LIST)
         if revocations:
             self._revocations.update(revocations, now, persist)
+        if revocations and not timestamp:
+            self._revocations.doubt()
+            raise RevocationsStale(
+                "the master tells this node what is revoked, and nothing more",
+                "its identity, or the intermediate above it, is revoked: enroll the node anew",
+            )
         with suppress(RevocationsStale):  # which it may end; a revoked key may not
             self.check_peer(master, now)
         self._revocations.confirm(open_timestamp(timestamp, master.public_key), now)
@@ -134,9 +147,19 @@ class Access:
         return sorted(usable, key=lambda held: held.grant.expires, reverse=True)
 
     def check_peer(self, peer: Identity, now: int) -> None:
-        """Raise a `CAError` when the identity of `peer` is revoked, or that is not known."""
+        """Raise a `CAError` when the identity of `peer` is revoked, or that is not known.
+
+        All its keys are asked about: that the first one is stale must not hide that its
+        intermediate is revoked.
+        """
+        stale: RevocationsStale | None = None
         for key in peer.keys:
-            self._revocations.check(key, now)
+            try:
+                self._revocations.check(key, now)
+            except RevocationsStale as error:
+                stale = stale or error
+        if stale is not None:
+            raise stale
 
     def authorize(
         self, peer: Identity, presented: bytes | None, right: Right, name: str, now: int

@@ -8,14 +8,15 @@ response must not be taken for the next one's.
 
 import asyncio
 import contextlib
-import time
 from collections.abc import AsyncIterator, Awaitable, Callable
 from types import TracebackType
 from typing import Final, Self
 
 from ca.certificates import Identity
 from grants.decision import Decision
+from rossec import clock
 from rossec.errors import ChannelClosed, ConfigurationError, ServiceFailed
+from rossec.net.bounds import unit_limit
 from rossec.net.stream import SecureStream
 from rossec.net.tasks import TaskSet
 from rossec.node.access import Access
@@ -34,6 +35,7 @@ from rossec.node.srvtypes import ServiceType
 from rossec.node.standing import Standing
 from rossec.ros import header
 from rossec.ros import service as wire
+from rossec.ros.header import MESSAGE_LIMIT
 
 CALL_DEADLINE: Final = 60.0
 HANDSHAKE_DEADLINE: Final = 5.0
@@ -82,14 +84,14 @@ async def introduce(
         HintedError: it refuses, or is not entitled.
     """
     fields = client_header(
-        caller, service, kind, access, int(time.time()), persistent=persistent, probe=probe
+        caller, service, kind, access, clock.now(), persistent=persistent, probe=probe
     )
     await stream.send(header.encode(fields))
     frames = header.FrameReader(header.HEADER_LIMIT)
     while (arrived := frames.feed_one(await stream.receive())) is None:
         pass
     answer = header.decode(arrived)
-    return answer, admit_provider(answer, stream.peer, service, access, int(time.time()))
+    return answer, admit_provider(answer, stream.peer, service, access, clock.now())
 
 
 async def probe(dial: Dial, caller: str, service: str, access: Access) -> tuple[Fields, Identity]:
@@ -209,7 +211,7 @@ class ServiceClient:
             yield self._kept
 
     async def _exchange(self, link: ProviderLink, request: bytes | memoryview) -> bytes:
-        now = int(time.time())
+        now = clock.now()
         reason = why_cut(link, self._standing.revocations, now)
         if reason is not None:
             link.stream.abort(reason)
@@ -225,7 +227,7 @@ class ServiceClient:
         finally:
             if not complete:
                 self._give_up(link)
-        return b"".join(link.guard.response(response, int(time.time())))
+        return b"".join(link.guard.response(response, clock.now()))
 
     async def _connect(self) -> ProviderLink:
         stream = await self._dial(self.service)
@@ -250,9 +252,10 @@ class ServiceClient:
             persistent=self._persistent,
         )
         check_md5(answer, self.service, kind.md5sum)
-        return ProviderLink(
-            stream, decision, ServiceGuard(self.kind, decision, self._standing.filter_key)
-        )
+        stream.welcome(unit_limit(self.kind.response_layout.root.size, MESSAGE_LIMIT))
+        own = self._standing
+        guard = ServiceGuard(self.kind, decision, own.filter_key, own.recall)
+        return ProviderLink(stream, decision, guard)
 
     async def _forget(self, link: ProviderLink) -> None:
         """A connection that has ended, whoever ended it, is not used for the next call."""

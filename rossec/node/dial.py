@@ -5,10 +5,10 @@ revocation here. A publisher that is merely not entitled is found out by its ans
 has seen the topic's name, which the master told it anyway, and the grant for that topic.
 """
 
-import time
 from collections.abc import Callable
 
 from ca.certificates import Identity, TrustAnchor
+from rossec import clock
 from rossec.channel.credentials import OwnCredential
 from rossec.channel.known import KnownCertificates
 from rossec.channel.suites import PRODUCTION
@@ -16,6 +16,7 @@ from rossec.errors import TopicRefused
 from rossec.net.bounds import DIALLED
 from rossec.net.rpc import RpcClient
 from rossec.net.stream import Flavour, SecureStream, connect
+from rossec.node.ownplaces import OwnPlaces
 from rossec.ros import settings
 
 CheckPeer = Callable[[Identity, int], None]
@@ -33,6 +34,7 @@ class Dialer:
         *,
         suites: tuple[int, ...] = PRODUCTION,
         known: KnownCertificates | None = None,
+        own: OwnPlaces | None = None,
     ) -> None:
         self._name = name
         self._credentials = credentials
@@ -40,6 +42,7 @@ class Dialer:
         self._check_peer = check_peer
         self._suites = suites
         self._known = known
+        self._own = OwnPlaces() if own is None else own
 
     async def rpc(self, host: str, port: int) -> SecureStream[Identity]:
         """Connect to a master or slave API; the caller checks who it is."""
@@ -52,9 +55,10 @@ class Dialer:
             RossecError: out of reach, or no connection offered.
             CAError: the node that answers is revoked, or that is not known.
         """
-        host, port = settings.parse_uri(uri, "a publisher's URI")
-        host, port = await self._request_topic(await self.rpc(host, port), topic)
-        stream = await self._connect(host, port, Flavour.TCPROS)
+        api = settings.parse_uri(uri, "a publisher's URI")
+        place = await self._request_topic(await self.rpc(*api), topic)
+        self._own.check_step(api, place)
+        stream = await self._connect(*place, Flavour.TCPROS)
         self._judge(stream)
         return stream
 
@@ -75,6 +79,7 @@ class Dialer:
             limits=DIALLED[opening],
             suites=self._suites,
             known=self._known,
+            own_dials=self._own.dials_for((host, port)),
         )
 
     async def _request_topic(self, stream: SecureStream[Identity], topic: str) -> tuple[str, int]:
@@ -91,7 +96,7 @@ class Dialer:
 
     def _judge(self, stream: SecureStream[Identity]) -> None:
         try:
-            self._check_peer(stream.peer, int(time.time()))
+            self._check_peer(stream.peer, clock.now())
         except BaseException:
             stream.abort("the peer's identity does not hold")
             raise

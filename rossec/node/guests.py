@@ -4,6 +4,7 @@ A shell. Every kind of node shares it.
 """
 
 import logging
+from functools import partial
 from typing import Final
 
 from ca.certificates import Identity
@@ -31,12 +32,11 @@ class Guests:
         async def serve_one(stream: SecureStream[Identity]) -> None:
             if stream.peer.name != MASTER and self._count(stream.peer) >= PEER_CONNECTIONS:
                 _log.warning("%s has too many connections", stream.peer.name)
+                stream.abort("too many connections of one identity")
                 return
-            self._streams.add(stream)
-            try:
-                await handler(stream)
-            finally:
-                self._streams.discard(stream)
+            self._streams.add(stream)  # until its socket is closed: one that lingers counts
+            stream.when_lost(partial(self._streams.discard, stream))
+            await handler(stream)
 
         return serve_one
 

@@ -12,7 +12,7 @@ from typing import Final
 
 from ca.certificates import build_request
 from ca.errors import CAError, HintedError
-from ca.renewal import renew_at, sign_renewal
+from ca.renewal import ask_again_in, renew_at, sign_renewal
 from rossec.channel.credentials import LiveCredentials
 from rossec.errors import AnswerMalformed, AnswerRefused
 from rossec.home import NodeHome
@@ -20,7 +20,7 @@ from rossec.node.renewal import Call
 from rossec.ros.text import printable
 
 METHOD: Final = "rossec.renewIdentity"
-RETRY: Final = 600  # seconds after a refusal: most masters hold no intermediate
+RETRY: Final = 600  # seconds at most after a refusal: most masters hold no intermediate
 
 _log = logging.getLogger("rossec.node")
 
@@ -41,7 +41,7 @@ class IdentityRenewal:
         due = renew_at(held.not_before, held.not_after)
         if now < max(due, self._retry_at):
             return None
-        self._retry_at = now + RETRY
+        self._retry_at = now + ask_again_in(held.not_before, held.not_after, RETRY)
         if self._was_renewed_by_hand(now):
             return None
         own = self._credentials.current

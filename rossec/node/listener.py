@@ -7,22 +7,24 @@ refusal of its own grants; it says nothing of what this node publishes or provid
 import asyncio
 import contextlib
 import logging
-import time
 from collections.abc import Awaitable, Callable, Mapping
 from functools import partial
 from typing import Final
 
 from ca.certificates import Identity, TrustAnchor
 from ca.errors import HintedError, RevocationsStale
+from rossec import clock
 from rossec.channel.credentials import OwnCredential
 from rossec.channel.known import KnownCertificates
 from rossec.channel.suites import PRODUCTION
 from rossec.errors import TopicRefused
 from rossec.net.bounds import ACCEPTED
+from rossec.net.halfopen import HalfOpen, HalfOpenCount
 from rossec.net.rpc import serve_calls
 from rossec.net.stream import Flavour, SecureServer, SecureStream, serve
 from rossec.node.access import Access
 from rossec.node.guests import Guests
+from rossec.node.ownplaces import OwnPlaces
 from rossec.node.publisher import Publisher
 from rossec.node.questions import QUESTIONS, check_question
 from rossec.node.servicedesk import Services
@@ -52,6 +54,7 @@ class Listener:
         *,
         suites: tuple[int, ...] = PRODUCTION,
         known: KnownCertificates | None = None,
+        own: OwnPlaces | None = None,
     ) -> None:
         self._name = name
         self._credentials = credentials
@@ -62,8 +65,10 @@ class Listener:
         self._slave = slave
         self._suites = suites
         self._known = known
+        self._own = OwnPlaces() if own is None else own
         self._servers: list[SecureServer[Identity]] = []
         self._guests = Guests()
+        self._half_open = HalfOpenCount(HalfOpen())  # both ports share this process
 
     @property
     def slave_port(self) -> int:
@@ -92,8 +97,11 @@ class Listener:
                 limits=ACCEPTED[flavour],
                 suites=self._suites,
                 known=self._known,
+                own_dials=self._own.dials,
+                half_open=self._half_open,
             )
             self._servers.append(server)
+            self._own.listens(address, server.port)
 
     def cut(self, revoked: frozenset[bytes]) -> None:
         """Cut every connection of a revoked key, whatever it is used for."""
@@ -119,7 +127,7 @@ class Listener:
 
         `shown` holds the grants the peer has shown on this connection.
         """
-        now = int(time.time())
+        now = clock.now()
         entitled = False
         try:
             self._access.check_peer(peer, now)
@@ -165,7 +173,7 @@ class Listener:
     def _admit_subscriber(
         self, fields: Mapping[str, bytes], stream: SecureStream[Identity]
     ) -> Callable[[], Awaitable[None]]:
-        now = int(time.time())
+        now = clock.now()
         decision = admit_subscriber(fields, stream.peer, self._access, now)
         publisher = self._publishers.get(requested_topic(fields))
         if publisher is None:

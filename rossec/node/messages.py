@@ -17,6 +17,7 @@ from rosbags.typesys.base import TypesysError
 from rosbags.typesys.store import Typestore
 
 from rossec.errors import MessageError
+from rossec.node.definitions import Definition
 
 _NO_FIELDS: Final = "structure_needs_at_least_one_member"
 _CHECK_TEXT: Final = "check the text of the .msg file, and register the types it uses first"
@@ -25,12 +26,8 @@ Message = Any  # a dataclass made by rosbags; its fields are those of the defini
 
 
 @dataclass(frozen=True)
-class MessageType:
-    """One message type: `name` is `package/Type`, `md5sum` and `definition` as in TCPROS."""
-
-    name: str
-    md5sum: str
-    definition: str
+class MessageType(Definition):
+    """One message type that can be made, written and read."""
 
     def create(self, **fields: object) -> Message:
         """Make a message with every field at its zero value, then set `fields`.

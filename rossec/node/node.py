@@ -9,19 +9,18 @@ import asyncio
 import contextlib
 import logging
 import os
-import time
 from collections.abc import Iterator, Mapping, Sequence
 from types import TracebackType
 from typing import Final, Self
 
 from ca.certificates import Identity
 from ca.errors import HintedError
-from ca.revocation import Revocations, digest
+from rossec import clock
 from rossec.channel.credentials import LiveCredentials
 from rossec.channel.known import KnownCertificates
 from rossec.channel.policy import post_quantum
-from rossec.errors import AnswerRefused, NodeShutdown, ServiceUnavailable
-from rossec.home import NodeHome, rossec_home
+from rossec.errors import AnswerRefused, NodeShutdown
+from rossec.home import NodeHome, own_home
 from rossec.net.stream import SecureStream
 from rossec.net.tasks import TaskSet
 from rossec.node.access import Access
@@ -31,10 +30,12 @@ from rossec.node.identity import IdentityRenewal, renew_identity
 from rossec.node.links import Link
 from rossec.node.listener import Listener
 from rossec.node.messages import message_type
+from rossec.node.ownplaces import OwnPlaces
 from rossec.node.params import Parameters
 from rossec.node.proofs import prove
 from rossec.node.provider import CONCURRENCY, HANDLER_DEADLINE, Handler, Service
 from rossec.node.publisher import Publisher
+from rossec.node.recall import recall
 from rossec.node.renewal import Renewals, renew
 from rossec.node.servicedesk import Services
 from rossec.node.session import MasterSession
@@ -47,6 +48,7 @@ from rossec.node.topicdesk import Topics
 from rossec.node.topics import Endpoint
 from rossec.node.watch import Watch
 from rossec.ros import settings
+from rossec.savedrevocations import saved_revocations
 
 _PRESENTED: Final = 64  # as many as the master keeps of one node
 _COLLECT: Final = 1.0  # seconds between looks for new grants
@@ -74,13 +76,13 @@ class Node:
     ) -> None:
         self.settings = settings.read(argv, environ, default_name=name)
         self.name = self.settings.name
-        self.home = NodeHome.find(rossec_home(environ), self.name)
+        self.home = NodeHome.find(own_home(environ), self.name)
         self.anchor = self.home.anchor()
         self.credentials = LiveCredentials(self.home.credentials())
-        self.identity = self.home.identity(int(time.time()))
-        self.revocations = self._load_revocations()
+        self.identity = self.home.identity(clock.now())
+        self.revocations = saved_revocations(self.home, self.anchor, clock.now())
         self.access = Access(self.anchor, self.revocations)
-        suites, known = post_quantum(environ), KnownCertificates()
+        suites, known, own = post_quantum(environ), KnownCertificates(), OwnPlaces()
         self._dialer = Dialer(
             self.name,
             self.credentials,
@@ -88,6 +90,7 @@ class Node:
             self.access.check_peer,
             suites=suites,
             known=known,
+            own=own,
         )
         self._shelf = Shelf(self.home, self.access)
         self._shelf.take_new()
@@ -97,7 +100,7 @@ class Node:
             self._dial_master,
             self.revocations_arrived,
             self._restore,
-            lambda: digest(self.revocations.data),
+            lambda: self.revocations.data,
             lambda call: prove(call, self.revocations),
         )
         self._renewals = Renewals(self.access)
@@ -108,13 +111,14 @@ class Node:
             self._session.call,
             self._dialer,
             self.home.filter_key,
+            recall(self.name),
             uri=lambda: self.uri,
-            rosrpc=lambda: _uri("rosrpc", *self.topic_endpoint()),
+            rosrpc=lambda: settings.build_uri(*self.topic_endpoint(), scheme="rosrpc"),
         )
         self._topics = Topics(standing)
         self.services = Services(standing)
         self.params = Parameters(standing, self.settings.resolve)
-        self._identity_renewal = IdentityRenewal(self.home, self.credentials, int(time.time()))
+        self._identity_renewal = IdentityRenewal(self.home, self.credentials, clock.now())
         self._listener = Listener(
             self.name,
             self.credentials,
@@ -125,6 +129,7 @@ class Node:
             SlaveApi(self),
             suites=suites,
             known=known,
+            own=own,
         )
         self._watch = Watch(self.revocations, self._links, self._listener)
         self._host = ""
@@ -221,14 +226,7 @@ class Node:
             ServiceUnavailable: none did within `timeout` seconds.
             HintedError: this node may not call it, or the provider may not provide it.
         """
-        resolved = self.settings.resolve(name)
-        try:
-            async with asyncio.timeout(timeout):
-                await self.services.wait_for(resolved)
-        except TimeoutError:
-            raise ServiceUnavailable(
-                f"no node provided {resolved} within {timeout:g} s", "is its provider running?"
-            ) from None
+        await self.services.wait_for(self.settings.resolve(name), within=timeout)
 
     async def wait_ended(self) -> None:
         """Wait until the node ends by itself.
@@ -263,7 +261,7 @@ class Node:
 
     def revocations_arrived(self, revocations: bytes, timestamp: bytes, master: Identity) -> None:
         """Take over a newer list and a fresh timestamp, then cut what they end."""
-        now = int(time.time())
+        now = clock.now()
         try:
             self.access.take_news(revocations, timestamp, master, now, self.home.save_revocations)
         finally:  # what the list revokes ends, whatever is wrong with the timestamp
@@ -280,23 +278,20 @@ class Node:
 
     def describe(self) -> dict[str, object]:
         """What the informational slave methods tell the master."""
-        publications = [
-            [item.topic, item.endpoint.type.name] for item in self._topics.publishers.values()
-        ]
-        subscriptions = [[item.topic, item.endpoint.type.name] for item in self._topics.subscribers]
         return {
+            "getName": self.name,
+            "getUri": self.uri,
             "getMasterUri": self.settings.master_uri,
             "getPid": os.getpid(),
             "getBusStats": [[], [], []],
             "getBusInfo": [],
-            "getSubscriptions": subscriptions,
-            "getPublications": publications,
+            **self._topics.describe(),
         }
 
     @property
     def uri(self) -> str:
         """This node's API URI, as registered with the master."""
-        return _uri("http", self._host, self._listener.slave_port)
+        return settings.build_uri(self._host, self._listener.slave_port)
 
     # --- start ---
 
@@ -308,21 +303,14 @@ class Node:
         self._tasks.spawn(self._watch.run(), f"{self.name}: watch")
         self._tasks.spawn(self._collect_grants(), f"{self.name}: grants")
 
-    def _load_revocations(self) -> Revocations:
-        """The newest list seen before the last stop: an older one will not be believed."""
-        revocations = Revocations(self.anchor.public_key)
-        saved = self.home.load_revocations()
-        if saved is not None:
-            revocations.update(saved, int(time.time()))
-        return revocations
-
     async def _dial_master(self) -> SecureStream[Identity]:
         return await self._dialer.rpc(self.settings.master_host, self.settings.master_port)
 
     async def _restore(self, session: MasterSession) -> None:
+        self._topics.session_opened()
         with contextlib.suppress(AnswerRefused):  # what is not renewed now is asked for later
-            await renew(session.call, self._renewals, int(time.time()))
-        current = self.access.current(int(time.time()))
+            await renew(session.call, self._renewals, clock.now())
+        current = self.access.current(clock.now())
         await session.call("rossec.presentGrants", current[:_PRESENTED])
         await self._register()
 
@@ -341,24 +329,21 @@ class Node:
         """A grant that arrives in the node's directory, or is renewed, counts without a restart."""
         while True:
             await asyncio.sleep(_COLLECT)
+            self._topics.look()
             new = self._shelf.take_new()
             with contextlib.suppress(HintedError, OSError):  # else with the next connection
                 if new:
                     _log.info("%s: %d new grants", self.name, len(new))
                     await self._session.call("rossec.presentGrants", new)
-                renewed = await renew(self._session.call, self._renewals, int(time.time()))
+                renewed = await renew(self._session.call, self._renewals, clock.now())
                 if new or renewed:
                     await self._register()  # what was refused for want of it
-                await renew_identity(self._session.call, self._identity_renewal, int(time.time()))
+                await renew_identity(self._session.call, self._identity_renewal, clock.now())
                 if await prove(self._session.call, self.revocations):
-                    self._watch.cut(int(time.time()))
+                    self._watch.cut(clock.now())
 
     def _crashed(self, error: BaseException) -> None:
         """A node whose watch has died must not go on: it would no longer cut anything."""
         if not self._ended.done():
             self._ended.set_exception(error)
             self._tasks.spawn(self.close(), f"{self.name}: closing after a failure")
-
-
-def _uri(scheme: str, host: str, port: int) -> str:
-    return f"{scheme}://[{host}]:{port}/" if ":" in host else f"{scheme}://{host}:{port}/"

@@ -8,7 +8,6 @@ handler raises stays here, except `ServiceFailed`, which is meant for the caller
 import asyncio
 import inspect
 import logging
-import time
 from collections.abc import Awaitable, Callable, Mapping
 from typing import Any, Final
 from weakref import WeakValueDictionary
@@ -16,6 +15,7 @@ from weakref import WeakValueDictionary
 from ca.certificates import Identity
 from grants.decision import Decision
 from grants.errors import GrantError
+from rossec import clock
 from rossec.errors import (
     ChannelClosed,
     ConfigurationError,
@@ -25,6 +25,7 @@ from rossec.errors import (
     ServiceFailed,
     ServiceRefused,
 )
+from rossec.net import withheld
 from rossec.net.stream import SecureStream
 from rossec.node.links import why_cut
 from rossec.node.messages import Message, field_names
@@ -131,7 +132,7 @@ class Service:
 
     def guard(self, decision: Decision) -> ServiceGuard:
         """What `decision` means for the messages of this service; raises as `ServiceGuard`."""
-        return ServiceGuard(self.kind, decision, self._standing.filter_key)
+        return ServiceGuard(self.kind, decision, self._standing.filter_key, self._standing.recall)
 
     async def serve(
         self,
@@ -166,7 +167,7 @@ class Service:
         return share
 
     async def _answer(self, link: CallerLink, request: bytes) -> None:
-        reason = why_cut(link, self._standing.revocations, int(time.time()))
+        reason = why_cut(link, self._standing.revocations, clock.now())
         if reason is not None:
             link.stream.abort(reason)
             raise ChannelClosed(reason)
@@ -176,16 +177,17 @@ class Service:
         """The response, or why there is none, as bytes."""
         try:
             async with asyncio.timeout(self._deadline), link.share, self._turns:
-                allowed = b"".join(link.guard.request(request, int(time.time())))
+                allowed = b"".join(link.guard.request(request, clock.now()))
                 data = await self._handle(self._opened(allowed))
-                return wire.success(link.guard.response(data, int(time.time())))
+                return wire.success(link.guard.response(data, clock.now()))
         except ServiceFailed as error:
             return wire.failure(str(error))
         except (ServiceRefused, GrantError) as error:
-            _log.warning("%s: refused %s: %s", self.name, link.stream.peer.name, error)
+            withheld.warn(_log, withheld.REFUSED, self.name, link.stream.peer.name, error)
             return wire.failure(f"rossec: {error}")
         except TimeoutError:
-            _log.warning("%s: a call took more than %g s", self.name, self._deadline)
+            took = f"a call took more than {self._deadline:g} s"
+            withheld.warn(_log, withheld.REFUSED, self.name, link.stream.peer.name, took)
             return wire.failure("the service took too long")
 
     def _opened(self, request: bytes) -> Message:

@@ -8,7 +8,6 @@ guard cannot judge a message does not get it.
 import asyncio
 import logging
 import struct
-import time
 from collections import deque
 from collections.abc import Callable, Hashable, Sequence
 from typing import Final
@@ -18,8 +17,12 @@ from grants.decision import Decision
 from grants.errors import GrantError
 from grants.guard import Guard, needed_keys
 from grants.layout import Layout
+from grants.memory import Recall
+from rossec import clock
 from rossec.errors import NodeShutdown, RossecError
+from rossec.net import withheld
 from rossec.net.stream import SecureStream
+from rossec.node.latch import Latch, Sample
 from rossec.node.messages import Message
 from rossec.node.subscriber import check_queue_size
 from rossec.node.topics import Endpoint
@@ -83,7 +86,7 @@ class SubscriberLink:
             length = sum(map(len, pieces))
             batch.append(_LENGTH.pack(length))
             batch.extend(pieces)
-            size += length
+            size += _LENGTH.size + length
         return batch
 
 
@@ -95,6 +98,7 @@ class Publisher:
         endpoint: Endpoint,
         layout: Layout,
         filter_key: Callable[[str], bytes],
+        recall: Recall,
         *,
         latch: bool,
         queue_size: int = QUEUE_SIZE,
@@ -105,8 +109,9 @@ class Publisher:
         self.links: set[SubscriberLink] = set()
         self._layout = layout
         self._filter_key = filter_key
+        self._recall = recall
         self._queue_size = queue_size
-        self._latched: memoryview | None = None
+        self._latch: Latch[memoryview] = Latch()
         self._closed = False
         self._changed = asyncio.Event()
 
@@ -142,16 +147,17 @@ class Publisher:
     def _publish(self, view: memoryview) -> None:
         if self._closed:
             raise NodeShutdown(f"{self.topic}: the node is closed", "publish before it ends")
+        sample = Sample(view)
         if self.latch:
-            self._latched = view
+            self._latch.newest = sample
         treated: dict[Hashable, Pieces | None] = {}
-        now = int(time.time())
+        now = clock.now()
         for link in tuple(self.links):
             if link.ends <= now:  # its timer is about to cut it
                 continue
             key = link.guard.key
             if key not in treated:
-                treated[key] = self._treat(link, view, now)
+                treated[key] = self._treat(link, sample, now)
             pieces = treated[key]
             if pieces is None:
                 link.withheld += 1
@@ -172,7 +178,7 @@ class Publisher:
             ConfigurationError: a key for pseudonyms cannot be read.
         """
         keys = {name: self._filter_key(name) for name in needed_keys(decision.restrictions)}
-        return Guard(self._layout, decision, keys)
+        return Guard(self._layout, decision, keys, self._recall)
 
     async def serve(
         self, stream: SecureStream[Identity], decision: Decision, guard: Guard, answer: bytes
@@ -195,15 +201,19 @@ class Publisher:
             self._changed.set()
 
     def _send_latched(self, link: SubscriberLink) -> None:
-        if self._latched is None:
-            return
-        pieces = self._treat(link, self._latched, int(time.time()))
-        if pieces is not None:
-            link.offer(pieces)
+        now = clock.now()
+        for sample in self._latch.shown(link.guard):
+            pieces = self._treat(link, sample, now)
+            if pieces is not None:
+                link.offer(pieces)
+                break
 
-    def _treat(self, link: SubscriberLink, message: memoryview, now: int) -> Pieces | None:
+    def _treat(self, link: SubscriberLink, sample: Sample[memoryview], now: int) -> Pieces | None:
         try:
-            return link.guard.treat(message, now)
+            pieces = link.guard.treat(sample.data, now, sample.mark)
         except GrantError as error:
-            _log.warning("%s: withheld from %s: %s", self.topic, link.stream.peer.name, error)
+            withheld.warn(_log, withheld.SENT, self.topic, link.stream.peer.name, error)
             return None
+        if self.latch and pieces is not None:
+            self._latch.passed(link.guard, sample)
+        return pieces

@@ -16,7 +16,8 @@ from rossec.ros.text import printable
 
 METHOD: Final = "rossec.renewGrants"
 AT_ONCE: Final = 16  # grants in one call: what the master takes
-RETRY: Final = 60  # seconds until a grant that was not renewed is asked for again
+RETRY: Final = 60  # seconds at most until a grant that was not renewed is asked for again
+_TRIES: Final = 4  # so often at least is it asked for in what is left of its time
 
 _log = logging.getLogger("rossec.node")
 
@@ -31,7 +32,7 @@ class Renewals:
         self._outdated: set[bytes] = set()
 
     def due(self, now: int) -> list[Holding]:
-        """Grants to be renewed now, the most urgent first; none is due twice within `RETRY`.
+        """Grants to be renewed now, the most urgent first; one that was refused is due later.
 
         In a new epoch of the list numbers begin again: tickets made before it are of no use.
         """
@@ -49,7 +50,7 @@ class Renewals:
             and self._retry_at.get(held.grant.id, 0) <= now
         ]
         chosen = sorted(due, key=lambda held: held.grant.expires)[:AT_ONCE]
-        self._retry_at.update({held.grant.id: now + RETRY for held in chosen})
+        self._retry_at.update({held.grant.id: now + _pause(held, now) for held in chosen})
         return chosen
 
     def take(self, asked: list[Holding], answer: object, now: int) -> int:
@@ -60,9 +61,9 @@ class Renewals:
         """
         if not isinstance(answer, list) or len(answer) != len(asked):
             raise AnswerMalformed("the master renewed another number of grants than asked for")
-        return sum(self._hold(token, now) for token in answer)
+        return sum(self._hold(held, token, now) for held, token in zip(asked, answer, strict=True))
 
-    def _hold(self, token: object, now: int) -> bool:
+    def _hold(self, held: Holding, token: object, now: int) -> bool:
         if not isinstance(token, bytes) or not token:
             return False
         try:
@@ -70,6 +71,7 @@ class Renewals:
         except GrantError as error:
             _log.warning("the master renewed a grant in vain: %s", printable(error))
             return False
+        self._retry_at.pop(held.grant.id, None)  # only what was refused has to wait
         return True
 
 
@@ -98,6 +100,12 @@ def renew_blocking(call: Callable[..., object], renewals: Renewals, now: int) ->
     if not due:
         return 0
     return renewals.take(due, call(METHOD, [held.original for held in due]), now)
+
+
+def _pause(held: Holding, now: int) -> int:
+    """Seconds until it is asked for again: less than its time leaves, if that is not over."""
+    left = held.grant.expires - now
+    return min(RETRY, max(1, left // _TRIES)) if left > 0 else RETRY
 
 
 def due_at(held: Holding) -> int:

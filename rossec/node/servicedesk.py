@@ -6,13 +6,13 @@ right learns nothing (attack N6).
 
 import asyncio
 import contextlib
-import time
 from collections.abc import Awaitable, Callable, Iterator, Mapping
 from functools import partial
 from typing import Final
 
 from ca.certificates import Identity
 from ca.errors import HintedError
+from rossec import clock
 from rossec.errors import (
     AnswerMalformed,
     AnswerRefused,
@@ -21,6 +21,7 @@ from rossec.errors import (
     ServiceUnavailable,
     TopicRefused,
 )
+from rossec.net.bounds import unit_limit
 from rossec.net.stream import SecureStream
 from rossec.node.client import CALL_DEADLINE, ServiceClient, probe
 from rossec.node.fields import Fields
@@ -36,6 +37,7 @@ from rossec.node.services import (
 from rossec.node.srvtypes import ServiceType
 from rossec.node.standing import Standing
 from rossec.ros import header
+from rossec.ros.service import REQUEST_LIMIT
 
 _LOOK: Final = 0.3  # seconds between looks for a service, as in rospy
 _ABSENT: Final = "no provider"  # what the master says, as stock; a refusal begins with "rossec: "
@@ -93,12 +95,22 @@ class Services:
         self._clients.add(client)
         return client
 
-    async def wait_for(self, name: str) -> None:
+    async def wait_for(self, name: str, within: float | None = None) -> None:
         """Return as soon as a provider of `name` answers.
 
         Raises:
+            ServiceUnavailable: none did within so many seconds.
             HintedError: this node may not call it, or the provider may not provide it.
         """
+        try:
+            async with asyncio.timeout(within):
+                await self._found(name)
+        except TimeoutError:
+            raise ServiceUnavailable(
+                f"no node provided {name} within {within:g} s", "is its provider running?"
+            ) from None
+
+    async def _found(self, name: str) -> None:
         while True:
             with contextlib.suppress(ServiceUnavailable, ChannelError, OSError, TimeoutError):
                 await self.probe(name)
@@ -150,7 +162,7 @@ class Services:
         Raises:
             HintedError: why not.
         """
-        own, now = self._standing, int(time.time())
+        own, now = self._standing, clock.now()
         decision = admit_caller(fields, stream.peer, own.access, now)
         name = requested_service(fields)
         service = self._provided.get(name)
@@ -161,7 +173,7 @@ class Services:
         if is_set(fields, "probe"):
             return partial(stream.send, answer)
         guard = service.guard(decision)
-        stream.welcome()
+        stream.welcome(unit_limit(service.kind.request_layout.root.size, REQUEST_LIMIT))
         persistent = is_set(fields, "persistent")
         return partial(service.serve, stream, decision, guard, answer, persistent=persistent)
 

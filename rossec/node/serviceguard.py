@@ -12,6 +12,7 @@ from dataclasses import replace
 from grants.codegen import Buffer
 from grants.decision import Decision
 from grants.guard import Guard, needed_keys
+from grants.memory import Recall
 from rossec.errors import ServiceRefused
 from rossec.node.srvtypes import ServiceType
 
@@ -23,6 +24,7 @@ class ServiceGuard:
 
     Args:
         filter_key: finds a key for pseudonyms by its name.
+        recall: finds what earlier connections of the same key have used up.
 
     Raises:
         GrantError: a restriction was written for another type.
@@ -30,15 +32,20 @@ class ServiceGuard:
     """
 
     def __init__(
-        self, kind: ServiceType, decision: Decision, filter_key: Callable[[str], bytes]
+        self,
+        kind: ServiceType,
+        decision: Decision,
+        filter_key: Callable[[str], bytes],
+        recall: Recall,
     ) -> None:
         keys = {name: filter_key(name) for name in needed_keys(decision.restrictions)}
         restrictions = decision.restrictions
         back = tuple(item for item in restrictions if item.type == kind.response.name)
         there = tuple(item for item in restrictions if item.type != kind.response.name)
         self._name = decision.name
-        self._request = Guard(kind.request_layout, replace(decision, restrictions=there), keys)
-        self._response = Guard(kind.response_layout, replace(decision, restrictions=back), keys)
+        asked, answered = (replace(decision, restrictions=some) for some in (there, back))
+        self._request = Guard(kind.request_layout, asked, keys, recall)
+        self._response = Guard(kind.response_layout, answered, keys, recall.apart("response"))
 
     def request(self, data: Buffer, now: int) -> Pieces:
         """The request as it may be passed on.

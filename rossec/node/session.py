@@ -3,26 +3,38 @@
 A shell. On every connection the node checks that it speaks to `/master` of its own trust domain,
 loads revocations, presents its grants and registers everything again, so that a restarted master
 knows it without the node's program noticing. The heartbeat fetches revocations as well: pushes
-alone could be suppressed without a trace (RFC 9770 section 11 asks the same).
+alone could be suppressed without a trace (RFC 9770 section 11 asks the same). To a master that was
+rolled back the node hands the newer list it holds: others, who know nothing yet, would believe it.
 """
 
 import asyncio
 import contextlib
 import logging
 from collections.abc import Awaitable, Callable
+from secrets import SystemRandom
 from typing import Final
 
 from ca.certificates import Identity
-from ca.errors import CAError, HintedError, RevocationsStale
-from rossec.errors import ConfigurationError, RossecError
+from ca.errors import (
+    CAError,
+    ClocksDisagree,
+    HintedError,
+    RevocationRefused,
+    RevocationsStale,
+)
+from ca.revocation import digest, open_timestamp
+from ca.revocationtree import is_tree
+from rossec import clock
+from rossec.errors import AnswerRefused, ConfigurationError, RossecError
 from rossec.net.rpc import RpcClient
 from rossec.net.stream import SecureStream
+from rossec.node.access import NO_LIST
 from rossec.node.renewal import Call
+from rossec.node.retry import Retry
 from rossec.node.slave import MASTER
+from rossec.ros.xmlrpc import Fault
 
 HEARTBEAT: Final = 10.0
-_FIRST_PAUSE: Final = 0.25
-_LONGEST_PAUSE: Final = 5.0
 
 _log = logging.getLogger("rossec.node")
 
@@ -40,8 +52,8 @@ class MasterSession:
         dial: opens a secure stream to the master.
         refresh: takes the newest revocation list and timestamp; raises when they are refused.
         restore: makes every registration again; called on each new connection.
-        held: digest of the revocation list this node holds, which then need not be sent; without
-            it every answer brings the list.
+        held: the signed revocation list this node holds, which then need not be sent; without it
+            every answer brings the list.
         prove: asks for the proofs that are wanted; how many came.
     """
 
@@ -109,7 +121,7 @@ class MasterSession:
 
     async def keep(self) -> None:
         """Beat, and connect anew whenever the connection is lost. Runs until cancelled."""
-        pause = _FIRST_PAUSE
+        retry = Retry(SystemRandom().random)
         while True:
             try:
                 if self._client is None or self._client.closed:
@@ -117,12 +129,11 @@ class MasterSession:
                     _log.info("%s: connected to the master again", self._name)
                 await self._pause()
                 await self._beat()
-                pause = _FIRST_PAUSE
+                retry.succeeded()
             except (HintedError, OSError, TimeoutError) as error:
                 _log.warning("%s: no answer from the master: %s", self._name, error)
                 await self._drop()
-                await asyncio.sleep(pause)
-                pause = min(2 * pause, _LONGEST_PAUSE)
+                await asyncio.sleep(retry.pause(asyncio.get_running_loop().time()))
 
     async def close(self) -> None:
         """End the control connection; the master then forgets nothing until told to."""
@@ -141,17 +152,65 @@ class MasterSession:
             await client.close()
 
     async def _beat(self) -> None:
+        try:
+            await self._take_news()
+        except RevocationRefused:
+            if not await self._hand_over():
+                raise
+            await self._take_news()
+
+    async def _hand_over(self) -> bool:
+        """Bring the master the list this node holds; whether it is newer than the master's.
+
+        Of a tree a node has not the entries, without which it is of no use to the master.
+        """
+        newest = b"" if self._held is None else self._held()
+        if not newest or is_tree(newest):
+            return False
+        try:
+            newer = await self.call("rossec.updateRevocations", newest) == 1
+        except (AnswerRefused, Fault) as error:
+            _log.warning("%s: the master refuses the list held here: %s", self._name, error)
+            return False
+        if newer:
+            _log.warning(
+                "%s: the master had an older revocation list than this node, which has"
+                " handed it over: was its home restored from a backup?",
+                self._name,
+            )
+        return newer
+
+    async def _take_news(self) -> None:
         if self._held is None:
             answer = await self.call("rossec.revocations")
         else:
-            answer = await self.call("rossec.revocationsSince", self._held())
+            answer = await self.call("rossec.revocationsSince", digest(self._held()))
         match answer, self._stream:
             case [bytes() as revocations, bytes() as timestamp], SecureStream(peer=master):
                 try:
-                    self._refresh(revocations, timestamp, master)
+                    self._take(revocations, timestamp, master)
                 except RevocationsStale:  # of a tree: the master's own key is still unproved
                     if not await self._prove(self.call):
                         raise
-                    self._refresh(b"", timestamp, master)
+                    self._take(revocations, timestamp, master)
             case _:
-                raise CAError("the master has no revocation list", "give it one: rossec ca publish")
+                raise CAError(*NO_LIST)
+
+    def _take(self, revocations: bytes, timestamp: bytes, master: Identity) -> None:
+        """Take the news; their time, asked for a moment ago, may correct a clock that was wrong."""
+        try:
+            self._refresh(revocations, timestamp, master)
+        except ClocksDisagree:  # and nothing else: who is revoked, or lies, tells no time
+            if not _corrects(timestamp, master):
+                raise
+            self._refresh(revocations, timestamp, master)
+        else:
+            _corrects(timestamp, master)
+
+
+def _corrects(timestamp: bytes, master: Identity) -> bool:
+    """Whether the clock of this process was set back, and rightly so by the master's clock.
+
+    Only an answer to the node's own question tells the time: it is as old as the call at most.
+    """
+    return clock.heard(open_timestamp(timestamp, master.public_key).issued)

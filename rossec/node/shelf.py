@@ -4,6 +4,7 @@ A shell. Grants may arrive while the node runs; nothing here judges them, `acces
 """
 
 import logging
+from pathlib import Path
 
 from ca.errors import HintedError
 from rossec.home import NodeHome
@@ -19,32 +20,38 @@ class Shelf:
         self._home = home
         self._access = access
         self._seen: set[bytes] = set()
-        self._trouble = ""
+        self._troubles: dict[Path, str] = {}
 
     def take_new(self) -> list[bytes]:
         """Hold the grants that were not there before; returns them."""
-        taken = [data for data in self._read() if data not in self._seen]
-        self._seen.update(taken)
-        return [data for data in taken if self._hold(data)]
+        paths = self._home.grant_files()
+        self._troubles = {path: said for path, said in self._troubles.items() if path in paths}
+        found = ((path, self._read(path)) for path in paths)
+        return [data for path, data in found if data is not None and self._hold(path, data)]
 
-    def _read(self) -> list[bytes]:
+    def _read(self, path: Path) -> bytes | None:
         try:
-            grants = self._home.grants()
+            data = self._home.read_grant(path)
         except (OSError, HintedError) as error:
-            self._complain(str(error))
-            return []
-        self._trouble = ""
-        return grants
+            self._complain(path, f"cannot be read: {error}")
+            return None
+        self._troubles.pop(path, None)
+        return data
 
-    def _hold(self, data: bytes) -> bool:
+    def _hold(self, path: Path, data: bytes) -> bool:
+        """Whether it is one, and new."""
+        if data in self._seen:
+            return False
+        self._seen.add(data)
         try:
             self._access.hold(data)
         except HintedError as error:
-            _log.warning("a file in %s/grants is no grant: %s", self._home.path, error)
+            _log.warning("%s is no grant and counts for nothing: %s", path, error)
             return False
         return True
 
-    def _complain(self, trouble: str) -> None:
-        if trouble != self._trouble:
-            self._trouble = trouble
-            _log.warning("%s: cannot read the grants: %s", self._home.name, trouble)
+    def _complain(self, path: Path, trouble: str) -> None:
+        """Once for each cause."""
+        if self._troubles.get(path) != trouble:
+            self._troubles[path] = trouble
+            _log.warning("%s %s", path, trouble)

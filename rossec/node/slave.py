@@ -20,7 +20,9 @@ from rossec.ros import names
 Answer = list[object]
 MASTER: Final = names.MASTER
 REVOCATION_UPDATE: Final = "rossec.revocationUpdate"
+TCPROS: Final = "TCPROS"
 _ERROR: Final = -1
+NO_TRANSPORT: Final = "rossec: only TCPROS, inside the secure channel"
 
 
 class SlaveEvents(Protocol):
@@ -60,6 +62,8 @@ RULES: Final[Mapping[str, Rule]] = {
     "shutdown": Rule((str,), 0),
     REVOCATION_UPDATE: Rule((bytes, bytes), 0),
     "requestTopic": Rule((str, list), [], master_only=False),
+    "getName": Rule((), ""),
+    "getUri": Rule((), ""),
     "getMasterUri": Rule((), ""),
     "getPid": Rule((), -1),
     "getBusStats": Rule((), []),
@@ -82,6 +86,9 @@ def refusal(
     granted = entitled and method in QUESTIONS
     if rule.master_only and peer.name != MASTER and not granted:
         return [_ERROR, f"rossec: {method} is for the master alone", rule.default]
+    unnamed = without_caller(params, rule.default)
+    if unnamed is not None:
+        return unnamed
     if not _fits(params, rule.kinds):
         return [_ERROR, "Error: bad call arity or types", rule.default]
     if not peer.covers(str(params[0])):
@@ -89,11 +96,26 @@ def refusal(
     return None
 
 
+def without_caller(params: tuple[object, ...], default: object) -> Answer | None:
+    """Stock's answer to a call that does not say who makes it; None: it does."""
+    if not params:
+        return [_ERROR, "missing required caller_id parameter", default]
+    if not isinstance(params[0], str):
+        return [_ERROR, "caller_id must be a string", default]
+    return None
+
+
 def topic_offer(protocols: list[object], host: str, port: int) -> Answer:
     """Answer of `requestTopic`, whatever the topic: never anything but TCPROS."""
-    if not any(isinstance(item, list) and item[:1] == ["TCPROS"] for item in protocols):
-        return [_ERROR, "rossec: only TCPROS, inside the secure channel", []]
-    return [1, "ready", ["TCPROS", host, port]]
+    if not offers_tcpros(protocols):
+        return [_ERROR, NO_TRANSPORT, []]
+    return [1, "ready", [TCPROS, host, port]]
+
+
+def offers_tcpros(protocols: object) -> bool:
+    """Whether the protocols that a subscriber names hold the one there is."""
+    named = protocols if isinstance(protocols, list) else []
+    return any(isinstance(item, list) and item[:1] == [TCPROS] for item in named)
 
 
 class SlaveApi:

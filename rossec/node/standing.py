@@ -6,6 +6,7 @@ from collections.abc import Awaitable, Callable, Iterator
 from dataclasses import dataclass
 
 from ca.revocation import Revocations
+from grants.memory import Recall
 from rossec.errors import AnswerRefused
 from rossec.node.access import Access
 from rossec.node.dial import Dialer
@@ -21,6 +22,7 @@ class Standing:
     Attributes:
         call: calls the master.
         filter_key: finds a key for pseudonyms by its name.
+        recall: finds what a limited right has used up.
         uri: its API URI, as registered.
         rosrpc: the URI of its services, as registered.
     """
@@ -31,6 +33,7 @@ class Standing:
     call: Call
     dialer: Dialer
     filter_key: Callable[[str], bytes]
+    recall: Recall
     uri: Callable[[], str]
     rosrpc: Callable[[], str]
 

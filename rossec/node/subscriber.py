@@ -7,7 +7,6 @@ tried again with growing pauses for as long as the master names it: a grant may 
 
 import asyncio
 import logging
-import time
 from collections import deque
 from collections.abc import AsyncIterator, Awaitable, Callable
 from typing import Final
@@ -17,15 +16,22 @@ from ca.errors import HintedError
 from grants.decision import Decision
 from grants.errors import GrantError
 from grants.guard import Guard
+from grants.memory import Recall
+from rossec import clock
 from rossec.errors import ConfigurationError, MessageError
+from rossec.net import withheld
+from rossec.net.arrivals import arrived
+from rossec.net.bounds import message_limit, unit_limit
 from rossec.net.stream import SecureStream
 from rossec.net.tasks import TaskSet
 from rossec.node.access import Access
+from rossec.node.definitions import size_of
 from rossec.node.messages import Message
-from rossec.node.topicguard import FilterKey, guard_of
+from rossec.node.topicguard import FilterKey, guard_for
 from rossec.node.topics import Endpoint, admit_publisher, subscriber_header
 from rossec.ros import header
-from rossec.ros.header import FrameReader
+from rossec.ros.framing import Framing
+from rossec.ros.header import MESSAGE_LIMIT, FrameReader
 
 QUEUE_SIZE: Final = 10
 HANDSHAKE_DEADLINE: Final = 5.0
@@ -60,6 +66,7 @@ class Subscriber:
         dial: Dial,
         on_close: OnClose,
         filter_key: FilterKey,
+        recall: Recall,
         *,
         queue_size: int = QUEUE_SIZE,
     ) -> None:
@@ -69,11 +76,14 @@ class Subscriber:
         self.refusals: deque[HintedError] = deque(maxlen=16)
         self.received = 0
         self.updates = 0
+        self.recall = recall
         self._caller = caller
         self._access = access
         self._dial = dial
         self._on_close = on_close
         self._filter_key = filter_key
+        self._size = size_of(endpoint.type)
+        self._longest = message_limit(self._size, MESSAGE_LIMIT)
         self._owned = TaskSet()
         self._tasks: dict[str, asyncio.Task[None]] = {}
         self._queue: deque[bytes] = deque(maxlen=queue_size)
@@ -102,7 +112,9 @@ class Subscriber:
             try:
                 message = self.endpoint.type.deserialize(data)
             except MessageError as error:
-                _log.warning("%s: dropped a message: %s", self.topic, error)
+                withheld.warn(
+                    _log, "%(where)s: dropped a message: %(cause)s", self.topic, "", error
+                )
             else:
                 yield message
 
@@ -143,7 +155,7 @@ class Subscriber:
         async with asyncio.timeout(HANDSHAKE_DEADLINE):
             stream = await self._dial(uri, self.topic)
             try:
-                frames = FrameReader(first=header.HEADER_LIMIT)
+                frames = FrameReader(self._longest, first=header.HEADER_LIMIT)
                 link, early = await self._introduce(stream, frames)
             except BaseException:
                 stream.abort("the connection header was refused")
@@ -151,8 +163,9 @@ class Subscriber:
         self.links.add(link)
         try:
             self._deliver(link, early)
+            framing = Framing(frames)
             while True:
-                self._deliver(link, frames.feed(await stream.receive()))
+                self._deliver(link, await arrived(stream, framing))
         finally:
             self.links.discard(link)
             stream.abort("no longer subscribed")
@@ -160,35 +173,36 @@ class Subscriber:
     async def _introduce(
         self, stream: SecureStream[Identity], frames: FrameReader
     ) -> tuple[PublisherLink, list[bytes]]:
-        now = int(time.time())
+        now = clock.now()
         fields = subscriber_header(self._caller, self.endpoint, self._access, now)
         await stream.send(header.encode(fields))
-        arrived: list[bytes] = []
-        while not arrived:
-            arrived = frames.feed(await stream.receive())
-        answer = header.decode(arrived[0])
+        units: list[bytes] = []
+        while not units:
+            units = frames.feed(await stream.receive())
+        answer = header.decode(units[0])
         decision = admit_publisher(
-            answer, stream.peer, self.endpoint.expected, self._access, int(time.time())
+            answer, stream.peer, self.endpoint.expected, self._access, clock.now()
         )
-        guard = guard_of(answer, decision, self._filter_key)
-        return PublisherLink(stream, decision, guard), arrived[1:]
+        stream.welcome(unit_limit(self._size, MESSAGE_LIMIT))
+        guard = guard_for(self.endpoint.type, decision, self._filter_key, self.recall)
+        return PublisherLink(stream, decision, guard), units[1:]
 
     def _deliver(self, link: PublisherLink, messages: list[bytes]) -> None:
         if link.guard is not None:
-            messages = self._believed(link.guard, messages, int(time.time()))
+            messages = self._believed(link.guard, messages, link.stream.peer.name, clock.now())
         if messages:
             self.received += len(messages)
             self._queue.extend(messages)
             self._wake.set()
 
-    def _believed(self, guard: Guard, messages: list[bytes], now: int) -> list[bytes]:
+    def _believed(self, guard: Guard, messages: list[bytes], peer: str, now: int) -> list[bytes]:
         """What a publisher with a restricted right may say."""
         believed = []
         for message in messages:
             try:
                 treated = guard(message, now)
             except GrantError as error:
-                _log.warning("%s: withheld a message: %s", self.topic, error)
+                withheld.warn(_log, withheld.RECEIVED, self.topic, peer, error)
             else:
                 believed += [] if treated is None else [b"".join(treated)]
         return believed

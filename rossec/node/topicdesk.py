@@ -5,12 +5,16 @@ A shell.
 
 import contextlib
 import logging
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import count
 
 from ca.errors import HintedError
 from grants import layout
+from grants.memory import Recall
+from rossec import clock
 from rossec.errors import ConfigurationError
 from rossec.node.links import Link
+from rossec.node.named import NamedPublishers
 from rossec.node.publisher import Publisher
 from rossec.node.standing import Standing
 from rossec.node.subscriber import Subscriber
@@ -26,6 +30,7 @@ class Topics:
         self._standing = standing
         self._publishers: dict[str, Publisher] = {}
         self._subscribers: dict[str, list[Subscriber]] = {}
+        self._named = NamedPublishers(clock.counter())
 
     @property
     def publishers(self) -> Mapping[str, Publisher]:
@@ -46,8 +51,9 @@ class Topics:
         if endpoint.topic in self._publishers:
             raise ConfigurationError(f"{endpoint.topic} is published by this node already")
         shape = layout.parse(endpoint.type.name, endpoint.type.definition)
+        own = self._standing
         publisher = Publisher(
-            endpoint, shape, self._standing.filter_key, latch=latch, queue_size=queue_size
+            endpoint, shape, own.filter_key, own.recall, latch=latch, queue_size=queue_size
         )
         self._publishers[endpoint.topic] = publisher
         try:
@@ -64,6 +70,7 @@ class Topics:
             RossecError: the master refuses.
         """
         own = self._standing
+        beside = self._subscribers.setdefault(endpoint.topic, [])
         subscriber = Subscriber(
             own.name,
             endpoint,
@@ -71,9 +78,10 @@ class Topics:
             own.dialer.topic,
             self._forget,
             own.filter_key,
+            _free(own.recall, beside),
             queue_size=queue_size,
         )
-        self._subscribers.setdefault(endpoint.topic, []).append(subscriber)
+        beside.append(subscriber)
         try:
             await self._register_subscriber(subscriber)
         except BaseException:
@@ -81,10 +89,28 @@ class Topics:
             raise
         return subscriber
 
+    def describe(self) -> dict[str, object]:
+        """What the slave API says of topics: each with its type."""
+        publications = [[item.topic, item.endpoint.type.name] for item in self.publishers.values()]
+        subscriptions = [[item.topic, item.endpoint.type.name] for item in self.subscribers]
+        return {"getSubscriptions": subscriptions, "getPublications": publications}
+
     def publishers_changed(self, topic: str, uris: list[str]) -> None:
         """Follow the master's list of publishers."""
+        self._follow(topic, self._named.are(topic, uris))
+
+    def session_opened(self) -> None:
+        """The master may have been started again, and name fewer publishers than there are."""
+        self._named.session_opened()
+
+    def look(self) -> None:
+        """Let go of publishers that the master did not name again in time."""
+        for topic in self._named.overdue():
+            self._follow(topic, self._named.to_follow(topic))
+
+    def _follow(self, topic: str, uris: list[str]) -> None:
         for subscriber in self._subscribers.get(topic, []):
-            subscriber.update([uri for uri in uris if uri != self._standing.uri()])
+            subscriber.update(uris)
 
     def links(self) -> Iterator[Link]:
         """Every live connection of a topic."""
@@ -128,7 +154,8 @@ class Topics:
             "registerSubscriber", endpoint.topic, endpoint.type.name, own
         )
         if isinstance(uris, list) and subscriber.updates == before:  # a push may have been faster
-            subscriber.update([uri for uri in uris if isinstance(uri, str) and uri != own])
+            named = [uri for uri in uris if isinstance(uri, str)]
+            subscriber.update(self._named.are(subscriber.topic, named))
 
     async def _forget(self, subscriber: Subscriber) -> None:
         """A subscriber was closed; the last one of its topic unregisters."""
@@ -136,7 +163,18 @@ class Topics:
         if subscriber in others:
             others.remove(subscriber)
         if not others and self._subscribers.pop(subscriber.topic, None) is not None:
+            self._named.forget(subscriber.topic)
             with contextlib.suppress(HintedError, OSError):
                 await self._standing.call(
                     "unregisterSubscriber", subscriber.topic, self._standing.uri()
                 )
+
+
+def _free(recall: Recall, beside: Sequence[Subscriber]) -> Recall:
+    """Where a further subscriber of a topic remembers: apart from those that live.
+
+    Each of them gets every message. The next one goes on where one that was closed has stopped.
+    """
+    taken = {subscriber.recall for subscriber in beside}
+    places = (recall.apart(str(number)) for number in count())
+    return next(place for place in places if place not in taken)

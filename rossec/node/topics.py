@@ -98,7 +98,8 @@ def admit_publisher(
 ) -> Decision:
     """Decide on a publisher from the header it answered with.
 
-    The caller applies the restrictions of the decision to each message (`topicguard.guard_of`).
+    The caller applies the restrictions of the decision to each message (`topicguard.guard_for`), as
+    the receiver reads it: the publisher may describe it otherwise under the same md5sum.
 
     Raises:
         CallerMismatch, TopicRefused: another topic or type than asked for, or another name.

@@ -6,15 +6,19 @@ keep an expired link alive.
 
 import asyncio
 import logging
-import time
 from collections.abc import Callable, Iterable
 from typing import Final, Protocol
 from weakref import WeakSet
 
 from ca.revocation import Revocations
+from rossec import clock
 from rossec.node.links import Link, why_cut
 
 PERIOD: Final = 1.0  # seconds between looks; an expiry is met to the second
+
+WENT_BACK: Final = (
+    "the host's clock went back: nobody new is let in until the master confirms its list again"
+)
 
 _log = logging.getLogger("rossec.node")
 
@@ -35,15 +39,23 @@ class Watch:
         self._revocations = revocations
         self._links = links
         self._listener = listener
+        self._setbacks = clock.Setbacks()
         self._done: WeakSet[Link] = WeakSet()  # cut, and not yet taken off by who serves them
 
     async def run(self) -> None:
         """Look again and again, until cancelled."""
         while True:
-            now = time.time()
+            now = clock.time()
             soonest = min((link.ends for link in self._live()), default=now + PERIOD)
             await asyncio.sleep(max(0.0, min(PERIOD, soonest - now)))
-            self.cut(int(time.time()))
+            self.look(clock.now())
+
+    def look(self, now: int) -> None:
+        """Cut what must end; after a clock that went back, wait for news of revocations."""
+        if self._setbacks.any_new():
+            _log.warning(WENT_BACK)
+            self._revocations.doubt(now - 1)
+        self.cut(now)
 
     def cut(self, now: int) -> None:
         """Cut every link that must end at `now`, and every connection of a revoked key."""

@@ -1,11 +1,12 @@
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from ca.encoding import Value, encode
-from ca.errors import RevocationsStale, Revoked
-from ca.revocation import Revocations, Timestamp, digest
+from ca.errors import CAError, RevocationsStale, Revoked
+from ca.revocation import Revocations, Timestamp, digest, sign_timestamp
 from grants.errors import (
     GrantExpired,
     GrantForged,
@@ -173,3 +174,53 @@ def test_what_has_ended_is_not_shown_and_what_is_shown_is_bounded(site: Site) ->
     assert shown == field(*reversed(later[-access.MAX_GRANTS :]))
     judge(site, shown)
     assert own.current(NOW) == later[::-1]
+
+
+async def test_a_master_without_a_list_is_said_with_what_makes_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    site = Site(tmp_path / "listless")
+    monkeypatch.setattr(site.authority.store, "newest_list", lambda: None)
+    async with site.running():
+        with pytest.raises(CAError, match="the master has no revocation list") as caught:
+            async with site.node("/viewer"):
+                pass
+    assert "rossec ca refresh" in caught.value.hint
+    assert "rossec ca publish" in caught.value.hint
+
+
+def test_a_list_without_its_confirmation_ends_all_reliance(site: Site) -> None:
+    """So the master speaks to an identity that is revoked: what it tells counts, and no more."""
+    held, saved = revocations(site), list[bytes]()
+    own = Access(site.anchor, held)
+    master = site.identity("/master")
+    held.check_fresh(NOW)
+    told = site.revoke(bytes(32))
+    for data in (told, told):  # also when there is nothing new
+        with pytest.raises(RevocationsStale, match="what is revoked, and nothing more") as stale:
+            own.take_news(data, b"", master, NOW, saved.append)
+        assert "enroll the node anew" in stale.value.hint
+        assert (held.data, held.fresh_until) == (told, 0)
+    assert saved == [told]
+    assert bytes(32) in held.entries
+
+
+def test_that_the_news_are_stale_does_not_hide_a_revoked_intermediate(site: Site) -> None:
+    """Else a master below it would end the staleness with its word."""
+    held = revocations(site)
+    own, above = Access(site.anchor, held), bytes(32)
+    master = replace(site.identity("/master"), issuers=(above,))
+    own.check_peer(master, NOW)
+    held.update(site.revoke(above), NOW)
+    with pytest.raises(Revoked):
+        own.check_peer(master, NOW)
+    word = sign_timestamp(
+        site.enroll("/master").credentials().signer,
+        Timestamp(held.floor[1], digest(held.data), NOW, 30),
+    )
+    with pytest.raises(Revoked):
+        own.take_news(b"", word, master, NOW, list[bytes]().append)
+    assert held.fresh_until == 0
+    other = replace(master, issuers=(bytes([1]) * 32,))
+    with pytest.raises(RevocationsStale):
+        own.check_peer(other, NOW)

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from ca.errors import NameCovered
-from rossec.errors import ConfigurationError, RossecError
+from ca.errors import NameCovered, RevocationsStale
+from rossec.errors import ConfigurationError
 from rossec.node import Node
 from tests.support.site import Site
 from tests.support.witness import POSE, until
@@ -78,7 +78,7 @@ async def test_revoking_the_identity_ends_all_of_them(site: Site) -> None:
         revoked = site.revoke(site.identity("/rviz").thumbprint)
         await robot._session.call("rossec.updateRevocations", revoked)
         await until(lambda: not publisher.links)
-        with pytest.raises((RossecError, OSError)):
+        with pytest.raises(RevocationsStale, match="what is revoked, and nothing more"):
             await site.node("/rviz_3")._session.open()
 
 

@@ -46,11 +46,19 @@ def renewal(site: Site, name: str = "/robot") -> tuple[NodeHome, LiveCredentials
 
 def test_due_after_two_thirds_of_its_life(site: Site) -> None:
     _, _, asks = renewal(site)
-    due = BEGIN - 3600 + (LIFE + 3600) * 2 // 3
-    assert asks.request(due - 3600) is None
+    due = BEGIN + LIFE * 2 // 3
+    assert asks.request(due - 1) is None
     assert asks.request(NOW) is not None
     assert asks.request(NOW + RETRY - 1) is None
     assert asks.request(NOW + RETRY) is not None
+
+
+def test_a_short_life_is_asked_for_more_often(site: Site) -> None:
+    home = site.enroll("/brief", 120)
+    asks = IdentityRenewal(home, LiveCredentials(home.credentials()), BEGIN)
+    assert asks.request(BEGIN + 79) is None
+    asked = [at for at in range(BEGIN + 79, BEGIN + 120) if asks.request(at) is not None]
+    assert asked == list(range(BEGIN + 80, BEGIN + 120, 6))
 
 
 async def test_the_new_identity_is_on_the_disk_and_in_use(site: Site) -> None:

@@ -14,6 +14,7 @@ from rossec.errors import ChannelError, PlainPeer
 from rossec.net.rpc import RpcClient
 from rossec.net.stream import Flavour, SecureStream, connect
 from rossec.node import Node, guests, listener
+from rossec.node.questions import QUESTIONS
 from rossec.ros import header
 from rossec.ros.settings import parse_uri
 from tests.support.site import Site
@@ -201,7 +202,11 @@ async def test_who_shows_the_right_may_ask_and_who_may_administer_ends_it(
         assert await ask("rossec.presentGrants", encode([*grants])) == 1
         assert await ask("getPid") == await ask("shutdown", "bye") == -1
     assert await ask("rossec.presentGrants", encode([sees])) == 1
-    assert await ask("getPid") == 1
+    for method, right in QUESTIONS.items():
+        if right is Right.GRAPH:
+            assert await ask(method) == 1, method
+    assert await client.call("getName", "/operator") == [1, "", "/robot"]
+    assert await client.call("getUri", "/operator") == [1, "", robot.uri]
     assert await ask("shutdown", "bye") == await ask("publisherUpdate", "/t", []) == -1
     assert await ask("rossec.presentGrants", encode([ends])) == 1
     assert await ask("paramUpdate", "/p", 1) == -1

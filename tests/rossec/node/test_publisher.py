@@ -10,6 +10,7 @@ from grants.errors import MessageRefused
 from rossec.errors import ChannelClosed, ConfigurationError, NodeShutdown
 from rossec.node.messages import message_type
 from rossec.node.publisher import Publisher, SubscriberLink
+from rossec.node.recall import recall
 from rossec.node.topics import Endpoint
 
 STRING = message_type("std_msgs/String")
@@ -42,7 +43,9 @@ class Guard:
         self.treated = 0
         self._treat = treat
 
-    def treat(self, message: Any, _now: int) -> Any:
+    memory = None
+
+    def treat(self, message: Any, _now: int, _mark: object) -> Any:
         self.treated += 1
         return self._treat(message)
 
@@ -53,7 +56,9 @@ def no_keys(name: str) -> bytes:
 
 def publisher(**options: Any) -> Publisher:
     shape = layout.parse(STRING.name, STRING.definition)
-    return Publisher(Endpoint("/t", STRING), shape, no_keys, **{"latch": False, **options})
+    return Publisher(
+        Endpoint("/t", STRING), shape, no_keys, recall("/robot"), **{"latch": False, **options}
+    )
 
 
 def decision(seconds: int = 99) -> Any:
@@ -122,15 +127,19 @@ async def test_equal_treatments_are_made_once() -> None:
     await asyncio.gather(*tasks, return_exceptions=True)
 
 
-async def test_a_message_that_cannot_be_judged_is_withheld() -> None:
+async def test_a_message_that_cannot_be_judged_is_withheld(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
     def refuse(_: object) -> None:
         raise MessageRefused("not its layout")
 
     topic, stream = publisher(), Stream()
     task = await serve(topic, stream, Guard(treat=refuse))
-    topic.publish_bytes(b"not a string")
+    for _ in range(50):
+        topic.publish_bytes(b"not a string")
     await settle()
     assert stream.sent[1:] == []
+    assert caplog.text.count("not its layout") == 1
     task.cancel()
     await asyncio.gather(task, return_exceptions=True)
 

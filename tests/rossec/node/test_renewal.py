@@ -1,6 +1,7 @@
 """When grants are renewed, and that only good tokens are held."""
 
 import time
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from ca.revocation import (
 from ca.signer import KeySigner
 from grants.errors import GrantError, GrantMissing
 from grants.model import Right
+from grants.renewal import MIN_TICKET, Delegation, sign_delegation
 from rossec.errors import AnswerMalformed
 from rossec.master.renewal import Delegate
 from rossec.node.access import Access
@@ -90,6 +92,37 @@ def test_due_at_about_two_thirds_of_a_life(world: World) -> None:
     assert world.renewals.due(due_at(held)) == [held]
     assert world.renewals.due(due_at(held) + RETRY - 1) == []
     assert world.renewals.due(due_at(held) + RETRY) == [held]
+
+
+def test_what_was_refused_is_asked_for_again_in_time(world: World) -> None:
+    """Of a ticket of a minute some 20 s are left then: a pause of a minute would be its end."""
+    world.hold(lifetime=60)
+    [held] = world.access.holdings()
+    asked = [second for second in range(60) if world.renewals.due(world.now + second)]
+    assert asked[0] == due_at(held) - world.now
+    assert len(asked) >= 4
+    assert max(late - early for early, late in pairwise(asked)) <= 7
+    assert world.renewals.due(world.now + 60) == [held]  # and now that it has expired: no hurry
+    assert world.renewals.due(world.now + 60 + RETRY - 1) == []
+    assert world.renewals.due(world.now + 60 + RETRY) == [held]
+
+
+def test_with_tickets_of_a_minute_there_is_always_one_that_holds(world: World) -> None:
+    """What was renewed a moment ago is not held back as if it had been refused."""
+    delegation = Delegation(
+        "home", world.master.thumbprint, world.now - 1, world.now + DAY, MIN_TICKET, bytes(16)
+    )
+    world.delegate = Delegate(world.site.anchor, world.master.credentials.signer)
+    world.delegate.take(sign_delegation(world.site.signer, delegation))
+    world.hold(lifetime=50)
+    least = 60
+    for second in range(600):
+        now = world.at(second)
+        renew_blocking(world.answer, world.renewals, now)
+        [held] = world.access.holdings()
+        least = min(least, held.grant.expires - now)
+    assert least >= 12  # seconds: some tries more, had the master been out of reach
+    assert 13 <= len(world.calls) <= 22
 
 
 def test_never_beyond_the_cap_and_never_when_revoked(world: World) -> None:

@@ -11,6 +11,7 @@ from grants.model import Restriction, Right, filter_rules
 from rossec.errors import ConfigurationError, ServiceRefused
 from rossec.node.serviceguard import ServiceGuard
 from rossec.node.srvtypes import service_type
+from tests.support.recall import HOLDER, fresh
 
 KIND = service_type("std_srvs/SetBool")
 ON, OFF = b"\1", b"\0"
@@ -23,8 +24,8 @@ def no_key(name: str) -> bytes:
 
 
 def guard(*restrictions: Restriction) -> ServiceGuard:
-    decision = Decision(Right.CALL, "/lamp/on", (), NOW + 10, restrictions)
-    return ServiceGuard(KIND, decision, no_key)
+    decision = Decision(Right.CALL, "/lamp/on", (HOLDER,), NOW + 10, restrictions)
+    return ServiceGuard(KIND, decision, no_key, fresh())
 
 
 def test_without_restrictions_everything_passes() -> None:
@@ -75,8 +76,8 @@ def test_a_key_that_is_not_there_refuses(tmp_path: Path) -> None:
     hashed = Restriction("std_srvs/SetBoolResponse", (), rules)
     with pytest.raises(ConfigurationError, match="no key door"):
         guard(hashed)
-    decision = Decision(Right.CALL, "/lamp/on", (), NOW + 10, (hashed,))
-    both = ServiceGuard(KIND, decision, lambda _: secrets.token_bytes(32))
+    decision = Decision(Right.CALL, "/lamp/on", (HOLDER,), NOW + 10, (hashed,))
+    both = ServiceGuard(KIND, decision, lambda _: secrets.token_bytes(32), fresh())
     assert len(b"".join(both.response(ANSWER, NOW))) == 5 + 8
 
 

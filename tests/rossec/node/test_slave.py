@@ -36,7 +36,8 @@ class Node:
         return "robot.local", 40000
 
     def describe(self) -> Mapping[str, object]:
-        return {"getPid": 7, "getMasterUri": "http://m:1", "getBusStats": [], "getBusInfo": [],
+        return {"getName": "/n", "getUri": "http://n:1/", "getPid": 7,
+                "getMasterUri": "http://m:1", "getBusStats": [], "getBusInfo": [],
                 "getSubscriptions": [["/t", "p/T"]], "getPublications": []}  # fmt: skip
 
 
@@ -59,6 +60,8 @@ MASTER_CALLS: list[Call] = [
     ("paramUpdate", "/k", 3),
     ("shutdown", "replaced"),
     ("rossec.revocationUpdate", b"list", b"stamp"),
+    ("getName",),
+    ("getUri",),
     ("getPid",),
     ("getMasterUri",),
     ("getBusStats",),
@@ -114,7 +117,8 @@ async def test_no_transport_but_tcpros(
         (("requestTopic", "/other", "/t", []), "caller_id is not /viewer"),
         (("requestTopic", "/viewer", "/t"), "bad call arity"),
         (("requestTopic", "/viewer", 7, []), "bad call arity or types"),
-        (("requestTopic",), "bad call arity"),
+        (("requestTopic",), "missing required caller_id parameter"),
+        (("requestTopic", 7), "caller_id must be a string"),
         (("format", "/viewer"), "no such method"),
     ],
 )

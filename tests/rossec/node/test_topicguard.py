@@ -1,4 +1,4 @@
-"""A restricted right on a topic, from the header its publisher writes to the messages it sends."""
+"""A restricted right on a topic, and what it means for the messages of one type."""
 
 from pathlib import Path
 from typing import Any
@@ -8,15 +8,14 @@ import pytest
 from grants.errors import RestrictionMismatch
 from grants.model import Restriction, Right, filter_rules
 from rossec.errors import TopicRefused
-from rossec.node.fields import Fields
-from rossec.node.topicguard import guard_of
+from rossec.node.definitions import Definition
+from rossec.node.recall import recall
+from rossec.node.topicguard import guard_for
 from tests.rossec.sidecar.playbook import Stage
 from tests.support.site import Site
 
-HEADER: Fields = {
-    "type": b"std_msgs/String", "md5sum": b"992ce8a1687cec8c8bd883ec73ca41d1",
-    "message_definition": b"string data\n",
-}  # fmt: skip
+WORD = Definition("std_msgs/String", "992ce8a1687cec8c8bd883ec73ca41d1", "string data\n")
+NOTHING = Definition("*", "*", "")
 
 
 @pytest.fixture
@@ -36,13 +35,13 @@ def keyed(name: str) -> bytes:
 
 
 def test_without_restrictions_there_is_nothing_to_apply(stage: Stage) -> None:
-    assert guard_of({}, decision(stage, None), keyed) is None
+    assert guard_for(NOTHING, decision(stage, None), keyed, recall("/viewer")) is None
 
 
 def test_conditions_and_filters(stage: Stage) -> None:
     rules = filter_rules({"data": {"hash": {"key": "names", "length": 8}}})
     restriction = Restriction("std_msgs/String", ('msg.data != "no"',), rules)
-    guard = guard_of(HEADER, decision(stage, restriction), keyed)
+    guard = guard_for(WORD, decision(stage, restriction), keyed, recall("/viewer"))
     assert guard is not None
     assert guard(b"\x02\0\0\0no", stage.site.now()) is None
     treated = guard(b"\x04\0\0\0anna", stage.site.now())
@@ -50,20 +49,19 @@ def test_conditions_and_filters(stage: Stage) -> None:
     assert len(b"".join(treated)) == 12
 
 
-@pytest.mark.parametrize(
-    ("change", "error", "message"),
-    [
-        ({"message_definition": b"int32 data\n"}, TopicRefused, "definition of std_msgs/String"),
-        ({"message_definition": b"\xff"}, TopicRefused, "not UTF-8"),
-        ({"type": b"std_msgs/Text"}, RestrictionMismatch, "these are std_msgs/Text"),
-        ({"md5sum": b"*"}, TopicRefused, "does not have the md5sum"),
-    ],
-)
-def test_what_cannot_be_told_is_refused(
-    stage: Stage, change: Fields, error: type[Exception], message: str
-) -> None:
+def test_what_only_counts_or_looks_at_the_clock_needs_no_definition(stage: Stage) -> None:
+    restricted = decision(stage, Restriction(None, ("now.getHours() >= 0",), rate=1.0))
+    guard = guard_for(NOTHING, restricted, keyed, recall("/viewer"))
+    assert guard is not None
+    assert guard(b"anything", stage.site.now()) == [b"anything"]
+
+
+def test_what_cannot_be_told_is_refused(stage: Stage) -> None:
     restricted = decision(stage, Restriction("std_msgs/String", ("true",)))
-    with pytest.raises(error, match=message):
-        guard_of(HEADER | change, restricted, keyed)
-    with pytest.raises(TopicRefused):
-        guard_of({}, restricted, keyed)
+    with pytest.raises(TopicRefused, match="does not have the md5sum"):
+        guard_for(
+            Definition(WORD.name, WORD.md5sum, "int32 data"), restricted, keyed, recall("/viewer")
+        )
+    text = Definition("std_msgs/Text", WORD.md5sum, WORD.definition)
+    with pytest.raises(RestrictionMismatch, match="these are std_msgs/Text"):
+        guard_for(text, restricted, keyed, recall("/viewer"))

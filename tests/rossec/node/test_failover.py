@@ -1,0 +1,58 @@
+"""A master that is started again: who is back first is told of nobody, and hangs up on nobody."""
+
+from collections.abc import AsyncIterator
+from pathlib import Path
+
+import pytest
+
+from rossec.master.registry import Kind
+from tests.support.absent import Absent
+from tests.support.site import Site
+from tests.support.witness import TOPIC, undisturbed, until
+
+
+@pytest.fixture
+async def site(tmp_path: Path) -> AsyncIterator[Site]:
+    async with Site(tmp_path / "site").running() as site:
+        yield site
+
+
+def registered(site: Site, kind: Kind) -> list[str]:
+    assert site.master is not None
+    return [node.name for node in site.master._registry.members(kind, TOPIC)]
+
+
+async def test_a_subscriber_that_is_back_first_hangs_up_on_nobody(
+    site: Site, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Every message arrives, over the connection that was there (`undisturbed`)."""
+    absent = Absent(monkeypatch)
+    async with undisturbed(site) as witness:
+        absent.names = {"/robot"}
+        await site.restart_master()
+        await until(lambda: registered(site, Kind.SUBSCRIBER) == ["/viewer"])
+        await until(lambda: absent.tries > 2)
+        await witness.goes_on()
+        absent.names = set()
+        await until(lambda: registered(site, Kind.PUBLISHER) == ["/robot"])
+        await witness.goes_on()
+
+
+async def test_who_says_goodbye_is_let_go_of_at_once(
+    site: Site, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    site.publish("/robot", TOPIC)
+    site.subscribe("/viewer", TOPIC)
+    async with site.node("/viewer") as viewer:
+        sight = await viewer.subscriber(TOPIC, "std_msgs/String")
+        async with site.node("/robot") as robot:
+            await robot.publisher(TOPIC, "std_msgs/String")
+            await until(lambda: sight.links)
+            await site.restart_master()
+            await until(lambda: registered(site, Kind.PUBLISHER) == ["/robot"])
+            await until(lambda: registered(site, Kind.SUBSCRIBER) == ["/viewer"])
+            await until(lambda: not viewer._topics._named._missing)
+            uri = robot.uri
+            await robot._session.call("unregisterPublisher", TOPIC, uri)
+            await until(lambda: not sight.links)
+            assert uri not in sight._tasks
