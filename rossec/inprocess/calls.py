@@ -2,7 +2,8 @@
 
 Calls and answers are parsed by `rossec.ros`, within its limits, never by the standard library.
 Errors are those rospy knows: OSError. Before a question about another node, that node is shown the
-grants that entitle to ask (`rossec.node.questions`).
+grants that entitle to ask (`rossec.node.questions`). Proxies that a program makes itself, as
+rostest does, are secured where they lead to the master, or to a node that it has named.
 """
 
 import errno
@@ -12,9 +13,11 @@ import time
 import xmlrpc.client
 from typing import Any, Final
 
+import rosgraph
+
 from ca.errors import HintedError
 from rossec.channel.opening import Flavour
-from rossec.errors import PlainPeer
+from rossec.errors import PlainPeer, SettingsRefused
 from rossec.inprocess.addresses import bracketed
 from rossec.inprocess.doors import CONNECT_TIMEOUT, Stream
 from rossec.inprocess.member import now
@@ -23,11 +26,13 @@ from rossec.inprocess.process import Process
 from rossec.inprocess.registrations import REFUSED, REGISTRATIONS
 from rossec.inprocess.xmlrpc import Params, receive_some
 from rossec.net.rpc import CALL_DEADLINE
+from rossec.node.asking import SEARCH, as_meant, nowhere, places, searched, settled
 from rossec.node.questions import PRESENT, QUESTIONS
 from rossec.ros.http import HttpClient
 from rossec.ros.settings import parse_uri
 from rossec.ros.xmlrpc import dump_call, load_response
 
+REQUEST: Final = "_ServerProxy__request"  # where every call of the library's proxies goes through
 _MULTICALL: Final = "system.multicall"
 _WITH_SERVICE_URI: Final = ("registerService", "unregisterService")
 _log = logging.getLogger("rossec.rospy")
@@ -38,6 +43,7 @@ class Client:
 
     def __init__(self, process: Process) -> None:
         self._process = process
+        self._stock_request: Any = getattr(xmlrpc.client.ServerProxy, REQUEST)
 
     def proxy_class(self) -> type[xmlrpc.client.ServerProxy]:
         """What rospy is given for `xmlrpc.client.ServerProxy`; several threads may share one."""
@@ -54,6 +60,22 @@ class Client:
                 return client.call(self._rossec_uri, method, params)
 
         return SecureProxy
+
+    def request(self, proxy: Any, method: str, params: Params) -> Any:
+        """`ServerProxy.__request`: a call through a proxy that the program made itself."""
+        uri = _uri_of(proxy)
+        address = _address(uri)
+        if address is not None and self._is_ours(address):
+            return self.call(uri, method, params)
+        return self._stock_request(proxy, method, params)
+
+    def _is_ours(self, address: tuple[str, int]) -> bool:
+        """Whether the master is there, or a node that it has named; others may be anything."""
+        process = self._process
+        if not process.has_begun:
+            return address == _address(rosgraph.get_master_uri() or "")
+        own, named = process.own.is_own, process.registrations.is_node
+        return address == process.guardian.address or own(address) or named(address)
 
     def call(self, uri: str, method: str, params: Params) -> object:
         """The value a node answers.
@@ -79,23 +101,44 @@ class Client:
     # -- the master
 
     def _call_master(self, method: str, params: Params) -> object:
-        own = self._with_own_name(method, params)
-        answer = _stock(self._process.guardian.call(method, own))
         if method == _MULTICALL:
-            for call in own[0]:
-                self._process.registrations.note(call["methodName"], call["params"], [1, "", 0])
-            return answer
-        return self._noted(method, own, answer)
+            return self._call_many(params)
+        own, key = self._with_own_name(method, params), searched(method, params)
+        if key is not None and own[0] != params[0]:
+            return self._search(str(params[0]), key)
+        return self._noted(method, own, _stock(self._process.guardian.call(method, own)))
+
+    def _call_many(self, params: Params) -> object:
+        calls = [
+            {**call, "params": list(self._with_own_name(call["methodName"], tuple(call["params"])))}
+            for call in params[0]
+        ]
+        answer = _stock(self._process.guardian.call(_MULTICALL, (calls,)))
+        for call in calls:
+            self._process.registrations.note(call["methodName"], call["params"], [1, "", 0])
+        return answer
+
+    def _search(self, asker: str, key: str) -> object:
+        """Search from the namespace of `asker`; the master would, from the node's."""
+        name = self._process.member.name
+        for place, found in places(asker, key):
+            answer = settled(_stock(self._process.guardian.call(SEARCH, (name, place))), found)
+            if answer is not None:
+                return answer
+        return nowhere(key)
 
     def _with_own_name(self, method: str, params: Params) -> Params:
         """Tools and early calls give other names than the node's; the master knows the node."""
         name = self._process.member.name
-        if method == _MULTICALL:
-            calls = [{**call, "params": [name, *call["params"][1:]]} for call in params[0]]
-            return (calls,)
-        if method in _WITH_SERVICE_URI and isinstance(params[2], str):
-            params = (*params[:2], bracketed(params[2]), *params[3:])
-        return (name, *params[1:]) if params else params
+        if not params or not isinstance(params[0], str):
+            return params  # the master says what is wrong with it
+        if params[0] != name:
+            params = as_meant(method, params, params[0])
+        match params[1:]:
+            case (service, str(uri), *more) if method in _WITH_SERVICE_URI:
+                return (name, service, bracketed(uri), *more)
+            case rest:
+                return (name, *rest)
 
     def _noted(self, method: str, params: Params, answer: object) -> object:
         """Tell what the master refuses.
@@ -125,7 +168,7 @@ class Client:
         request = dump_call(method, (name, *params[1:]) if params else params)
         sock = socket.create_connection(address, CONNECT_TIMEOUT)
         try:
-            stream = self._process.doors.call(sock, Flavour.HTTP)
+            stream = self._process.doors.call(sock, Flavour.HTTP, address)
         except PlainPeer:
             if not self._process.plain or method != "requestTopic":
                 raise
@@ -151,6 +194,20 @@ class Client:
             if not self._process.may_be_plain(str(params[1]), sock.getpeername()[0]):
                 raise PlainPeer("the peer is a plain ROS node", "secure it, or see allow_plain")
             return load_response(_exchange(PlainStream(sock), address[0], request))
+
+
+def _uri_of(proxy: Any) -> str:
+    """Where a proxy of the standard library leads; empty: not by plain HTTP."""
+    plain = type(proxy("transport")) is xmlrpc.client.Transport
+    return f"http://{proxy._ServerProxy__host}/" if plain else ""  # noqa: SLF001 - the library has no question for it
+
+
+def _address(uri: str) -> tuple[str, int] | None:
+    """Host and port of an HTTP URI; None: it has none."""
+    try:
+        return parse_uri(uri)
+    except SettingsRefused:
+        return None
 
 
 def _exchange(stream: Stream | PlainStream, host: str, request: bytes) -> bytes:

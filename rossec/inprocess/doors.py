@@ -2,7 +2,9 @@
 
 import secrets
 import socket
+from functools import partial
 from typing import Final
+from weakref import WeakKeyDictionary
 
 from ca.certificates import Identity
 from rossec.channel.connection import Connection
@@ -11,6 +13,8 @@ from rossec.inprocess.member import Member, now
 from rossec.net.blocking import SecureSocket
 from rossec.net.bounds import ACCEPTED, DIALLED
 from rossec.net.halfopen import HalfOpen, HalfOpenCount
+from rossec.net.halfopen import Place as Counted
+from rossec.node.ownplaces import OwnPlaces, Place
 
 CONNECT_TIMEOUT: Final = 10.0
 
@@ -20,12 +24,19 @@ Stream = SecureSocket[Identity]
 class Doors:
     """Makes the secure connections of one process, both ways."""
 
-    def __init__(self, member: Member, half_open: HalfOpen = HalfOpen()) -> None:  # noqa: B008 - frozen
+    def __init__(
+        self,
+        member: Member,
+        half_open: HalfOpen = HalfOpen(),  # noqa: B008 - frozen
+        own: OwnPlaces | None = None,
+    ) -> None:
         self._member = member
+        self._own = OwnPlaces() if own is None else own
         self._count = HalfOpenCount(half_open)
+        self._places: WeakKeyDictionary[socket.socket, Counted] = WeakKeyDictionary()
 
-    def call(self, sock: socket.socket, opening: Flavour) -> Stream:
-        """Introduce this node over a connected socket; the peer is authenticated on return.
+    def call(self, sock: socket.socket, opening: Flavour, place: Place) -> Stream:
+        """Introduce this node over a socket connected to `place`; returns once it is answered.
 
         Raises:
             ChannelError: the handshake failed; the socket is closed.
@@ -33,7 +44,7 @@ class Doors:
         core = Connection.initiator(
             self._member.credentials, self._member.anchor.verify,
             random=secrets.token_bytes, now=now(), opening=opening, limits=DIALLED[opening],
-            suites=self._member.suites,
+            suites=self._member.suites, own_dials=self._own.dials_for(place),
         )  # fmt: skip
         stream = SecureSocket(sock, core)
         try:
@@ -45,15 +56,21 @@ class Doors:
             raise
         return stream
 
-    def admit(self, address: str) -> bool:
-        """Whether one more unfinished handshake from there is bearable; `answer` must follow."""
-        return self._count.admit(address)
+    def admit(self, sock: socket.socket, address: str) -> bool:
+        """Whether one more stranger is bearable: counted until it is proven, or `sock` is gone."""
+        place = self._count.admit(address)
+        if place is not None:
+            place.bind(sock)
+            self._places[sock] = place
+        return place is not None
 
-    def settle(self, address: str) -> None:
-        """A caller that was admitted needs no handshake."""
-        self._count.settle(address)
+    def settle(self, sock: socket.socket) -> None:
+        """A caller that was admitted needs no handshake, or is gone."""
+        place = self._places.pop(sock, None)
+        if place is not None:
+            place.settle()
 
-    def answer(self, sock: socket.socket, address: str, flavour: Flavour) -> Stream:
+    def answer(self, sock: socket.socket, flavour: Flavour) -> Stream:
         """Answer a caller that was admitted; its handshake is still to come.
 
         Raises:
@@ -63,11 +80,11 @@ class Doors:
             core = Connection.responder(
                 self._member.credentials, self._member.anchor.verify,
                 random=secrets.token_bytes, now=now(), accept={flavour}, limits=ACCEPTED[flavour],
-                suites=self._member.suites,
+                suites=self._member.suites, own_dials=self._own.dials,
             )  # fmt: skip
             sock.settimeout(None)  # rospy sets a default for all sockets of the process
-            return SecureSocket(sock, core, lambda: self._count.settle(address))
+            return SecureSocket(sock, core, partial(self.settle, sock))
         except BaseException:
-            self._count.settle(address)  # a place that is not given back is lost for ever
             sock.close()
+            self.settle(sock)
             raise

@@ -14,6 +14,7 @@ from rossec.channel.records import Bytes, Limits
 from rossec.errors import ChannelClosed
 from rossec.node.serviceguard import ServiceGuard
 from rossec.ros import service as wire
+from rossec.ros.framing import Framing
 from rossec.ros.header import FrameReader
 
 _LIMIT: Final = Limits.unit
@@ -24,7 +25,9 @@ Pieces = tuple[Bytes, ...]
 
 
 class Exchange(Protocol):
-    """One side of a service's connection."""
+    """One side of a service's connection; `framing` knows whether a call has been begun."""
+
+    framing: Framing
 
     def incoming(self, data: bytes) -> tuple[bytes, Pieces]:
         """What arrived: the program may read the first, the peer is sent the second.
@@ -48,6 +51,7 @@ class ServerExchange:
         why_cut: why the caller must be cut now, if it must.
         guard: what its grant restricts; None: nothing.
         refused: is told what was not allowed.
+        limit: how long a request may be.
     """
 
     def __init__(
@@ -56,8 +60,9 @@ class ServerExchange:
         guard: ServiceGuard | None,
         refused: Callable[[HintedError], None],
         now: Callable[[], int],
+        limit: int = _LIMIT,
     ) -> None:
-        self._frames = FrameReader(_LIMIT)
+        self.framing = Framing(FrameReader(limit))
         self._why_cut = why_cut
         self._guard = guard
         self._refused = refused
@@ -65,7 +70,7 @@ class ServerExchange:
 
     def incoming(self, data: bytes) -> tuple[bytes, Pieces]:
         """As of `Exchange`: a request."""
-        request = self._frames.feed_one(data)
+        request = self.framing.feed_one(data, self._now())
         if request is None:
             return b"", ()
         reason = self._why_cut()
@@ -96,14 +101,14 @@ class ServerExchange:
 class ClientExchange:
     """The caller's side, where the provider's grant restricts what may be asked and answered."""
 
-    def __init__(self, guard: ServiceGuard, now: Callable[[], int]) -> None:
-        self._frames = FrameReader(_LIMIT, lead=len(_OK))
+    def __init__(self, guard: ServiceGuard, now: Callable[[], int], limit: int = _LIMIT) -> None:
+        self.framing = Framing(FrameReader(limit, lead=len(_OK)))
         self._guard = guard
         self._now = now
 
     def incoming(self, data: bytes) -> tuple[bytes, Pieces]:
         """As of `Exchange`: a response. To the program a refused one is a failure of the call."""
-        content = self._frames.feed_one(data)
+        content = self.framing.feed_one(data, self._now())
         if content is None:
             return b"", ()
         mark, response = content[: len(_OK)], content[len(_OK) :]

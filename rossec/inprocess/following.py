@@ -8,12 +8,14 @@ import rospy
 from rospy.exceptions import TransportInitError
 
 from grants.errors import GrantError
-from rossec.channel.records import Limits
 from rossec.inprocess.links import Link, PlainLink
 from rossec.inprocess.member import now
 from rossec.inprocess.process import Process
 from rossec.inprocess.sockets import RosSocket
+from rossec.inprocess.types import longest
+from rossec.ros.framing import Framing
 from rossec.ros.header import FrameReader
+from rossec.ros.settings import parse_uri
 
 _FIRST_PAUSE: Final = 0.5
 _LONGEST_PAUSE: Final = 30.0
@@ -49,6 +51,7 @@ class Follower:
         self, conn: Any, host: str, port: int, uri: str, callback: Callable[..., None]
     ) -> None:
         try:
+            self._process.own.check_step(parse_uri(uri), (host, port))
             conn.connect(host, port, uri, timeout=60.0)
             self._receive(conn, callback)
         except TransportInitError:
@@ -62,14 +65,14 @@ class Follower:
         sock, protocol = conn.socket, conn.protocol
         if sock is None or protocol is None:
             return
-        frames = FrameReader(Limits.unit)
+        framing = Framing(FrameReader(longest(protocol.recv_data_class)))
         make, keep = protocol.recv_data_class, protocol.queue_size or 0
         while not conn.done and not rospy.is_shutdown():
-            unit = sock.stream.receive_unit()
+            unit = sock.patiently(framing, sock.stream.receive_unit)
             if not unit:
                 return
             conn.stat_bytes += len(unit)
-            arrived = self._believed(sock.link, frames.feed(unit))
+            arrived = self._believed(sock.link, framing.feed(unit, now()))
             messages = [make().deserialize(data) for data in arrived[-keep:]]
             del unit, arrived  # their memory is used for the next one
             if not messages:

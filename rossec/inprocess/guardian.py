@@ -9,14 +9,13 @@ import asyncio
 import contextlib
 import errno
 import logging
-import time
 from collections.abc import Callable
 from threading import Event, Thread
 from typing import Final, Protocol
 
 from ca.certificates import Identity
 from ca.errors import HintedError
-from ca.revocation import digest
+from rossec import clock
 from rossec.channel.credentials import LiveCredentials
 from rossec.errors import AnswerRefused, RossecError
 from rossec.inprocess.links import Links
@@ -83,12 +82,12 @@ class Guardian:
             self._dial,
             process.take_revocations,
             self._restore,
-            lambda: digest(member.revocations.data),
+            lambda: member.revocations.data,
             lambda call: prove(call, member),
         )
         self._renewals = Renewals(member.access)
         self._identity_renewal = IdentityRenewal(
-            member.home, LiveCredentials(member.credentials), int(time.time())
+            member.home, LiveCredentials(member.credentials), clock.now()
         )
         self._thread = Thread(target=self._run, name="rossec guardian", daemon=True)
         self.on_publishers: Callable[[str, list[str]], None] = lambda _topic, _uris: None
@@ -183,9 +182,10 @@ class Guardian:
 
     async def _restore(self, session: MasterSession) -> None:
         """Everything again, for a master that may have been restarted."""
+        self._registrations.session_opened()
         with contextlib.suppress(AnswerRefused):  # what is not renewed now is asked for later
-            await renew(session.call, self._renewals, int(time.time()))
-        current = self._member.access.current(int(time.time()))
+            await renew(session.call, self._renewals, clock.now())
+        current = self._member.access.current(clock.now())
         await session.call("rossec.presentGrants", current[:_PRESENTED])
         for method, params in self._registrations.all():
             await self._register(session, method, params)
@@ -210,7 +210,7 @@ class Guardian:
 
     def _until_next_look(self) -> float:
         soonest = self._process.links.soonest
-        left = PERIOD if soonest is None else soonest - time.time()
+        left = PERIOD if soonest is None else soonest - clock.time()
         return min(PERIOD, max(0.01, left))
 
     async def _collect(self) -> None:
@@ -229,7 +229,7 @@ class Guardian:
 
     async def _renew(self) -> None:
         """Grants and identity, when they are due; and proofs, where revocations are a tree."""
-        call, now = self._session.call, int(time.time())
+        call, now = self._session.call, clock.now()
         if await renew(call, self._renewals, now):
             self._process.rights += 1
             await self._register_refused()

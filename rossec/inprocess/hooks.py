@@ -30,7 +30,7 @@ from rospy.impl.validators import ParameterInvalid
 
 from rossec.errors import ConfigurationError, SettingsRefused
 from rossec.inprocess.addresses import bracketed, parse_rosrpc
-from rossec.inprocess.calls import Client
+from rossec.inprocess.calls import REQUEST, Client
 from rossec.inprocess.following import Follower
 from rossec.inprocess.outbox import Outbox, write_data
 from rossec.inprocess.process import Process
@@ -40,6 +40,7 @@ from rossec.inprocess.sockets import RosSocket
 from rossec.inprocess.stand import Stand
 from rossec.inprocess.topics import Connections
 from rossec.inprocess.xmlrpc import Server
+from rossec.ros.settings import parse_uri
 
 VERSIONS: Final = ("1.14", "1.15", "1.16", "1.17")
 _LATE: Final = "call rossec.secure() right after importing rospy, before anything else of it"
@@ -98,19 +99,28 @@ def hooks(process: Process, start_node: StartNode) -> list[Hook]:
     service, transport = rospy.impl.tcpros_service, rospy.impl.tcpros_base.TCPROSTransport
     api = rosgraph.xmlrpc.ThreadingXMLRPCServer
     connections, server = Connections(process), Server(process)
-    proxy = Client(process).proxy_class()
+    client = Client(process)
+    proxy = client.proxy_class()
 
     def make(family: int = socket.AF_INET, kind: int = socket.SOCK_STREAM) -> RosSocket:
         return RosSocket(process, socket.socket(family, kind))
 
     def set_uri(node: Any, uri: str) -> None:
         node.uri = bracketed(uri)
+        host, port = parse_uri(node.uri)
+        process.listens(port, host)
 
     def parse_service_uri(uri: str) -> tuple[str, int]:
         try:
             return parse_rosrpc(uri)
         except SettingsRefused as error:
             raise ParameterInvalid(str(error)) from error
+
+    stock_wait = service.wait_for_service
+
+    def wait_for_service(service: Any, timeout: Any = None) -> None:
+        process.require_name()  # rospy's loop would swallow why, and go on for ever
+        stock_wait(service, timeout)
 
     def accepted(tcpros: Any, sock: RosSocket, where: Any) -> None:
         arguments = (tcpros, sock, where)
@@ -143,6 +153,12 @@ def hooks(process: Process, start_node: StartNode) -> list[Hook]:
         Hook(pubsub, "ServerProxy", proxy),
         Hook(rosgraph.masterapi, "ServerProxy", proxy),
         Hook(rosgraph.impl.graph, "ServerProxy", proxy),
+        Hook(service, "wait_for_service", wait_for_service, ("service", "timeout")),
+        Hook(rospy, "wait_for_service", wait_for_service, ("service", "timeout")),
+        Hook(
+            xmlrpc.client.ServerProxy, REQUEST, _plain(client.request),
+            ("self", "methodname", "params"),
+        ),
         Hook(api, "verify_request", _plain(server.verify_request), _CALLER),
         Hook(api, "finish_request", _plain(server.finish_request), _CALLER),
         Hook(rosgraph.xmlrpc.XmlRpcNode, "set_uri", set_uri, ("self", "uri")),

@@ -4,17 +4,18 @@ One lock makes a list and its confirmation one step: between the two nothing wou
 every peer that asks in that moment would be refused.
 """
 
-import time
 from threading import RLock
 
 from ca.certificates import Identity, TrustAnchor
 from ca.revocation import Revocations
 from grants.decision import Decision
 from grants.model import Right
+from rossec import clock
 from rossec.channel.suites import PRODUCTION
 from rossec.home import NodeHome
 from rossec.node.access import Access, Holding
 from rossec.node.links import Judged, why_cut
+from rossec.savedrevocations import saved_revocations
 
 
 class SharedAccess(Access):
@@ -77,10 +78,7 @@ class Member:
         self.anchor = home.anchor()
         self.credentials = home.credentials()
         self.identity = home.identity(now())
-        self.revocations = Revocations(self.anchor.public_key)
-        saved = home.load_revocations()
-        if saved is not None:
-            self.revocations.update(saved, now())
+        self.revocations = saved_revocations(home, self.anchor, now())
         self.access = SharedAccess(self.anchor, self.revocations)
 
     def take_revocations(self, data: bytes, timestamp: bytes, master: Identity) -> None:
@@ -91,6 +89,11 @@ class Member:
         """
         with self.access.lock:
             self.access.take_news(data, timestamp, master, now(), self.home.save_revocations)
+
+    def doubt(self) -> None:
+        """Rely on what the master said no longer: the clock it was heard by went back."""
+        with self.access.lock:
+            self.revocations.doubt(now() - 1)
 
     @property
     def wanted(self) -> list[bytes]:
@@ -128,4 +131,4 @@ class Member:
 
 def now() -> int:
     """The host's clock, in seconds; never ROS time (attack M7)."""
-    return int(time.time())
+    return clock.now()

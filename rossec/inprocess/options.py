@@ -15,6 +15,7 @@ from ca.names import check_name
 from rossec.errors import ConfigurationError
 from rossec.home import rossec_home
 
+_DOTS: Final = 2000  # tomllib takes square time and memory for the dots of one key
 _KEYS: Final = frozenset({"node", "allow_plain"})
 
 
@@ -24,7 +25,8 @@ class Options:
 
     Attributes:
         home: ROSSEC_HOME.
-        node: the name of the node; None: what `rospy.init_node` says.
+        node: the name of the node, absolute or as it is given to `rospy.init_node`; None: what that
+            says.
         allow_plain: what may stay plain while a fleet migrates (`rossec.inprocess.plain`).
     """
 
@@ -60,9 +62,13 @@ def read(
 
 
 def _table(text: str) -> Mapping[str, object]:
+    if text.count(".") > _DOTS:
+        raise ConfigurationError(
+            f"the options' file has more than {_DOTS} dots", "a table [rospy] of a few lists"
+        )
     try:
         table = tomllib.loads(text).get("rospy", {})
-    except tomllib.TOMLDecodeError as error:
+    except (ValueError, RecursionError) as error:  # TOMLDecodeError, and what `int` refuses
         raise ConfigurationError(f"the options' file is no TOML: {error}") from error
     if not isinstance(table, dict) or not table.keys() <= _KEYS:
         raise ConfigurationError(
@@ -83,10 +89,12 @@ def _split(text: str | None) -> list[str] | None:
 def _checked_name(name: object) -> str | None:
     if name is None:
         return None
+    text = str(name)
     try:
-        return check_name(str(name))
+        check_name(text if "/" in text else f"/{text}")
     except NameRefused as error:
         raise ConfigurationError(f"{name!r} is no name of a node: {error}", error.hint) from error
+    return text
 
 
 def _checked_list(values: object) -> tuple[str, ...]:

@@ -85,6 +85,13 @@ class Outbox:
         """Whether `data` was sent past the queue: nobody waits, and nothing is before it."""
         if not isinstance(data, bytes) or len(data) > _SMALL:
             return False
+        try:
+            return self._send_in_turn(data)
+        except (HintedError, OSError) as error:
+            # Without the lock: closing takes rospy's lock of the topic, whose holder may wait here.
+            raise _ended(self._connection, error) from error
+
+    def _send_in_turn(self, data: bytes) -> bool:
         with self._filled:  # the sender is asleep meanwhile
             if not self._idle or self._queue or not write_now(self._connection, data):
                 return False
@@ -158,14 +165,12 @@ def write_now(transport: Any, message: bytes) -> bool:
     """Send a small message where that needs no waiting (`RosSocket.send_now`).
 
     Raises:
-        TransportTerminated: as of `write`.
+        TransportTerminated: the connection was closed.
+        HintedError, OSError: it is at its end, and to be closed.
     """
     sock = _socket(transport)
-    try:
-        if not sock.send_now(message):
-            return False
-    except (HintedError, OSError) as error:
-        raise _ended(transport, error) from error
+    if not sock.send_now(message):
+        return False
     transport.stat_bytes += len(message)
     transport.stat_num_msg += not sock.unsent  # else it counts with the rest
     return True

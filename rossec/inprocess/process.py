@@ -1,13 +1,17 @@
 """What the hooks of one process share: who it is, its connections, its guardian.
 
-Until the node has a name there is no identity, and nothing can be connected: every hook that
-needs one says so.
+Until the node has a name there is no identity, and nothing can be connected: every hook that needs
+one says so. Whoever asks before `rospy.init_node` begins with the name it will have, if that is
+known.
 """
 
 import errno
+from collections.abc import Callable
+from threading import RLock
 from typing import Final
 
 from ca.certificates import Identity
+from rossec import clock
 from rossec.errors import ChannelError, ConfigurationError, PlainPeer
 from rossec.inprocess.doors import Doors
 from rossec.inprocess.guardian import Guardian
@@ -17,8 +21,13 @@ from rossec.inprocess.plain import Plain
 from rossec.inprocess.registrations import Registrations
 from rossec.inprocess.report import Reporter
 from rossec.inprocess.sockets import RosSocket
+from rossec.node.ownplaces import OwnPlaces
+from rossec.node.watch import WENT_BACK
 
-_NAMELESS: Final = "call rospy.init_node first, or name the node: rossec.secure(node='/name')"
+_NAMELESS: Final = (
+    "call rospy.init_node first, or give the name it will have:"
+    " rossec.secure('name'), or __name:=name on the command line"
+)
 
 
 class Process:
@@ -28,13 +37,21 @@ class Process:
         self.reporter = reporter
         self.plain = plain
         self.links = Links()
+        self._setbacks = clock.Setbacks()
+        self.own = OwnPlaces()
         self.rights = 0
         """Grows whenever there is a new grant or list: what was refused may be tried again."""
         self._begun: tuple[Member, Doors, Registrations, Guardian] | None = None
+        self._beginning = RLock()
+        self.introduce: Callable[[], None] = lambda: None
+        """Begins, if the name that the node will have is known."""
 
     def begin(self, member: Member, master: tuple[str, int]) -> None:
         """Speak as `member` from now on, with the master there."""
-        doors, registrations = Doors(member), Registrations(member.name)
+        doors, registrations = (
+            Doors(member, own=self.own),
+            Registrations(member.name, clock.counter()),
+        )
         guardian = Guardian(self, member, registrations, master)
         self._begun = member, doors, registrations, guardian
         guardian.start()
@@ -46,8 +63,16 @@ class Process:
 
     def _all(self) -> tuple[Member, Doors, Registrations, Guardian]:
         if self._begun is None:
-            raise ConfigurationError("this program has no name yet", _NAMELESS)
+            with self._beginning:
+                if self._begun is None:
+                    self.introduce()
+        if self._begun is None:
+            raise _shown(ConfigurationError("this program has no name yet", _NAMELESS))
         return self._begun
+
+    def require_name(self) -> None:
+        """Return once the node has begun; raises `ConfigurationError` while it has no name."""
+        self._all()
 
     @property
     def member(self) -> Member:
@@ -70,6 +95,10 @@ class Process:
         return self._all()[3]
 
     # -- connections
+
+    def listens(self, port: int, host: str | None = None) -> None:
+        """This node accepts callers there; rospy tells every one of them the same host."""
+        self.own.listens(self.own.host if host is None else host, port)
 
     def watch(self, sock: RosSocket, link: Link) -> None:
         """An admitted connection: end it when its right does."""
@@ -115,6 +144,9 @@ class Process:
     def cut(self) -> None:
         """End every connection whose right has ended."""
         member = self.member
+        if self._setbacks.any_new():
+            self.reporter.warn(WENT_BACK)
+            member.doubt()
         for link, reason in self.links.must_end(member.why_cut):
             self.reporter.warn(f"cut {link.stream.peer.name} ({link.decision.name}): {reason}")
         self.links.cut_peers(member.is_revoked)
@@ -124,3 +156,9 @@ class Process:
         for stream in self.links.streams():
             if isinstance(stream, RosSocket):
                 stream.tend()
+
+
+def _shown(error: ConfigurationError) -> ConfigurationError:
+    """With its hint in a traceback: this one is for whoever wrote the program."""
+    error.add_note(f"hint: {error.hint}")
+    return error

@@ -1,11 +1,12 @@
 """Publishing from rospy: one serialization, one treated copy per treatment.
 
 `publish` does what `rospy.topics._PublisherImpl.publish` does, and between serializing and sending
-asks each connection's guard. A connection without a link has no right, and gets nothing.
+asks each connection's guard. A connection without a link has no right, and gets nothing. What a
+latching topic shows a newcomer is what it published, not what has become of the message since.
 """
 
 import logging
-from collections.abc import Hashable, Iterable
+from collections.abc import Callable, Hashable, Iterable, Sequence
 from contextlib import suppress
 from typing import Any, Final
 
@@ -13,14 +14,21 @@ from rospy.core import is_shutdown
 from rospy.exceptions import ROSException
 from rospy.msg import serialize_message
 
+from grants.codegen import Buffer
 from grants.errors import GrantError
+from grants.guard import Guard
 from rossec.inprocess.links import Link, PlainLink
 from rossec.inprocess.member import now
 from rossec.inprocess.outbox import ALONE, LENGTH, Pieces
 from rossec.inprocess.spare import Spare
+from rossec.net import withheld
+from rossec.node.latch import Latch, Sample
 
 _KEEP: Final = 16 * 1024 * 1024  # memory of larger messages is given back at once
 _spare: Final = Spare(4)
+_LATCH: Final = "rossec_latch"  # the attribute of a topic of rospy's
+
+Samples = Callable[[Guard], Iterable[Sample[bytes]]]  # what to try for a guard, until one passes
 _log = logging.getLogger("rossec.rospy")
 
 
@@ -30,23 +38,49 @@ def publish(topic: Any, message: Any, connection_override: Any = None) -> bool |
         if not is_shutdown():
             raise ROSException("publish() to a closed topic")
         return None
-    if topic.is_latch:
-        topic.latch = message
+    latch = _latched(topic, message, connection_override) if topic.is_latch else None
     if not topic.has_connections():
         return False
     try:
-        data = _serialized(topic, message)
+        sample = _sample(topic, message, latch)
     except ValueError:
         if not topic.closed:
             raise
         if is_shutdown():
             return None
         raise ROSException("topic was closed during publish()") from None
-    connections = topic.connections if connection_override is None else [connection_override]
-    for connection in _offer(topic.resolved_name, data, connections):
+    if connection_override is None:
+        dead = _offer(topic, sample, topic.connections)
+    else:
+        dead = _offer(topic, sample, [connection_override], latch)
+    for connection in dead:
         with suppress(Exception):  # as rospy: a dead connection is dropped
             connection.close()
     return None
+
+
+def _latch(topic: Any) -> Latch[bytes]:
+    if not hasattr(topic, _LATCH):
+        setattr(topic, _LATCH, Latch())
+    latch: Latch[bytes] = getattr(topic, _LATCH)
+    return latch
+
+
+def _latched(topic: Any, message: Any, newcomer: Any) -> Latch[bytes]:
+    """What the topic shows newcomers; nothing as yet if it does not know `message`."""
+    latch = _latch(topic)
+    if newcomer is None or message is not topic.latch:
+        latch.newest = None
+    topic.latch = message
+    return latch
+
+
+def _sample(topic: Any, message: Any, latch: Latch[bytes] | None) -> Sample[bytes]:
+    if latch is None:
+        return Sample(_serialized(topic, message))
+    if latch.newest is None:
+        latch.newest = Sample(_serialized(topic, message))
+    return latch.newest
 
 
 def _serialized(topic: Any, message: Any) -> bytes:
@@ -68,14 +102,28 @@ def _serialized(topic: Any, message: Any) -> bytes:
             buffer.truncate(0)
 
 
-def _offer(name: str, data: bytes, connections: Iterable[Any]) -> list[Any]:
-    """Give each connection what it may see; returns those that are dead."""
+def _offer(
+    topic: Any,
+    sample: Sample[bytes],
+    connections: Iterable[Any],
+    newcomer: Latch[bytes] | None = None,
+) -> list[Any]:
+    """Give each connection what it may see, a newcomer what the latch shows; returns the dead."""
+    samples: Samples = (lambda _: (sample,)) if newcomer is None else newcomer.shown
     treated: dict[Hashable, Pieces | None] = {}
     moment = now()
     dead = []
     for connection in connections:
         try:
-            pieces = _for(name, data, connection, moment, treated)
+            link: Link | PlainLink | None = connection.socket.link
+            if link is None or moment >= link.ends:
+                continue
+            pieces: Pieces | None = sample.data
+            if link.guard is not None:
+                key = link.guard.key
+                if key not in treated:
+                    treated[key] = _treat(topic, link, samples, moment)
+                pieces = treated[key]
             if pieces is not None and not is_shutdown():
                 connection.write_data(pieces)
         except Exception:  # noqa: BLE001 - as rospy: whatever fails, the others get theirs
@@ -83,30 +131,24 @@ def _offer(name: str, data: bytes, connections: Iterable[Any]) -> list[Any]:
     return dead
 
 
-def _for(
-    name: str, data: bytes, connection: Any, moment: int, treated: dict[Hashable, Pieces | None]
-) -> Pieces | None:
-    sock = connection.socket
-    link: Link | PlainLink | None = sock.link
-    if link is None or moment >= link.ends:
-        return None
-    if link.guard is None:
-        return data
-    key = link.guard.key
-    if key not in treated:
-        treated[key] = _treat(name, link, data, moment)
-    return treated[key]
+def _treat(topic: Any, link: Link, samples: Samples, moment: int) -> Pieces | None:
+    guard = link.guard
+    assert guard is not None  # noqa: S101 - asked by the caller
+    for sample in samples(guard):
+        try:
+            pieces = guard.treat(memoryview(sample.data)[LENGTH.size :], moment, sample.mark)
+        except GrantError as error:
+            name = topic.resolved_name
+            withheld.warn(_log, withheld.SENT, name, link.stream.peer.name, error)
+            continue
+        if pieces is not None:
+            if topic.is_latch:
+                _latch(topic).passed(guard, sample)
+            return _packed(pieces)
+    return None
 
 
-def _treat(name: str, link: Link, data: bytes, moment: int) -> Pieces | None:
-    assert link.guard is not None  # noqa: S101 - asked by the caller
-    try:
-        pieces = link.guard.treat(memoryview(data)[LENGTH.size :], moment)
-    except GrantError as error:
-        _log.warning("%s: withheld from %s: %s", name, link.stream.peer.name, error)
-        return None
-    if pieces is None:
-        return None
+def _packed(pieces: Sequence[Buffer]) -> Pieces:
     size = sum(map(len, pieces))
     whole = (LENGTH.pack(size), *pieces)
     return whole if size > ALONE else b"".join(whole)  # once, not for each connection

@@ -2,12 +2,17 @@
 
 Pure. rospy registers once and never again; a master that was restarted would not know the node.
 What the master refused for want of a right is kept as well, and tried when there is a new grant.
-Also here: which publishers the master named last, for a subscriber that lost one. Threads share it:
-what is looked through is a copy, made in one step.
+Also here: which publishers the master named last, for a subscriber that lost one, and which nodes.
+Threads share it: what is looked through is a copy, made in one step.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from typing import Final
+
+from rossec.errors import SettingsRefused
+from rossec.node.named import NamedPublishers
+from rossec.ros.settings import parse_uri
 
 _UNDO: Final = {
     "unregisterPublisher": "registerPublisher",
@@ -21,6 +26,7 @@ REGISTRATIONS: Final[Mapping[str, object]] = {
 }  # fmt: skip
 """What is registered for the program, with what the master answers where there is nobody else."""
 REFUSED: Final = "rossec: "
+_NODES: Final = 1024  # of those that were looked up
 
 # What rospy asks for by itself. Without a right to it the program goes on, and is not bothered.
 _OWN_TOPICS: Final = ("/rosout",)
@@ -35,11 +41,12 @@ Call = tuple[str, tuple[object, ...]]
 class Registrations:
     """The registrations of one node."""
 
-    def __init__(self, name: str) -> None:
+    def __init__(self, name: str, now: Callable[[], float]) -> None:
         self._name = name
+        self._named = NamedPublishers(now)
         self._calls: dict[tuple[str, object], tuple[object, ...]] = {}
         self._refused: set[tuple[str, object]] = set()
-        self._publishers: dict[str, frozenset[str]] = {}
+        self._nodes: dict[tuple[str, int], None] = {}
 
     def note(self, method: str, params: Sequence[object], answer: object) -> None:
         """What the master answered to a call of the program."""
@@ -48,6 +55,11 @@ class Registrations:
             key = _key(done, params)
             self._calls.pop(key, None)
             self._refused.discard(key)
+        match method, answer:
+            case "lookupNode", [1, _, str(uri)]:
+                self._node_is_at(uri)
+            case _:
+                pass
         if method not in _DO:
             return
         key = _key(method, params)
@@ -65,21 +77,35 @@ class Registrations:
 
     def all(self) -> list[Call]:
         """Every registration, in the order they were made."""
-        return [(method, params) for (method, _), params in list(self._calls.items())]
+        return [(method, params) for (method, _), params in self._calls.copy().items()]
 
     def refused(self) -> list[Call]:
         """Those the master refused for want of a right."""
-        calls = list(self._calls.items())
+        calls = self._calls.copy().items()
         return [(key[0], params) for key, params in calls if key in self._refused]
+
+    def session_opened(self) -> None:
+        """The master may have been started again, and name fewer publishers than there are."""
+        self._named.session_opened()
 
     def publishers_are(self, topic: str, uris: object) -> None:
         """The master names the publishers of a topic."""
         if isinstance(uris, Iterable):
-            self._publishers[topic] = frozenset(uri for uri in uris if isinstance(uri, str))
+            self._named.are(topic, [uri for uri in uris if isinstance(uri, str)])
 
     def is_publisher(self, topic: str, uri: str) -> bool:
-        """Whether the master still names `uri`."""
-        return uri in self._publishers.get(topic, ())
+        """Whether the master still names `uri`, or may yet name it again."""
+        return uri in self._named.to_follow(topic)
+
+    def _node_is_at(self, uri: str) -> None:
+        with suppress(SettingsRefused):
+            self._nodes[parse_uri(uri)] = None
+        if len(self._nodes) > _NODES:
+            del self._nodes[next(iter(self._nodes))]
+
+    def is_node(self, address: tuple[str, int]) -> bool:
+        """Whether the master has named a node at this host and port."""
+        return address in self._nodes
 
     def is_rospys_own(self, method: str, params: Sequence[object]) -> bool:
         """Whether rospy makes this call by itself, not for the program."""

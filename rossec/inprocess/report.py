@@ -1,5 +1,6 @@
 """What the developer is told: one warning for each cause, not for each retry.
 
+Lines are few in ten seconds, and few of those about one: nobody silences what is said of others.
 Written by a thread of its own: `rospy.logwarn` publishes on /rosout and asks the master for a
 parameter, so it must never be called by the thread that speaks to the master, nor with a lock held.
 """
@@ -7,7 +8,7 @@ parameter, so it must never be called by the thread that speaks to the master, n
 import logging
 import queue
 import time
-from collections import OrderedDict
+from collections import Counter, OrderedDict
 from collections.abc import Callable
 from contextlib import suppress
 from threading import Lock, Thread
@@ -19,6 +20,8 @@ from rossec.ros.text import printable
 
 _REMEMBERED: Final = 512
 _BURST: Final = 30  # lines within PERIOD; strangers must not be able to fill a disk
+_SHARE: Final = 10  # of them about one peer, topic or address
+_FIRST: Final = 60  # beyond the burst, the first line about each
 _PERIOD: Final = 10.0
 
 
@@ -28,7 +31,7 @@ class Reporter:
     def __init__(self, write: Callable[[str], None]) -> None:
         self._write = write
         self._said: OrderedDict[str, None] = OrderedDict()
-        self._since, self._lines = 0.0, 0
+        self._since, self._about, self._left_out = 0.0, Counter[str](), False
         self.abandon()
         forget_in_children(self)
 
@@ -39,7 +42,10 @@ class Reporter:
         self._thread: Thread | None = None
 
     def warn(self, what: str, why: Exception | None = None) -> None:
-        """Say `what`, because of `why`, with its hint, unless it was said before."""
+        """Say `what`, because of `why`, with its hint, unless it was said before.
+
+        What it is about stands before the first colon of `what`.
+        """
         text = what if why is None else f"{what}: {why}"
         hint = why.hint if isinstance(why, HintedError) else ""
         line = f"rossec: {printable(text)}" + (f" (hint: {printable(hint)})" if hint else "")
@@ -49,7 +55,7 @@ class Reporter:
             self._said[line] = None
             if len(self._said) > _REMEMBERED:
                 self._said.popitem(last=False)
-            if self._has_room():
+            if self._has_room(what.partition(":")[0]):
                 self._put(line)
 
     def _put(self, line: str) -> None:
@@ -58,15 +64,19 @@ class Reporter:
             self._thread.start()
         self._queue.put(line)
 
-    def _has_room(self) -> bool:
+    def _has_room(self, about: str) -> bool:
         """Whether one more line is no flood; the first that is too many says so."""
         moment = time.monotonic()
         if moment - self._since > _PERIOD:
-            self._since, self._lines = moment, 0
-        self._lines += 1
-        if self._lines == _BURST:
-            self._put(f"rossec: more than {_BURST} different warnings; some are left out")
-        return self._lines < _BURST
+            self._since, self._about, self._left_out = moment, Counter(), False
+        most = _BURST if self._about[about] else _FIRST
+        if self._about[about] < _SHARE and self._about.total() < most:
+            self._about[about] += 1
+            return True
+        if not self._left_out:
+            self._put("rossec: more different warnings than are written; some are left out")
+        self._left_out = True
+        return False
 
     def forget(self, what: str) -> None:
         """`what` has gone well since: if it fails again, that is news."""

@@ -3,8 +3,8 @@
 It stops the program when it cannot: called too late, without an identity, with a rospy it does not
 know, or a second time with other options (modules of one program may each call it). What catches
 the stop, as a notebook does, can start no node afterwards. The node's identity is found when its
-name is known: from the options, or when `rospy.init_node` has worked it out from remappings and
-namespaces.
+name is known: from the options; else when it is first needed, if `__name:=` says what
+`rospy.init_node` will make of it; else in that.
 """
 
 import importlib
@@ -14,6 +14,7 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final, NoReturn
 
+from ca import places
 from ca.errors import HintedError
 from rossec import files
 from rossec.channel.policy import post_quantum
@@ -46,13 +47,15 @@ class _Secured:
 
     def install(self) -> None:
         """Set the hooks, and speak as the node if its name is known."""
-        if self.options.node is not None:
-            member = self._member(self.options.node)
+        name = None if self.options.node is None else self._early_name()
+        if name is not None:
+            member = self._member(name)
             self.hooks.install(self.table)
             self._begin(member)
         else:
             _require_some_identity(self.options)
             self.hooks.install(self.table)
+            self.process.introduce = self._introduce
         logging.getLogger("rossec").addHandler(LogBridge(self.reporter))
         for entry in self.options.allow_plain:
             self.reporter.warn(f"PLAIN: allow_plain leaves {entry} open to anybody")
@@ -85,11 +88,29 @@ class _Secured:
         core.add_shutdown_hook(lambda _: guardian.stop())
         return self._stock_start(environ, resolved_name, master_uri, port, tcpros_port)
 
+    def _early_name(self) -> str | None:
+        """What `rospy.init_node` will call the node, by the same rules; None: it alone knows."""
+        given, names = self.options.node, self._rospy.names
+        if given is not None and given.startswith("/"):
+            return given
+        base = names.get_mappings().get("__name", given)
+        if base is None:
+            return None
+        graph: Any = importlib.import_module("rosgraph.names")
+        return str(graph.resolve_name(base, names.get_caller_id()))
+
+    def _introduce(self) -> None:
+        """Something is asked before `rospy.init_node`, as stock rospy allows."""
+        name = self._early_name()
+        if name is not None:
+            self._begin(self._member(name))
+
     def _member(self, name: str) -> Member:
         home = NodeHome.find(self.options.home, name)
         return Member(home, name, post_quantum(os.environ))
 
     def _begin(self, member: Member) -> None:
+        self.hooks.set_tools(self.process)
         uri = importlib.import_module("rosgraph").get_master_uri()
         self.process.begin(member, parse_uri(uri, "ROS_MASTER_URI"))
 
@@ -107,7 +128,8 @@ def secure(node: str | None = None, *, allow_plain: Sequence[str] | None = None)
     """Secure every connection of this process; call it right after `import rospy`.
 
     Args:
-        node: the name of the node, if it must be known before `rospy.init_node`.
+        node: the name of the node, if it must be known before `rospy.init_node`: as given to that,
+            or absolute.
         allow_plain: what may stay plain while a fleet migrates: topics, services, addresses.
 
     Stops the program, with a hint, when it cannot be secured.
@@ -193,10 +215,12 @@ def _options(node: str | None, allow_plain: Sequence[str] | None) -> Options:
     text = None
     if path.exists():
         missing = ConfigurationError(f"{path} cannot be read")
-        text = files.read(path, _MAX_FILE, missing).decode(errors="replace")
+        text = files.read_own(path, _MAX_FILE, missing, link=True).decode(errors="replace")
     elif "ROSSEC_CONFIG" in os.environ:
         raise ConfigurationError(f"ROSSEC_CONFIG names {path}, which does not exist")
-    return read(os.environ, text, node=node, allow_plain=allow_plain)
+    options = read(os.environ, text, node=node, allow_plain=allow_plain)
+    places.check_directory(options.home)
+    return options
 
 
 def _hooks_module() -> Any:

@@ -8,12 +8,14 @@ accepted connection happens in the first read, never in `accept` (attack N8).
 import errno
 import socket
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from typing import Any, Final, Protocol
+from functools import partial
+from typing import Any, Final, Protocol, TypeVar
 
 from ca.certificates import Identity
 from ca.errors import HintedError
+from rossec import clock
 from rossec.channel.opening import Flavour
 from rossec.channel.records import Bytes
 from rossec.errors import ChannelClosed, ChannelError, PlainPeer
@@ -23,11 +25,14 @@ from rossec.inprocess.links import Link, PlainLink
 from rossec.inprocess.plain import Plain
 from rossec.inprocess.plainsocket import PlainStream, peek
 from rossec.net.blocking import SecureSocket
+from rossec.ros.framing import PATIENCE, Framing
 
 _OUT_OF_THEM: Final = (errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.ENOBUFS)
 _AT_A_TIME: Final = 256 * 1024
 _PUMP_EVERY: Final = 1.0  # seconds
 _REST: Final = 1.0  # seconds, when the host is out of descriptors: callers wait in the kernel
+
+Taken = TypeVar("Taken")
 
 
 class Owner(Protocol):
@@ -39,6 +44,9 @@ class Owner(Protocol):
 
     def gone(self, sock: "RosSocket") -> None:
         """A connection is over."""
+
+    def listens(self, port: int) -> None:
+        """Callers are accepted there."""
 
     @property
     def plain(self) -> Plain:
@@ -102,10 +110,10 @@ class RosSocket:
             raise ChannelClosed("a plain connection proves nothing")
         return stream.do_handshake()
 
-    def welcome(self) -> None:
-        """The caller may send requests, not a connection header alone."""
+    def welcome(self, limit: int) -> None:
+        """The peer was judged: what it sends may come in units of up to `limit`."""
         if isinstance(self._stream, SecureSocket):
-            self._stream.welcome()
+            self._stream.welcome(limit)
 
     @property
     def is_plain(self) -> bool:
@@ -132,7 +140,7 @@ class RosSocket:
         self._socket.settimeout(CONNECT_TIMEOUT)
         self._socket.connect(address)
         try:
-            self._stream = self._owner.doors.call(self._socket, Flavour.TCPROS)
+            self._stream = self._owner.doors.call(self._socket, Flavour.TCPROS, address)
         except PlainPeer as error:
             if not self._owner.plain:
                 raise self._owner.failed(address, error) from error
@@ -151,6 +159,7 @@ class RosSocket:
     def listen(self, backlog: int = 128) -> None:
         """As of sockets; rospy's own backlog of 5 is few when a fleet starts."""
         self._socket.listen(max(backlog, 128))
+        self._owner.listens(self._socket.getsockname()[1])
 
     def accept(self) -> tuple["RosSocket", Any]:
         """The next caller within the caps. Its handshake is still to come."""
@@ -162,11 +171,11 @@ class RosSocket:
                     raise
                 time.sleep(_REST)
                 continue
-            if not self._owner.doors.admit(where[0]):
+            if not self._owner.doors.admit(sock, where[0]):
                 sock.close()
                 continue
             with suppress(OSError):  # an error here would end rospy's thread that accepts
-                stream = self._owner.doors.answer(sock, where[0], Flavour.TCPROS)
+                stream = self._owner.doors.answer(sock, Flavour.TCPROS)
                 return RosSocket(self._owner, sock, stream), where
 
     # -- bytes
@@ -180,7 +189,7 @@ class RosSocket:
         """What of a service's calls the program may read."""
         assert self.exchange is not None  # noqa: S101 - asked by the caller
         while not self._ready:
-            data = self.stream.recv(_AT_A_TIME)
+            data = self.patiently(self.exchange.framing, partial(self.stream.recv, _AT_A_TIME))
             if not data:
                 return b""
             ready, reply = self.exchange.incoming(data)
@@ -189,6 +198,22 @@ class RosSocket:
                 self.send_unit(*reply)
         part, self._ready = self._ready[:size], self._ready[size:]
         return bytes(part)
+
+    def patiently(self, framing: Framing, take: Callable[[], Taken]) -> Taken:
+        """What `take` receives; a message that was begun must get on meanwhile.
+
+        Raises:
+            LimitExceeded: it does not.
+        """
+        while framing.waits and self.gettimeout() is None:
+            self.settimeout(PATIENCE)
+            try:
+                return take()
+            except TimeoutError:
+                framing.look(clock.now())
+            finally:
+                self.settimeout(None)
+        return take()
 
     def recv_into(self, buffer: bytearray | memoryview, size: int = 0) -> int:
         """As of sockets."""

@@ -26,13 +26,16 @@ from rossec.inprocess.member import Member, now
 from rossec.inprocess.plainsocket import plain_fields
 from rossec.inprocess.process import Process
 from rossec.inprocess.sockets import RosSocket
+from rossec.inprocess.types import described, installed, longest, room
 from rossec.node.access import FIELD
+from rossec.node.definitions import Definition, as_received, from_header, told
 from rossec.node.messages import MessageType
+from rossec.node.recall import recall
 from rossec.node.serviceguard import ServiceGuard
 from rossec.node.services import admit_caller, admit_provider, requested_service
 from rossec.node.srvtypes import ServiceType
-from rossec.node.topicguard import guard_for, guard_of
-from rossec.node.topics import Endpoint, admit_publisher, admit_subscriber, requested_topic
+from rossec.node.topicguard import guard_for
+from rossec.node.topics import Expected, admit_publisher, admit_subscriber, requested_topic
 from rossec.ros import header
 
 _PROVES: Final[dict[type, Right]] = {
@@ -104,10 +107,19 @@ class Connections:
             if decision.restrictions:
                 guard = self._service_guard(protocol.service_class, decision)
                 sock.exchange = ClientExchange(guard, now)
+            sock.welcome(room(protocol.service_class._response_class))  # noqa: SLF001 - rospy's
             return Link(sock, decision)
-        endpoint = Endpoint(name, _described(protocol.recv_data_class))
-        decision = admit_publisher(fields, peer, endpoint.expected, access, now())
-        return Link(sock, decision, guard_of(fields, decision, self._member.home.filter_key))
+        own = described(protocol.recv_data_class)
+        expected = Expected(name, own.name, own.md5sum)
+        decision = admit_publisher(fields, peer, expected, access, now())
+        kind = as_received(own, from_header(fields), decision, installed)
+        fields |= told(kind, decision)
+        sock.welcome(room(protocol.recv_data_class))
+        return Link(sock, decision, self._guard_for(kind, decision))
+
+    def _guard_for(self, kind: Definition, decision: Decision) -> Guard | None:
+        member = self._member
+        return guard_for(kind, decision, member.home.filter_key, recall(member.name))
 
     def _refused(self, protocol: Any, error: HintedError, sock: RosSocket) -> TransportInitError:
         if not sock.left:
@@ -165,7 +177,6 @@ class Connections:
             decision = admit_caller(fields, sock.peer, access, now())
             sock.link = Link(sock, decision)
             sock.exchange = self._server_exchange(requested_service(fields), sock, sock.link)
-            sock.welcome()
             handler = server.service_connection_handler
         else:
             decision = admit_subscriber(fields, sock.peer, access, now())
@@ -193,7 +204,10 @@ class Connections:
         def refused(error: HintedError) -> None:
             self._process.reporter.warn(f"{service}: refused {sock.peer.name}", error)
 
-        return ServerExchange(partial(self._member.why_cut, link), guard, refused, now)
+        asked = provided.service_class._request_class  # noqa: SLF001 - rospy's
+        sock.welcome(room(asked))
+        why_cut = partial(self._member.why_cut, link)
+        return ServerExchange(why_cut, guard, refused, now, longest(asked))
 
     def _service_guard(self, kind: Any, decision: Decision) -> ServiceGuard:
         request, response = (
@@ -203,7 +217,8 @@ class Connections:
         both = ServiceType(kind._type, request, response)  # noqa: SLF001 - rospy's
         if both.md5sum != kind._md5sum:  # noqa: SLF001 - rospy's
             raise DefinitionRefused(f"the definition of {kind._type} is not that of its messages")  # noqa: SLF001 - rospy's
-        return ServiceGuard(both, decision, self._member.home.filter_key)
+        member = self._member
+        return ServiceGuard(both, decision, member.home.filter_key, recall(member.name))
 
     def _guard(self, topic: str, decision: Decision) -> Guard | None:
         """What `decision` means for the messages of this topic; None: they pass as they are.
@@ -215,15 +230,7 @@ class Connections:
         published = get_topic_manager().get_publisher_impl(topic)
         if published is None or published.closed:
             raise TopicRefused(f"{self._member.name} does not publish {topic}")
-        if not decision.restrictions:
-            return None
-        kind = _described(published.data_class)
-        keys = self._member.home.filter_key
-        return guard_for(kind.name, kind.md5sum, kind.definition, decision, keys)
-
-
-def _described(kind: Any) -> MessageType:
-    return MessageType(kind._type, kind._md5sum, kind._full_text)  # noqa: SLF001 - rospy's own
+        return self._guard_for(described(published.data_class), decision)
 
 
 def _what(protocol: Any) -> str:

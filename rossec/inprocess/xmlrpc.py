@@ -45,9 +45,9 @@ class Server:
     def __init__(self, process: Process) -> None:
         self._process = process
 
-    def verify_request(self, _server: Any, _request: socket.socket, where: Any) -> bool:
+    def verify_request(self, _server: Any, request: socket.socket, where: Any) -> bool:
         """`ThreadingXMLRPCServer.verify_request`, before a thread is spent on a caller."""
-        return self._process.doors.admit(where[0])
+        return self._process.doors.admit(request, where[0])
 
     def finish_request(self, server: Any, request: socket.socket, where: Any) -> None:
         """`ThreadingXMLRPCServer.finish_request`, in a thread of its own: one caller."""
@@ -55,9 +55,9 @@ class Server:
             try:
                 self._answer_plain(request, where[0])
             finally:
-                self._process.doors.settle(where[0])
+                self._process.doors.settle(request)
             return
-        stream = self._process.doors.answer(request, where[0], Flavour.HTTP)
+        stream = self._process.doors.answer(request, Flavour.HTTP)
         caller = f"the caller from {where[0]}"
         try:
             peer = stream.do_handshake()

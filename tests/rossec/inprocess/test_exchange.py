@@ -12,6 +12,7 @@ from rossec.node.serviceguard import ServiceGuard
 from rossec.node.srvtypes import service_type
 from rossec.ros import service as wire
 from rossec.ros.header import frame
+from tests.support.recall import HOLDER, fresh
 
 NOW = 1_000_000
 ON, OFF = frame(b"\1"), frame(b"\0")
@@ -26,8 +27,8 @@ CLEARED = Restriction(
 
 
 def guard(*restrictions: Restriction) -> ServiceGuard:
-    decision = Decision(Right.CALL, "/lamp", (), NOW + 10, restrictions)
-    return ServiceGuard(service_type("std_srvs/SetBool"), decision, lambda _: b"")
+    decision = Decision(Right.CALL, "/lamp", (HOLDER,), NOW + 10, restrictions)
+    return ServiceGuard(service_type("std_srvs/SetBool"), decision, lambda _: b"", fresh())
 
 
 class Server(ServerExchange):

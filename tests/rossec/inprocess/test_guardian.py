@@ -7,7 +7,9 @@ import pytest
 
 from grants.model import Right
 from rossec.master import trust
+from rossec.master.registry import Kind
 from tests.rossec.node.test_identity import BEGIN, LIFE, below
+from tests.support.absent import Absent
 from tests.support.fleet import SECURE, environment, program
 from tests.support.site import DAY, HOUR, Site
 from tests.support.witness import until
@@ -161,6 +163,30 @@ async def test_a_guardian_that_crashes_ends_the_node_at_once(tmp_path: Path) -> 
     site = Site(tmp_path / "site")
     site.publish("/robot", WORDS)
     async with site.running(), program(environment(site, tmp_path), CRASHING) as robot:
-        assert await robot.ends(within=20) == 0
+        assert await robot.ends(within=60) == 0
     assert "the guardian failed, everything is cut: a fault of ours" in robot.said
     assert "SAID [Errno 111] rossec: the guardian of this process has ended" in robot.said
+
+
+async def test_a_publisher_that_is_not_back_yet_is_connected_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The master was started again and names nobody; then the connection breaks."""
+    absent = Absent(monkeypatch)
+    site = Site(tmp_path / "site")
+    site.publish("/robot", WORDS)
+    site.subscribe("/listener", WORDS)
+    async with site.running(), site.node("/robot") as robot:
+        publisher = await robot.publisher(WORDS, TYPE, latch=True)
+        publisher.publish(publisher.create(data="hello"))
+        async with program(environment(site, tmp_path), LISTENER) as listener:
+            await listener.hears("HEARD hello")
+            absent.names = {"/robot"}
+            await site.restart_master()
+            assert site.master is not None
+            registry = site.master._registry
+            await until(lambda: registry.members(Kind.SUBSCRIBER, WORDS))
+            for link in tuple(publisher.links):
+                link.stream.abort("a test")
+            await listener.hears("HEARD hello")
+            assert registry.members(Kind.PUBLISHER, WORDS) == ()

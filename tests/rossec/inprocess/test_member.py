@@ -4,13 +4,16 @@ from pathlib import Path
 
 import pytest
 
-from ca.errors import CAError
+from ca.errors import CAError, RevocationsStale
 from ca.revocation import Timestamp, digest, open_list, sign_timestamp
 from grants.errors import GrantMissing
 from grants.model import Right
+from rossec.clock import Clock
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
-from rossec.inprocess.member import Member
+from rossec.inprocess.member import Member, now
+from rossec.inprocess.process import Process
+from rossec.inprocess.report import Reporter
 from tests.support.site import Site
 
 
@@ -73,3 +76,25 @@ def test_a_key_that_vouches_for_a_peer_ends_it_too(site: Site) -> None:
     member.revocations.update(site.revoke(b"i" * 32), site.now())
     assert member.is_revoked(peer)
     assert not member.is_revoked(site.identity("/viewer"))
+
+
+def test_after_a_clock_that_went_back_it_waits_for_news(
+    site: Site, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shows = time.time()
+    monkeypatch.setattr("rossec.clock.HOST", Clock(lambda: shows, lambda: 0.0))
+    said: list[str] = []
+    process = Process(Reporter(print))
+    monkeypatch.setattr(process.reporter, "warn", said.append)
+    member = Member(site.enroll("/robot"), "/robot")
+    monkeypatch.setattr(Process, "member", member)
+    data = site.authority.store.newest_list()
+    assert data is not None
+    member.take_revocations(data, stamped(site, data), site.identity("/master"))
+    process.cut()
+    member.revocations.check_fresh(now())
+    shows -= 3600
+    process.cut()
+    with pytest.raises(RevocationsStale, match="not confirmed"):
+        member.revocations.check_fresh(now())
+    assert "the host's clock went back" in "".join(said)

@@ -26,6 +26,9 @@ def test_arguments_come_before_the_environment_before_the_file() -> None:
     ("text", "said"),
     [
         ("node =", "no TOML"),
+        ("a = " + "[" * 5000, "no TOML"),
+        ("a = " + "9" * 5000, "no TOML"),
+        (".".join(["a"] * 3000) + " = 1", "more than 2000 dots"),
         ("[rospy]\nnodes = 1", "something unknown"),
         ("rospy = 1", "something unknown"),
         ('[rospy]\nnode = "no slash"', "no name of a node"),
@@ -40,10 +43,16 @@ def test_a_slip_of_the_pen_opens_nothing(text: str, said: str) -> None:
         read(HOME, text)
 
 
-@pytest.mark.parametrize("told", [{"node": "robot"}, {"node": ""}, {"allow_plain": "/x"}])
+@pytest.mark.parametrize(
+    "told", [{"node": "ro bot"}, {"node": "ns/robot"}, {"node": ""}, {"allow_plain": "/x"}]
+)
 def test_arguments_that_cannot_be_meant_are_refused(told: dict[str, Any]) -> None:
     with pytest.raises(ConfigurationError):
         read(HOME, None, **told)
+
+
+def test_a_name_may_be_what_rospy_is_given() -> None:
+    assert read(HOME, None, node="robot").node == "robot"
 
 
 def test_the_file_is_where_it_is_said_or_in_the_home() -> None:

@@ -1,5 +1,6 @@
 """What waits for a connection, with connections that only note it."""
 
+from threading import Thread
 from types import SimpleNamespace
 
 import pytest
@@ -151,3 +152,27 @@ def test_a_call_that_is_not_allowed_is_not_sent(persistent: bool) -> None:
         made.protocol = SimpleNamespace(headers={})
         outbox.write_data(made, b"allowed")
         assert b"".join(sock.units) == b"allowed"
+
+
+async def test_a_connection_is_closed_with_no_lock_held(monkeypatch: pytest.MonkeyPatch) -> None:
+    """rospy closes one under the lock of its topic, where this side then waits for the outbox."""
+    monkeypatch.setattr(outbox, "_PAUSE", -1.0)  # each message is one after a pause
+    made = connection()
+    made.socket.at_once = True
+    box = outbox.Outbox(made, 0)
+    await until(lambda: box._idle)
+    closed, waits = made.close, list[bool]()
+
+    def close() -> None:
+        other = Thread(target=box._closed, args=(None,), daemon=True)
+        other.start()
+        other.join(timeout=10)
+        waits.append(other.is_alive())
+        closed()
+
+    made.close = close
+    made.socket.error = ChannelClosed("gone")
+    with pytest.raises(exceptions.TransportTerminated, match="gone"):
+        box.write_data(b"x")
+    assert (made.done, waits) == (True, [False])
+    box._thread.join(timeout=30)

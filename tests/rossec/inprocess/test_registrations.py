@@ -1,8 +1,10 @@
 import threading
+import time
 
 import pytest
 
 from rossec.inprocess.registrations import Registrations
+from rossec.node.named import GRACE
 
 ME = "/robot"
 SUBSCRIBE = ("registerSubscriber", (ME, "/t", "std_msgs/String", "http://me/"))
@@ -12,7 +14,7 @@ NO = [-1, "rossec: no grant", 0]
 
 
 def noted(*calls: tuple[str, tuple[object, ...]], answer: object = None) -> Registrations:
-    registrations = Registrations(ME)
+    registrations = Registrations(ME, time.time)
     for method, params in calls:
         registrations.note(method, params, [1, "", 0] if answer is None else answer)
     return registrations
@@ -43,7 +45,7 @@ def test_what_was_refused_is_tried_again_until_it_is_granted() -> None:
 
 @pytest.mark.parametrize("answer", [[-1, "Error: bad call arity", 0], "nonsense", [1, 2], None])
 def test_other_failures_are_not_kept(answer: object) -> None:
-    registrations = Registrations(ME)
+    registrations = Registrations(ME, time.time)
     registrations.note(*SUBSCRIBE, answer)
     registrations.note("getParam", (ME, "/x"), [1, "", 5])
     assert registrations.all() == []
@@ -75,11 +77,11 @@ def test_the_publishers_are_those_named_last() -> None:
 def test_what_rospy_asks_for_by_itself_is_known(
     method: str, params: tuple[object, ...], own: bool
 ) -> None:
-    assert Registrations(ME).is_rospys_own(method, params) is own
+    assert Registrations(ME, time.time).is_rospys_own(method, params) is own
 
 
 def test_threads_may_register_while_everything_is_registered_again() -> None:
-    registrations = Registrations(ME)
+    registrations = Registrations(ME, time.time)
     going = threading.Event()
 
     def register() -> None:
@@ -97,3 +99,32 @@ def test_threads_may_register_while_everything_is_registered_again() -> None:
     finally:
         going.set()
         thread.join()
+
+
+def test_nodes_that_the_master_has_named_are_known() -> None:
+    """The newest of them: a program that looks for ever must not fill the memory."""
+    registrations = Registrations("/robot", time.time)
+    for port in range(1, 1030):
+        uri = f"http://h:{port}/"
+        registrations.note("lookupNode", ("/robot", "/n"), [1, "node api", uri])
+    assert registrations.is_node(("h", 1029))
+    assert registrations.is_node(("h", 6))
+    assert not registrations.is_node(("h", 5))
+    for answer in ([1, "", "no uri"], [-1, "unknown node [/n]", ""], [1, "", 7]):
+        registrations.note("lookupNode", ("/robot", "/n"), answer)
+    assert registrations.is_node(("h", 6))
+
+
+def test_a_publisher_is_one_while_it_may_yet_be_named_again() -> None:
+    now = 0.0
+    registrations = Registrations(ME, lambda: now)
+    registrations.note(*SUBSCRIBE, [1, "", ["http://a/", 7, "http://b/"]])
+    registrations.session_opened()
+    registrations.note(*SUBSCRIBE, [1, "", ["http://b/"]])
+    assert [registrations.is_publisher("/t", f"http://{name}/") for name in "abc"] == [
+        True, True, False,
+    ]  # fmt: skip
+    registrations.publishers_are("/t", [])
+    assert not registrations.is_publisher("/t", "http://b/"), "it was taken away"
+    now += GRACE
+    assert not registrations.is_publisher("/t", "http://a/")

@@ -54,10 +54,19 @@ def test_strangers_cannot_flood_the_log() -> None:
     said: list[str] = []
     reporter = Reporter(said.append)
     for number in range(100):
-        reporter.warn(f"refused {number}")
+        reporter.warn(f"refused /eve: {number}")
+        reporter.warn(f"refused /mallory: {number}")
+        reporter.warn(f"cannot call http://{number}")
+    assert len(said) <= 31
+    reporter.warn("lost /robot: gone")
+    for number in range(100):
+        reporter.warn(f"refused the caller from 10.0.0.{number}")
     reporter.close()
-    assert len(said) == 30
-    assert said[-1] == "rossec: more than 30 different warnings; some are left out"
+    assert len(said) == 61
+    assert said.count("rossec: more different warnings than are written; some are left out") == 1
+    assert [sum(name in line for line in said) for name in ("/eve", "/mallory", "/robot")] == [
+        10, 10, 1,
+    ]  # fmt: skip
 
 
 def test_threads_may_warn_and_forget_at_once() -> None:

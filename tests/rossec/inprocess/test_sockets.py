@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from rossec.channel.opening import Flavour
-from rossec.errors import ChannelClosed, ChannelError
+from rossec.errors import ChannelClosed, ChannelError, LimitExceeded
 from rossec.inprocess import plainsocket, sockets
 from rossec.inprocess.doors import Doors
 from rossec.inprocess.member import Member
@@ -19,6 +19,8 @@ from rossec.inprocess.plain import Plain
 from rossec.inprocess.sockets import RosSocket
 from rossec.inprocess.stand import Stand
 from rossec.net.halfopen import HalfOpen
+from rossec.ros.framing import Framing
+from rossec.ros.header import FrameReader
 from tests.rossec.net.test_blocking import background
 from tests.support.site import Site
 
@@ -30,6 +32,10 @@ class Owner:
         self.doors = Doors(member, half_open)
         self.plain = plain
         self.over: list[RosSocket] = []
+        self.ports: list[int] = []
+
+    def listens(self, port: int) -> None:
+        self.ports.append(port)
 
     def gone(self, sock: RosSocket) -> None:
         self.over.append(sock)
@@ -104,6 +110,29 @@ def test_a_socket_of_rospys(member: Member, listening: RosSocket) -> None:
         sock.close()
         assert sock.fileno() == -1
         sock.abort()
+
+
+def test_a_message_that_was_begun_must_get_on(
+    member: Member, listening: RosSocket, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sockets, "PATIENCE", 0.05)
+    monkeypatch.setattr("rossec.channel.unfinished.WINDOW", 1)
+    left, right = connected(member, listening)
+    framing = Framing(FrameReader())
+    right.sendall(b"\x09\0\0\0half")
+    assert framing.feed(left.patiently(framing, lambda: left.recv(100)), 0) == []
+    right.sendall(b", and")
+    assert framing.feed(left.patiently(framing, lambda: left.recv(100)), 0) == [b"half, and"]
+    right.sendall(b"\x09\0\0\0half")
+    framing.feed(left.patiently(framing, lambda: left.recv(100)), 0)
+    with pytest.raises(LimitExceeded):
+        left.patiently(framing, lambda: left.recv(100))
+    assert left.gettimeout() is None
+    left.settimeout(0.01)
+    with pytest.raises(TimeoutError):  # a caller that has a deadline of its own keeps it
+        left.patiently(framing, lambda: left.recv(100))
+    for sock in (left, right):
+        sock.close()
 
 
 def test_nothing_goes_past_the_queue_while_the_peer_may_have_words(
@@ -247,11 +276,11 @@ def test_a_caller_that_is_gone_gives_its_place_back(member: Member) -> None:
     """Else a stranger who breaks off often enough keeps everybody out for ever."""
     doors = Doors(member, HalfOpen(total=1, per_address=1))
     for _ in range(3):
-        assert doors.admit("127.0.0.1")
         gone = socket.socket()
+        assert doors.admit(gone, "127.0.0.1")
         gone.close()
         with pytest.raises(OSError, match="descriptor"):
-            doors.answer(gone, "127.0.0.1", Flavour.TCPROS)
+            doors.answer(gone, Flavour.TCPROS)
 
 
 def test_a_caller_that_is_gone_does_not_end_the_accepting(

@@ -98,11 +98,29 @@ async def test_a_service_is_called_probed_and_kept(victim: Victim) -> None:
     stream = await connect(HOST, victim.port, own, victim.site.anchor.verify)
     await stream.send(header.encode({**fields, "persistent": "1"}))
     await stream.receive()
-    for request in (b"", bytes(300_000)):  # rospy does not mind what follows a request
+    for request in (b"", bytes(30_000)):  # rospy does not mind what follows a request
         await stream.send(header.frame(request))
         assert (await stream.receive())[0] == 1
-    await stream.close()
+    await stream.send(header.frame(bytes(300_000)))  # rossec does, where every request is alike
+    with pytest.raises(ChannelError):
+        await stream.receive()
     victim.program.said = victim.said.replace("RESET", "")
+
+
+async def test_a_large_request_passes_where_a_request_may_be_large(victim: Victim) -> None:
+    """Larger than a connection header: its caller was judged."""
+    own = credentials(victim.site, GUEST)
+    grants = encode(list(victim.site.enroll(GUEST).grants()))
+    service = "/robot/set_logger_level"
+    fields: Fields = {"callerid": GUEST, "service": service, "md5sum": "*", FIELD: grants}
+    stream = await connect(HOST, victim.port, own, victim.site.anchor.verify)
+    await stream.send(header.encode(fields))
+    await stream.receive()
+    logger, level = b"rosout." + b"x" * 300_000, b"info"
+    parts = (len(logger).to_bytes(4, "little"), logger, len(level).to_bytes(4, "little"), level)
+    await stream.send(header.frame(b"".join(parts)))
+    assert (await stream.receive())[0] == 1
+    await stream.close()
 
 
 async def test_a_plain_caller_of_the_api_is_answered(victim: Victim) -> None:
