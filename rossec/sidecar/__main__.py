@@ -15,13 +15,13 @@ from typing import Any
 from ca.errors import HintedError
 from rossec.channel.policy import post_quantum
 from rossec.discovery.choose import settle_master
-from rossec.home import rossec_home
+from rossec.home import own_home
+from rossec.net.quiet import Quiet
 from rossec.ros import settings
 from rossec.ros.text import printable
-from rossec.sidecar import child
+from rossec.sidecar import child, loopback
 from rossec.sidecar.callers import Callers
 from rossec.sidecar.descriptors import raise_limit
-from rossec.sidecar.quiet import Quiet
 from rossec.sidecar.server import Sidecar
 
 _REFUSED = 1
@@ -59,10 +59,11 @@ def _end_quietly() -> None:
 async def _run(options: dict[str, Any]) -> int:
     limits = raise_limit()
     before = await settle_master(child.outside(os.environ), options["identity"])
+    callers = _callers(options)
     sidecar = Sidecar(
-        rossec_home(before),
+        own_home(before),
         settings.read((), before, default_name="/sidecar"),
-        _callers(options),
+        callers,
         identity=options["identity"],
         each=options["each"],
         port=options["port"],
@@ -72,7 +73,7 @@ async def _run(options: dict[str, Any]) -> int:
     try:
         if options["command"]:
             child.adopt_orphans()
-            environ = child.inside(os.environ, before, sidecar.uri)
+            environ = child.inside(os.environ, before, sidecar.uri, callers.loopback)
             return await child.run(options["command"], environ, limits)
         return await _serve(sidecar)
     finally:
@@ -81,8 +82,8 @@ async def _run(options: dict[str, Any]) -> int:
 
 def _callers(options: dict[str, Any]) -> Callers:
     if options["command"]:
-        return Callers({os.getuid()}, os.getpid())
-    return Callers(options["users"] or {os.getuid()})
+        return Callers({os.getuid()}, os.getpid(), loopback.find())
+    return Callers(options["users"] or {os.getuid()}, None, loopback.find())
 
 
 async def _serve(sidecar: Sidecar) -> int:

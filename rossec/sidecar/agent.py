@@ -5,11 +5,10 @@ A shell around `layers.Tenant`. `membership` is its standing with the master, `e
 """
 
 import asyncio
-import time
 
 from ca.certificates import Identity
-from ca.revocation import Revocations
 from grants.model import Right
+from rossec import clock
 from rossec.channel.credentials import LiveCredentials
 from rossec.channel.opening import Flavour
 from rossec.channel.suites import PRODUCTION
@@ -20,8 +19,10 @@ from rossec.net.stream import SecureStream
 from rossec.net.tasks import TaskSet
 from rossec.node.access import Access
 from rossec.node.guests import Guests
+from rossec.node.named import NamedPublishers
 from rossec.node.watch import Watch
 from rossec.ros.settings import Settings
+from rossec.savedrevocations import saved_revocations
 from rossec.sidecar import mastercalls
 from rossec.sidecar.addresses import Doors, Endpoint
 from rossec.sidecar.callers import Callers
@@ -32,6 +33,7 @@ from rossec.sidecar.layers import Tenant
 from rossec.sidecar.links import Links
 from rossec.sidecar.membership import Membership
 from rossec.sidecar.network import Network
+from rossec.sidecar.types import known_type
 from rossec.sidecar.visit import Correspondent, Visit
 
 
@@ -59,13 +61,12 @@ class Agent:
         self.callers = callers
         self._outside = outside
         anchor, credentials = home.anchor(), LiveCredentials(home.credentials())
-        revocations = Revocations(anchor.public_key)
-        saved = home.load_revocations()
-        if saved is not None:
-            revocations.update(saved, int(time.time()))
+        revocations = saved_revocations(home, anchor, clock.now())
         access = Access(anchor, revocations)
-        identity = home.identity(int(time.time()))
-        self.tenant = Tenant(identity, access, Doors(outside.address or ""), master_uri)
+        identity = home.identity(clock.now())
+        doors = Doors(outside.address or "", callers.loopback.host)
+        named = NamedPublishers(clock.counter())
+        self.tenant = Tenant(identity, access, doors, master_uri, known_type, named)
         self._network = Network(credentials, anchor, access, suites, half_open)
         self._links, guests = Links(revocations), Guests()
         self._watch = Watch(revocations, lambda: self._links, guests)
@@ -135,12 +136,13 @@ class Agent:
         return self._kept.take(remote)
 
     async def dial(self, remote: Endpoint) -> SecureStream[Identity]:
-        """Connect to a peer whose identity holds."""
-        return await self._network.dial(remote)
+        """Connect to a peer whose identity holds, or to a program of the same identity."""
+        own = self.tenant.doors.program_behind(remote) is not None
+        return await self._network.dial(remote, own=own)
 
     def check(self, peer: Identity) -> None:
         """Return if the identity of `peer` holds still."""
-        self.tenant.access.check_peer(peer, int(time.time()))
+        self.tenant.access.check_peer(peer, clock.now())
 
     async def ask_master(self, method: str, params: tuple[object, ...]) -> object:
         """The master's answer."""
@@ -148,7 +150,7 @@ class Agent:
 
     def proof(self, right: Right, name: str) -> bytes:
         """Grants that prove `right` on `name`."""
-        return self.tenant.access.present(right, name, int(time.time()))
+        return self.tenant.access.present(right, name, clock.now())
 
     # --- the master, and the watch
 

@@ -19,7 +19,7 @@ from typing import Final
 
 from ca.errors import HintedError
 from rossec.errors import ConfigurationError
-from rossec.sidecar.addresses import LOOPBACK
+from rossec.sidecar.addresses import LOOPBACK, Loopback
 from rossec.sidecar.descriptors import Limits, restore_limit
 
 OUTSIDE: Final = "ROSSEC_OUTSIDE"
@@ -56,12 +56,18 @@ def outside(environ: Mapping[str, str]) -> dict[str, str]:
 
 
 def inside(
-    environ: Mapping[str, str], settled: Mapping[str, str], master_uri: str
+    environ: Mapping[str, str],
+    settled: Mapping[str, str],
+    master_uri: str,
+    loopback: Loopback = LOOPBACK,
 ) -> dict[str, str]:
     """The environment for the program; a nested `rossec run` finds what was `settled` outside."""
     before = {key: settled[key] for key in _REPLACED if key in settled}
     kept = {key: value for key, value in environ.items() if key not in _REPLACED}
-    return kept | {"ROS_MASTER_URI": master_uri, "ROS_IP": LOOPBACK, OUTSIDE: json.dumps(before)}
+    own = {"ROS_IP": loopback.host}
+    if loopback != LOOPBACK:
+        own = {"ROS_HOSTNAME": loopback.host, "ROS_IPV6": "on"}
+    return kept | own | {"ROS_MASTER_URI": master_uri, OUTSIDE: json.dumps(before)}
 
 
 def adopt_orphans() -> None:

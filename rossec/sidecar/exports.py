@@ -7,30 +7,32 @@ both sides. A peer that is refused is told why its own grants do not suffice, an
 import asyncio
 import contextlib
 import logging
-import time
 from collections.abc import Callable
 from typing import Final
 
 from ca.certificates import Identity
 from ca.errors import HintedError
+from rossec import clock
 from rossec.channel.opening import Flavour
 from rossec.errors import CallRefused, HangUp
-from rossec.net import peeruid
 from rossec.net.rpc import serve_calls
 from rossec.net.server import SecureServer
 from rossec.net.stream import SecureStream
 from rossec.net.tasks import TaskSet
 from rossec.node.guests import Guests
 from rossec.node.questions import MASTER
+from rossec.node.recall import recall
 from rossec.node.topicguard import FilterKey
 from rossec.ros import header
 from rossec.sidecar import headers, pump, slavecalls
-from rossec.sidecar.addresses import LOOPBACK, Endpoint
+from rossec.sidecar.addresses import Endpoint
+from rossec.sidecar.copies import Copies
 from rossec.sidecar.doorways import Doorways
 from rossec.sidecar.headers import Joined
 from rossec.sidecar.layers import Tenant
 from rossec.sidecar.links import Links
 from rossec.sidecar.network import Network
+from rossec.sidecar.places import Places
 from rossec.sidecar.plain import PlainStream
 from rossec.sidecar.pump import split_header
 from rossec.sidecar.visit import House, Visit
@@ -70,7 +72,9 @@ class Exports:
         self._news = news
         self._tasks = TaskSet()
         self._guests = guests
-        self.doorways = Doorways(self._close_door, _is_dead)
+        self._copies = Copies()
+        self._places = Places(recall(tenant.identity.name), self._is_dead)
+        self.doorways = Doorways(self._close_door, self._is_dead)
 
     def open(self, local: Endpoint) -> int:
         """The port outside for `local`."""
@@ -105,6 +109,9 @@ class Exports:
         self._tenant.forget(local)
         self._tasks.spawn(server.close(), f"the door for {local.uri}")
 
+    def _is_dead(self, local: Endpoint) -> bool:
+        return not self._house.callers.listeners(local.port)
+
     # --- XML-RPC
 
     async def _answer(self, local: Endpoint, stream: SecureStream[Identity]) -> None:
@@ -121,7 +128,7 @@ class Exports:
                         shown[:] = [grants]
                     case _:
                         pass
-                now = int(time.time())
+                now = clock.now()
                 proof = shown[0] if shown else None
                 tenant = self._tenant
                 layer = slavecalls.ask_program(tenant, local, peer, method, params, proof, now)
@@ -155,7 +162,7 @@ class Exports:
                     fields, early = await split_header(stream)
                     layer = headers.admit_peer(
                         self._tenant, local, fields, stream.peer, self._filter_key,
-                        int(time.time()),
+                        lambda name: self._places.take(name, local), clock.now(),
                     )  # fmt: skip
                     joined = await visit.run(layer)
             except HangUp:
@@ -187,8 +194,8 @@ class Exports:
             elif early:
                 _log.warning("%s sends data where it subscribes", stream.peer.name)
             else:
-                await pump.publish(program, stream, joined.guard, first)
-
-
-def _is_dead(local: Endpoint) -> bool:
-    return not peeruid.listeners((LOOPBACK, local.port))
+                now, latching = clock.now(), joined.latching
+                with self._copies.shared(joined.guard, now, latching=latching) as (judge, shown):
+                    if shown:
+                        await stream.send(*pump.framed(shown))
+                    await pump.publish(program, stream, judge, first)

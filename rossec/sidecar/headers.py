@@ -1,29 +1,44 @@
 """The TCPROS handshake between a program and a peer, both directions. Pure layers.
 
 The header of the one end is read once, judged, given to the other end, and its answer judged in
-turn; grants are added towards the network and taken out towards the program. What comes back says
-how the bytes that follow must be treated: a guard for outgoing messages that are restricted,
-nothing else.
+turn; grants are added towards the network and taken out towards the program. Where a topic is the
+program is asked only for a peer that may subscribe to it. What comes back says how the bytes that
+follow must be treated: a guard for outgoing messages that are restricted, nothing else.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import TypeAlias
 
 from ca.certificates import Identity
 from grants.decision import Decision
 from grants.guard import Guard
+from grants.memory import Recall
 from grants.model import Right
+from rossec.channel.opening import Flavour
 from rossec.errors import HangUp, TopicRefused
 from rossec.node import services, topics
 from rossec.node.access import FIELD
+from rossec.node.definitions import (
+    as_received,
+    as_sent,
+    described,
+    from_header,
+    size_of,
+    told,
+)
 from rossec.node.fields import Fields, text
-from rossec.node.topicguard import FilterKey, guard_of
-from rossec.sidecar.addresses import Endpoint
-from rossec.sidecar.commands import MeetPeer, MeetProgram, Rest
-from rossec.sidecar.events import Event, HeaderArrived, Silent
+from rossec.node.slave import TCPROS
+from rossec.node.topicguard import FilterKey, guard_for
+from rossec.sidecar.addresses import Endpoint, inside
+from rossec.sidecar.commands import AskLocal, MeetPeer, MeetProgram, Rest
+from rossec.sidecar.events import Answered, Event, HeaderArrived, Silent
 from rossec.sidecar.layers import Layer, Tenant, Unforeseen
+from rossec.sidecar.slavecalls import REQUEST_TOPIC, succeeded
 
 _CALLER = "callerid"
+_LONGEST_NAME = 255
+FindRecall: TypeAlias = Callable[[str], Recall]  # of a program that calls itself so
 
 
 @dataclass(frozen=True)
@@ -35,12 +50,19 @@ class Joined:
         decision: what the peer may do; when it ends, the connection does.
         guard: treats each message before it is passed on; None: bytes pass as they are.
         service: both directions carry data; else only from publisher to subscriber.
+        size: of every message to a program, if they are all alike and that is known.
     """
 
     answer: Mapping[str, bytes]
     decision: Decision
     guard: Guard | None
     service: bool
+    size: int | None = None
+
+    @property
+    def latching(self) -> bool:
+        """Whether the publisher shows its last message to whoever connects."""
+        return self.answer.get("latching") == b"1"
 
 
 def admit_peer(
@@ -49,6 +71,7 @@ def admit_peer(
     fields: Mapping[str, bytes],
     peer: Identity,
     filter_key: FilterKey,
+    recall_of: FindRecall,
     now: int,
 ) -> Layer[Joined]:
     """A peer subscribes to a topic of the program at `local`, or calls its service.
@@ -58,18 +81,51 @@ def admit_peer(
         HangUp: the program does not answer.
     """
     service = _asks_for_service(fields)
+    if service is local.asked:
+        raise TopicRefused(f"this port is not for {'services' if service else 'topics'}")
     if service:
         decision = services.admit_caller(fields, peer, tenant.access, now)
         decision.require_unrestricted()
+        place = local
     else:
         decision = topics.admit_subscriber(fields, peer, tenant.access, now)
-    event = yield MeetProgram(local, without_grants(fields))
+        place = yield from _place_of(tenant, local, fields)
+    event = yield MeetProgram(place, without_grants(fields))
     if isinstance(event, Silent) and event.dead:
         yield Rest(local)
     arrived = _arrived(event)
     answer = _own_answer(tenant, fields, arrived.fields)
-    guard = None if service else guard_of(answer, decision, filter_key)
+    guard = None
+    if decision.restrictions:
+        kind = as_sent(from_header(answer), decision, tenant.known)
+        guard = guard_for(kind, decision, filter_key, recall_of(_program(arrived.fields)))
     return Joined({**answer, **_proof(tenant, fields, arrived.now)}, decision, guard, service)
+
+
+def _place_of(tenant: Tenant, local: Endpoint, fields: Mapping[str, bytes]) -> Layer[Endpoint]:
+    """Where the program has the topic, as its slave API says it.
+
+    Raises:
+        TopicRefused: it does not publish it.
+        HangUp: it does not answer.
+    """
+    topic = topics.requested_topic(fields)
+    asked = (text(fields, _CALLER), topic, [[TCPROS]])
+    event = yield AskLocal(inside(Flavour.HTTP, local.port), REQUEST_TOPIC, asked)
+    match event:
+        case Answered(value=[code, _, [str(protocol), str(), int() as port]]) if (
+            succeeded(code) and protocol == TCPROS and 0 < port < 1 << 16
+        ):
+            return inside(Flavour.TCPROS, port)
+        case Answered():
+            raise TopicRefused(f"{tenant.identity.name} does not publish {topic}")
+        case Silent(dead=True, reason=reason):
+            yield Rest(local)
+            raise HangUp(reason)
+        case Silent(reason=reason):
+            raise HangUp(reason)
+        case _:
+            raise Unforeseen(type(event).__name__)
 
 
 def _asks_for_service(fields: Mapping[str, bytes]) -> bool:
@@ -96,6 +152,11 @@ def _own_answer(
     return completed
 
 
+def _program(fields: Mapping[str, bytes]) -> str:
+    """What a program calls itself."""
+    return text(fields, _CALLER)[:_LONGEST_NAME] if _CALLER in fields else ""
+
+
 def _caller(tenant: Tenant, fields: Mapping[str, bytes]) -> bytes:
     given = text(fields, _CALLER) if _CALLER in fields else ""
     return tenant.name_for(given).encode()
@@ -112,6 +173,7 @@ def reach_peer(
     remote: Endpoint,
     fields: Mapping[str, bytes],
     filter_key: FilterKey,
+    recall_of: FindRecall,
     now: int,
 ) -> Layer[Joined]:
     """A program subscribes to a topic of the peer at `remote`, or calls its service.
@@ -122,7 +184,7 @@ def reach_peer(
     """
     service = _asks_for_service(fields)
     asked = {**without_grants(fields), _CALLER: _caller(tenant, fields)}
-    guard = None
+    guard = size = None
     if service:
         name = services.requested_service(fields)
         asked |= services.caller_proof(name, tenant.access, now)
@@ -130,17 +192,22 @@ def reach_peer(
         arrived, peer = _from_peer(event)
         decision = services.admit_provider(arrived.fields, peer, name, tenant.access, arrived.now)
         decision.require_unrestricted()
+        answer = without_grants(arrived.fields)
     else:
-        expected = topics.Expected(
-            topics.requested_topic(fields), text(fields, "type"), text(fields, "md5sum")
-        )
+        own = from_header(fields)
+        expected = topics.Expected(topics.requested_topic(fields), own.name, own.md5sum)
         asked[FIELD] = tenant.access.present(Right.SUBSCRIBE, expected.topic, now)
         arrived, peer = _from_peer((yield MeetPeer(remote, asked)))
         decision = topics.admit_publisher(
             arrived.fields, peer, expected, tenant.access, arrived.now
         )
-        guard = guard_of(arrived.fields, decision, filter_key)
-    return Joined(without_grants(arrived.fields), decision, guard, service)
+        said = from_header(arrived.fields)
+        kind = as_received(own, said, decision, tenant.known)
+        if decision.restrictions:
+            guard = guard_for(kind, decision, filter_key, recall_of(_program(fields)))
+        answer = without_grants(arrived.fields) | told(kind, decision)
+        size = size_of(described(kind, said))
+    return Joined(answer, decision, guard, service, size)
 
 
 def _from_peer(event: Event) -> tuple[HeaderArrived, Identity]:

@@ -12,14 +12,19 @@ from typing import Final
 
 from ca.certificates import Identity
 from ca.errors import HintedError
+from rossec import clock
 from rossec.channel.opening import Flavour
+from rossec.channel.records import Limits
 from rossec.errors import HangUp, RossecError
+from rossec.net.bounds import message_limit, unit_limit
 from rossec.net.rpc import serve_calls
 from rossec.net.stream import SecureStream
 from rossec.net.tasks import TaskSet
 from rossec.node.fields import text
+from rossec.node.recall import recall
 from rossec.node.topicguard import FilterKey
 from rossec.ros import header
+from rossec.ros.header import MESSAGE_LIMIT
 from rossec.sidecar import headers, pump, slavecalls
 from rossec.sidecar.addresses import Endpoint
 from rossec.sidecar.doorways import Doorways
@@ -27,6 +32,7 @@ from rossec.sidecar.headers import Joined
 from rossec.sidecar.layers import Tenant
 from rossec.sidecar.links import Links
 from rossec.sidecar.loopback import LoopbackPort
+from rossec.sidecar.places import Places
 from rossec.sidecar.plain import PlainStream
 from rossec.sidecar.pump import split_header
 from rossec.sidecar.visit import House, Visit
@@ -59,6 +65,7 @@ class Imports:
         self._filter_key = filter_key
         self._ended = ended
         self._tasks = TaskSet()
+        self._places: Places[Visit] = Places(recall(tenant.identity.name))
         self.doorways = Doorways(self._close_door)
 
     def open(self, remote: Endpoint) -> int:
@@ -112,8 +119,9 @@ class Imports:
                 async with asyncio.timeout(HEADER_DEADLINE):
                     fields, early = await split_header(program)
                     layer = headers.reach_peer(
-                        self._tenant, remote, fields, self._filter_key, int(time.time())
-                    )
+                        self._tenant, remote, fields, self._filter_key,
+                        lambda name: self._places.take(name, visit), clock.now(),
+                    )  # fmt: skip
                     joined = await visit.run(layer)
             except HangUp as error:
                 _log.info("no connection to %s: %s", remote.uri, error)
@@ -131,6 +139,7 @@ class Imports:
         except (RossecError, TimeoutError) as error:
             _log.info("a connection to %s ended: %s", remote.uri, error)
         finally:
+            self._places.leave(visit)
             await visit.close()
 
     async def _pass(
@@ -146,4 +155,6 @@ class Imports:
             if joined.service:
                 await pump.exchange(program, stream, early, first)
             else:
-                await pump.subscribe(program, stream, joined.guard, first)
+                stream.welcome(unit_limit(joined.size, Limits.unit))
+                longest = message_limit(joined.size, MESSAGE_LIMIT)
+                await pump.subscribe(program, stream, joined.guard, first, longest)

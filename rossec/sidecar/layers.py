@@ -12,6 +12,8 @@ from ca.certificates import Identity
 from rossec.channel.opening import Flavour
 from rossec.errors import RossecError
 from rossec.node.access import Access
+from rossec.node.definitions import Known
+from rossec.node.named import NamedPublishers
 from rossec.sidecar.addresses import Doors, Endpoint, endpoint, inside
 from rossec.sidecar.commands import Command, Export, Import
 from rossec.sidecar.events import Event, Opened
@@ -41,6 +43,8 @@ class Tenant:
         access: what it can prove, and what it lets others do.
         doors: which address stands for which.
         master_uri: the loopback master, as programs know it.
+        known: what this host knows of a message type.
+        named: the publishers of each topic that its programs follow.
         programs: the slave APIs of its programs.
     """
 
@@ -48,6 +52,8 @@ class Tenant:
     access: Access
     doors: Doors
     master_uri: str
+    known: Known
+    named: NamedPublishers
     programs: dict[Endpoint, Program] = field(default_factory=dict)
 
     def name_for(self, caller: str) -> str:
@@ -74,6 +80,11 @@ class Tenant:
             return self.doors.spelling(local)
         port = opened((yield Import(remote, probe=probe)))
         return self.doors.opened_inside(remote, port).uri
+
+    def publishers_are(self, topic: object, uris: object) -> list[str]:
+        """The publishers to follow of those the master names, and of those it may yet name."""
+        named = [uri for uri in uris if isinstance(uri, str)] if isinstance(uris, list) else []
+        return self.named.are(topic, named) if isinstance(topic, str) else named
 
     def bring_all(self, uris: object, own: Endpoint | None) -> Layer[list[str]]:
         """`bring` for a list of slave API URIs; what is no URI is left out."""

@@ -7,13 +7,13 @@ other.
 
 import contextlib
 import logging
-import time
 from collections.abc import Iterator
 
 from ca.certificates import Identity
 from ca.errors import HintedError
 from ca.revocation import Revocations
 from grants.decision import Decision
+from rossec import clock
 from rossec.errors import HangUp
 from rossec.net.stream import SecureStream
 from rossec.node.links import why_cut
@@ -50,7 +50,7 @@ class Links:
         link = Link(stream, decision)
         self._links.add(link)
         try:
-            reason = why_cut(link, self._revocations, int(time.time()))
+            reason = why_cut(link, self._revocations, clock.now())
             if reason is not None:
                 raise HangUp(reason)
             with _ended(stream):

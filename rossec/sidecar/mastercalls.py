@@ -11,7 +11,8 @@ from typing import Final
 
 from rossec.channel.opening import Flavour
 from rossec.errors import HangUp
-from rossec.ros import names
+from rossec.node.asking import RELATIVE, SEARCH, as_meant, nowhere, places, searched, settled
+from rossec.node.slave import without_caller
 from rossec.ros.text import printable
 from rossec.ros.xmlrpc import Fault
 from rossec.sidecar.addresses import Endpoint, endpoint, inside
@@ -41,15 +42,15 @@ class Rule:
     Attributes:
         api: the caller's slave API URI.
         service: a service URI of the caller.
-        key: a name that is relative to the caller.
         undoes: the registration it takes back.
+        default: the value of a refusal, stock's.
     """
 
     api: int | None = None
     service: int | None = None
-    key: int | None = None
     result: Result = Result.PLAIN
     undoes: str | None = None
+    default: object = 0
 
     @property
     def place(self) -> int:
@@ -64,28 +65,28 @@ class Rule:
 
 _SUBSCRIBE: Final = "registerSubscriber"
 RULES: Final = {
-    "registerPublisher": Rule(api=3, key=1, result=Result.NODES),
-    _SUBSCRIBE: Rule(api=3, key=1, result=Result.NODES),
-    "registerService": Rule(api=3, service=2, key=1),
-    "subscribeParam": Rule(api=1, key=2),
-    "unregisterPublisher": Rule(api=2, key=1, undoes="registerPublisher"),
-    "unregisterSubscriber": Rule(api=2, key=1, undoes=_SUBSCRIBE),
-    "unregisterService": Rule(service=2, key=1, undoes="registerService"),
-    "unsubscribeParam": Rule(api=1, key=2, undoes="subscribeParam"),
-    "lookupNode": Rule(key=1, result=Result.NODE),
-    "lookupService": Rule(key=1, result=Result.SERVICE),
-    "getUri": Rule(result=Result.MASTER),
-    "getPid": Rule(),
+    "registerPublisher": Rule(api=3, result=Result.NODES, default=[]),
+    _SUBSCRIBE: Rule(api=3, result=Result.NODES, default=[]),
+    "registerService": Rule(api=3, service=2),
+    "subscribeParam": Rule(api=1),
+    "unregisterPublisher": Rule(api=2, undoes="registerPublisher"),
+    "unregisterSubscriber": Rule(api=2, undoes=_SUBSCRIBE),
+    "unregisterService": Rule(service=2, undoes="registerService"),
+    "unsubscribeParam": Rule(api=1, undoes="subscribeParam"),
+    "lookupNode": Rule(result=Result.NODE, default=""),
+    "lookupService": Rule(result=Result.SERVICE, default=""),
+    "getUri": Rule(result=Result.MASTER, default=""),
+    "getPid": Rule(default=-1),
     "shutdown": Rule(),
-    "getSystemState": Rule(),
-    "getTopicTypes": Rule(),
+    "getSystemState": Rule(default=[[], [], []]),
+    "getTopicTypes": Rule(default=[]),
     "getPublishedTopics": Rule(),
-    "getParam": Rule(key=1),
-    "setParam": Rule(key=1),
-    "deleteParam": Rule(key=1),
-    "hasParam": Rule(key=1),
-    "searchParam": Rule(),
-    "getParamNames": Rule(),
+    "getParam": Rule(),
+    "setParam": Rule(),
+    "deleteParam": Rule(),
+    "hasParam": Rule(default=False),
+    SEARCH: Rule(),
+    "getParamNames": Rule(default=[]),
 }
 
 
@@ -98,27 +99,58 @@ def call(tenant: Tenant, method: str, params: tuple[object, ...]) -> Layer[objec
     """
     if method == MULTICALL:
         return (yield from _multicall(tenant, params))
+    rule = rule_of(method)
+    refused = without_caller(params, rule.default)
+    if refused is not None:
+        return refused
+    caller = str(params[0])
+    if rule.registers and not tenant.covers(caller):
+        return [-1, _not_covered(tenant, caller), 0]
+    outside = yield from _outward(tenant, method, rule, caller, params)
+    if outside is None:
+        return [-1, "rossec: this address is not the program's own", 0]
+    key = None if outside[0] == caller else searched(method, params)
+    if key is None:
+        answer = yield from _ask(method, outside)
+    else:
+        answer = yield from _search(caller, outside[0], key)
+    if answer[0] == 1:
+        _remember(tenant, method, rule, params, outside)
+        if method == _SUBSCRIBE:
+            answer[2] = tenant.publishers_are(outside[RELATIVE[method]], answer[2])
+        return (yield from _inward(tenant, rule, _own(rule, params), answer))
+    return answer
+
+
+def rule_of(method: str) -> Rule:
+    """The rule of a method.
+
+    Raises:
+        Fault: no such method.
+    """
     rule = RULES.get(method)
     if rule is None:
         raise Fault(1, f"<class 'Exception'>:method \"{printable(method, 80)}\" is not supported")
-    caller = params[0] if params else None
-    if not isinstance(caller, str):
-        return [-1, "caller_id must be a string", 0]
-    if rule.registers and not tenant.covers(caller):
-        return [-1, _not_covered(tenant, caller), 0]
-    outside = yield from _outward(tenant, rule, caller, params)
-    if outside is None:
-        return [-1, "rossec: this address is not the program's own", 0]
-    event = yield AskMaster(method, outside)
+    return rule
+
+
+def _ask(method: str, params: tuple[object, ...]) -> Layer[list[object]]:
+    event = yield AskMaster(method, params)
     if not isinstance(event, Answered):
         raise HangUp(event.reason) if isinstance(event, Silent) else Unforeseen(method)
     answer = event.value
     if not isinstance(answer, list) or len(answer) != 3:
         raise HangUp("the master's answer is not [code, status, value]")
-    if answer[0] == 1:
-        _remember(tenant, method, rule, params, outside)
-        return (yield from _inward(tenant, rule, _own(rule, params), answer))
     return answer
+
+
+def _search(asker: str, name: object, key: str) -> Layer[list[object]]:
+    """Search from the namespace of `asker`; the master would, from that of `name`."""
+    for place, found in places(asker, key):
+        answer = settled((yield from _ask(SEARCH, (name, place))), found)
+        if answer is not None:
+            return answer
+    return nowhere(key)
 
 
 def _multicall(tenant: Tenant, params: tuple[object, ...]) -> Layer[object]:
@@ -143,15 +175,14 @@ def _element(tenant: Tenant, element: object) -> Layer[object]:
 
 
 def _outward(
-    tenant: Tenant, rule: Rule, caller: str, params: tuple[object, ...]
+    tenant: Tenant, method: str, rule: Rule, caller: str, params: tuple[object, ...]
 ) -> Layer[tuple[object, ...] | None]:
     """The parameters for the secured master; None: an address that is not the program's."""
-    changed = list(params)
+    name = caller
     if rule.undoes is None:  # `rosnode cleanup` speaks for dead nodes; the master judges that
-        changed[0] = tenant.name_for(caller)
-    if rule.key is not None and rule.key < len(params) and changed[0] != caller:
-        key = params[rule.key]
-        changed[rule.key] = names.resolve(key, caller) if isinstance(key, str) else key
+        name = tenant.name_for(caller)
+    changed = list(params if name == caller else as_meant(method, params, caller))
+    changed[0] = name
     for index, flavour in ((rule.api, Flavour.HTTP), (rule.service, Flavour.TCPROS)):
         if index is None or index >= len(params):
             continue
@@ -193,7 +224,7 @@ def _own(rule: Rule, params: tuple[object, ...]) -> Endpoint | None:
 def _remember(
     tenant: Tenant, method: str, rule: Rule, params: tuple[object, ...], outside: tuple[object, ...]
 ) -> None:
-    key = str(outside[rule.key]) if rule.key is not None else ""
+    key = str(outside[RELATIVE[method]]) if method in RELATIVE else ""
     own = _own(rule, params)
     if rule.registers and own is not None:
         program = tenant.programs.setdefault(own, Program(str(params[0])))
@@ -273,12 +304,21 @@ def _again(
     event = yield AskMaster(method, params)
     match event:
         case Answered(value=[1, _, value]) if method == _SUBSCRIBE:
-            uris = yield from tenant.bring_all(value, own)
+            uris = yield from tenant.bring_all(tenant.publishers_are(key, value), own)
             yield from tell(tenant, own, "publisherUpdate", (MASTER, key, uris))
         case Silent(reason=reason):
             raise HangUp(reason)
         case _:
             pass
+
+
+def let_go(tenant: Tenant) -> Layer[None]:
+    """Name to programs who is left of publishers that the master did not name again in time."""
+    for topic in tenant.named.overdue():
+        for own, program in tuple(tenant.programs.items()):
+            if (_SUBSCRIBE, topic) in program.registrations:
+                uris = yield from tenant.bring_all(tenant.named.to_follow(topic), own)
+                yield from tell(tenant, own, "publisherUpdate", (MASTER, topic, uris))
 
 
 def tell(tenant: Tenant, own: Endpoint, method: str, params: tuple[object, ...]) -> Layer[None]:

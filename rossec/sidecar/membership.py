@@ -13,8 +13,9 @@ from typing import Final
 
 from ca.certificates import Identity
 from ca.errors import HintedError
-from ca.revocation import Revocations, digest
+from ca.revocation import Revocations
 from grants.model import Right
+from rossec import clock
 from rossec.channel.credentials import LiveCredentials
 from rossec.errors import AnswerRefused, HangUp
 from rossec.home import NodeHome
@@ -27,7 +28,7 @@ from rossec.node.session import MasterSession
 from rossec.node.shelf import Shelf
 from rossec.ros.xmlrpc import Fault
 from rossec.sidecar import mastercalls
-from rossec.sidecar.layers import Tenant
+from rossec.sidecar.layers import Layer, Tenant
 from rossec.sidecar.lost import Lost
 from rossec.sidecar.visit import House, Visit
 
@@ -69,11 +70,11 @@ class Membership:
             dial,
             self.revocations_arrived,
             self._restore,
-            lambda: digest(revocations.data),
+            lambda: revocations.data,
             lambda call: prove(call, revocations),
         )
         self._renewals = Renewals(tenant.access)
-        self._identity_renewal = IdentityRenewal(home, credentials, int(time.time()))
+        self._identity_renewal = IdentityRenewal(home, credentials, clock.now())
         self._lost = Lost()
         self._tasks = TaskSet()
 
@@ -111,7 +112,7 @@ class Membership:
 
     def revocations_arrived(self, data: bytes, timestamp: bytes, master: Identity) -> None:
         """Take over a newer list and a fresh timestamp, then cut what they end."""
-        now = int(time.time())
+        now = clock.now()
         try:
             access, save = self._tenant.access, self._home.save_revocations
             access.take_news(data, timestamp, master, now, save)
@@ -125,18 +126,15 @@ class Membership:
             _log.warning("%s: no grant for subscribe on %s any more", self._home.name, topic)
 
     def _may_subscribe(self, topic: str) -> bool:
-        return self._tenant.access.holds(Right.SUBSCRIBE, topic, int(time.time()))
+        return self._tenant.access.holds(Right.SUBSCRIBE, topic, clock.now())
 
     async def _restore(self, session: MasterSession) -> None:
+        self._tenant.named.session_opened()
         with contextlib.suppress(AnswerRefused):  # what is not renewed now is asked for later
-            await renew(session.call, self._renewals, int(time.time()))
-        current = self._tenant.access.current(int(time.time()))
+            await renew(session.call, self._renewals, clock.now())
+        current = self._tenant.access.current(clock.now())
         await session.call("rossec.presentGrants", current[:_PRESENTED])
-        visit = Visit(self._house)
-        try:
-            await visit.run(mastercalls.restore(self._tenant))
-        finally:
-            await visit.close()
+        await self._visit(mastercalls.restore(self._tenant))
 
     async def _collect_grants(self) -> None:
         while True:
@@ -145,19 +143,27 @@ class Membership:
             with contextlib.suppress(HintedError, OSError):  # else with the next connection
                 if new:
                     await self._session.call("rossec.presentGrants", new)
-                await renew(self._session.call, self._renewals, int(time.time()))
-                await renew_identity(self._session.call, self._identity_renewal, int(time.time()))
+                await renew(self._session.call, self._renewals, clock.now())
+                await renew_identity(self._session.call, self._identity_renewal, clock.now())
                 if await prove(self._session.call, self._revocations):
-                    self._cut(int(time.time()))
+                    self._cut(clock.now())
 
     async def _return_to_topics(self) -> None:
         while True:
             await asyncio.sleep(_COLLECT)
+            await self._try("publishers that are gone", mastercalls.let_go(self._tenant))
             for topic in self._lost.take_due(time.monotonic(), self._may_subscribe):
-                visit = Visit(self._house)
-                try:
-                    await visit.run(mastercalls.resubscribe(self._tenant, topic))
-                except (HintedError, OSError, Fault) as error:
-                    _log.info("%s: cannot subscribe %s again: %s", self._home.name, topic, error)
-                finally:
-                    await visit.close()
+                await self._try(topic, mastercalls.resubscribe(self._tenant, topic))
+
+    async def _try(self, about: str, layer: Layer[None]) -> None:
+        try:
+            await self._visit(layer)
+        except (HintedError, OSError, Fault) as error:
+            _log.info("%s: cannot subscribe again: %s: %s", self._home.name, about, error)
+
+    async def _visit(self, layer: Layer[None]) -> None:
+        visit = Visit(self._house)
+        try:
+            await visit.run(layer)
+        finally:
+            await visit.close()

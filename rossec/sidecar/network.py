@@ -3,14 +3,15 @@
 A shell. Whoever answers is checked before anything is said.
 """
 
-import time
 from typing import Final
 
 from ca.certificates import Identity, TrustAnchor
 from ca.errors import HintedError, RevocationsStale
+from rossec import clock
 from rossec.channel.credentials import OwnCredential
 from rossec.channel.known import KnownCertificates
 from rossec.channel.opening import Flavour
+from rossec.channel.owndials import OwnDials
 from rossec.channel.records import Limits
 from rossec.errors import HangUp
 from rossec.net.bounds import ACCEPTED, DIALLED, GREETING
@@ -52,30 +53,36 @@ class Network:
         self._access = access
         self._suites = suites
         self._known = KnownCertificates()
+        self._own_dials = OwnDials()
 
-    async def dial(self, remote: Endpoint, *, news: bool = False) -> SecureStream[Identity]:
+    async def dial(
+        self, remote: Endpoint, *, news: bool = False, own: bool = False
+    ) -> SecureStream[Identity]:
         """Connect to a peer whose identity holds.
 
         Args:
+            own: it is a program of this same identity: nobody else will do.
             news: it brings what is revoked, so that it may be met before anybody knows.
 
         Raises:
             HangUp: it does not hold, or nobody knows.
         """
-        stream = await self._connect(remote)
+        stream = await self._connect(remote, self._own_dials if own else None)
         try:
-            self._access.check_peer(stream.peer, int(time.time()))
+            self._access.check_peer(stream.peer, clock.now())
         except HintedError as error:
             if not (news and isinstance(error, RevocationsStale)):
                 stream.abort("the peer's identity does not hold")
                 raise HangUp(str(error), error.hint) from error
         return stream
 
-    async def _connect(self, remote: Endpoint) -> SecureStream[Identity]:
+    async def _connect(
+        self, remote: Endpoint, own_dials: OwnDials | None
+    ) -> SecureStream[Identity]:
         return await connect(
             remote.host, remote.port, self._credentials, self._anchor.verify,
             opening=remote.flavour, limits=DIALLED[remote.flavour],
-            suites=self._suites, known=self._known,
+            suites=self._suites, known=self._known, own_dials=own_dials,
         )  # fmt: skip
 
     def listen(
@@ -90,6 +97,6 @@ class Network:
             lambda port: serve(
                 handler, bind, port, self._credentials, self._anchor.verify,
                 accept={flavour}, limits=_ACCEPTED[flavour], half_open=self._half_open,
-                suites=self._suites, known=self._known,
+                suites=self._suites, known=self._known, own_dials=self._own_dials,
             )
         )  # fmt: skip

@@ -1,25 +1,29 @@
 """Bytes between a program and a peer, once both have introduced themselves.
 
 A shell. What is not restricted passes as it comes, without a look at it; what is goes through the
-guard, message by message. Whoever lags slows the other end down. When one end goes the other goes,
-after it got what was sent; when anything is wrong, a guard that fails included, both go at once.
+guard, message by message. Whoever lags slows the other end down, or misses messages where the guard
+remembers some. When one end goes the other goes, after it got what was sent; when anything is
+wrong, a guard that fails included, both go at once.
 """
 
 import asyncio
 import logging
 import struct
-import time
 from collections.abc import Coroutine
 from typing import Final
 
 from ca.certificates import Identity
 from grants.errors import GrantError
-from grants.guard import Guard
+from rossec import clock
 from rossec.errors import ChannelClosed, HeaderRefused, TopicRefused
+from rossec.net import withheld
+from rossec.net.arrivals import arrived
 from rossec.net.stream import SecureStream
 from rossec.node.fields import Fields
 from rossec.ros import header
-from rossec.ros.header import FrameReader
+from rossec.ros.framing import Framing
+from rossec.ros.header import MESSAGE_LIMIT, FrameReader
+from rossec.sidecar.copies import Judge, Outlet
 from rossec.sidecar.plain import PlainStream
 
 _LENGTH: Final = struct.Struct("<I")
@@ -56,17 +60,22 @@ async def exchange(
 
 
 async def publish(
-    program: PlainStream, peer: SecureStream[Identity], guard: Guard | None, first: bytes
+    program: PlainStream, peer: SecureStream[Identity], guard: Judge | None, first: bytes
 ) -> None:
     """Pass a program's messages to a peer that subscribes; `first` came with its header."""
     await _both(program, peer, outgoing(program, peer, guard, first), _nothing_more(peer))
 
 
 async def subscribe(
-    program: PlainStream, peer: SecureStream[Identity], guard: Guard | None, first: bytes
+    program: PlainStream,
+    peer: SecureStream[Identity],
+    guard: Judge | None,
+    first: bytes,
+    longest: int = MESSAGE_LIMIT,
 ) -> None:
-    """Pass a peer's messages to a program that subscribes."""
-    await _both(program, peer, incoming(peer, program, guard, first), _nothing_more(program))
+    """Pass a peer's messages to a program that subscribes; a guard takes none above `longest`."""
+    way = incoming(peer, program, guard, first, longest)
+    await _both(program, peer, way, _nothing_more(program))
 
 
 async def to_peer(program: PlainStream, peer: SecureStream[Identity], first: bytes) -> None:
@@ -84,56 +93,91 @@ async def to_program(peer: SecureStream[Identity], program: PlainStream, first: 
 
 
 def outgoing(
-    program: PlainStream, peer: SecureStream[Identity], guard: Guard | None, first: bytes
+    program: PlainStream, peer: SecureStream[Identity], guard: Judge | None, first: bytes
 ) -> Coroutine[None, None, None]:
     """The way of messages out: through the guard if there is one."""
     if guard is None:
         return to_peer(program, peer, first)
+    if isinstance(guard, Outlet):
+        return promptly(program, peer, guard, first)
     return guarded(program, peer, guard, first)
 
 
 def incoming(
-    peer: SecureStream[Identity], program: PlainStream, guard: Guard | None, first: bytes
+    peer: SecureStream[Identity],
+    program: PlainStream,
+    guard: Judge | None,
+    first: bytes,
+    longest: int = MESSAGE_LIMIT,
 ) -> Coroutine[None, None, None]:
     """The way of messages in: through the guard if the publisher is restricted."""
     if guard is None:
         return to_program(peer, program, first)
-    return guarded(peer, program, guard, first)
+    return guarded(peer, program, guard, first, longest)
 
 
 async def guarded(
     source: PlainStream | SecureStream[Identity],
     sink: PlainStream | SecureStream[Identity],
-    guard: Guard,
-    data: bytes,
+    guard: Judge,
+    first: bytes,
+    longest: int = MESSAGE_LIMIT,
 ) -> None:
     """Each message as the guard leaves it; one that cannot be judged is withheld.
 
     Raises:
         GrantExpired, ChannelClosed: the right, or one of the ends, has ended.
         FrameRefused: the messages cannot be told apart.
+        LimitExceeded: one that was begun does not get on.
     """
-    reader = FrameReader()
+    framing = Framing(FrameReader(longest))
+    (peer,) = (end.peer.name for end in (source, sink) if not isinstance(end, PlainStream))
+    messages = framing.feed(first, clock.now())
     while True:
-        now = int(time.time())
+        now = clock.now()
         guard.check(now)
-        pieces: list[Buffer] = []
-        for message in reader.feed(data):
-            pieces += _treated(guard, message, now)
+        pieces = _judged(guard, messages, peer, now)
         if pieces:
             await sink.send(*pieces)
-        data = await source.receive()
+        messages = await arrived(source, framing)
 
 
-def _treated(guard: Guard, message: bytes, now: int) -> list[Buffer]:
+async def promptly(
+    program: PlainStream, peer: SecureStream[Identity], outlet: Outlet, first: bytes
+) -> None:
+    """As `guarded`; a message is judged when the program sends it, and a peer that lags misses it.
+
+    Connections of a key share what is remembered. On one that waits for its reader old messages
+    would be judged after new ones, and set a field with hysteresis anew whenever the reader likes.
+    """
+    framing = Framing(FrameReader())
+    messages = framing.feed(first, clock.now())
+    while True:
+        now = clock.now()
+        outlet.check(now)
+        pieces = [] if peer.lags else _judged(outlet, messages, peer.peer.name, now)
+        if pieces:
+            peer.push(b"".join(pieces))
+        messages = await arrived(program, framing)
+
+
+def _judged(guard: Judge, messages: list[bytes], peer: str, now: int) -> list[Buffer]:
+    """What the guard leaves of the messages, as it is sent."""
+    return [piece for message in messages for piece in _treated(guard, message, peer, now)]
+
+
+def _treated(guard: Judge, message: bytes, peer: str, now: int) -> list[Buffer]:
     try:
         treated = guard.treat(message, now)
     except GrantError as error:
-        _log.warning("withheld a message: %s", error)
+        withheld.warn(_log, "%(peer)s: withheld a message: %(cause)s", "", peer, error)
         return []
-    if treated is None:
-        return []
-    return [_LENGTH.pack(sum(map(len, treated))), *treated]
+    return framed(treated or [])
+
+
+def framed(pieces: list[Buffer]) -> list[Buffer]:
+    """A message as it is sent, if there is one."""
+    return [_LENGTH.pack(sum(map(len, pieces))), *pieces] if pieces else []
 
 
 async def _nothing_more(end: PlainStream | SecureStream[Identity]) -> None:

@@ -11,7 +11,7 @@ import re
 from pathlib import Path
 from typing import Final
 
-from ca.errors import HintedError
+from ca.errors import HintedError, NameRefused
 from ca.names import check_name
 from rossec.channel.opening import Flavour
 from rossec.channel.suites import PRODUCTION
@@ -19,15 +19,17 @@ from rossec.errors import ConfigurationError, HangUp
 from rossec.home import NodeHome
 from rossec.net.halfopen import HalfOpen, HalfOpenCount
 from rossec.net.rpc import serve_calls
+from rossec.node.slave import without_caller
 from rossec.ros.settings import Settings, is_loopback
 from rossec.ros.xmlrpc import Fault
-from rossec.sidecar.addresses import LOOPBACK, inside
+from rossec.sidecar.addresses import Endpoint
 from rossec.sidecar.agent import Agent
 from rossec.sidecar.callers import Callers
 from rossec.sidecar.loopback import LoopbackPort
-from rossec.sidecar.mastercalls import MULTICALL
+from rossec.sidecar.mastercalls import MULTICALL, rule_of
 from rossec.sidecar.plain import PlainStream
 
+_TAKEN: Final = "is roscore or another sidecar running? choose another port with --port"
 _log = logging.getLogger("rossec.sidecar")
 _LIMIT: Final = 256  # identities in use
 _ANONYMOUS: Final = re.compile(r"([_-][0-9]+)+$")  # what rospy, roscpp and the tools append
@@ -69,15 +71,15 @@ class Sidecar:
     @property
     def uri(self) -> str:
         """What programs must be told in ROS_MASTER_URI."""
-        return inside(Flavour.HTTP, self._master.port).uri
+        return Endpoint(Flavour.HTTP, self._callers.loopback.host, self._master.port).uri
 
     def _at(self, port: int) -> LoopbackPort:
         try:
             master = LoopbackPort(self._callers, self._serve, port)
         except OSError as error:
+            address = self._callers.loopback.address
             raise ConfigurationError(
-                f"cannot listen at {LOOPBACK} port {port}: {error.strerror}",
-                "is roscore or another sidecar running? choose another port with --port",
+                f"cannot listen at {address} port {port}: {error.strerror}", _TAKEN
             ) from error
         if is_loopback(self._outside.master_host) and self._outside.master_port == master.port:
             raise ConfigurationError(
@@ -101,6 +103,9 @@ class Sidecar:
     async def _call(self, method: str, params: tuple[object, ...], _: str) -> object:
         if method == MULTICALL and params == ([],):  # nobody's: roslaunch without parameters
             return []
+        refused = _unnamed(method, params)
+        if refused is not None:
+            return refused
         try:
             agent = self._agent_for(_caller(method, params))
             return await agent.call_master(method, params)
@@ -116,8 +121,13 @@ class Sidecar:
     def _agent_for(self, name: str) -> Agent:
         if self._default is not None and not self._each:
             return self._default
-        # rosparam calls itself /rosparam-1234, which is no ROS name; meant is an anonymous one.
-        home = NodeHome.find(self._home, check_name(name.replace("-", "_")))
+        try:
+            # rosparam calls itself /rosparam-1234, which is no ROS name; meant is an anonymous one.
+            home = NodeHome.find(self._home, check_name(name.replace("-", "_")))
+        except NameRefused:
+            if self._default is not None:
+                return self._default
+            raise
         if home.name in self._agents:
             return self._agents[home.name]
         if not (home.path / "node.key").exists():
@@ -142,14 +152,19 @@ def _remedy(name: str) -> str:
     return f"enroll it: rossec node request {base}{anonymous}, or use --as"
 
 
+def _unnamed(method: str, params: tuple[object, ...]) -> object | None:
+    """The answer to a call that does not say who makes it: it needs no identity to be refused."""
+    return None if method == MULTICALL else without_caller(params, rule_of(method).default)
+
+
 def _caller(method: str, params: tuple[object, ...]) -> str:
-    """The name a call is made under; of a multicall, that of its first element."""
-    if method == MULTICALL:
-        match params:
-            case ([{"params": [str() as name, *_]}, *_],):
+    """The name a call is made under; of a multicall, the first that one of its elements gives."""
+    if method != MULTICALL:
+        return str(params[0])
+    for element in params[0] if params and isinstance(params[0], list) else ():
+        match element:
+            case {"params": [str() as name, *_]}:
                 return name
             case _:
                 pass
-    elif params and isinstance(params[0], str):
-        return params[0]
     raise Fault(1, "missing required caller_id parameter")

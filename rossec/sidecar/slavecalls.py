@@ -1,29 +1,32 @@
 """Calls between nodes: a peer's to a program's slave API, and a program's to a peer's. Pure layers.
 
 Both directions are default deny and drop UDPROS, which would leave the channel (attack N10). A
-peer is judged before the program hears of it. Answers are parsed and written anew, and hold a value
-only if the code is 1: rospy takes any positive one for success, and stock parsers read what ours
-refuses, so that an address the sidecar did not see would be dialled in clear. The one answer that
-travels as it is, is that of `getBusStats`, where roscpp's is malformed; it holds no address.
+peer is judged before the program hears of it. `requestTopic` is answered here, with the same door
+for every topic: the program is asked when somebody with the right comes to it (N5, `headers`).
+Answers are parsed and written anew, and hold a value only if the code is 1: rospy takes any
+positive one for success, and stock parsers read what ours refuses, so that an address the sidecar
+did not see would be dialled in clear. The one answer that travels as it is, is that of
+`getBusStats`, where roscpp's is malformed; it holds no address.
 """
 
 from typing import Final
 
 from ca.certificates import Identity
 from rossec.channel.opening import Flavour
-from rossec.errors import CallRefused, HangUp
+from rossec.errors import HangUp
 from rossec.node.questions import OPEN, PRESENT, QUESTIONS, STEERING, check_question
+from rossec.node.slave import NO_TRANSPORT, RULES, TCPROS, offers_tcpros, without_caller
 from rossec.ros.text import printable
 from rossec.ros.xmlrpc import Encoded, Fault
-from rossec.sidecar.addresses import Endpoint, endpoint, inside
+from rossec.sidecar.addresses import Endpoint, endpoint, topics_of
 from rossec.sidecar.commands import AskLocal, AskRemote, Knock, Rest
 from rossec.sidecar.events import Answered, Event, Passed, Silent
 from rossec.sidecar.layers import Layer, Tenant, Unforeseen, own_endpoint
 
 _UNPARSED: Final = frozenset({"getBusStats"})
+REQUEST_TOPIC: Final = "requestTopic"
 _INWARD: Final = "i"
 _MOST_DOORS: Final = 64  # that one answer of a peer may have opened
-NO_TRANSPORT: Final = "rossec: only TCPROS, inside the secure channel"
 
 
 def ask_program(
@@ -47,17 +50,18 @@ def ask_program(
         yield from _gone(tenant, local, (yield Knock(local)))
         return [1, "", 0]
     check_question(method, peer, node, shown, tenant.access, now)
-    if not params or not isinstance(params[0], str):
-        raise CallRefused("caller_id must be a string")
+    unnamed = without_caller(params, RULES[method].default)
+    if unnamed is not None:
+        return unnamed
+    if method == REQUEST_TOPIC:
+        return (yield from _offer(tenant, local, params))
     changed = yield from _for_program(tenant, local, method, params)
-    if changed is None:
-        return [-1, NO_TRANSPORT, []]
     event = yield AskLocal(local, method, changed, parse=method not in _UNPARSED)
     yield from _gone(tenant, local, event)
     match event:
         case Passed(body=body) if method in _UNPARSED:
             return Encoded(body)
-        case Answered(value=[code, str() as status, value]) if _succeeded(code):
+        case Answered(value=[code, str() as status, value]) if succeeded(code):
             return (yield from _program_says(tenant, local, method, status, value))
         case Answered(value=value):
             return _refusal(value)
@@ -65,7 +69,18 @@ def ask_program(
             raise Unforeseen(method)
 
 
-def _succeeded(code: object) -> bool:
+def _offer(tenant: Tenant, local: Endpoint, params: tuple[object, ...]) -> Layer[object]:
+    """Where the topics of a program are, whatever the topic; a dead one is found out as ever."""
+    refused = _no_topic(params)
+    if refused is not None:
+        return refused
+    yield from _gone(tenant, local, (yield Knock(local)))
+    door = yield from tenant.export(topics_of(local))
+    return [1, "ready", [TCPROS, door.host, door.port]]
+
+
+def succeeded(code: object) -> bool:
+    """Whether an answer holds a value: its code is 1."""
     return type(code) is int and code == 1  # not True, not 1.0
 
 
@@ -91,20 +106,20 @@ def _gone(tenant: Tenant, local: Endpoint, event: Event) -> Layer[None]:
 
 def _for_program(
     tenant: Tenant, local: Endpoint, method: str, params: tuple[object, ...]
-) -> Layer[tuple[object, ...] | None]:
+) -> Layer[tuple[object, ...]]:
     if method == "publisherUpdate" and len(params) == 3:
-        return (*params[:2], (yield from tenant.bring_all(params[2], local)))
-    return _without_udp(params) if method == "requestTopic" else params
+        followed = tenant.publishers_are(params[1], params[2])
+        return (*params[:2], (yield from tenant.bring_all(followed, local)))
+    return params
 
 
-def _without_udp(params: tuple[object, ...]) -> tuple[object, ...] | None:
-    """`requestTopic` for TCPROS alone; None: nothing else was asked for."""
-    offers = params[2] if len(params) == 3 else None
-    if not isinstance(offers, list) or ["TCPROS"] not in [
-        offer[:1] for offer in offers if isinstance(offer, list)
-    ]:
-        return None
-    return (*params[:2], [["TCPROS"]])
+def _no_topic(params: tuple[object, ...]) -> list[object] | None:
+    """What to answer to a `requestTopic` that cannot be one for TCPROS; None: it can."""
+    if len(params) != 3:
+        return [-1, "Error: bad call arity", []]
+    if not isinstance(params[1], str) or not params[1]:
+        return [-1, "ERROR: parameter [topic] must be a non-empty string", []]
+    return None if offers_tcpros(params[2]) else [-1, NO_TRANSPORT, []]
 
 
 def _program_says(
@@ -112,11 +127,6 @@ def _program_says(
 ) -> Layer[object]:
     """The program's answer as a peer must see it: with doors in place of loopback ports."""
     match method, value:
-        case "requestTopic", ["TCPROS", str(), int() as port] if 0 < port < 1 << 16:
-            door = yield from tenant.export(inside(Flavour.TCPROS, port))
-            return [1, "ready", ["TCPROS", door.host, door.port]]
-        case "requestTopic", _:
-            return [-1, NO_TRANSPORT, []]
         case "getUri", _:
             return [1, status, (yield from tenant.export(local)).uri]
         case "getMasterUri", _:
@@ -154,19 +164,20 @@ def ask_peer(
     """
     if method not in OPEN | STEERING | QUESTIONS.keys():
         raise Fault(1, f"<class 'Exception'>:method \"{printable(method, 80)}\" is not supported")
-    if not params or not isinstance(params[0], str):
-        return [-1, "caller_id must be a string", 0]
-    changed: tuple[object, ...] | None = (tenant.name_for(params[0]), *params[1:])
-    if method == "requestTopic":
-        changed = _without_udp(changed or ())
-    if changed is None:
-        return [-1, NO_TRANSPORT, []]
+    refused = without_caller(params, RULES[method].default)
+    if refused is None and method == REQUEST_TOPIC:
+        refused = _no_topic(params)
+    if refused is not None:
+        return refused
+    changed = (tenant.name_for(str(params[0])), *params[1:])
+    if method == REQUEST_TOPIC:
+        changed = (*changed[:2], [[TCPROS]])
     parse = method not in _UNPARSED
     event = yield AskRemote(remote, method, changed, QUESTIONS.get(method), parse)
     match event:
         case Passed(body=body) if method in _UNPARSED:
             return Encoded(body)
-        case Answered(value=[code, str() as status, value]) if _succeeded(code):
+        case Answered(value=[code, str() as status, value]) if succeeded(code):
             return (yield from _peer_says(tenant, remote, method, status, value))
         case Answered(value=value):
             return _refusal(value)
@@ -183,7 +194,7 @@ def _peer_says(
     match method, value:
         case "requestTopic", ["TCPROS", str() as host, int() as port] if (
             host and 0 < port < 1 << 16
-        ):
+        ) and not _leads_back(tenant, remote, Endpoint(Flavour.TCPROS, host, port)):
             uri = yield from tenant.bring(Endpoint(Flavour.TCPROS, host, port))
             door = endpoint(uri, Flavour.TCPROS)
             return [1, "ready", ["TCPROS", door.host, door.port]] if door else [-1, "", []]
@@ -197,6 +208,12 @@ def _peer_says(
             return [1, status, (yield from _peers_connections(tenant, entries))]
         case _:
             return [1, status, value]
+
+
+def _leads_back(tenant: Tenant, remote: Endpoint, place: Endpoint) -> bool:
+    """Whether another node names a place of this identity's own: nobody may be led to itself."""
+    behind = tenant.doors.program_behind
+    return behind(place) is not None and behind(remote) is None
 
 
 def _peers_connections(tenant: Tenant, entries: list[object]) -> Layer[list[object]]:

@@ -6,7 +6,6 @@ anything is said to it, and whoever listens inside before it is connected to.
 
 import asyncio
 import contextlib
-import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final, Protocol, assert_never
@@ -14,6 +13,7 @@ from typing import Final, Protocol, assert_never
 from ca.certificates import Identity
 from ca.errors import HintedError
 from grants.model import Right
+from rossec import clock
 from rossec.errors import PeerUnreachable, RossecError
 from rossec.net.dial import dial
 from rossec.net.rpc import RpcClient
@@ -21,7 +21,7 @@ from rossec.net.secure import SecureStream
 from rossec.node.questions import PRESENT
 from rossec.ros import header, xmlrpc
 from rossec.ros.xmlrpc import Fault
-from rossec.sidecar.addresses import LOOPBACK, Endpoint
+from rossec.sidecar.addresses import Endpoint
 from rossec.sidecar.callers import Callers
 from rossec.sidecar.commands import (
     AskLocal,
@@ -133,15 +133,21 @@ class Visit:
 
     async def close(self) -> None:
         """Drop what is open."""
-        remote = None if self._remote is None else self._remote.client
-        for client in (self._client, remote):
-            if client is not None:
-                with contextlib.suppress(RossecError, OSError):
-                    await client.close()
+        await self._leave()
+        if self._remote is not None:
+            with contextlib.suppress(RossecError, OSError):
+                await self._remote.client.close()
         if self.program is not None:
             self.program.abort()
         if self.stream is not None:
             self.stream.abort("the other end is gone")
+
+    async def _leave(self) -> None:
+        """Close the connection to a program's slave API; what follows may last for days."""
+        client, self._client = self._client, None
+        if client is not None:
+            with contextlib.suppress(RossecError, OSError):
+                await client.close()
 
     async def _carry_out(self, command: Command) -> Event:
         match command:
@@ -177,6 +183,7 @@ class Visit:
                 await self._inside(local)
                 return Done()
             case MeetProgram(local, fields):
+                await self._leave()
                 self.program = await self._connect(local)
                 return await self._meet(self.program, None, fields)
             case MeetPeer(remote, fields):
@@ -193,18 +200,21 @@ class Visit:
     ) -> Event:
         await end.send(header.encode(fields))
         answer, self.first = await split_header(end)
-        return HeaderArrived(answer, peer, int(time.time()))
+        return HeaderArrived(answer, peer, clock.now())
 
     async def _inside(self, local: Endpoint) -> RpcClient:
         if self._client is None or self._client.closed:
-            self._client = RpcClient(await self._connect(local), host=LOOPBACK)
+            self._client = RpcClient(
+                await self._connect(local), host=self._house.callers.loopback.host
+            )
         return self._client
 
     async def _connect(self, local: Endpoint) -> PlainStream:
-        holders = await self._house.callers.check_listener(local.port)
-        sock = await dial(LOOPBACK, local.port, DEADLINE)
+        callers = self._house.callers
+        holders = await callers.check_listener(local.port)
+        sock = await dial(callers.loopback.address, local.port, DEADLINE)
         try:
-            self._house.callers.check_unchanged(local.port, holders)
+            callers.check_unchanged(local.port, holders)
         except BaseException:
             sock.close()
             raise

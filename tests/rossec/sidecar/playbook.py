@@ -7,10 +7,12 @@ from typing import TypeVar
 from ca.certificates import Identity
 from ca.revocation import Revocations, Timestamp, digest
 from rossec.node.access import Access
+from rossec.node.named import NamedPublishers
 from rossec.sidecar.addresses import Doors
 from rossec.sidecar.commands import Command
 from rossec.sidecar.events import Event
 from rossec.sidecar.layers import Tenant
+from rossec.sidecar.types import known_type
 from tests.support.site import Site
 
 Outcome = TypeVar("Outcome")
@@ -43,11 +45,17 @@ class Stage:
     site: Site
     name: str = "/robot"
     wildcard: bool = False
+    time: float = 0.0  # by which publishers are missed
 
     def __post_init__(self) -> None:
         self.site.enroll(self.name, wildcard=self.wildcard)
         self.tenant = Tenant(
-            self.identity(self.name), self.access(self.name), Doors(HOST), MASTER_URI
+            self.identity(self.name),
+            self.access(self.name),
+            Doors(HOST),
+            MASTER_URI,
+            known_type,
+            NamedPublishers(lambda: self.time),
         )
 
     def identity(self, name: str) -> Identity:

@@ -4,7 +4,7 @@ import asyncio
 import contextlib
 import os
 import struct
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Collection
 from typing import Self
 
 from rossec.channel.opening import Flavour
@@ -32,9 +32,20 @@ def word(text: str) -> bytes:
 
 
 class Program:
-    """One program: it publishes to whoever connects, echoes as a service, and notes its calls."""
+    """One program: it publishes to whoever connects, echoes as a service, and notes its calls.
 
-    def __init__(self, name: str, sidecar: Sidecar) -> None:
+    `published`: the topics it says it has; None: any.
+    """
+
+    kind = STRING["type"]
+    md5sum = STRING["md5sum"]
+    definition = b"string data\n"
+    latching = False
+
+    def __init__(
+        self, name: str, sidecar: Sidecar, published: Collection[str] | None = None
+    ) -> None:
+        self.published = published
         self.name = name
         self.master_uri = sidecar.uri
         self.calls: list[tuple[str, tuple[object, ...]]] = []
@@ -95,6 +106,8 @@ class Program:
         async def answer(method: str, params: tuple[object, ...], _: str) -> object:
             self.calls.append((method, params))
             if method == "requestTopic":
+                if self.published is not None and params[1] not in self.published:
+                    return [-1, f"Not a publisher of [{params[1]}]", []]
                 return [1, "ready", ["TCPROS", "localhost", self.topics.port]]
             return [1, "", 4711]
 
@@ -103,7 +116,10 @@ class Program:
     async def _serve_topic(self, stream: PlainStream) -> None:
         fields, _ = await split_header(stream)
         self.headers.append(fields)
-        answer = {"message_definition": b"string data\n", **STRING}
+        answer = {
+            "type": self.kind, "md5sum": self.md5sum, "message_definition": self.definition,
+            "callerid": self.name.encode(), **({"latching": b"1"} if self.latching else {}),
+        }  # fmt: skip
         await stream.send(header.encode(answer))
         self.connections.append(stream)
         self.connected.set()

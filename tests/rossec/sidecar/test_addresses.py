@@ -50,3 +50,10 @@ def test_a_program_gets_its_uri_back_as_it_wrote_it() -> None:
     assert doors.spelling(SLAVE) == SLAVE.uri
     doors.spell(SLAVE, "http://localhost:5000")
     assert doors.spelling(SLAVE) == "http://localhost:5000"
+
+
+def test_programs_are_told_loopback_by_the_name_they_reach_it_by() -> None:
+    doors = Doors("fd99::1", "localhost")
+    assert doors.opened_inside(PEER, 8000).uri == "rosrpc://localhost:8000"
+    assert doors.peer_behind(inside(Flavour.TCPROS, 8000)) == PEER
+    assert doors.spelling(SLAVE) == "http://localhost:5000/"

@@ -1,11 +1,11 @@
 """One identity: what ends its conversations, and how many doors it opens."""
 
 import time
-from types import SimpleNamespace
 
 import pytest
 
 from rossec.channel.opening import Flavour
+from rossec.clock import Clock
 from rossec.errors import RossecError
 from rossec.sidecar.addresses import Endpoint, inside
 from tests.rossec.sidecar.conversation import Pair, connect, ends, heard
@@ -30,8 +30,7 @@ async def test_an_expired_grant_cuts_the_conversation(
         file.unlink()
     pair.site.subscribe("/listener", "/word", lifetime=60)
     stream, source = await connect(pair)
-    later = SimpleNamespace(time=lambda: time.time() + 60)
-    monkeypatch.setattr("rossec.node.watch.time", later)
+    monkeypatch.setattr("rossec.clock.HOST", Clock(lambda: time.time() + 60))
     await ends(stream)
     assert "cut /listener: its grant or its certificate has expired" in caplog.text
     await ends(source)
@@ -41,8 +40,7 @@ async def test_without_news_of_revocations_the_conversation_is_cut(
     pair: Pair, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     stream, source = await connect(pair)
-    later = SimpleNamespace(time=lambda: time.time() + 200)
-    monkeypatch.setattr("rossec.node.watch.time", later)
+    monkeypatch.setattr("rossec.clock.HOST", Clock(lambda: time.time() + 200))
     await ends(stream)
     await ends(source)
 

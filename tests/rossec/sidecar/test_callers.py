@@ -1,5 +1,6 @@
 """Who may use a sidecar's loopback ports: the user, and the program it was started for."""
 
+import asyncio
 import os
 import socket
 import subprocess
@@ -9,24 +10,14 @@ import pytest
 
 from rossec.errors import PeerUserRefused
 from rossec.net import peeruid
-from rossec.sidecar.callers import Callers, descendants, descends, held_by, parents
+from rossec.sidecar.callers import Callers
+from tests.rossec.sidecar.manyprograms import programs
 
 CONNECT = "import socket,sys; s=socket.create_connection(('127.0.0.1',int(sys.argv[1]))); s.recv(1)"
 
 
 def connecting(port: int) -> "subprocess.Popen[bytes]":
     return subprocess.Popen([sys.executable, "-c", CONNECT, str(port)])
-
-
-def test_descendants() -> None:
-    family = [(2, 1), (3, 2), (4, 3), (5, 1), (6, 9)]
-    assert sorted(descendants(family, 2)) == [3, 4]
-    assert sorted(descendants(family, 1)) == [2, 3, 4, 5]
-    assert descendants(family, 4) == []
-
-
-def test_the_kernel_names_parents() -> None:
-    assert (os.getpid(), os.getppid()) in set(parents())
 
 
 async def test_a_child_may_and_a_stranger_may_not() -> None:
@@ -96,12 +87,21 @@ async def test_users_of_another_user_namespace_are_nobody(monkeypatch: pytest.Mo
         await Callers({os.getuid()}).check_listener(server.getsockname()[1])
 
 
-def test_descent_ends_with_the_process() -> None:
-    assert descends(os.getpid(), os.getppid())
-    assert not descends(os.getpid(), os.getpid())
-    assert not descends(os.getppid(), os.getpid())
-    assert not descends(1 << 30, os.getpid())
+async def test_many_programs_are_told_apart_together(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A search for each connection grows with the programs twice: a hundred got nowhere."""
+    looks: list[None] = []
+    readlink = os.readlink
 
+    def counted(path: str) -> str:
+        looks.append(None)
+        return readlink(path)
 
-def test_processes_that_are_gone_hold_nothing() -> None:
-    assert not held_by(1, [0, 1 << 30])
+    monkeypatch.setattr(os, "readlink", counted)
+    count, files, each = 20, 40, 4
+    with programs(count, files) as many:
+        ends = [many.connection(which) for which in range(count) for _ in range(each)]
+        callers = Callers({os.getuid()}, os.getpid())
+        await asyncio.gather(*map(callers.check, ends))
+        assert len(looks) < 5 * count * (files + each)
+        for end in ends:
+            end.close()

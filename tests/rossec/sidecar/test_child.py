@@ -13,6 +13,7 @@ import pytest
 
 from rossec.errors import ConfigurationError
 from rossec.sidecar import child
+from rossec.sidecar.addresses import Loopback
 from rossec.sidecar.child import OUTSIDE, NoSuchProgram, inside, outside
 
 HERE = {"ROS_MASTER_URI": "http://far:11311", "ROS_HOSTNAME": "near", "HOME": "/home/me"}
@@ -152,3 +153,11 @@ def test_a_program_ends_with_its_sidecar(tmp_path: Path) -> None:
         sidecar.wait()
         assert sidecar.stdout.read() == "", "its output ends when the program does"
     assert not Path(f"/proc/{program}/exe").exists()
+
+
+def test_without_ipv4_programs_are_told_a_name() -> None:
+    uri = "http://localhost:4000/"
+    env = inside(HERE, HERE, uri, Loopback("::1", "localhost"))
+    del env[OUTSIDE]
+    own = {"ROS_HOSTNAME": "localhost", "ROS_IPV6": "on"}
+    assert env == {"ROS_MASTER_URI": uri, "HOME": "/home/me", **own}

@@ -10,13 +10,18 @@ from rossec.channel.opening import Flavour
 from rossec.errors import CallerMismatch, HangUp, TopicRefused
 from rossec.node.access import FIELD
 from rossec.node.fields import Fields
-from rossec.sidecar.addresses import Endpoint, inside
-from rossec.sidecar.commands import MeetPeer, MeetProgram, Rest
-from rossec.sidecar.events import Done, HeaderArrived, Silent
+from rossec.node.messages import message_type
+from rossec.node.recall import recall
+from rossec.sidecar.addresses import Endpoint, inside, topics_of
+from rossec.sidecar.commands import AskLocal, Command, MeetPeer, MeetProgram, Rest
+from rossec.sidecar.events import Answered, Done, Event, HeaderArrived, Silent
 from rossec.sidecar.headers import Joined, admit_peer, reach_peer
 from rossec.sidecar.layers import Layer, Unforeseen
 from tests.rossec.sidecar.playbook import Stage, play
 
+SLAVE = inside(Flavour.HTTP, 5000)
+DOOR = topics_of(SLAVE)
+PLACE = ["TCPROS", "localhost", 5001]
 TOPICS = inside(Flavour.TCPROS, 5001)
 PEER = Endpoint(Flavour.TCPROS, "10.0.0.7", 6001)
 STRING = {"type": b"std_msgs/String", "md5sum": b"992ce8a1687cec8c8bd883ec73ca41d1"}
@@ -33,9 +38,16 @@ def proof(stage: Stage, name: str, right: Right, topic: str) -> Fields:
     return {FIELD: stage.access(name).present(right, topic, stage.site.now())}
 
 
-def admit(stage: Stage, fields: Fields) -> Layer[Joined]:
+def admit(stage: Stage, fields: Fields, door: Endpoint = DOOR) -> Layer[Joined]:
     peer = stage.identity("/viewer")
-    return admit_peer(stage.tenant, TOPICS, fields, peer, no_key, stage.site.now())
+    return admit_peer(
+        stage.tenant, door, fields, peer, no_key, recall("/robot").apart, stage.site.now()
+    )
+
+
+ASK = AskLocal(SLAVE, "requestTopic", ("/viewer", "/word", [["TCPROS"]]))
+WHERE: tuple[Command, Event] = (ASK, Answered([1, "ready", PLACE]))
+"""A program is asked where its topic is, and says so."""
 
 
 def arrived(stage: Stage, fields: Fields, peer: str | None = None) -> HeaderArrived:
@@ -54,7 +66,7 @@ def shown(stage: Stage) -> Fields:
 def test_a_subscriber_with_a_grant_meets_the_program(stage: Stage, shown: Fields) -> None:
     """The program sees no grant; the peer sees the program's; rospy leaves out the topic."""
     meet = MeetProgram(TOPICS, ASKED)
-    joined = play(admit(stage, shown), (meet, arrived(stage, ANSWER)))
+    joined = play(admit(stage, shown), WHERE, (meet, arrived(stage, ANSWER)))
     expected = ANSWER | {"topic": b"/word"} | proof(stage, "/robot", Right.PUBLISH, "/word")
     assert joined.answer == expected
     assert joined.guard is None
@@ -75,7 +87,9 @@ def test_a_subscriber_may_not_lie_about_its_name(stage: Stage, shown: Fields) ->
 
 def test_the_programs_own_name_is_never_taken_on_trust(stage: Stage, shown: Fields) -> None:
     for given in (ANSWER | {"callerid": b"/victim"}, STRING):
-        joined = play(admit(stage, shown), (MeetProgram(TOPICS, ASKED), arrived(stage, given)))
+        joined = play(
+            admit(stage, shown), WHERE, (MeetProgram(TOPICS, ASKED), arrived(stage, given))
+        )
         assert joined.answer["callerid"] == b"/robot"
 
 
@@ -83,6 +97,7 @@ def test_what_the_program_refuses_is_passed_on(stage: Stage, shown: Fields) -> N
     with pytest.raises(TopicRefused, match="no such topic"):
         play(
             admit(stage, shown),
+            WHERE,
             (MeetProgram(TOPICS, ASKED), arrived(stage, {"error": b"no such topic"})),
         )
 
@@ -90,11 +105,43 @@ def test_what_the_program_refuses_is_passed_on(stage: Stage, shown: Fields) -> N
 def test_a_program_that_is_gone_closes_its_door(stage: Stage, shown: Fields) -> None:
     meet = MeetProgram(TOPICS, ASKED)
     with pytest.raises(HangUp):
-        play(admit(stage, shown), (meet, Silent("gone", dead=True)), (Rest(TOPICS), Done()))
+        play(admit(stage, shown), WHERE, (meet, Silent("gone", dead=True)), (Rest(DOOR), Done()))
     with pytest.raises(HangUp):
-        play(admit(stage, shown), (meet, Silent("slow")))
+        play(admit(stage, shown), WHERE, (meet, Silent("slow")))
     with pytest.raises(Unforeseen):
-        play(admit(stage, shown), (meet, Done()))
+        play(admit(stage, shown), WHERE, (meet, Done()))
+
+
+@pytest.mark.parametrize(
+    "answer",
+    [
+        [0, "Not a publisher of [/word]", []], [-1, "no", PLACE], [1, "", []], [True, "", PLACE],
+        [1, "", ["UDPROS", "h", 7]], [1, "", ["TCPROS", "h", 0]], [1, "", ["TCPROS", "h", 1 << 16]],
+        PLACE, 7,
+    ],
+)  # fmt: skip
+def test_what_the_program_does_not_publish(stage: Stage, shown: Fields, answer: object) -> None:
+    """Only who may subscribe hears of it."""
+    with pytest.raises(TopicRefused, match=r"^/robot does not publish /word$"):
+        play(admit(stage, shown), (ASK, Answered(answer)))
+
+
+def test_a_program_that_cannot_be_asked(stage: Stage, shown: Fields) -> None:
+    with pytest.raises(HangUp):
+        play(admit(stage, shown), (ASK, Silent("gone", dead=True)), (Rest(DOOR), Done()))
+    with pytest.raises(HangUp):
+        play(admit(stage, shown), (ASK, Silent("slow")))
+    with pytest.raises(Unforeseen):
+        play(admit(stage, shown), (ASK, Done()))
+
+
+def test_topics_and_services_have_doors_of_their_own(stage: Stage, shown: Fields) -> None:
+    """Whatever the right."""
+    for fields in (shown, ASKED):
+        with pytest.raises(TopicRefused, match="this port is not for topics"):
+            play(admit(stage, fields, TOPICS))
+    with pytest.raises(TopicRefused, match="this port is not for services"):
+        play(admit(stage, SERVICE))
 
 
 @pytest.fixture
@@ -106,7 +153,7 @@ def restricted(stage: Stage) -> Fields:
 
 def test_a_restricted_subscriber_gets_a_guard(stage: Stage, restricted: Fields) -> None:
     meet = MeetProgram(TOPICS, ASKED)
-    joined = play(admit(stage, restricted), (meet, arrived(stage, ANSWER)))
+    joined = play(admit(stage, restricted), WHERE, (meet, arrived(stage, ANSWER)))
     assert joined.guard is not None
     pieces = joined.guard(b"\x05\0\0\0hello", stage.site.now())
     assert pieces is not None
@@ -117,7 +164,28 @@ def test_a_definition_that_cannot_be_proved_is_refused(stage: Stage, restricted:
     meet = MeetProgram(TOPICS, ASKED)
     answer = ANSWER | {"message_definition": b"int32 data\n"}
     with pytest.raises(TopicRefused, match="does not have the md5sum"):
-        play(admit(stage, restricted), (meet, arrived(stage, answer)))
+        play(admit(stage, restricted), WHERE, (meet, arrived(stage, answer)))
+
+
+def test_what_a_relay_repeats_is_not_taken_on_trust(stage: Stage) -> None:
+    """Its own publisher may have described the type otherwise, under the same md5sum."""
+    rules = filter_rules({"linear": {"clear": True}})
+    stage.site.subscribe("/viewer", "/word", Restriction("geometry_msgs/Twist", (), rules))
+    twist = message_type("geometry_msgs/Twist")
+    said = {
+        "callerid": b"/robot", "type": b"geometry_msgs/Twist", "md5sum": twist.md5sum.encode(),
+        "message_definition": twist.definition.replace("Vector3 linear", "Vector3[0] linear")
+        .replace("Vector3 angular", "Vector3[2] angular").encode(),
+    }  # fmt: skip
+    shown = ASKED | proof(stage, "/viewer", Right.SUBSCRIBE, "/word")
+    with pytest.raises(TopicRefused, match="not the one this host knows"):
+        play(admit(stage, shown), WHERE, (MeetProgram(TOPICS, ASKED), arrived(stage, said)))
+
+
+def test_a_definition_that_nobody_looks_at_may_be_anything(stage: Stage, shown: Fields) -> None:
+    said = ANSWER | {"message_definition": b"# caf\xe9\nstring data"}
+    joined = play(admit(stage, shown), WHERE, (MeetProgram(TOPICS, ASKED), arrived(stage, said)))
+    assert joined.answer["message_definition"] == said["message_definition"]
 
 
 def test_services_both_ways(stage: Stage) -> None:
@@ -126,7 +194,9 @@ def test_services_both_ways(stage: Stage) -> None:
     stage.tenant = dataclasses.replace(stage.tenant, access=stage.access("/robot"))
     shown = SERVICE | proof(stage, "/viewer", Right.CALL, "/say")
     answer = {"callerid": b"/robot", "md5sum": b"0" * 32}
-    joined = play(admit(stage, shown), (MeetProgram(TOPICS, SERVICE), arrived(stage, answer)))
+    joined = play(
+        admit(stage, shown, TOPICS), (MeetProgram(TOPICS, SERVICE), arrived(stage, answer))
+    )
     assert joined.service
     provided = answer | proof(stage, "/robot", Right.PROVIDE, "/say")
     assert joined.answer == provided
@@ -134,13 +204,20 @@ def test_services_both_ways(stage: Stage) -> None:
     viewer = Stage(stage.site, "/viewer")
     now = stage.site.now()
     there = play(
-        reach_peer(viewer.tenant, PEER, SERVICE | {"callerid": b"/rosservice"}, no_key, now),
+        reach_peer(
+            viewer.tenant,
+            PEER,
+            SERVICE | {"callerid": b"/rosservice"},
+            no_key,
+            recall("/viewer").apart,
+            now,
+        ),
         (MeetPeer(PEER, shown), arrived(stage, provided, "/robot")),
     )
     assert there.answer == answer
     with pytest.raises(GrantMissing):
         play(
-            reach_peer(viewer.tenant, PEER, SERVICE, no_key, now),
+            reach_peer(viewer.tenant, PEER, SERVICE, no_key, recall("/viewer").apart, now),
             (MeetPeer(PEER, shown), arrived(stage, answer, "/robot")),
         )
 
@@ -152,7 +229,7 @@ def test_a_program_subscribes_with_its_grants(stage: Stage, shown: Fields) -> No
     proven = ANSWER | {"topic": b"/word"} | proof(stage, "/robot", Right.PUBLISH, "/word")
     meet = MeetPeer(PEER, everything | {FIELD: shown[FIELD]})
     joined = play(
-        reach_peer(viewer.tenant, PEER, everything, no_key, now),
+        reach_peer(viewer.tenant, PEER, everything, no_key, recall("/viewer").apart, now),
         (meet, arrived(stage, proven, "/robot")),
     )
     assert joined.answer == ANSWER | {"topic": b"/word"}
@@ -164,7 +241,10 @@ def test_a_program_subscribes_with_its_grants(stage: Stage, shown: Fields) -> No
         (Silent("gone"), HangUp),
     ):
         with pytest.raises(error):
-            play(reach_peer(viewer.tenant, PEER, everything, no_key, now), (meet, event))
+            play(
+                reach_peer(viewer.tenant, PEER, everything, no_key, recall("/viewer").apart, now),
+                (meet, event),
+            )
 
 
 @pytest.mark.parametrize("both", [{"topic": b"/secret"}, {"topic": b""}])
@@ -176,7 +256,11 @@ def test_a_header_is_for_a_topic_or_for_a_service(stage: Stage, both: Fields) ->
         with pytest.raises(TopicRefused, match="for a topic or for a service"):
             play(admit(stage, fields))
         with pytest.raises(TopicRefused, match="for a topic or for a service"):
-            play(reach_peer(stage.tenant, PEER, fields, no_key, stage.site.now()))
+            play(
+                reach_peer(
+                    stage.tenant, PEER, fields, no_key, recall("/robot").apart, stage.site.now()
+                )
+            )
 
 
 def test_restrictions_on_calls_are_refused_not_ignored(stage: Stage) -> None:
@@ -185,11 +269,11 @@ def test_restrictions_on_calls_are_refused_not_ignored(stage: Stage) -> None:
     stage.site.grant("/viewer", Right.CALL, "/say", restriction=limited)
     shown = SERVICE | proof(stage, "/viewer", Right.CALL, "/say")
     with pytest.raises(RestrictionMismatch):
-        play(admit(stage, shown))
+        play(admit(stage, shown, TOPICS))
     stage.site.grant("/viewer", Right.PROVIDE, "/do", restriction=limited)
     asked = {"callerid": b"/robot", "service": b"/do", "md5sum": b"*"}
     answer = {"callerid": b"/viewer", **proof(stage, "/viewer", Right.PROVIDE, "/do")}
-    layer = reach_peer(stage.tenant, PEER, asked, no_key, stage.site.now())
+    layer = reach_peer(stage.tenant, PEER, asked, no_key, recall("/robot").apart, stage.site.now())
     command = next(layer)
     assert isinstance(command, MeetPeer)
     with pytest.raises(RestrictionMismatch):
@@ -202,11 +286,15 @@ def test_a_restricted_publisher_gets_a_guard(stage: Stage, shown: Fields) -> Non
     viewer, now = Stage(stage.site, "/viewer"), stage.site.now()
     proven = ANSWER | {"topic": b"/word"} | proof(stage, "/robot", Right.PUBLISH, "/word")
     meet = MeetPeer(PEER, shown)
-    layer = reach_peer(viewer.tenant, PEER, ASKED, no_key, now)
+    layer = reach_peer(viewer.tenant, PEER, ASKED, no_key, recall("/viewer").apart, now)
     joined = play(layer, (meet, arrived(stage, proven, "/robot")))
     assert joined.guard is not None
     assert joined.guard(b"\x04\0\0\0stop", now) is None
-    layer = reach_peer(viewer.tenant, PEER, ASKED, no_key, now)
+    layer = reach_peer(viewer.tenant, PEER, ASKED, no_key, recall("/viewer").apart, now)
     undefined = proven | {"message_definition": b""}
-    with pytest.raises(TopicRefused, match="does not have the md5sum"):
+    joined = play(layer, (meet, arrived(stage, undefined, "/robot")))
+    assert joined.answer["message_definition"].strip() == b"string data"  # as this host knows it
+    viewer.tenant.known = lambda _: None
+    layer = reach_peer(viewer.tenant, PEER, ASKED, no_key, recall("/viewer").apart, now)
+    with pytest.raises(TopicRefused, match="how this subscriber reads a std_msgs/String"):
         play(layer, (meet, arrived(stage, undefined, "/robot")))

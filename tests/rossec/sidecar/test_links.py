@@ -2,13 +2,13 @@
 
 import asyncio
 import logging
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 from grants.errors import GrantExpired
 from grants.model import Right
+from rossec.clock import Clock
 from rossec.errors import HangUp
 from rossec.sidecar.links import Links
 from tests.rossec.sidecar.playbook import Stage
@@ -52,8 +52,7 @@ def test_what_was_revoked_meanwhile_does_not_begin(
     stage: Stage, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     links, stream, decision = setting(stage.site)
-    later = SimpleNamespace(time=lambda: decision.expires)
-    monkeypatch.setattr("rossec.sidecar.links.time", later)
+    monkeypatch.setattr("rossec.clock.HOST", Clock(lambda: decision.expires))
     with pytest.raises(HangUp, match="expired"), links.linked(stream, decision):
         pytest.fail("it began")
     assert list(links) == []

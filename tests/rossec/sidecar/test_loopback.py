@@ -1,13 +1,15 @@
 import asyncio
+import contextlib
 import errno
 import os
 import socket
 
 import pytest
 
-from rossec.errors import ChannelClosed
+from rossec.errors import ChannelClosed, ConfigurationError
 from rossec.net.dial import dial
 from rossec.sidecar import loopback
+from rossec.sidecar.addresses import LOOPBACK, Loopback
 from rossec.sidecar.callers import Callers
 from rossec.sidecar.loopback import LoopbackPort, reserve
 from rossec.sidecar.plain import PlainStream
@@ -96,7 +98,7 @@ async def test_without_descriptors_it_rests(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     """Whoever waits is told of again at once: to try again at once would take all the time."""
-    monkeypatch.setattr(loopback, "reserve", lambda _: Exhausted(fileno=reserve().detach()))
+    monkeypatch.setattr(loopback, "reserve", lambda *_: Exhausted(fileno=reserve().detach()))
     monkeypatch.setattr(loopback, "_REST", 0.05)
     door = LoopbackPort(ANYBODY, echo)
     door.open()
@@ -170,3 +172,73 @@ async def test_another_free_port_where_one_is_taken_meanwhile(
         monkeypatch.setattr(loopback, "free_port", lambda: port)
         with pytest.raises(OSError, match="in use"):
             reserve()
+
+
+def resolving(monkeypatch: pytest.MonkeyPatch, here: set[str], names: dict[str, set[str]]) -> None:
+    monkeypatch.setattr(loopback, "_is_here", here.__contains__)
+    monkeypatch.setattr(loopback, "_addresses", lambda name: names.get(name, set()))
+
+
+def test_loopback_is_ipv4_wherever_it_can_be(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert loopback.find() == LOOPBACK
+    resolving(monkeypatch, {"127.0.0.1", "::1"}, {"localhost": {"::1"}})
+    assert loopback.find() == LOOPBACK
+
+
+@pytest.mark.parametrize(
+    ("names", "name"),
+    [
+        ({"localhost": {"::1"}, "ip6-localhost": {"::1"}}, "localhost"),
+        ({"localhost": {"::1", "2001:db8::1"}, "ip6-localhost": {"::1"}}, "ip6-localhost"),
+    ],
+)
+def test_without_ipv4_it_is_a_name_that_leads_to_ipv6_alone(
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+    names: dict[str, set[str]],
+    name: str,
+) -> None:
+    resolving(monkeypatch, {"::1"}, names)
+    assert loopback.find() == ("::1", name)
+    assert f"no 127.0.0.1: programs are told {name}, and ROS_IPV6=on" in caplog.text
+
+
+def test_a_host_without_loopback_is_told_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    resolving(monkeypatch, set(), {"localhost": {"::1"}})
+    with pytest.raises(ConfigurationError, match="this host has no loopback address") as caught:
+        loopback.find()
+    assert caught.value.hint == "ip link set lo up"
+    resolving(monkeypatch, {"::1"}, {"localhost": {"::ffff:127.0.0.1"}})
+    with pytest.raises(ConfigurationError, match="no name for ::1") as caught:
+        loopback.find()
+    assert caught.value.hint == "write in /etc/hosts: ::1 localhost ip6-localhost"
+
+
+def test_what_a_name_leads_to(monkeypatch: pytest.MonkeyPatch) -> None:
+    def found(*_: object) -> list[tuple[object, ...]]:
+        return [(socket.AF_INET6, socket.SOCK_STREAM, 6, "", ("::1", 0, 0, 0))]
+
+    def missing(*_: object) -> list[tuple[object, ...]]:
+        raise socket.gaierror(socket.EAI_NONAME, "no such name")
+
+    monkeypatch.setattr(socket, "getaddrinfo", found)
+    assert loopback._addresses("localhost") == {"::1"}
+    monkeypatch.setattr(socket, "getaddrinfo", missing)
+    assert loopback._addresses("localhost") == set()
+    assert loopback._is_here("127.0.0.1")
+    assert not loopback._is_here("192.0.2.1")
+
+
+async def test_a_port_of_ipv6_is_for_programs_that_may(caplog: pytest.LogCaptureFixture) -> None:
+    """The kernel says who is at the other end there as well."""
+    six = Loopback("::1", "localhost")
+    for users, answer in ((os.getuid(), b"hello"), (os.getuid() + 1, b"")):
+        door = LoopbackPort(Callers({users}, None, six), echo)
+        door.open()
+        reader, writer = await asyncio.open_connection("::1", door.port)
+        writer.write(b"hello")
+        with contextlib.suppress(ConnectionError):
+            assert await reader.read(5) == answer
+        writer.close()
+        await door.close()
+    assert "may not use this sidecar" in caplog.text

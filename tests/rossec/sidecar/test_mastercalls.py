@@ -7,12 +7,16 @@ import pytest
 
 from rossec.channel.opening import Flavour
 from rossec.errors import HangUp
+from rossec.master.api import MasterApi
+from rossec.master.registry import Registry
+from rossec.node.named import GRACE
 from rossec.ros.xmlrpc import Fault
 from rossec.sidecar.addresses import Endpoint, inside
 from rossec.sidecar.commands import AskLocal, AskMaster, Export, Import, Knock, Rest
 from rossec.sidecar.events import Answered, Done, Opened, Passed, Silent
 from rossec.sidecar.layers import Unforeseen
-from rossec.sidecar.mastercalls import MULTICALL_LIMIT, RULES, call, restore, resubscribe
+from rossec.sidecar.mastercalls import MULTICALL_LIMIT, RULES, call, let_go, restore, resubscribe
+from tests.rossec.master.fakes import FakeStatements
 from tests.rossec.sidecar.playbook import HOST, MASTER_URI, Stage, play
 from tests.support.site import Site
 
@@ -175,6 +179,28 @@ def test_a_lost_topic_has_its_publishers_named_again(stage: Stage) -> None:
     assert play(resubscribe(stage.tenant, "/unknown")) is None
 
 
+def named(*uris: str) -> tuple[AskLocal, Answered]:
+    return AskLocal(SLAVE, "publisherUpdate", ("/master", "/scan", [*uris])), Answered([1, "", 0])
+
+
+def test_a_publisher_that_a_new_master_does_not_name_yet_is_named_for_a_while(stage: Stage) -> None:
+    register(stage, PEER.uri)
+    inside_uri = "http://127.0.0.1:8000/"
+    again = AskMaster("registerSubscriber", ("/robot", "/scan", "pkg/Type", OUTSIDE))
+    stage.tenant.named.session_opened()
+    play(
+        restore(stage.tenant),
+        ALIVE,
+        (again, Answered([1, "ok", []])),
+        (Import(PEER), Opened(8000)),
+        named(inside_uri),
+    )
+    assert play(let_go(stage.tenant)) is None
+    stage.time += GRACE
+    play(let_go(stage.tenant), named())
+    assert play(let_go(stage.tenant)) is None
+
+
 def test_a_program_may_not_register_under_another_name(stage: Stage) -> None:
     answer = play(call(stage.tenant, "registerPublisher", ("/victim", "/cmd_vel", "pkg/Type", OWN)))
     assert isinstance(answer, list)
@@ -278,12 +304,53 @@ def test_what_is_no_call_of_a_program_is_not_passed_on(stage: Stage, method: str
 
 def test_odd_parameters_are_left_to_the_master(stage: Stage) -> None:
     tenant = stage.tenant
-    assert play(call(tenant, "getPid", ())) == [-1, "caller_id must be a string", 0]
+    assert play(call(tenant, "getPid", ())) == [-1, "missing required caller_id parameter", -1]
+    assert play(call(tenant, "getUri", (7,))) == [-1, "caller_id must be a string", ""]
     odd = ("/robot", "/x", "pkg/Type", 7)
     ask = AskMaster("registerPublisher", odd)
     assert play(call(tenant, "registerPublisher", odd), (ask, Answered([-1, "no URI", []])))
     short = AskMaster("registerPublisher", ("/robot",))
     assert play(call(tenant, "registerPublisher", ("/robot",)), (short, Answered([-1, "", 0])))
+
+
+def test_refusals_have_the_masters_values() -> None:
+    """The sidecar answers itself where a call names nobody, and must say what the master says."""
+    api = MasterApi(Registry(), FakeStatements(), name="/master", uri="http://m:1/", pid=1)
+    assert {name: rule.default for name, rule in RULES.items()} == {
+        name: api.methods[name].default for name in RULES
+    }
+
+
+FOUND = [1, "Found", "x"]
+NOT_FOUND = Answered([-1, "Cannot find parameter [x] in an upwards search", ""])
+
+
+def test_a_search_begins_where_the_asker_is(stage: Stage) -> None:
+    """Under the certified name the master would search from another namespace."""
+
+    def looks(place: str) -> AskMaster:
+        return AskMaster("searchParam", ("/robot", place))
+
+    for key, rest in (("x", ""), ("x/y", "/y")):
+        layer = call(stage.tenant, "searchParam", ("/ns/rosparam-17", key))
+        answer = play(
+            layer,
+            (looks("/ns/rosparam-17/x"), NOT_FOUND),
+            (looks("/ns/x"), Answered([1, "Found [/ns/x]", "/ns/x"])),
+        )
+        assert answer == [1, f"Found [/ns/x{rest}]", f"/ns/x{rest}"]
+    layer = call(stage.tenant, "searchParam", ("/tool", "x"))
+    nowhere = play(layer, (looks("/tool/x"), NOT_FOUND), (looks("/x"), NOT_FOUND))
+    assert nowhere == [-1, "Cannot find parameter [x] in an upwards search", ""]
+    layer = call(stage.tenant, "searchParam", ("/tool", "x"))
+    refused = [-1, "rossec: revoked", 0]
+    assert play(layer, (looks("/tool/x"), Answered(refused))) == refused
+
+
+def test_a_search_under_ones_own_name_is_the_masters(stage: Stage) -> None:
+    for params in (("/robot", "x"), ("/tool", "/x"), ("/tool", "~x")):
+        asked = AskMaster("searchParam", ("/robot", params[1]))
+        assert play(call(stage.tenant, "searchParam", params), (asked, Answered(FOUND))) == FOUND
 
 
 def test_a_master_out_of_reach_or_out_of_its_mind_ends_the_connection(stage: Stage) -> None:

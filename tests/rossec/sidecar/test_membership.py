@@ -11,6 +11,7 @@ from rossec.errors import HangUp, RossecError
 from rossec.sidecar.addresses import Endpoint, inside
 from tests.rossec.sidecar.conversation import Pair, connect, ends, heard
 from tests.rossec.sidecar.program import Program, sidecar, word
+from tests.support.absent import Absent
 from tests.support.site import Site
 from tests.support.witness import until
 
@@ -36,6 +37,28 @@ async def test_a_restarted_master_hears_of_the_programs_again(pair: Pair) -> Non
     await until(lambda: any(method == update for method, _ in pair.listener.calls), within=30)
     await source.send(word("still"))
     assert await heard(stream, len(word("still"))) == word("still")
+
+
+async def test_a_publisher_that_is_not_back_yet_is_named_for_a_while(
+    pair: Pair, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """roscpp hangs up on whom the master does not name."""
+    absent = Absent(monkeypatch)
+    stream, source = await connect(pair)
+    absent.names = {"/talker"}
+    await pair.site.restart_master()
+
+    def told() -> list[tuple[object, ...]]:
+        return [params for method, params in pair.listener.calls if method == "publisherUpdate"]
+
+    await until(told, within=30)
+    assert [len(uris) for _, _, uris in told() if isinstance(uris, list)][-1] == 1
+    await source.send(word("still"))
+    assert await heard(stream, len(word("still"))) == word("still")
+    monkeypatch.setattr("rossec.node.named.GRACE", 0.0)
+    named = pair.far._agent_for("/listener").tenant.named
+    monkeypatch.setattr(named, "_until", 0.0)
+    await until(lambda: told()[-1][2] == [], within=30)
 
 
 async def test_a_master_that_is_away_is_no_answer(tmp_path: Path) -> None:

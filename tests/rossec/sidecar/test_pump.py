@@ -7,12 +7,18 @@ from typing import Any
 
 import pytest
 
+from grants.decision import Decision
 from grants.errors import GrantExpired, RestrictionMismatch
+from grants.guard import Guard
+from grants.memory import Memory
+from grants.model import Restriction, Right
 from rossec.errors import ChannelClosed, HeaderRefused
 from rossec.ros import header
+from rossec.sidecar.copies import Copies
 from rossec.sidecar.plain import PlainStream
-from rossec.sidecar.pump import guarded, split_header
+from rossec.sidecar.pump import guarded, outgoing, split_header
 from tests.rossec.sidecar.test_plain import pair
+from tests.support.witness import until
 
 
 async def test_a_header_comes_in_any_pieces_and_with_what_follows() -> None:
@@ -86,11 +92,48 @@ async def guard(judge: Judge, *messages: bytes) -> bytes:
 
 
 async def test_what_cannot_be_judged_is_withheld(caplog: pytest.LogCaptureFixture) -> None:
-    heard = await guard(Judge(), b"one", b"x-rated", b"-silent", b"two")
+    heard = await guard(Judge(), b"one", *[b"x-rated"] * 9, b"-silent", b"two")
     assert heard == header.frame(b"one") + header.frame(b"two")
-    assert "withheld a message: it cannot be judged" in caplog.text
+    assert caplog.text.count("/viewer: withheld a message: it cannot be judged") == 1
 
 
 async def test_nothing_passes_after_the_end_of_the_grant() -> None:
     with pytest.raises(GrantExpired):
         await guard(Judge(expired=True), b"one")
+
+
+class Laggard:
+    """A peer that takes one message, and then no more until it is told to."""
+
+    def __init__(self) -> None:
+        self.peer = SimpleNamespace(name="/viewer")
+        self.heard: list[bytes] = []
+        self.lags = False
+
+    def push(self, data: bytes) -> bool:
+        self.heard.append(data)
+        self.lags = True
+        return False
+
+
+async def test_who_lags_misses_what_is_remembered() -> None:
+    """It costs no token either: what was missed was not judged."""
+    many = Restriction(rate=2.0)
+    decision = Decision(Right.SUBSCRIBE, "/a", (), 1 << 40, (many,))
+    near, far = pair()
+    peer: Any = Laggard()
+    guard = Guard(None, decision, None, lambda _: Memory())
+    with Copies().shared(guard, 0, latching=False) as (judge, _):
+        passing = asyncio.ensure_future(outgoing(far, peer, judge, header.frame(b"one")))
+        await until(lambda: bool(peer.heard))
+        await near.send(header.frame(b"missed") * 20)
+        for _ in range(100):  # turns of the loop
+            await asyncio.sleep(0)
+        peer.lags = False
+        await near.send(header.frame(b"two"))
+        closing = asyncio.ensure_future(near.close())
+        with pytest.raises(ChannelClosed):
+            await passing
+        far.abort()
+        await closing
+    assert peer.heard == [header.frame(b"one"), header.frame(b"two")]

@@ -1,16 +1,29 @@
 """The loopback master: which identity a call is made with."""
 
 import asyncio
+import os
+import re
+import socket
+from pathlib import Path
 
 import pytest
 
+from grants.model import Right
+from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
+from rossec.net.dial import dial
+from rossec.net.rpc import RpcClient
 from rossec.ros import xmlrpc
-from rossec.ros.settings import parse_uri
+from rossec.ros.settings import parse_uri, read
 from rossec.ros.xmlrpc import Fault
 from rossec.sidecar import server
+from rossec.sidecar.addresses import Loopback
+from rossec.sidecar.callers import Callers
+from rossec.sidecar.plain import PlainStream
+from rossec.sidecar.server import Sidecar
 from tests.rossec.sidecar.conversation import Pair
 from tests.rossec.sidecar.program import Program, sidecar
+from tests.support.site import Site
 
 
 async def test_a_program_that_may_not_is_told_why(pair: Pair) -> None:
@@ -91,6 +104,85 @@ async def test_one_identity_for_all_and_empty_multicalls(pair: Pair) -> None:
         program = Program("/not/enrolled", default)
         assert await program.ask(default.uri, "getUri") == [1, "", default.uri]
         await program.close()
+
+
+@pytest.mark.parametrize("asker", ["", "x", "/a b", "/ü", "//", "/rosparam-17", "/" + "x" * 300])
+@pytest.mark.parametrize("each", [True, False])
+async def test_one_identity_serves_whatever_name_asks(pair: Pair, asker: str, each: bool) -> None:
+    async with sidecar(pair.site, each=each, identity="/listener") as one:
+        program = Program(asker, one)
+        assert await program.ask(one.uri, "getUri") == [1, "", one.uri]
+        calls = [{"methodName": "getUri", "params": [name]} for name in ("/x", asker)]
+        calls.insert(0, {"methodName": "getPid", "params": []})
+        client = await bare(one)
+        answers = await client.call("system.multicall", calls)
+        missing = [[-1, "missing required caller_id parameter", -1]]
+        assert answers == [missing, [[1, "", one.uri]], [[1, "", one.uri]]]
+        await client.close()
+        await program.close()
+
+
+async def bare(one: Sidecar) -> RpcClient:
+    """A client that says nothing of itself."""
+    return RpcClient(PlainStream(await dial(*parse_uri(one.uri), 10)), host="x")
+
+
+@pytest.mark.parametrize("identity", [None, "/listener"])
+async def test_a_call_without_arguments_is_answered_as_stock_does(
+    pair: Pair, identity: str | None
+) -> None:
+    """Also where no identity could be meant."""
+    async with sidecar(pair.site, identity=identity) as one:
+        client = await bare(one)
+        for method, default in (
+            ("getUri", ""), ("getPid", -1), ("getSystemState", [[], [], []]), ("hasParam", False),
+            ("getParam", 0), ("registerPublisher", []), ("unregisterService", 0),
+        ):  # fmt: skip
+            answer = await client.call(method)
+            assert answer == [-1, "missing required caller_id parameter", default], method
+            assert await client.call(method, 7) == [-1, "caller_id must be a string", default]
+        with pytest.raises(Fault, match="is not supported"):
+            await client.call("system.listMethods")
+        await client.close()
+
+
+async def test_a_search_finds_what_is_nearest_to_the_asker(pair: Pair) -> None:
+    """It found the key of another namespace, without a word."""
+    pair.site.grant("/listener", Right.PARAM_GET | Right.PARAM_SET, "/**")
+    async with sidecar(pair.site, identity="/listener") as one:
+        tool = Program("/ns/tool", one)
+        for key in ("/speed", "/ns/speed"):
+            assert (await tool.ask(one.uri, "setParam", key, 1)) == [1, f"parameter {key} set", 0]
+        found = await tool.ask(one.uri, "searchParam", "speed")
+        assert found == [1, "Found [/ns/speed]", "/ns/speed"]
+        await tool.close()
+
+
+async def test_where_it_cannot_listen_it_says_what_is_missing(tmp_path: Path) -> None:
+    site = Site(tmp_path / "site")
+    outside = read((), site.environ, default_name="/sidecar")
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        with pytest.raises(ConfigurationError, match=r"cannot listen at 127\.0\.0\.1") as caught:
+            Sidecar(site.root, outside, Callers({os.getuid()}), each=True, port=port)
+    assert "choose another port" in caught.value.hint
+
+
+async def test_on_a_host_without_ipv4_it_goes_by_name(tmp_path: Path) -> None:
+    site = Site(tmp_path / "site")
+    outside = read((), {**site.environ, "ROS_MASTER_URI": "http://[2001:db8::1]:11311"},
+                   default_name="/sidecar")  # fmt: skip
+    callers = Callers({os.getuid()}, None, Loopback("::1", "localhost"))
+    one = Sidecar(site.root, outside, callers, each=True)
+    one.start()
+    try:
+        found = re.fullmatch(r"http://localhost:(\d+)/", one.uri)
+        assert found is not None
+        socket.create_connection(("::1", int(found[1]))).close()
+        with pytest.raises(ConnectionRefusedError):
+            socket.create_connection(("127.0.0.1", int(found[1])))
+    finally:
+        await one.close()
 
 
 async def test_identities_in_use_are_bounded(pair: Pair, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,16 +9,16 @@ from grants.errors import GrantMissing
 from grants.model import Right
 from rossec.channel.opening import Flavour
 from rossec.errors import CallRefused, HangUp
+from rossec.node.slave import NO_TRANSPORT
 from rossec.ros.xmlrpc import Encoded, Fault
-from rossec.sidecar.addresses import Endpoint, inside
+from rossec.sidecar.addresses import Endpoint, inside, topics_of
 from rossec.sidecar.commands import AskLocal, AskRemote, Export, Import, Knock, Rest
 from rossec.sidecar.events import Answered, Done, Event, Opened, Passed, Silent
 from rossec.sidecar.layers import Layer, Unforeseen
-from rossec.sidecar.slavecalls import NO_TRANSPORT, ask_peer, ask_program
+from rossec.sidecar.slavecalls import ask_peer, ask_program
 from tests.rossec.sidecar.playbook import HOST, MASTER_URI, Stage, play
 
 SLAVE = inside(Flavour.HTTP, 5000)
-TOPICS = inside(Flavour.TCPROS, 5001)
 PEER = Endpoint(Flavour.HTTP, "10.0.0.7", 6000)
 DOOR = "http://127.0.0.1:8000/"
 UDP = ["UDPROS", b"header", "host", 1, 1500]
@@ -82,14 +82,13 @@ def test_an_administrator_may_end_a_program(stage: Stage) -> None:
     play(asked(stage, "shutdown", "because", shown=shown), (ask, Answered([1, "", 0])))
 
 
-def test_topics_are_offered_at_their_door(stage: Stage) -> None:
+@pytest.mark.parametrize("topic", ["/scan", "/nothing", "no name"])
+def test_the_same_door_is_offered_for_every_topic(stage: Stage, topic: object) -> None:
+    """N5: the program is not asked, so nothing in the answer can depend on it."""
     answer = play(
-        asked(stage, "requestTopic", "/scan", [UDP, ["TCPROS"]]),
-        (
-            AskLocal(SLAVE, "requestTopic", ("/viewer", "/scan", [["TCPROS"]])),
-            Answered([1, "ready on localhost:5001", ["TCPROS", "localhost", 5001]]),
-        ),
-        (Export(TOPICS), Opened(7001)),
+        asked(stage, "requestTopic", topic, [UDP, ["TCPROS"]]),
+        (Knock(SLAVE), Done()),
+        (Export(topics_of(SLAVE)), Opened(7001)),
     )
     assert answer == [1, "ready", ["TCPROS", HOST, 7001]]
 
@@ -106,12 +105,20 @@ def test_udp_is_never_asked_for(stage: Stage, offers: object) -> None:
 @pytest.mark.parametrize("offer", [UDP, [], ["TCPROS", "h", 0], ["TCPROS", "h", 1 << 16], 0])
 def test_udp_is_never_offered(stage: Stage, offer: object) -> None:
     params = ("/viewer", "/scan", [["TCPROS"]])
-    ask = AskLocal(SLAVE, "requestTopic", params)
-    answer = play(asked(stage, "requestTopic", *params[1:]), (ask, Answered([1, "", offer])))
-    assert answer == [-1, NO_TRANSPORT, []]
     mine = AskRemote(PEER, "requestTopic", ("/robot", *params[1:]), None)
     layer = ask_peer(stage.tenant, PEER, "requestTopic", ("/robot", *params[1:]))
     assert play(layer, (mine, Answered([1, "", offer]))) == [-1, NO_TRANSPORT, []]
+
+
+def test_no_peer_sends_a_program_to_its_own_door(stage: Stage) -> None:
+    """A program may reach itself, where it was told of itself: not as another's topic."""
+    stage.tenant.doors.opened_outside(inside(Flavour.TCPROS, 5000), 4001)
+    params = ("/robot", "/scan", [["TCPROS"]])
+    ask = AskRemote(PEER, "requestTopic", params, None)
+    for host in (HOST, HOST.upper()):
+        layer = ask_peer(stage.tenant, PEER, "requestTopic", params)
+        answer = Answered([1, "ready", ["TCPROS", host, 4001]])
+        assert play(layer, (ask, answer)) == [-1, NO_TRANSPORT, []]
 
 
 def test_what_a_program_says_of_itself_names_doors(stage: Stage) -> None:
@@ -174,9 +181,19 @@ def test_a_revoked_peer_does_not_even_knock(stage: Stage) -> None:
 
 def test_a_call_needs_a_caller(stage: Stage) -> None:
     master, now = stage.identity("/master"), stage.site.now()
-    with pytest.raises(CallRefused, match="caller_id"):
-        play(ask_program(stage.tenant, SLAVE, master, "getPid", (), None, now))
-    assert play(ask_peer(stage.tenant, PEER, "getPid", ())) == [-1, "caller_id must be a string", 0]
+    missing, odd = "missing required caller_id parameter", "caller_id must be a string"
+    for method, default in (("getPid", -1), ("getBusInfo", []), ("getName", "")):
+        for params, said in (((), missing), ((7,), odd)):
+            answer = [-1, said, default]
+            assert play(ask_peer(stage.tenant, PEER, method, params)) == answer
+            layer = ask_program(stage.tenant, SLAVE, master, method, params, None, now)
+            assert play(layer) == answer
+    short = [-1, "Error: bad call arity", []]
+    assert play(asked(stage, "requestTopic", "/scan")) == short
+    assert play(ask_peer(stage.tenant, PEER, "requestTopic", ("/robot", "/scan"))) == short
+    for topic in ("", 7):
+        nameless = [-1, "ERROR: parameter [topic] must be a non-empty string", []]
+        assert play(asked(stage, "requestTopic", topic, [["TCPROS"]])) == nameless
 
 
 def test_a_program_asks_under_its_certified_name_and_with_its_grants(stage: Stage) -> None:
@@ -281,8 +298,8 @@ def test_no_address_hides_in_an_answer(stage: Stage, answer: object, expected: o
     ask = AskRemote(PEER, "requestTopic", params, None)
     layer = ask_peer(stage.tenant, PEER, "requestTopic", params)
     assert play(layer, (ask, Answered(answer))) == expected
-    mine = AskLocal(SLAVE, "requestTopic", ("/viewer", *params[1:]))
-    layer = asked(stage, "requestTopic", *params[1:])
+    mine = AskLocal(SLAVE, "getPid", ("/master",))
+    layer = asked(stage, "getPid", peer="/master")
     assert play(layer, (mine, Answered(answer))) == expected
 
 
@@ -291,7 +308,7 @@ def test_an_answer_that_nobody_parsed_goes_no_further(stage: Stage, method: str)
     params = ("/robot", "/scan", [["TCPROS"]])
     for layer in (
         ask_peer(stage.tenant, PEER, method, params),
-        asked(stage, method, *params[1:], peer="/master"),
+        asked(stage, "getPid", *params[1:], peer="/master"),
     ):
         command = next(layer)
         assert isinstance(command, AskRemote | AskLocal)

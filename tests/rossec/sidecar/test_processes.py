@@ -1,0 +1,81 @@
+"""What /proc says of processes, and what numbers that change hands cannot make it say."""
+
+import os
+import socket
+from pathlib import Path
+
+import pytest
+
+from rossec.sidecar import processes
+from rossec.sidecar.processes import (
+    descendants,
+    descends,
+    descriptors,
+    parents,
+    process,
+    socket_at,
+)
+
+NONE = 1 << 30
+
+
+def test_descendants() -> None:
+    family = [(2, 1), (3, 2), (4, 3), (5, 1), (6, 9)]
+    assert sorted(descendants(family, 2)) == [3, 4]
+    assert sorted(descendants(family, 1)) == [2, 3, 4, 5]
+    assert descendants(family, 4) == []
+
+
+def test_the_kernel_names_parents() -> None:
+    assert (os.getpid(), os.getppid()) in set(parents())
+
+
+def test_descent_ends_with_the_process() -> None:
+    assert descends(os.getpid(), os.getppid())
+    assert not descends(os.getpid(), os.getpid())
+    assert not descends(os.getppid(), os.getpid())
+    assert not descends(NONE, os.getpid())
+
+
+@pytest.fixture
+def made_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Processes of the test's own making, 9 below 5 below 3, with a name that is hard to read."""
+    monkeypatch.setattr(processes, "_PROC", tmp_path)
+    for number, parent, started in ((3, 2, 100), (5, 3, 200), (9, 5, 300)):
+        (tmp_path / str(number)).mkdir()
+        write(tmp_path, number, parent, started)
+    return tmp_path
+
+
+def write(proc: Path, number: int, parent: int, started: int) -> None:
+    rest = f"S {parent}" + " 0" * 17 + f" {started} 0 0\n"
+    (proc / str(number) / "stat").write_text(f"{number} (a ) b 7 (c) {rest}")
+
+
+def test_descent_of_grandchildren(made_up: Path) -> None:
+    assert descends(9, 3)
+    assert descends(5, 3)
+    assert not descends(9, 4)
+    assert sorted(parents()) == [(3, 2), (5, 3), (9, 5)]
+    assert process(9) == (9, 300)
+
+
+def test_a_parent_that_is_younger_than_its_child_is_none(made_up: Path) -> None:
+    """Its number was read before another process, a descendant, was given it."""
+    write(made_up, 5, 3, 301)
+    assert not descends(9, 3)
+    assert descends(5, 3)
+
+
+def test_descriptors_and_their_sockets() -> None:
+    with socket.socket() as sock, Path(os.devnull).open() as file:
+        names = {str(sock.fileno()), str(file.fileno())}
+        assert names <= set(descriptors(os.getpid()))
+        assert socket_at(os.getpid(), str(sock.fileno())) == os.fstat(sock.fileno()).st_ino
+        assert socket_at(os.getpid(), str(file.fileno())) is None
+
+
+def test_processes_that_are_gone_have_nothing() -> None:
+    assert process(NONE) is None
+    assert descriptors(NONE) == []
+    assert socket_at(NONE, "0") is None
