@@ -6,7 +6,7 @@ Texts and defaults for what stock rosmaster refuses are stock's; what only rosse
 """
 
 import xmlrpc.client
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from rossec.master import arguments as arg
 from rossec.master.arguments import ArgumentRefused
@@ -19,16 +19,18 @@ from rossec.master.calls import (
     Methods,
     Reply,
     Request,
+    Steps,
     StopMaster,
 )
 from rossec.master.gatekeeper import AddressTaken, Caller, Gatekeeper, Refused
 from rossec.master.graph import GraphCalls
-from rossec.master.multicall import MULTICALL, Multicall, Outcome
+from rossec.master.multicall import MULTICALL, Multicall
 from rossec.master.paramcalls import ParameterCalls
 from rossec.master.params import SIZE_LIMIT, Parameters
 from rossec.master.registry import Registry
 from rossec.master.standing import Statements
 from rossec.master.statementcalls import StatementCalls
+from rossec.master.turns import Outcome, Work, finished, never
 from rossec.master.watching import WatchCalls
 
 Fault = xmlrpc.client.Fault
@@ -82,13 +84,26 @@ class MasterApi:
         *,
         near: bool = True,
     ) -> Outcome:
-        """Answer one call; `near`: it comes from the master's own host.
-
-        Raises:
-            Fault: no such method, or a multicall that is none.
-        """
+        """Answer one call, all of it at once; arguments and errors as of `begin`."""
         if method == MULTICALL:
             return self._multicall(params, caller, now, near=near)
+        begun = self.begin(method, params, caller, now, near=near)
+        return begun if isinstance(begun, Outcome) else finished(begun)
+
+    def begin(
+        self,
+        method: str,
+        params: Sequence[object],
+        caller: Caller,
+        now: int,
+        *,
+        near: bool = True,
+    ) -> Outcome | Work:
+        """Answer one call, or begin to; `near`: it comes from the master's own host.
+
+        Raises:
+            Fault: no such method.
+        """
         row = self.methods.get(method)
         if row is None:
             raise Fault(1, f"<class 'Exception'>:method \"{method}\" is not supported")
@@ -98,23 +113,23 @@ class MasterApi:
         except ArgumentRefused as refused:
             return Outcome([-1, str(refused), row.default])
         except Refused as refused:
-            status = f"rossec: {refused}"
-            denied = () if refused.wanted is None else (Denied(caller.name, *refused.wanted),)
-            taken_by = refused.owner if isinstance(refused, AddressTaken) else None
-            refusal = CallRefused(caller.title, method, status, taken_by)
-            return Outcome([-1, status, row.default], (refusal, *denied))
-        events = reply.events
-        if request.caller.thumbprint != caller.thumbprint:  # only an administrator gets so far
-            what = f"calls {method} for {request.caller.name}: {reply.status}"
-            events = (*events, Administered(caller.title, what))
-        return Outcome([reply.code, reply.status, reply.value], events)
+            return _refused(refused, method, row, caller)
+        if isinstance(reply, Reply):
+            return _answered(reply, method, request, caller)
+        return _in_steps(reply, method, row, request, caller)
 
     def make(
-        self, multicall: Multicall, caller: Caller, now: int, *, near: bool = True
+        self,
+        multicall: Multicall,
+        caller: Caller,
+        now: int,
+        *,
+        near: bool = True,
+        over: Callable[[], bool] = never,
     ) -> tuple[MasterEvent, ...]:
         """Some more of the elements of a multicall; returns what to deliver for them."""
         return multicall.step(
-            lambda method, params: self.call(method, params, caller, now, near=near)
+            lambda method, params: self.begin(method, params, caller, now, near=near), over
         )
 
     def _multicall(
@@ -145,7 +160,7 @@ class MasterApi:
             raise ArgumentRefused("caller_id must be a string")
         acting = self._gatekeeper.acting(method, caller, caller_id)
         checked = [check(params[at], caller_id) for at, check in enumerate(row.checks, 1)]
-        request = Request(acting, (caller_id, *checked), now)
+        request = Request(acting, (caller_id, *checked), now, near)
         self._gatekeeper.check(method, acting, request.arguments, near=near)
         return request
 
@@ -159,3 +174,27 @@ class MasterApi:
     def _shutdown(self, request: Request) -> Reply:
         reason = f"{request.caller.name}: {request.arguments[1]}"
         return Reply(0, "shutdown", events=(StopMaster(reason),))
+
+
+def _in_steps(steps: Steps, method: str, row: Method, request: Request, caller: Caller) -> Work:
+    try:
+        reply = yield from steps
+    except Refused as refused:
+        return _refused(refused, method, row, caller)
+    return _answered(reply, method, request, caller)
+
+
+def _answered(reply: Reply, method: str, request: Request, caller: Caller) -> Outcome:
+    events = reply.events
+    if request.caller.thumbprint != caller.thumbprint:  # only an administrator gets so far
+        what = f"calls {method} for {request.caller.name}: {reply.status}"
+        events = (*events, Administered(caller.title, what))
+    return Outcome([reply.code, reply.status, reply.value], events)
+
+
+def _refused(refused: Refused, method: str, row: Method, caller: Caller) -> Outcome:
+    status = f"rossec: {refused}"
+    denied = () if refused.wanted is None else (Denied(caller.name, *refused.wanted),)
+    taken_by = refused.owner if isinstance(refused, AddressTaken) else None
+    refusal = CallRefused(caller.title, method, status, taken_by)
+    return Outcome([-1, status, row.default], (refusal, *denied))

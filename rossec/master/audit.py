@@ -1,9 +1,10 @@
 """The audit: what was denied and what was administered, line by line, each bound to the one before.
 
 A line is a JSON object; its `hash` is SHA-256 over the hash of the line before and the line without
-it. So a line cannot be changed, dropped or put in between without the rest of the file saying so;
-only whoever holds an earlier hash can tell that the *end* was cut off, therefore `rossec audit
---verify` prints the last one. Pure but for `AuditFile`, which appends for its owner alone (0600).
+it. So a line cannot be changed, dropped or put in between without the rest of the file saying so.
+That the *beginning* was cut off shows by the signed line a file begins with (`auditmark`); that the
+*end* was, only whoever holds an earlier hash can tell, therefore `rossec audit --verify` prints the
+last one. Pure but for `AuditFile`, which appends for its owner alone (0600).
 
 Each line is with the kernel at once and on the disk within a second of the first one not yet there.
 When the file is moved away (logrotate), the next line begins a new one, and the chain goes on. A
@@ -15,16 +16,19 @@ import hashlib
 import json
 import logging
 import os
-import time
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
+from ca.errors import PlaceRefused
+from ca.signer import Signer
+from rossec import files
+from rossec.clock import time as host_time
 from rossec.errors import ConfigurationError
+from rossec.master.auditmark import FIRST, mark
 from rossec.ros.text import printable
 
-FIRST: Final = "0" * 64
 LEFT_OUT: Final = "left_out"
 SYNC_EVERY: Final = 1.0  # seconds
 LINE_LIMIT: Final = 8 * 1024
@@ -39,7 +43,8 @@ Entry = dict[str, Any]
 def chained(entry: Entry, before: str) -> Entry:
     """The entry with its hash."""
     text = json.dumps(entry, sort_keys=True, separators=(",", ":"))
-    return {**entry, "hash": hashlib.sha256(f"{before}\n{text}".encode()).hexdigest()}
+    data = f"{before}\n{text}".encode(errors="surrogatepass")  # of a line that somebody else wrote
+    return {**entry, "hash": hashlib.sha256(data).hexdigest()}
 
 
 def encode(entry: Entry) -> str:
@@ -47,11 +52,21 @@ def encode(entry: Entry) -> str:
     return json.dumps(entry, sort_keys=True, separators=(",", ":"))
 
 
-def salvage(lines: Iterable[str]) -> tuple[list[Entry], list[int]]:
-    """The entries that can be read, and the numbers of the lines that cannot."""
-    found = [_entry(line) for line in lines]
-    damaged = [number for number, entry in enumerate(found, 1) if entry is None]
-    return [entry for entry in found if entry is not None], damaged
+def salvage(lines: Iterable[str], most: int | None = None) -> tuple[list[Entry], list[int]]:
+    """The entries that can be read, and the numbers of the lines that cannot.
+
+    Nothing is read after `most` lines that cannot.
+    """
+    entries, damaged = list[Entry](), list[int]()
+    for number, line in enumerate(lines, 1):
+        entry = _entry(line)
+        if entry is not None:
+            entries.append(entry)
+            continue
+        damaged.append(number)
+        if len(damaged) == most:
+            break
+    return entries, damaged
 
 
 def _entry(line: str) -> Entry | None:
@@ -87,8 +102,17 @@ def verify(entries: Iterable[Entry], before: str | None = None) -> str:
 class AuditFile(logging.Handler):
     """Appends what is logged to `rossec.audit`."""
 
-    def __init__(self, path: Path, clock: Callable[[], float] = time.time) -> None:
+    def __init__(
+        self, path: Path, clock: Callable[[], float] = host_time, signer: Signer | None = None
+    ) -> None:
+        """Begin, or go on with, the file at `path`; `signer` is the master's key.
+
+        Raises:
+            PlaceRefused: somebody else could have written it.
+            OSError: it cannot be written.
+        """
         super().__init__(logging.INFO)
+        self._signer = signer
         self._path = path
         self._clock = clock
         self._file = self._open()
@@ -100,7 +124,7 @@ class AuditFile(logging.Handler):
         """Write one line."""
         now = self._clock()
         entry: Entry = {
-            "at": round(now, 3), "before": self._last, "level": record.levelname.lower(),
+            "at": round(now, 3), "level": record.levelname.lower(),
             "text": printable(record.getMessage(), LINE_LIMIT // 8),
         }  # fmt: skip
         if left_out := getattr(record, LEFT_OUT, 0):
@@ -108,9 +132,11 @@ class AuditFile(logging.Handler):
         if self._cut:
             entry["cut_short"] = self._cut
         try:
-            self._append(chained(entry, self._last))
+            self._reopen_if_moved()
+            self._begin(round(now, 3))
+            self._append(chained({**entry, "before": self._last}, self._last))
             self._cut, self._failing = 0, False
-        except OSError as error:
+        except (OSError, PlaceRefused) as error:
             self._fail(error)
         if now - self._synced >= SYNC_EVERY or now < self._synced:
             self.sync()
@@ -129,8 +155,12 @@ class AuditFile(logging.Handler):
             self._file = -1
         super().close()
 
+    def _begin(self, at: float) -> None:
+        """A file that is empty begins with a line only the master can write."""
+        if self._signer is not None and os.fstat(self._file).st_size == 0:
+            self._append(chained(mark(self._signer, self._last, at), self._last))
+
     def _append(self, entry: Entry) -> None:
-        self._reopen_if_moved()
         line = f"{encode(entry)}\n".encode()
         size = os.fstat(self._file).st_size
         if os.write(self._file, line) != len(line):
@@ -138,10 +168,10 @@ class AuditFile(logging.Handler):
             raise OSError("the disk is full")
         self._last = entry["hash"]
 
-    def _fail(self, error: OSError) -> None:
+    def _fail(self, error: Exception) -> None:
         """Say so once; to end the master is no answer to a full disk."""
         if not self._failing:
-            _log.error("the audit cannot be written: %s", error)
+            _log.error("the audit cannot be written: %s; its lines so far are whole", error)
         self._failing = True
 
     def _reopen_if_moved(self) -> None:
@@ -156,8 +186,7 @@ class AuditFile(logging.Handler):
             os.close(old)
 
     def _open(self) -> int:
-        flags = os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW
-        return os.open(self._path, flags, 0o600)
+        return files.append_own(self._path)
 
     def _take_up(self) -> tuple[str, int]:
         """The hash to continue from; and how much was left of a line that was cut short."""

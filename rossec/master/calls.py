@@ -1,6 +1,6 @@
 """What a master method is: its arguments, its default, its handler, and what a handler returns."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Generator, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -102,11 +102,15 @@ class Reply(NamedTuple):
 
 
 class Request(NamedTuple):
-    """One call whose arguments are checked and resolved; `arguments[0]` is the caller_id."""
+    """One call whose arguments are checked and resolved; `arguments[0]` is the caller_id.
+
+    `near`: it comes from the master's own host.
+    """
 
     caller: Caller
     arguments: tuple[object, ...]
     now: int
+    near: bool = True
 
     def text(self, index: int) -> str:
         """An argument whose check returned text."""
@@ -127,7 +131,10 @@ class Request(NamedTuple):
         return NodeRef(self.caller.name, self.text(index), self.caller.thumbprint)
 
 
-Handler = Callable[[Request], Reply]
+Steps = Generator[None, None, Reply]
+"""A query over all there is: yields wherever others may have their turn, returns the reply."""
+
+Handler = Callable[[Request], Reply | Steps]
 
 
 @dataclass(frozen=True)

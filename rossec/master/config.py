@@ -5,17 +5,22 @@ is an error: a misspelt limit must not be no limit.
 """
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from rossec import files
 from rossec.errors import ConfigurationError
 from rossec.master.limits import Limits
 from rossec.ros.text import printable
 
+if TYPE_CHECKING:
+    from grants.policy.source import Part, Word
+
 _SIZE: Final = 64 * 1024
+_DEPTH: Final = 4
+_EVENTS: Final = 1000
 _MOST: Final = 1 << 30
 _LOGS: Final = ("text", "json")
 _PORT: Final = "a number from 0 to 65535, without quotes"
@@ -57,7 +62,7 @@ def load(path: Path) -> Config:
     Raises:
         ConfigurationError: no file, not YAML, or something in it is not allowed.
     """
-    data = files.read(path, _SIZE, ConfigurationError(f"there is no {path}"))
+    data = files.read_own(path, _SIZE, ConfigurationError(f"there is no {path}"), link=True)
     return parse(data.decode(errors="replace"), str(path))
 
 
@@ -67,49 +72,50 @@ def parse(text: str, name: str) -> Config:
     Raises:
         ConfigurationError: see `load`.
     """
-    tree = _yaml(text, name)
     values: dict[str, Any] = {}
-    for key, value in tree.items():
-        where = f"{name}:{_line(tree, key)}"
-        if key == "limits":
-            values[key] = _limits(value, where, name)
-        else:
-            values[str(key)] = _value(str(key), value, where)
+    for key, word, part in _entries(_tree(text, name), name):
+        where = f"{name}:{word.line}"
+        values[key] = _limits(part, where, name) if key == "limits" else _value(key, part, where)
     return Config(**values)
 
 
-def _yaml(text: str, name: str) -> Mapping[object, Any]:
-    from ruamel.yaml import YAML  # noqa: PLC0415 - a master without a file need not carry it
-    from ruamel.yaml.error import YAMLError  # noqa: PLC0415 - as above
+def _tree(text: str, name: str) -> "Part | None":
+    from grants.errors import PolicyRefused  # noqa: PLC0415 - a master without a file need not carry the reader
+    from grants.policy.mistakes import Mistakes  # noqa: PLC0415 - as above
+    from grants.policy.source import read_source  # noqa: PLC0415 - as above
+    from grants.yamltext import Bounds  # noqa: PLC0415 - as above
 
+    mistakes = Mistakes(name)
     try:
-        tree = YAML(typ="rt").load(text)
-    except YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
-        where = f"{name}:{mark.line + 1}" if mark is not None else name
-        problem = printable(getattr(error, "problem", None) or "")
-        raise ConfigurationError(f"{where}: not YAML", problem) from error
-    except RecursionError as error:
-        raise ConfigurationError(f"{name}: nested too deep", "settings are a flat map") from error
-    if tree is None:
-        return {}
-    if not isinstance(tree, Mapping):
-        raise ConfigurationError(f"{name}: not a map of settings", "for example  port: 11311")
+        tree = read_source(text, mistakes, Bounds(_SIZE, _DEPTH, _EVENTS))
+        mistakes.refuse_any()
+    except PolicyRefused as error:
+        first = mistakes.found[0]
+        said = printable(first.message)
+        raise ConfigurationError(f"{name}:{first.line}: {said}", printable(first.hint)) from error
     return tree
 
 
-def _line(tree: Any, key: object) -> int:
-    return int(tree.lc.key(key)[0]) + 1
+def _entries(tree: "Part | None", name: str) -> Iterator[tuple[str, "Word", "Part"]]:
+    """Key, its place, value."""
+    if tree is None:
+        return
+    entries = getattr(tree, "entries", None)
+    if entries is None:
+        raise ConfigurationError(f"{name}: not a map of settings", "for example  port: 11311")
+    for key, (word, part) in entries.items():
+        yield key, word, part
 
 
-def _value(key: str, value: object, where: str) -> object:
-    if key in ("port", "metrics") and isinstance(value, int) and _is_number(value, 0, 65535):
-        return int(value)  # the reader's own kind of integer is none to getaddrinfo
+def _value(key: str, part: "Part", where: str) -> object:
+    value = getattr(part, "value", None)
+    if key in ("port", "metrics") and _is_number(value, 0, 65535):
+        return value
     if key in ("audit", "admin", "announce") and isinstance(value, bool):
         return value
     if key == "log" and value in _LOGS:
-        return str(value)
-    if key == "complaints" and isinstance(value, str) and value:
+        return value
+    if key == "complaints" and isinstance(value, str) and value and printable(value) == value:
         return Path(value)
     known = [f.name for f in dataclasses.fields(Config)]
     if key not in known:
@@ -117,19 +123,18 @@ def _value(key: str, value: object, where: str) -> object:
     raise ConfigurationError(f"{where}: {key} cannot have this value", _EXPECTED[key])
 
 
-def _limits(value: object, where: str, name: str) -> Limits:
-    if not isinstance(value, Mapping):
+def _limits(part: "Part", where: str, name: str) -> Limits:
+    if getattr(part, "entries", None) is None:
         raise ConfigurationError(f"{where}: limits are a map", "for example  body: 1048576")
     known = [f.name for f in dataclasses.fields(Limits)]
-    for key, limit in value.items():
-        line = f"{name}:{_line(value, key)}"
+    limits: dict[str, Any] = {}
+    for key, word, entry in _entries(part, name):
+        line, limits[key] = f"{name}:{word.line}", getattr(entry, "value", None)
         if key not in known:
-            raise ConfigurationError(
-                f"{line}: there is no limit {str(key)[:40]!r}", ", ".join(known)
-            )
-        if not _is_number(limit, 1, _MOST):
+            raise ConfigurationError(f"{line}: there is no limit {key[:40]!r}", ", ".join(known))
+        if not _is_number(limits[key], 1, _MOST):
             raise ConfigurationError(f"{line}: {key} must be a whole number from 1 to {_MOST}")
-    return Limits(**{key: int(limit) for key, limit in value.items()})
+    return Limits(**limits)
 
 
 def _is_number(value: object, least: int, most: int) -> bool:

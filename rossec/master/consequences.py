@@ -25,11 +25,11 @@ from rossec.master.calls import (
 from rossec.master.complaints import Complain
 from rossec.master.gatekeeper import Peer
 from rossec.master.memory import ParameterFile
-from rossec.master.multicall import Outcome
 from rossec.master.news import News
 from rossec.master.registry import NodeRef, PublishersChanged, Registry, ShutdownNode
 from rossec.master.standing import ChannelPeer, Standing
 from rossec.master.throttle import DENIALS
+from rossec.master.turns import Outcome
 from rossec.master.updates import Updates
 from rossec.net.stream import SecureStream
 from rossec.ros.text import printable

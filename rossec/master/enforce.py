@@ -2,10 +2,9 @@
 
 A grant may be revoked, expire, or belong to a revoked key; the registry is compared with what the
 nodes may do *now*, so none of these needs bookkeeping of its own. A parameter subscription goes
-when nothing below it may be read any more; each update asks for the right again anyway.
+when nothing that may be below it can be read; each update asks for the right again anyway.
 """
 
-from collections.abc import Callable
 from typing import Final, NamedTuple
 
 from grants.model import Right
@@ -48,22 +47,18 @@ def enforce(
     statements: Statements,
     step: Step,
     now: int,
-    leaves: Callable[[str], list[str]],
 ) -> list[MasterEvent]:
-    """Remove the registrations of `step` that have no right any more, and say whom to tell.
-
-    `leaves` says which parameters lie below a key.
-    """
+    """Remove the registrations of `step` that have no right any more, and say whom to tell."""
     if not registry.is_current(step.node):
         return []
     caller = statements.caller_of(step.node, now)
     if caller is None:
         return [*registry.remove_node(step.node.name)]
-    lost = [key for key in step.keys if not _may_stay(caller, step.kind, key, leaves)]
+    lost = [key for key in step.keys if not _may_stay(caller, step.kind, key)]
     return [event for key in lost for event in registry.remove(step.kind, key, caller.name)]
 
 
-def _may_stay(caller: Caller, kind: Kind, key: str, leaves: Callable[[str], list[str]]) -> bool:
+def _may_stay(caller: Caller, kind: Kind, key: str) -> bool:
     if kind is Kind.PARAMETER:
-        return any(caller.may(Right.PARAM_GET, leaf) for leaf in leaves(key))
+        return caller.may_some_below(Right.PARAM_GET, key.removesuffix("/") or "/")
     return caller.may(_NEEDED[kind], key)

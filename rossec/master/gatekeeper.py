@@ -6,7 +6,7 @@ tells the caller which right is missing, never whether the thing exists: what a 
 answers as if it were absent.
 """
 
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Final, Protocol
@@ -17,7 +17,8 @@ from grants.model import Right
 from rossec.master.addresses import endpoint, is_here
 from rossec.master.registry import KEYS_LIMIT, Kind, NodeRef, Registry
 
-_ASK: Final = "ask the authority's operator for a grant"
+ASK: Final = "ask the authority's operator for a grant"
+LOOKS_AT_ONCE: Final = 64
 SEES_TOPICS: Final = Right.PUBLISH | Right.SUBSCRIBE | Right.CALL | Right.PROVIDE | Right.GRAPH
 
 
@@ -51,6 +52,15 @@ class Access(Protocol):
 
     def covers_any(self, rights: Right, name: str) -> bool:
         """Whether `require` would return for one of `rights`."""
+
+    def covers_below(self, right: Right, space: str) -> bool:
+        """Whether `right`, one of parameters, is given on every name below `space` (`/`: all)."""
+
+    def touches(self, right: Right, space: str) -> bool:
+        """Whether `right`, one of parameters, is given on `space` or on any name below it."""
+
+    def patterns(self, right: Right) -> int:
+        """How many patterns must be asked one by one whether they give `right`."""
 
 
 class Peer(Protocol):
@@ -122,6 +132,23 @@ class Caller:
     def may(self, right: Right, name: str) -> bool:
         """Whether a grant covers `right` on `name`."""
         return self.access.covers(right, name)
+
+    def may_all_below(self, right: Right, space: str) -> bool:
+        """Whether grants cover `right`, one of parameters, on every name below `space`."""
+        return self.access.covers_below(right, space)
+
+    def may_some_below(self, right: Right, space: str) -> bool:
+        """Whether a grant covers `right`, one of parameters, at `space` or anywhere below."""
+        return self.access.touches(right, space)
+
+    def patterns(self, right: Right) -> int:
+        """How many patterns must be asked one by one about each name."""
+        return self.access.patterns(right)
+
+    @property
+    def looks_at_once(self) -> int:
+        """How many names a query looks at between two of its yields: fewer where one costs more."""
+        return max(1, LOOKS_AT_ONCE // (1 + sum(map(self.access.patterns, Right)) // 8))
 
     def may_see(self, name: str) -> bool:
         """Whether a topic, service or node name may appear in an answer to this caller."""
@@ -232,7 +259,7 @@ class Gatekeeper:
     def check(
         self, method: str, caller: Caller, arguments: tuple[object, ...], *, near: bool = True
     ) -> None:
-        """The rule of `method`, except for TREE, where the reach is known to the parameters.
+        """The rule of `method`; of TREE the parameters, which know the reach, judge the rest.
 
         `near`: the caller is on the master's host.
 
@@ -242,12 +269,12 @@ class Gatekeeper:
         rule = RULES.get(method)
         if rule is None:
             raise Refused("no rule allows this method")
-        if rule.api is not None:
-            self._check_api(caller, str(arguments[rule.api]), near=near)
         if rule.scope is Scope.NAMED and rule.right is not None:
             require(caller, rule.right, str(arguments[rule.name]))
         if rule.scope is Scope.MASTER and rule.right is not None:
             require(caller, rule.right, self._master)
+        if rule.api is not None and rule.scope is not Scope.TREE:
+            require_address(self._registry, caller, str(arguments[rule.api]), near=near)
 
     def nodes_shown(self, caller: Caller, key: str, nodes: tuple[str, ...]) -> tuple[str, ...]:
         """Which of the nodes registered for `key` the caller is shown."""
@@ -263,17 +290,6 @@ class Gatekeeper:
         keys = (key for kind in kinds for key in self._registry.keys_of(name, kind))
         return any(caller.may_see(key) for key in keys)
 
-    def _check_api(self, caller: Caller, uri: str, *, near: bool) -> None:
-        if not near and is_here(endpoint(uri)[0]):
-            raise Refused(
-                "this slave API URI is on the master's host, and the caller is not: "
-                "set ROS_IP or ROS_HOSTNAME to an address at which others reach it"
-            )
-        owner = self._registry.owner(uri)
-        node = None if owner is None or owner == caller.name else self._registry.node(owner)
-        if node is not None:
-            raise AddressTaken(node)
-
 
 def require(caller: Caller, right: Right, name: str) -> None:
     """Raise `Refused`, with what is missing, unless `caller` has `right` on `name`."""
@@ -281,8 +297,24 @@ def require(caller: Caller, right: Right, name: str) -> None:
         caller.access.require(right, name)
     except HintedError as error:
         hint = f" ({error.hint})" if error.hint else ""
-        wanted = f"{caller.title} needs the right {_label(right)} on {name}"
+        wanted = f"{caller.title} needs the right {label(right)} on {name}"
         raise Refused(f"{wanted}: {error}{hint}", (right, name)) from error
+
+
+def require_address(registry: Registry, caller: Caller, uri: str, *, near: bool) -> None:
+    """Raise `Refused` unless the slave API may be the caller's.
+
+    After the right was judged: who has none does not hear which addresses are registered.
+    """
+    if not near and is_here(endpoint(uri)[0]):
+        raise Refused(
+            "this slave API URI is on the master's host, and the caller is not: "
+            "set ROS_IP or ROS_HOSTNAME to an address at which others reach it"
+        )
+    owner = registry.owner(uri)
+    node = None if owner is None or owner == caller.name else registry.node(owner)
+    if node is not None:
+        raise AddressTaken(node)
 
 
 def require_room(registry: Registry, kind: Kind, key: str, node: NodeRef) -> None:
@@ -297,16 +329,6 @@ def require_room(registry: Registry, kind: Kind, key: str, node: NodeRef) -> Non
         )
 
 
-def require_tree(caller: Caller, right: Right, key: str, leaves: Collection[str]) -> None:
-    """Raise `Refused` unless `caller` has `right` on every one of `leaves`; none means no.
-
-    The text depends on `key` alone, which the caller knows: the leaf that is missing, or the
-    grants that nearly cover it, would tell which parameters exist.
-    """
-    if not leaves or not all(caller.may(right, leaf) for leaf in leaves):
-        wanted = f"{caller.title} needs the right {_label(right)} on {key}"
-        raise Refused(f"{wanted}: no grant covers it and all below it ({_ASK})", (right, key))
-
-
-def _label(right: Right) -> str:
+def label(right: Right) -> str:
+    """The right as grants write it."""
     return (right.name or str(int(right))).lower().replace("_", "-")

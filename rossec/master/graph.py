@@ -4,10 +4,11 @@ State queries are filtered by the gatekeeper: a caller sees its own entries and 
 grants cover.
 """
 
+from collections.abc import Generator, Iterable
 from typing import Final
 
 from rossec.master import arguments as arg
-from rossec.master.calls import Method, Methods, Reply, Request
+from rossec.master.calls import Method, Methods, Reply, Request, Steps
 from rossec.master.gatekeeper import Caller, Gatekeeper, require_room
 from rossec.master.registry import Kind, Registry
 from rossec.ros.xmlwrite import Written
@@ -95,31 +96,39 @@ class GraphCalls:
             return Reply("", "no provider", -1)
         return Reply(uri, f"rosrpc URI: [{uri}]")
 
-    def _system_state(self, request: Request) -> Reply:
-        return Reply(self._state(request.caller), "current system state")
+    def _system_state(self, request: Request) -> Steps:
+        return Reply((yield from self._state(request.caller)), "current system state")
 
-    def _state(self, caller: Caller) -> Written:
+    def _state(self, caller: Caller) -> Generator[None, None, Written]:
         """What the caller is shown; the same while neither the registry nor the caller changed."""
-        if self._version != self._registry.version:
-            self._version = self._registry.version
+        version = self._registry.version
+        if self._version != version:
+            self._version = version
             self._states.clear()
         known = self._states.get(id(caller))
         if known is not None and known[0] is caller:
             return known[1]
-        kinds = (Kind.PUBLISHER, Kind.SUBSCRIBER, Kind.SERVICE)
-        state = Written([self._shown(kind, caller) for kind in kinds])
-        if len(self._states) >= _STATES_KEPT:
-            self._states.clear()
-        self._states[id(caller)] = caller, state
+        state = Written(
+            [
+                (yield from self._shown(Kind.PUBLISHER, caller)),
+                (yield from self._shown(Kind.SUBSCRIBER, caller)),
+                (yield from self._shown(Kind.SERVICE, caller)),
+            ]
+        )
+        if self._registry.version == self._version == version:
+            if len(self._states) >= _STATES_KEPT:
+                self._states.clear()
+            self._states[id(caller)] = caller, state
         return state
 
-    def _shown(self, kind: Kind, caller: Caller) -> list[object]:
-        shown = self._gatekeeper.nodes_shown
-        return [
-            self._entry(key, names)
-            for key, nodes in self._registry.entries(kind)
-            if (names := shown(caller, key, nodes))
-        ]
+    def _shown(self, kind: Kind, caller: Caller) -> Generator[None, None, list[object]]:
+        found, at_once = list[object](), caller.looks_at_once
+        for count, (key, nodes) in enumerate(self._registry.entries(kind), 1):
+            if names := self._gatekeeper.nodes_shown(caller, key, nodes):
+                found.append(self._entry(key, names))
+            if not count % at_once:
+                yield
+        return found
 
     def _entry(self, key: str, names: tuple[str, ...]) -> Written:
         """One name with its nodes, written once for all who are shown it."""
@@ -130,18 +139,30 @@ class GraphCalls:
             entry = self._entries[key, names] = Written([key, list(names)])
         return entry
 
-    def _topic_types(self, request: Request) -> Reply:
+    def _topic_types(self, request: Request) -> Steps:
         types = self._registry.topic_types()
-        shown = [[key, name] for key, name in types if self._topic_shown(request.caller, key)]
-        return Reply(shown, "current system state")
+        return Reply((yield from self._typed(request.caller, types)), "current system state")
 
-    def _published_topics(self, request: Request) -> Reply:
+    def _published_topics(self, request: Request) -> Steps:
         space = request.text(1)
         if space and not space.endswith("/"):
             space += "/"
-        topics = (key for key, _ in self._registry.entries(Kind.PUBLISHER) if key.startswith(space))
-        shown = [key for key in topics if self._topic_shown(request.caller, key)]
-        return Reply([[key, self._registry.topic_type(key)] for key in shown], "current topics")
+        entries = self._registry.entries(Kind.PUBLISHER)
+        topics = ((key, self._registry.topic_type(key)) for key, _ in entries)
+        within = ((key, name) if key.startswith(space) else None for key, name in topics)
+        return Reply((yield from self._typed(request.caller, within)), "current topics")
+
+    def _typed(
+        self, caller: Caller, topics: Iterable[tuple[str, str] | None]
+    ) -> Generator[None, None, list[list[str]]]:
+        """Those of `topics`, with their types, that the caller is shown."""
+        shown, at_once = list[list[str]](), caller.looks_at_once
+        for count, topic in enumerate(topics, 1):
+            if topic is not None and self._topic_shown(caller, topic[0]):
+                shown.append([*topic])
+            if not count % at_once:
+                yield
+        return shown
 
     def _topic_shown(self, caller: Caller, topic: str) -> bool:
         own = (Kind.PUBLISHER, Kind.SUBSCRIBER)

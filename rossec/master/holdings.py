@@ -53,6 +53,18 @@ class GrantAccess:
         """Whether a grant that holds covers one of `rights` on `name`."""
         return self.reach.covers_any(rights, name)
 
+    def covers_below(self, right: Right, space: str) -> bool:
+        """Whether grants that hold cover `right` on every parameter below `space`."""
+        return self.reach.covers_below(right, space)
+
+    def touches(self, right: Right, space: str) -> bool:
+        """Whether a grant that holds covers `right` on any parameter at or below `space`."""
+        return self.reach.touches(right, space)
+
+    def patterns(self, right: Right) -> int:
+        """As of `Reach`."""
+        return self.reach.patterns(right)
+
     def require(self, right: Right, name: str) -> None:
         """Raise the `GrantError` that says what is missing."""
         if not self.reach.covers(right, name):

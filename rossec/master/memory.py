@@ -11,7 +11,9 @@ import os
 from pathlib import Path
 from typing import Final
 
+from ca import places
 from rossec import files
+from rossec.errors import NotWritten
 from rossec.master import journal
 from rossec.master.journal import Change
 from rossec.master.params import Parameters
@@ -19,6 +21,8 @@ from rossec.master.params import Parameters
 GROWTH: Final = 4  # rewritten when it is so many times as long as it need be
 SMALL: Final = 1024 * 1024  # and at least this long
 LARGE: Final = 256 * 1024 * 1024  # what may come between two beats
+
+_IN_FORCE: Final = "they are in force, and kept as soon as there is room"
 
 _log = logging.getLogger(__name__)
 
@@ -38,9 +42,10 @@ class ParameterFile:
         """Read the file, cut off what was not written to its end, and get ready to append.
 
         Raises:
-            OSError: it cannot be read or written.
+            NotWritten, OSError: it cannot be written or read; it is as it was.
+            PlaceRefused: somebody else could have written it.
         """
-        data = self._path.read_bytes() if self._path.exists() else b""
+        data = self._read()
         changes, good = journal.decode(data)
         if good < len(data):
             _log.warning("%s: the last %d bytes are damaged", self._path.name, len(data) - good)
@@ -61,7 +66,7 @@ class ParameterFile:
             reason = str(error)
         self._dirty = True
         if written != len(record):
-            _log.error("parameters cannot be kept: %s", reason)
+            _log.error("parameters cannot be kept: %s; %s", reason, _IN_FORCE)
             os.ftruncate(self._file, self._size)  # half a record would hide what follows
             self._whole = False
             return
@@ -79,9 +84,9 @@ class ParameterFile:
                 self._rewrite()
             else:
                 os.fdatasync(self._file)
-        except OSError as error:
+        except (NotWritten, OSError) as error:
             self._dirty = True
-            _log.error("parameters cannot be kept: %s", error)
+            _log.error("parameters cannot be kept: %s; %s", error, _IN_FORCE)
 
     def close(self) -> None:
         """Sync and close."""
@@ -89,6 +94,12 @@ class ParameterFile:
         if self._file is not None:
             os.close(self._file)
             self._file = None
+
+    def _read(self) -> bytes:
+        if not self._path.exists():
+            return b""
+        with os.fdopen(places.open_own(self._path), "rb") as file:
+            return file.read()
 
     def _rewrite(self) -> None:
         data = journal.snapshot(self.parameters)

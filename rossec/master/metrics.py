@@ -3,11 +3,17 @@
 import asyncio
 import os
 from collections.abc import Callable, Iterator, Mapping
+from socketserver import ThreadingMixIn
+from threading import Thread
 from typing import Any, Final
+from weakref import WeakKeyDictionary
+from wsgiref.simple_server import WSGIRequestHandler, WSGIServer, make_server
 
 from rossec.errors import ConfigurationError
+from rossec.net.halfopen import HalfOpen, HalfOpenCount, Place
 
 ADDRESS: Final = "127.0.0.1"
+_CAPS: Final = HalfOpen(per_address=16, total=16)
 DEADLINE: Final = 5.0  # seconds until the loop must have answered
 _COUNTED: Final = {
     "calls": "Calls answered.",
@@ -50,6 +56,43 @@ class Collector:
             yield core.GaugeMetricFamily(f"rossec_master_{name}", text, value=status[name])
 
 
+class _Server(ThreadingMixIn, WSGIServer):
+    """A thread for each caller, of whom anybody on this host may be one: few at a time."""
+
+    daemon_threads = True
+
+    def __init__(self, *arguments: Any) -> None:
+        self._count = HalfOpenCount(_CAPS)
+        self._places: WeakKeyDictionary[Any, Place] = WeakKeyDictionary()
+        super().__init__(*arguments)
+
+    def verify_request(self, request: Any, client_address: Any) -> bool:
+        """Before a thread is spent on a caller."""
+        place = self._count.admit(client_address[0])
+        if place is not None:
+            self._places[request] = place
+        return place is not None
+
+    def shutdown_request(self, request: Any) -> None:
+        """As of the base; the caller counts until then."""
+        super().shutdown_request(request)
+        place = self._places.pop(request, None)
+        if place is not None:
+            place.settle()
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """A caller that is silent, or hangs up, is no news."""
+
+
+class _Handler(WSGIRequestHandler):
+    """One request, for which there is a deadline."""
+
+    timeout = DEADLINE
+
+    def log_message(self, format: str, *arguments: Any) -> None:  # noqa: A002 - the base's
+        """Requests are not logged."""
+
+
 class Exporter:
     """Serves the figures on a port of loopback, in a thread of its own."""
 
@@ -63,14 +106,15 @@ class Exporter:
         registry = prometheus_client.CollectorRegistry()
         registry.register(Collector(status))
         try:
-            self._server, self._thread = prometheus_client.start_http_server(
-                port, addr=ADDRESS, registry=registry
-            )
+            application = prometheus_client.make_wsgi_app(registry)
+            self._server = make_server(ADDRESS, port, application, _Server, _Handler)
         except OSError as error:
             raise ConfigurationError(
                 f"metrics cannot be served on port {port}: {os.strerror(error.errno or 0).lower()}",
                 "choose another port, or 0 for any",
             ) from error
+        self._thread = Thread(target=self._server.serve_forever, name="metrics", daemon=True)
+        self._thread.start()
         self.port: int = self._server.server_port
 
     def close(self) -> None:

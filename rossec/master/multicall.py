@@ -1,16 +1,17 @@
 """`system.multicall`: each element is a call of its own, with its own rights. Pure.
 
-Some elements are made at a time, so that one node with four thousand does not keep the others
-waiting; what the caller may do is asked anew each time. What is bounded: the elements, those that
-cost much, and how long all answers are together. Nesting is refused.
+It is made in turns, so that one node with four thousand elements does not keep the others waiting;
+what the caller may do is asked anew each time. What is bounded: the elements, those that cost much,
+and how long all answers are together. Nesting is refused.
 """
 
 import xmlrpc.client
 from collections.abc import Callable, Sequence
-from typing import Final, NamedTuple
+from typing import Final
 
 from rossec.master.calls import GrantsPresented, MasterEvent, RevocationsChanged
 from rossec.master.gatekeeper import RULES, Scope
+from rossec.master.turns import Outcome, Over, Work, advance
 from rossec.master.values import weight
 from rossec.ros.xmlrpc import BODY_LIMIT
 
@@ -19,7 +20,6 @@ MULTICALL: Final = "system.multicall"
 MULTICALL_LIMIT: Final = 4096  # roslaunch sets every parameter of a launch file in one
 MULTICALL_QUERIES: Final = 16  # answers over the whole graph; more in one call only amplifies
 MULTICALL_ANSWER: Final = BODY_LIMIT  # bytes, about; else 4096 questions for one large parameter
-BATCH: Final = 64  # elements made before others have their turn
 MULTICALL_ONCE: Final = frozenset(  # each of these costs signatures or carries a whole list
     {
         "rossec.presentGrants", "rossec.renewGrants", "rossec.updateDelegation",
@@ -30,16 +30,9 @@ MULTICALL_ONCE: Final = frozenset(  # each of these costs signatures or carries 
 )  # fmt: skip
 
 
-class Outcome(NamedTuple):
-    """What to answer and what to deliver."""
-
-    answer: object
-    events: tuple[MasterEvent, ...] = ()
-
-
 _RIGHTS: Final = (RevocationsChanged, GrantsPresented)
-Make = Callable[[str, Sequence[object]], Outcome]
-"""Makes one call, or raises `Fault`."""
+Make = Callable[[str, Sequence[object]], Outcome | Work]
+"""Makes one call, or begins to, or raises `Fault`."""
 
 
 class Multicall:
@@ -57,8 +50,9 @@ class Multicall:
             raise Fault(1, f"rossec: more than {MULTICALL_QUERIES} state queries in a multicall")
         self._calls: list[object] = calls
         self._answers: list[object] = []
-        self._seen: set[str] = set()
+        self._once: dict[str, int] = {}  # where the first of each is
         self._room = MULTICALL_ANSWER
+        self._work: Work | None = None  # the element that is being made
 
     @property
     def done(self) -> bool:
@@ -74,34 +68,51 @@ class Multicall:
         text = "the answers of this multicall are too long"
         return Fault(1, f"rossec: {text}: {made}, ask for less at a time")
 
-    def step(self, make: Make) -> tuple[MasterEvent, ...]:
-        """Make some more of the calls; returns what is to be delivered for them."""
+    def step(self, make: Make, over: Over) -> tuple[MasterEvent, ...]:
+        """Make calls until the turn is `over`; returns what is to be delivered for them."""
         events: list[MasterEvent] = []
-        begun = len(self._answers)
-        for element in self._calls[begun : begun + BATCH]:
-            try:
-                self._check_once(element)
-                outcome = _made(element, make)
-            except Fault as fault:
-                answer: object = {"faultCode": fault.faultCode, "faultString": fault.faultString}
-            else:
-                answer = [outcome.answer]
-                events += outcome.events
-            self._answers.append(answer)
-            self._room -= weight(answer)
-            if self._room < 0 or (events and isinstance(events[-1], _RIGHTS)):
+        while not self.done:
+            outcome = self._next(make, over)
+            if outcome is None:
+                break
+            self._answers.append(outcome.answer)
+            self._room -= weight(outcome.answer)
+            events += outcome.events
+            if over() or (events and isinstance(events[-1], _RIGHTS)):
                 break  # what follows from it must have followed before the next one is made
         return tuple(events)
 
+    def begin_again(self) -> None:
+        """What the element that is being made has found so far does not count any more."""
+        self._work = None
+
+    def _next(self, make: Make, over: Over) -> Outcome | None:
+        """Make one element; None: there is more to do."""
+        try:
+            begun = self._begun(make) if self._work is None else self._work
+            made = begun if isinstance(begun, Outcome) else advance(begun, over)
+        except Fault as fault:
+            made = Outcome({"faultCode": fault.faultCode, "faultString": fault.faultString})
+        else:
+            if made is None:
+                self._work = None if isinstance(begun, Outcome) else begun
+                return None
+            made = Outcome([made.answer], made.events)
+        self._work = None
+        return made
+
+    def _begun(self, make: Make) -> Outcome | Work:
+        element = self._calls[len(self._answers)]
+        self._check_once(element)
+        return _made(element, make)
+
     def _check_once(self, element: object) -> None:
-        method = _method_of(element)
-        if method in self._seen:
+        method, at = _method_of(element), len(self._answers)
+        if method in MULTICALL_ONCE and self._once.setdefault(method, at) != at:
             raise Fault(1, f"rossec: more than one {method} in a multicall")
-        if method in MULTICALL_ONCE:
-            self._seen.add(method)
 
 
-def _made(element: object, make: Make) -> Outcome:
+def _made(element: object, make: Make) -> Outcome | Work:
     method = element.get("methodName") if isinstance(element, dict) else None
     params = element.get("params") if isinstance(element, dict) else None
     if not isinstance(method, str) or not isinstance(params, list):

@@ -12,7 +12,7 @@ from typing import Final
 
 from ca.certificates import Identity, build_request
 from ca.errors import HintedError
-from ca.renewal import renew_at, sign_renewal
+from ca.renewal import ask_again_in, renew_at, sign_renewal
 from grants.validity import moment
 from rossec.channel.credentials import LiveCredentials
 from rossec.errors import ConfigurationError
@@ -48,7 +48,8 @@ class OwnIdentity:
         self._attempt(self._take_up, now)
         held = self._identity
         if now >= max(self._again, renew_at(held.not_before, held.not_after)):
-            self._again = now + (_HOUR if self.renew is None else _RETRY)
+            longest = _HOUR if self.renew is None else _RETRY
+            self._again = now + ask_again_in(held.not_before, held.not_after, longest)
             self._attempt(self._renew, now)
 
     def _attempt(self, action: Callable[[int], None], now: int) -> None:

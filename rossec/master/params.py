@@ -1,24 +1,35 @@
 """The parameter tree, pure; semantics of stock rosmaster's paramserver.py.
 
 Values are XML-RPC values, a dict is a namespace. Keys arrive resolved. Rights are not decided
-here, but what a call reaches is said here: `leaves` of what is, `leaves_of` what would be.
+here (`rossec.master.trees`), but which places a call reaches is said here: `place` and `reach`.
 Stricter than stock: a name inside a tree is one segment (stock stores `{"a/b": 1}` where nobody
 finds it again), and the depth is bounded by what can be sent back.
 """
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Collection, Iterator
 from copy import deepcopy
 from typing import Final, NamedTuple
 
+from ca.errors import NameRefused
+from ca.names import check_name
 from rossec.master import values
 from rossec.master.values import DEPTH_LIMIT, Tree
 from rossec.ros import names
 
+_SHOWN: Final = 80  # characters of a name in an error
 SIZE_LIMIT: Final = 64 * 1024 * 1024  # bytes of all parameters together
 
 
 class ParameterMissing(KeyError):
     """Nothing is set under this key."""
+
+
+class TooLarge(ValueError):
+    """All parameters together would take `size` bytes."""
+
+    def __init__(self, size: int, limit: int) -> None:
+        super().__init__(f"all parameters together would take more than {limit} bytes")
+        self.size = size
 
 
 class Update(NamedTuple):
@@ -63,7 +74,8 @@ class Parameters:
 
         Raises:
             TypeError: the root must stay a tree.
-            ValueError: not the value of a parameter, or all together would take more than `limit`.
+            ValueError: not the value of a parameter.
+            TooLarge: all together would take more than `limit`.
         """
         segments = _segments(key)
         values.check(value, DEPTH_LIMIT - len(segments))
@@ -74,7 +86,7 @@ class Parameters:
         if name in parent:
             size -= values.entry_weight(name, parent[name])
         if limit is not None and size > max(limit, self.size):
-            raise ValueError(f"all parameters together would take more than {limit} bytes")
+            raise TooLarge(size, limit)
         parent[name] = new
         self.size = size
 
@@ -102,79 +114,77 @@ class Parameters:
             raise ParameterMissing(key)
         self.size -= values.entry_weight(last, parent.pop(last))
 
-    def names(self) -> Iterator[str]:
-        """Every parameter with a value, in stock's order."""
-        return (name for name, value in _walk(names.SEPARATOR, self._top[""]) if value != {})
-
-    def leaves(self, key: str) -> list[str]:
-        """What a call on `key` reaches: the parameters below it, or itself if there are none."""
+    def place(self, key: str) -> tuple[str, object]:
+        """What a call on `key` reaches: it, with what is there, if anything."""
         try:
-            return leaves_of(key, self.get(key))
+            return key, self.get(key)
         except ParameterMissing:
-            return [key]
+            return key, None
 
-    def reach(self, key: str) -> list[str]:
-        """What setting `key` changes: `leaves`, or a value on the way, which becomes a tree."""
+    def reach(self, key: str) -> list[tuple[str, object]]:
+        """What setting `key` changes: what is there, or a value above, which becomes a tree."""
         segments = _segments(key)
         value: object = self._top[""]
         for depth, segment in enumerate(segments):
             if not isinstance(value, dict):
-                return [names.SEPARATOR + names.SEPARATOR.join(segments[:depth]), key]
+                above = names.SEPARATOR + names.SEPARATOR.join(segments[:depth])
+                return [(above, value), (key, None)]
             if segment not in value:
-                return [key]
+                return [(key, None)]
             value = value[segment]
-        return leaves_of(key, value)
-
-    def search(self, space: str, key: str, visible: Callable[[str], bool]) -> str | None:
-        """Climb from `space` to the first namespace that has the first segment of `key`.
-
-        Raises:
-            ValueError: `key` is empty or private.
-        """
-        if not key or key.startswith(names.PRIVATE):
-            raise ValueError("invalid key")
-        if key.startswith(names.SEPARATOR):
-            return key if self._shown(key, visible) else None
-        first = _segments(key)[0]
-        above = _segments(space)
-        for length in range(len(above), -1, -1):
-            prefix = names.SEPARATOR + names.SEPARATOR.join(above[:length])
-            if self._shown(names.join(prefix, first), visible):
-                return names.join(prefix, key)
-        return None
-
-    def _shown(self, key: str, visible: Callable[[str], bool]) -> bool:
-        return self.has(key) and any(visible(leaf) for leaf in self.leaves(key))
+        return [(key, value)]
 
 
-def leaves_of(key: str, value: object) -> list[str]:
-    """The parameters that `value` set at `key` consists of; an empty tree is one itself."""
-    if not isinstance(value, dict):  # nearly always
-        return [key]
-    return [name for name, _ in _walk(key, value)]
+def places_to_search(space: str, key: str) -> list[tuple[str, str]]:
+    """Where a search for `key` from `space` looks, nearest first, and what it finds there.
+
+    What is looked for is the first segment of `key`, upwards from `space`.
+
+    Raises:
+        ValueError: `key` is empty or private.
+    """
+    if not key or key.startswith(names.PRIVATE):
+        raise ValueError("invalid key")
+    if key.startswith(names.SEPARATOR):
+        return [(key, key)]
+    return list(names.upwards(space, key))
 
 
-def updates(subscriptions: Iterable[str], key: str, value: object) -> list[Update]:
+def check_names(key: str, value: object) -> None:
+    """Return if every name in a tree that is to be set at `key` is one that can be asked for.
+
+    Raises:
+        ValueError: which one is not.
+    """
+    if not isinstance(value, dict):
+        return
+    for name, below in value.items():
+        inner = _slashed(key) + name
+        if names.SEPARATOR in name or not _is_name(inner):
+            raise ValueError(f"{name[:_SHOWN]!r} cannot be the name of a parameter in a tree")
+        check_names(inner, below)
+
+
+def updates(subscriptions: Collection[str], key: str, value: object) -> list[Update]:
     """Which subscriptions a change of `key` to `value` concerns (keys of both end with '/').
 
     A subscriber hears of anything at, above or below what it subscribed to; what a replaced tree
-    no longer holds is reported as unset.
+    no longer holds is reported as unset. All `subscriptions` are looked at only where a tree is
+    set: they are of others, and may be many.
     """
-    found = list(subscriptions)
-    if not found:
+    if not subscriptions:
         return []
     changed = _slashed(key)
     value = deepcopy(value)  # the event is delivered later, when the tree may have changed
-    inside = dict(_inside(changed, value)) if isinstance(value, dict) else None
-    result: list[Update] = []
-    for subscription in found:
-        if changed.startswith(_slashed(subscription)):
-            result.append(Update(subscription, changed, value, to_setter=False))
-        elif inside is not None and subscription.startswith(changed) and subscription not in inside:
-            result.append(Update(subscription, subscription, {}, to_setter=True))
-    if inside is not None:
-        exact = (name for name in found if name in inside)
-        result += [Update(name, name, inside[name], to_setter=True) for name in exact]
+    result = [
+        Update(space, changed, value, to_setter=False)
+        for space in _spaces(changed)
+        if space in subscriptions
+    ]
+    if isinstance(value, dict):
+        inside = dict(_inside(changed, value))
+        below = (name for name in subscriptions if name != changed and name.startswith(changed))
+        result += [Update(name, name, inside.get(name, {}), to_setter=True) for name in below]
     return result
 
 
@@ -187,16 +197,22 @@ def _slashed(key: str) -> str:
     return key if key.endswith(names.SEPARATOR) else key + names.SEPARATOR
 
 
+def _is_name(key: str) -> bool:
+    try:
+        check_name(key)
+    except NameRefused:
+        return False
+    return True
+
+
+def _spaces(changed: str) -> list[str]:
+    """`/`, `/a/`, `/a/b/` of `/a/b/`."""
+    ends = [at for at, letter in enumerate(changed, 1) if letter == names.SEPARATOR]
+    return [changed[:end] for end in ends]
+
+
 def _segments(key: str) -> list[str]:
     return [segment for segment in key.split(names.SEPARATOR) if segment]
-
-
-def _walk(key: str, value: object) -> Iterator[tuple[str, object]]:
-    if not isinstance(value, dict) or not value:
-        yield key, value
-        return
-    for name, below in value.items():
-        yield from _walk(names.join(key, name), below)
 
 
 def _inside(key: str, value: Tree) -> Iterator[tuple[str, object]]:

@@ -9,7 +9,7 @@ leaves them with a dead publisher), and lookups by node are indexed.
 """
 
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, field
 from enum import Enum
 from typing import Final, NamedTuple
@@ -223,8 +223,12 @@ class Registry:
         return [node.uri for node in self.members(kind, key)]
 
     def entries(self, kind: Kind) -> Iterator[tuple[str, tuple[str, ...]]]:
-        """All names of one kind, each with its nodes."""
-        return ((key, tuple(names)) for key, names in self._names[kind].items())
+        """All names of one kind as they are now, each with its nodes as they are then."""
+        return ((key, tuple(names)) for key, names in tuple(self._names[kind].items()))
+
+    def keys(self, kind: Kind) -> Collection[str]:
+        """All names of one kind."""
+        return self._names[kind].keys()
 
     def service_uri(self, service: str) -> str | None:
         """The rosrpc URI of a service."""
@@ -232,7 +236,7 @@ class Registry:
 
     def topic_types(self) -> Iterable[tuple[str, str]]:
         """Every registered topic whose type is known; stock also keeps those that are gone."""
-        return self._types.items()
+        return tuple(self._types.items())
 
     def topic_type(self, topic: str) -> str:
         """The type of a topic, `*` while nobody said."""

@@ -7,6 +7,7 @@ in `upkeep`, connections to nodes in `dialling`.
 """
 
 import asyncio
+import contextlib
 import logging
 import os
 import secrets
@@ -20,30 +21,30 @@ from rossec.channel.credentials import OwnCredential, Verify
 from rossec.channel.known import KnownCertificates
 from rossec.channel.records import Limits as ChannelLimits
 from rossec.channel.suites import PRODUCTION
+from rossec.clock import time as host_time
+from rossec.master.answering import Answering
 from rossec.master.api import MasterApi
-from rossec.master.calls import CallRefused, StopMaster
+from rossec.master.calls import RevocationsChanged, StopMaster
 from rossec.master.complaints import Complain, unheard
 from rossec.master.consequences import Consequences, State
 from rossec.master.dialling import Dialler
-from rossec.master.gatekeeper import Caller
 from rossec.master.limits import Limits
 from rossec.master.memory import ParameterFile
-from rossec.master.multicall import MULTICALL, Multicall, Outcome
-from rossec.master.news import WATCH_WAIT
+from rossec.master.nearby import WHOSE, Find, Nearby, nothing
 from rossec.master.params import Parameters
 from rossec.master.registry import Kind, NodeRef, Registry
+from rossec.master.revoked import MOMENT, Hearers, RevokedCalls
 from rossec.master.standing import ChannelPeer, Standing
 from rossec.master.throttle import DENIALS
+from rossec.master.turns import Turns
 from rossec.master.updates import LEAVING, Updates
 from rossec.master.upkeep import Upkeep
-from rossec.master.watching import WATCH, no_news
 from rossec.net.halfopen import HalfOpen
 from rossec.net.rpc import serve_calls
 from rossec.net.stream import Flavour, SecureServer, SecureStream, serve
 from rossec.ros.http import HEADERS_LIMIT
 from rossec.ros.settings import is_loopback
 from rossec.ros.text import printable
-from rossec.ros.xmlrpc import Fault
 
 DEFAULT_NAME: Final = "/master"
 TIMESTAMP_EVERY: Final = 10.0  # seconds; a timestamp holds for 30
@@ -67,6 +68,8 @@ class MasterServer:
         limits: what one peer may cost.
         suites: the post-quantum policy (`rossec.channel.policy`).
         look_after_self: called with the time at every beat (`rossec.master.own`).
+        turns: how long one call may keep others waiting.
+        news: what an authority on this host has signed (`rossec.master.nearby`).
     """
 
     def __init__(
@@ -79,13 +82,15 @@ class MasterServer:
         host: str | None = None,
         port: int = 11311,
         advertise: str = "localhost",
-        clock: Callable[[], float] = time.time,
+        clock: Callable[[], float] = host_time,
         timestamp_every: float = TIMESTAMP_EVERY,
         complain: Complain = unheard,
         memory: ParameterFile | None = None,
         limits: Limits = _LIMITS,
         suites: tuple[int, ...] = PRODUCTION,
         look_after_self: Callable[[int], None] = lambda _: None,
+        turns: Turns | None = None,
+        news: Find = nothing,
     ) -> None:
         self._credentials = credentials
         self._verify = verify
@@ -96,14 +101,16 @@ class MasterServer:
         self._clock = clock
         self._memory = memory
         self._limits = limits
+        self._turns = Turns(time.monotonic) if turns is None else turns
         self._channel_limits = ChannelLimits(
             unit=limits.body + HEADERS_LIMIT, handshake_seconds=limits.handshake_seconds
         )
         self._suites = suites
         self._known = KnownCertificates()
         self._registry = Registry(limits.nodes_per_identity)
-        self._api: MasterApi | None = None
+        self._answering: Answering | None = None
         self._server: SecureServer[ChannelPeer] | None = None
+        self._hearers = Hearers()
         self._dialler = Dialler(
             credentials,
             verify,
@@ -113,10 +120,15 @@ class MasterServer:
             known=self._known,
         )
         self._updates = Updates(self._dialler.dial, limits.nodes_per_identity + LEAVING)
-        state = State(name, self._now, self._registry, standing, self._updates, memory)
-        self._news, self._streams = state.news, state.streams
+        self._state = state = State(
+            name, self._now, self._registry, standing, self._updates, memory
+        )
+        self._streams = state.streams
         self._consequences = Consequences(state, complain, self._on_revocations)
-        self._upkeep = Upkeep(state, self._consequences.deliver, timestamp_every, look_after_self)
+        brought = partial(self._consequences.deliver, RevocationsChanged(WHOSE))
+        nearby = Nearby(news, standing, brought)
+        looks = (look_after_self, nearby.look)
+        self._upkeep = Upkeep(state, self._consequences.deliver, timestamp_every, looks)
 
     @property
     def port(self) -> int:
@@ -148,7 +160,7 @@ class MasterServer:
             suites=self._suites,
             known=self._known,
         )
-        self._api = MasterApi(
+        api = MasterApi(
             self._registry,
             self._standing,
             name=self._name,
@@ -159,7 +171,10 @@ class MasterServer:
             parameters=self._remember(),
             parameter_bytes=limits.parameters,
         )
-        self._upkeep.begin(self._api)
+        self._answering = Answering(
+            api, self._state, self._consequences, self._dialler, self._turns
+        )
+        self._upkeep.begin(api)
 
     def _remember(self) -> Parameters | None:
         if self._memory is None:
@@ -205,87 +220,44 @@ class MasterServer:
             _denials.warning("%s has too many connections", stream.peer.name)
             stream.abort("too many connections of one identity")
             return
-        self._streams.add(stream)
         try:
             self._standing.caller(stream.peer, self._now())
-            near = is_loopback(stream.address) or stream.address == stream.local_address
-            await serve_calls(
-                stream,
-                partial(self._dispatch, near),
-                limit=self._limits.body,
-                request_deadline=self._limits.request_seconds,
-                idle_deadline=self._limits.idle_seconds,
-            )
         except HintedError as error:
-            _denials.warning("%s is cut off: %s", stream.peer.name, printable(error))
-            stream.abort(str(error))
+            _denials.warning("%s is told the list alone: %s", stream.peer.name, printable(error))
+            await self._serve_revoked(stream)
+            return
+        self._streams.add(stream)  # until its socket is closed: one that lingers counts
+        stream.when_lost(partial(self._streams.discard, stream))
+        near = is_loopback(stream.address) or stream.address == stream.local_address
+        await serve_calls(
+            stream,
+            partial(self._dispatch, near),
+            limit=self._limits.body,
+            request_deadline=self._limits.request_seconds,
+            idle_deadline=self._limits.idle_seconds,
+        )
+
+    async def _serve_revoked(self, stream: SecureStream[ChannelPeer]) -> None:
+        """For a moment, and not among the streams: nothing that others are told is told here."""
+        keys = stream.peer.keys
+        if not self._hearers.admit(keys):
+            stream.abort("too many connections of a revoked identity")
+            return
+        try:
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(MOMENT):
+                    answer = RevokedCalls(self._standing, self._now).answer
+                    await serve_calls(stream, answer, limit=self._limits.body)
         finally:
-            self._streams.discard(stream)
+            stream.abort("the identity is revoked")
+            self._hearers.leave(keys)
 
     def _dispatch(
         self, near: bool, method: str, params: tuple[object, ...], peer: ChannelPeer
     ) -> object:
-        if method == MULTICALL:
-            multicall = Multicall(params)
-            self._step(near, multicall, peer)
-            return multicall.answer if multicall.done else self._multicall(near, multicall, peer)
-        outcome = self._outcome(near, method, params, peer)
-        match outcome.events:
-            case [CallRefused(taken_by=NodeRef() as owner)] if owner not in self._dialler.doubted:
-                return self._ask_who_is_there(owner, near, method, params, peer)
-        answer = self._consequences.follow(outcome)
-        if method == WATCH and no_news(answer):
-            return self._watch(near, method, params, peer)
-        return answer
-
-    async def _ask_who_is_there(
-        self,
-        owner: NodeRef,
-        near: bool,
-        method: str,
-        params: tuple[object, ...],
-        peer: ChannelPeer,
-    ) -> object:
-        """A node says it is where `owner` was: if somebody else answers there, `owner` is gone."""
-        await self._dialler.doubt(owner)
-        return self._answer(near, method, params, peer)
-
-    async def _watch(
-        self, near: bool, method: str, params: tuple[object, ...], peer: ChannelPeer
-    ) -> object:
-        await self._news.wait(WATCH_WAIT)
-        return self._answer(near, method, params, peer)
-
-    async def _multicall(self, near: bool, multicall: Multicall, peer: ChannelPeer) -> object:
-        while not multicall.done:
-            await asyncio.sleep(0)  # others have their turn
-            self._step(near, multicall, peer)
-        return multicall.answer
-
-    def _answer(
-        self, near: bool, method: str, params: tuple[object, ...], peer: ChannelPeer
-    ) -> object:
-        return self._consequences.follow(self._outcome(near, method, params, peer))
-
-    def _outcome(
-        self, near: bool, method: str, params: tuple[object, ...], peer: ChannelPeer
-    ) -> Outcome:
-        api, caller, now = self._admit(peer)
-        return api.call(method, params, caller, now, near=near)
-
-    def _step(self, near: bool, multicall: Multicall, peer: ChannelPeer) -> None:
-        api, caller, now = self._admit(peer)
-        self._consequences.follow(Outcome(None, api.make(multicall, caller, now, near=near)))
-
-    def _admit(self, peer: ChannelPeer) -> tuple[MasterApi, Caller, int]:
-        """Who calls, and what it may do at this moment."""
-        if self._api is None:
+        if self._answering is None:
             raise RuntimeError("a call before the master was started")
-        now = self._now()
-        try:
-            return self._api, self._standing.caller(peer, now), now
-        except HintedError as error:  # revoked a moment ago: the connection is being cut
-            raise Fault(1, f"rossec: {error}") from error
+        return self._answering.dispatch(near, method, params, peer)
 
     def _on_other(self, node: NodeRef, found: ChannelPeer) -> None:
         self._consequences.evict(node, found)

@@ -1,6 +1,6 @@
 """What the master's calls ask of the authority's statements and the nodes' grants."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Generator, Iterable, Sequence
 from typing import NamedTuple, Protocol
 
 from rossec.channel.credentials import PeerIdentity
@@ -30,8 +30,13 @@ class Statements(Protocol):
     def present(self, caller: Caller, tokens: Sequence[bytes], now: int) -> Presented:
         """Keep a caller's grants."""
 
-    def pertaining(self, caller: Caller, names: Iterable[str]) -> frozenset[bytes]:
-        """What of the list concerns a caller that is registered for `names`."""
+    def pertaining(
+        self, caller: Caller, names: Iterable[str]
+    ) -> Generator[None, None, frozenset[bytes]]:
+        """What of the list concerns a caller that is registered for `names`.
+
+        Yields wherever others may have their turn.
+        """
 
     def revoked(self) -> frozenset[bytes]:
         """The whole list."""

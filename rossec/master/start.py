@@ -12,13 +12,16 @@ from ca.revocationtree import is_tree
 from rossec.channel.suites import PRODUCTION
 from rossec.home import NodeHome
 from rossec.master.complaints import Complain, unheard
+from rossec.master.keeping import ListFile
 from rossec.master.limits import Limits
 from rossec.master.memory import ParameterFile
+from rossec.master.nearby import Find, nothing
 from rossec.master.own import OwnIdentity
 from rossec.master.renewal import Delegate
 from rossec.master.server import MasterServer
 from rossec.master.trust import Renewer, Trust
 from rossec.ros.settings import is_loopback
+from rossec.savedrevocations import saved_revocations
 
 _log = logging.getLogger(__name__)
 
@@ -37,6 +40,7 @@ def master_of(
     complain: Complain = unheard,
     limits: Limits = _LIMITS,
     suites: tuple[int, ...] = PRODUCTION,
+    news: Find = nothing,
 ) -> MasterServer:
     """The master whose identity is in `home`, not yet started.
 
@@ -50,20 +54,18 @@ def master_of(
         complain: hears of every right that somebody lacks.
         limits: what one peer may cost.
         suites: the post-quantum policy (`rossec.channel.policy`).
+        news: what an authority on this host has signed meanwhile.
 
     Raises:
         ConfigurationError: the node is not enrolled.
         CertificateRefused: its identity has expired: nobody would connect.
         RevocationRefused: a list that is not the authority's, or older than the one saved.
     """
-    anchor, own = home.anchor(), OwnIdentity(home, now)
+    anchor, own, kept = home.anchor(), OwnIdentity(home, now), ListFile(home)
     signer = own.credentials.current.signer
-    revocations = Revocations(anchor.public_key)
-    saved = home.load_revocations()
-    if saved is not None:
-        revocations.update(saved, now)
+    revocations = saved_revocations(home, anchor, now)
     if newest is not None:
-        revocations.update(newest, now, home.save_revocations)
+        revocations.update(newest, now, kept.save)
     delegate = Delegate(anchor, signer, home.save_delegation)
     delegation = home.load_delegation()
     if delegation is not None:
@@ -72,9 +74,9 @@ def master_of(
         anchor,
         signer,
         revocations,
-        home.save_revocations,
+        kept.save,
         delegate,
-        home.save_entries,
+        kept.save_entries,
         renewer,
     )
     _complete(trust, revocations, (entries, home.load_entries()), now)
@@ -92,8 +94,14 @@ def master_of(
         memory=ParameterFile(home.path / "parameters.journal"),
         limits=limits,
         suites=suites,
-        look_after_self=own.look,
+        look_after_self=partial(_look_after, own, kept),
+        news=news,
     )
+
+
+def _look_after(own: OwnIdentity, kept: ListFile, now: int) -> None:
+    own.look(now)
+    kept.retry()
 
 
 def _renewed(renewer: Renewer, trust: Trust, request: bytes, now: int) -> bytes:

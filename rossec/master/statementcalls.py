@@ -18,6 +18,7 @@ from rossec.master.calls import (
     Reply,
     Request,
     RevocationsChanged,
+    Steps,
 )
 from rossec.master.gatekeeper import Refused
 from rossec.master.registry import Kind, Registry
@@ -131,12 +132,13 @@ class StatementCalls:
     def _proofs(self, request: Request) -> Reply:
         return Reply(self._statements.proofs(_binaries(request.arguments[1])), "proofs")
 
-    def _query(self, request: Request) -> Reply:
+    def _query(self, request: Request) -> Steps:
         caller = request.caller
         if caller.may(Right.ADMIN, self._master):
             entries = self._statements.revoked()
         else:
-            entries = self._statements.pertaining(caller, self._names_of(caller.name))
+            names = self._names_of(caller.name)
+            entries = yield from self._statements.pertaining(caller, names)
         requester = caller.thumbprint + caller.name.encode()
         try:
             return Reply(self._queries.answer(requester, entries, request.binary(1)), "revocations")

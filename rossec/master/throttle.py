@@ -1,9 +1,10 @@
 """How many lines of the log nodes can cause. Pure but for the clock it is given.
 
 Whoever is denied a thousand times a second must fill neither the disk nor the audit, and must not
-drown what others do: lines are counted for each node, and for all. What an administrator does is
-never left out; so what nodes cause at will has a logger of its own, below that of the audit. How
-many lines of a node were left out stands in the next one of it that is not.
+drown what others do: lines are counted for each node, and for all. Some nodes together could use up
+what all have, so each also has a little that is its own. What an administrator does is never left
+out; so what nodes cause at will has a logger of its own, below that of the audit. How many lines of
+a node were left out stands in the next one of it that is not.
 """
 
 import logging
@@ -27,7 +28,11 @@ class Bucket:
     rate: float
     room: float
     at: float
-    left_out: int = 0
+
+    @classmethod
+    def full(cls, burst: float, rate: float, now: float) -> "Bucket":
+        """One that nothing was taken from."""
+        return cls(burst, rate, burst, now)
 
     def fill(self, now: float) -> bool:
         """Whether there is room for a line now."""
@@ -36,39 +41,48 @@ class Bucket:
         return self.room >= 1
 
 
+@dataclass
+class Share:
+    """What one node may cause, what of it does not depend on others, and what it did in vain."""
+
+    most: Bucket
+    own: Bucket
+    left_out: int = 0
+
+
 class Throttle(logging.Filter):
     """Lets a line through while its node, the first argument of the line, and all have room."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         super().__init__()
         self._clock = clock
-        self._all = Bucket(1000, 50, 1000, clock())
-        self._nodes: OrderedDict[str, Bucket] = OrderedDict()
+        self._all = Bucket.full(1000, 50, clock())
+        self._nodes: OrderedDict[str, Share] = OrderedDict()
 
     def filter(self, record: logging.LogRecord) -> bool:
         """Whether the line is written; it says then how many before it were not."""
         now = self._clock()
-        bucket = self._of(
-            str(record.args[0]) if record.args and isinstance(record.args, tuple) else "", now
-        )
-        if not (bucket.fill(now) and self._all.fill(now)):
-            bucket.left_out += 1
+        share = self._of(_node_of(record), now)
+        common = self._all if self._all.fill(now) else share.own
+        if not (share.most.fill(now) and common.fill(now)):
+            share.left_out += 1
             return False
-        bucket.room -= 1
-        self._all.room -= 1
-        if bucket.left_out:
-            setattr(record, LEFT_OUT, bucket.left_out)
-            bucket.left_out = 0
+        share.most.room -= 1
+        common.room -= 1
+        if share.left_out:
+            setattr(record, LEFT_OUT, share.left_out)
+            share.left_out = 0
         return True
 
-    def _of(self, node: str, now: float) -> Bucket:
-        bucket = self._nodes.get(node)
-        if bucket is None:
-            bucket = self._nodes[node] = Bucket(200, 10, 200, now)
+    def _of(self, node: str, now: float) -> Share:
+        share = self._nodes.get(node)
+        if share is None:
+            most, own = Bucket.full(200, 10, now), Bucket.full(10, 0.1, now)
+            share = self._nodes[node] = Share(most, own)
             if len(self._nodes) > MOST_NODES:
                 self._nodes.popitem(last=False)
         self._nodes.move_to_end(node)
-        return bucket
+        return share
 
 
 def _node_of(record: logging.LogRecord) -> str:

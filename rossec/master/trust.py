@@ -7,7 +7,7 @@ holds. Grants are kept per key, verified once, bounded in number and size.
 """
 
 import hashlib
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from typing import Final
 
 from ca.certificates import TrustAnchor
@@ -116,19 +116,22 @@ class Trust:
         """The whole list."""
         return self._revocations.entries
 
-    def pertaining(self, caller: Caller, names: Iterable[str]) -> frozenset[bytes]:
+    def pertaining(
+        self, caller: Caller, names: Iterable[str]
+    ) -> Generator[None, None, frozenset[bytes]]:
         """What of the list concerns a caller that is registered for `names`.
 
         Its own grants; grants for these names, whoever holds them, and their holders' keys; what
         renews grants. The master knows of grants that were presented to it: of others nobody here
-        could say whom they concern.
+        could say whom they concern. Yields wherever others may have their turn.
         """
-        keys = frozenset(names)
+        keys, entries = frozenset(names), self._revocations.entries
         concerned = {caller.thumbprint, self._delegate.id}
-        for grant in self._known():
-            if grant.holder == caller.thumbprint or _reaches(grant, keys):
+        revoked = [item for item in self._known() if not entries.isdisjoint((item.id, item.holder))]
+        for grant in revoked:
+            if grant.holder == caller.thumbprint or (yield from _reaches(grant, keys)):
                 concerned |= {grant.id, grant.holder}
-        return self._revocations.entries & concerned
+        return entries & concerned
 
     def renew(self, caller: Caller, tokens: Sequence[bytes], now: int) -> Renewed:
         """Tokens that hold longer, in the same order, empty where one is not renewed."""
@@ -218,8 +221,9 @@ class Trust:
 
     def update_tree(self, data: bytes, entries: bytes, now: int) -> bool:
         """Take a tree signed by the authority, and all it was made of; as `update`."""
+        signed = open_tree(data, self._anchor.public_key)  # before anything is done for a stranger
         listing = Listing.read(entries)
-        listing.check(open_tree(data, self._anchor.public_key))
+        listing.check(signed)
         before = self._revocations.data
 
         def persist(data: bytes) -> None:
@@ -320,9 +324,9 @@ class Trust:
         return Timestamp(self.number, digest(self._revocations.data), now, MAX_AGE)
 
 
-def _reaches(grant: Grant, names: frozenset[str]) -> bool:
-    return any(
-        permission.names(name, permission.rights)
-        for permission in grant.permissions
-        for name in names
-    )
+def _reaches(grant: Grant, names: frozenset[str]) -> Generator[None, None, bool]:
+    for permission in grant.permissions:
+        if any(permission.names(name, permission.rights) for name in names):
+            return True
+        yield
+    return False

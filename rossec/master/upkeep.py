@@ -8,11 +8,12 @@ of one round does not end the rounds.
 import asyncio
 import contextlib
 import logging
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from itertools import islice
 from typing import Final
 
 from ca.errors import HintedError
+from rossec.clock import Setbacks
 from rossec.master.api import MasterApi
 from rossec.master.calls import MasterEvent
 from rossec.master.consequences import State
@@ -20,6 +21,10 @@ from rossec.master.enforce import enforce, steps
 from rossec.net.tasks import TaskSet
 from rossec.ros.text import printable
 
+_WENT_BACK: Final = (
+    "the host's clock went back: the master goes on by the seconds that have passed"
+    " (set the clock right; if it is right now, restart the master)"
+)
 AT_ONCE: Final = 1024  # steps of judging before the next call is answered; more follow after it
 
 _log = logging.getLogger(__name__)
@@ -32,7 +37,7 @@ class Upkeep:
     Args:
         deliver: makes events happen (`Consequences.deliver`).
         every: seconds between two beats.
-        look_after_self: called with the time at every beat.
+        looks: called with the time at every beat.
     """
 
     def __init__(
@@ -40,13 +45,14 @@ class Upkeep:
         state: State,
         deliver: Callable[[MasterEvent], None],
         every: float,
-        look_after_self: Callable[[int], None],
+        looks: Sequence[Callable[[int], None]],
     ) -> None:
         self._state = state
         self._deliver = deliver
         self._every = every
-        self._look_after_self = look_after_self
+        self._looks = looks
         self._api: MasterApi | None = None
+        self._setbacks = Setbacks()
         self._tasks = TaskSet()
         self._changed = asyncio.Event()  # revocations: what follows must not wait for the beat
 
@@ -79,11 +85,14 @@ class Upkeep:
                     await self._changed.wait()
 
     async def _look_around(self) -> None:
+        if self._setbacks.any_new():
+            _audit.warning(_WENT_BACK)
         self._cut_revoked()
         await self._enforce()
         self._push_revocations()
         self._forget_the_gone()
-        self._look_after_self(self._state.now())
+        for look in self._looks:
+            look(self._state.now())
         if self._state.memory is not None:
             self._state.memory.sync()
 
@@ -97,11 +106,9 @@ class Upkeep:
     def _enforcing(self) -> Iterator[None]:
         """Judge all registrations, some at each step."""
         if self._api is not None:
-            below = self._api.parameters.below
             for step in steps(self._state.registry):
-                for event in enforce(
-                    self._state.registry, self._state.standing, step, self._state.now(), below
-                ):
+                state = self._state
+                for event in enforce(state.registry, state.standing, step, state.now()):
                     self._deliver(event)
                 yield
 

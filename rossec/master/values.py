@@ -5,7 +5,9 @@ subscribers. XML-RPC has extensions (nil, long and big numbers) that a call can 
 can carry: one such value would spoil every tree that holds it. Sizes are about those of the answer.
 """
 
+from collections.abc import Iterator
 from datetime import datetime
+from itertools import accumulate
 from typing import Final, NoReturn
 
 from rossec.ros import names
@@ -28,7 +30,7 @@ def check(value: object, depth: int = DEPTH_LIMIT) -> None:
         raise ValueError(f"parameters nested deeper than {DEPTH_LIMIT}")
     if isinstance(value, dict):
         for name, below in value.items():
-            if not name or names.SEPARATOR in name or name.startswith(names.PRIVATE):
+            if not _is_segment(name):
                 raise ValueError(f"{name!r} cannot be the name of a parameter in a tree")
             check(below, depth - 1)
     elif isinstance(value, list):
@@ -36,6 +38,13 @@ def check(value: object, depth: int = DEPTH_LIMIT) -> None:
             check(item, depth - 1)
     elif not isinstance(value, str | bytes):
         _check_scalar(value)
+
+
+def _is_segment(name: object) -> bool:
+    """Whether it can be the name of a parameter; XML lets a number stand in its place."""
+    if not isinstance(name, str) or not name or name.startswith(names.PRIVATE):
+        return False
+    return names.SEPARATOR not in name
 
 
 def weight(value: object) -> int:
@@ -53,9 +62,25 @@ def weight(value: object) -> int:
             return _SCALAR
 
 
+def exceeds(value: object, limit: int) -> bool:
+    """Whether the `weight` of a parameter is more than `limit`; not weighed much further."""
+    return any(limit < so_far for so_far in accumulate(_weights(value)))
+
+
 def entry_weight(name: str, value: object) -> int:
     """About how many bytes a member of a struct takes."""
     return _MEMBER + len(name) + weight(value)
+
+
+def _weights(value: object) -> Iterator[int]:
+    """The parts of `weight`, a namespace entry by entry."""
+    if not isinstance(value, dict):
+        yield weight(value)
+        return
+    yield _STRUCT
+    for name, below in value.items():
+        yield _MEMBER + len(name)
+        yield from _weights(below)
 
 
 def _check_scalar(value: object) -> None:

@@ -12,7 +12,7 @@ from itertools import count
 from typing import Final, TypeAlias
 
 from rossec.master import arguments as arg
-from rossec.master.calls import Method, Methods, Reply, Request
+from rossec.master.calls import Method, Methods, Reply, Request, Steps
 from rossec.master.gatekeeper import Caller, Gatekeeper
 from rossec.master.registry import ANY_TYPE, Kind, Registry
 
@@ -28,12 +28,11 @@ Fact: TypeAlias = tuple[str, str, str]
 View: TypeAlias = frozenset[Fact]
 
 
-def facts(registry: Registry, gatekeeper: Gatekeeper, caller: Caller) -> View:
-    """What `caller` may see of the graph: as `getSystemState` and its like show it."""
-    return frozenset(_facts(registry, gatekeeper, caller))
+def facts(registry: Registry, gatekeeper: Gatekeeper, caller: Caller) -> Iterator[Fact | None]:
+    """What `caller` may see of the graph: as `getSystemState` and its like show it.
 
-
-def _facts(registry: Registry, gatekeeper: Gatekeeper, caller: Caller) -> Iterator[Fact]:
+    None for each name and node that was looked at in vain.
+    """
     for kind in (Kind.PUBLISHER, Kind.SUBSCRIBER, Kind.SERVICE):
         for key, names in registry.entries(kind):
             shown = gatekeeper.nodes_shown(caller, key, names)
@@ -42,9 +41,10 @@ def _facts(registry: Registry, gatekeeper: Gatekeeper, caller: Caller) -> Iterat
                 yield "provider", key, registry.service_uri(key) or ""
             elif shown and registry.topic_type(key) != ANY_TYPE:
                 yield "type", key, registry.topic_type(key)
-    for node in registry.nodes():
-        if gatekeeper.node_shown(caller, node.name):
-            yield "node", node.name, node.uri
+            elif not shown:
+                yield None
+    for node in tuple(registry.nodes()):
+        yield ("node", node.name, node.uri) if gatekeeper.node_shown(caller, node.name) else None
 
 
 class WatchCalls:
@@ -71,12 +71,21 @@ class WatchCalls:
         for key in self._views.keys() - thumbprints:
             del self._views[key]
 
-    def _watch(self, request: Request) -> Reply:
+    def _watch(self, request: Request) -> Steps:
+        seen, at_once = set[Fact](), request.caller.looks_at_once
+        found = facts(self._registry, self._gatekeeper, request.caller)
+        for looks, fact in enumerate(found, 1):
+            if fact is not None:
+                seen.add(fact)
+            if not looks % at_once:
+                yield
+        return self._news(request, frozenset(seen))
+
+    def _news(self, request: Request, now: View) -> Reply:
         instance, cursor = request.arguments[1:3]
         views = self._views.setdefault(request.caller.thumbprint, OrderedDict())
         cursor = cursor if isinstance(cursor, int) and instance == self._instance else _START
         known = views.get(cursor)
-        now = facts(self._registry, self._gatekeeper, request.caller)
         old = frozenset() if known is None else known
         added, removed = sorted(now - old), sorted(old - now)
         told_added, told_removed = added[:BATCH], removed[:BATCH]

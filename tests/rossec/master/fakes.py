@@ -1,6 +1,6 @@
 """Callers with chosen rights, and an authority that never was, for the tests of the cores."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Generator, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from grants.errors import GrantError
@@ -28,6 +28,19 @@ class FakeAccess:
             if covered and right in rights:
                 return True
         return False
+
+    def covers_below(self, right: Right, space: str) -> bool:
+        return self.covers(right, f"{space.removesuffix('/')}/below")
+
+    def touches(self, right: Right, space: str) -> bool:
+        below = f"{space.removesuffix('/')}/"
+        names = (pattern.removesuffix("**") for pattern in self.rights)
+        return any(self.covers(right, name) for name in names if name.startswith(below)) or (
+            self.covers(right, space) or self.covers_below(right, space)
+        )
+
+    def patterns(self, right: Right) -> int:
+        return 0
 
     def covers_any(self, rights: Right, name: str) -> bool:
         return any(self.covers(right, name) for right in Right if right in rights)
@@ -67,7 +80,10 @@ class FakeStatements:
     def revoked(self) -> frozenset[bytes]:
         return frozenset({b"one", b"two"})
 
-    def pertaining(self, caller: Caller, names: Iterable[str]) -> frozenset[bytes]:
+    def pertaining(
+        self, caller: Caller, names: Iterable[str]
+    ) -> Generator[None, None, frozenset[bytes]]:
+        yield
         return frozenset({b"one"}) if "/t" in names else frozenset()
 
     def renew(self, caller: Caller, tokens: Sequence[bytes], now: int) -> Renewed:

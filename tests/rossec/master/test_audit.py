@@ -10,7 +10,9 @@ from pathlib import Path
 import pytest
 
 from rossec.errors import ConfigurationError
-from rossec.master.audit import FIRST, LEFT_OUT, AuditFile, Entry, chained, salvage, verify
+from rossec.master.audit import LEFT_OUT, AuditFile, Entry, chained, salvage, verify
+from rossec.master.auditmark import FIRST, check_beginning
+from tests.support.pki import new_signer
 
 
 class Book:
@@ -142,7 +144,9 @@ def test_a_disk_that_fails_is_no_reason_to_end(
         patch.setattr(os, "write", lambda *_: os.close(1 << 20))
         book.write("one")
         book.write("one more")
-    assert caplog.messages == ["the audit cannot be written: [Errno 9] Bad file descriptor"]
+    assert caplog.messages == [
+        "the audit cannot be written: [Errno 9] Bad file descriptor; its lines so far are whole"
+    ]
     book.write("two")
     verify(book.entries(), FIRST)
 
@@ -155,7 +159,9 @@ def test_a_full_disk_leaves_no_half_line(
     with monkeypatch.context() as patch:
         patch.setattr(os, "write", lambda file, data: write(file, data[:20]))
         book.write("two")
-    assert caplog.messages == ["the audit cannot be written: the disk is full"]
+    assert caplog.messages == [
+        "the audit cannot be written: the disk is full; its lines so far are whole"
+    ]
     book.write("three")
     assert [entry["text"] for entry in book.entries()] == ["one", "three"]
     verify(book.entries(), FIRST)
@@ -178,3 +184,33 @@ def test_a_directory_that_is_gone_costs_nobody_a_descriptor(
     book.write("four")
     assert [entry["text"] for entry in book.entries()] == ["one", "four"]
     verify(book.entries(), FIRST)
+
+
+def test_each_file_begins_with_a_line_of_the_master(tmp_path: Path) -> None:
+    file = AuditFile(tmp_path / "audit.log", lambda: 1000.25, new_signer())
+    note = logging.makeLogRecord({"msg": "one"})
+    for text in ("one", "two"):
+        file.emit(logging.makeLogRecord({"msg": text}))
+    (tmp_path / "audit.log").rename(tmp_path / "audit.log.1")
+    file.emit(note)
+    file.close()
+    again = AuditFile(tmp_path / "audit.log", lambda: 1001.0, new_signer())
+    again.emit(note)
+    again.close()
+    parts = [
+        salvage((tmp_path / name).read_text().splitlines())[0]
+        for name in ("audit.log.1", "audit.log")
+    ]
+    assert [[entry["text"] for entry in part] for part in parts] == [
+        ["the audit begins", "one", "two"], ["the audit goes on in a new file", "one", "one"],
+    ]  # fmt: skip
+    assert verify([*parts[0], *parts[1]], FIRST) == parts[1][-1]["hash"]
+    assert check_beginning(parts[1][0], after=parts[0][-1]["hash"])  # the key is not known here
+
+
+def test_a_line_of_half_characters_is_a_changed_line() -> None:
+    line = json.dumps({"hash": "x", "text": "", "level": "info", "at": 1, "before": "\ud800"})
+    entries, damaged = salvage([line])
+    assert damaged == []
+    with pytest.raises(ConfigurationError, match="line 1 of the audit was changed"):
+        verify(entries)

@@ -30,13 +30,27 @@ def test_what_is_written_can_be_learnt_from(tmp_path: Path) -> None:
 def test_a_restart_appends_and_a_flood_ends(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(complaints, "MAX_LINES", 3)
+    monkeypatch.setattr(complaints, "MAX_LINES", 1)
+    monkeypatch.setattr(complaints, "SHARE", 2)
     for _ in range(2):
         log = ComplainLog(tmp_path / "complaints")
         for number in range(10):
             log(7, "/eve", Right.SUBSCRIBE, f"/flood{number}")
         log.close()
     assert len((tmp_path / "complaints").read_text().splitlines()) == 6
+
+
+def test_no_node_uses_up_what_is_anothers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(complaints, "MAX_LINES", 5)
+    monkeypatch.setattr(complaints, "SHARE", 3)
+    log = ComplainLog(tmp_path / "complaints")
+    for node, lines in (("/eve", 99), ("/mallory", 99), ("/robot", 3)):
+        for number in range(lines):
+            log(7, node, Right.SUBSCRIBE, f"/t{number}")
+    log.close()
+    seen = from_log((tmp_path / "complaints").read_text().splitlines())
+    nodes = [item.node for item in seen]
+    assert [nodes.count(node) for node in ("/eve", "/mallory", "/robot")] == [8, 3, 3]
 
 
 async def test_the_master_tells_of_what_it_refuses(tmp_path: Path) -> None:

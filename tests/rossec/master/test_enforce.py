@@ -12,11 +12,7 @@ A, B = NodeRef("/a", "http://h:1/", b"/a"), NodeRef("/b", "http://h:2/", b"/b")
 
 
 def judge(state: Registry, statements: FakeStatements) -> list[MasterEvent]:
-    return [event for step in steps(state) for event in enforce(state, statements, step, 0, below)]
-
-
-def below(key: str) -> list[str]:
-    return [f"{key}one", f"{key}two"]
+    return [event for step in steps(state) for event in enforce(state, statements, step, 0)]
 
 
 def registry() -> Registry:
@@ -88,9 +84,9 @@ def test_a_step_is_small_and_judges_what_is_there_when_it_is_taken() -> None:
     first, second = steps(state)
     assert (len(first.keys), len(second.keys)) == (BATCH, 1)
     nobody = FakeStatements()
-    assert enforce(state, nobody, Step(A._replace(uri="http://h:9/"), *first[1:]), 0, below) == []
+    assert enforce(state, nobody, Step(A._replace(uri="http://h:9/"), *first[1:]), 0) == []
     assert len(state.keys_of("/a", Kind.PUBLISHER)) == BATCH + 1
     nothing = FakeStatements({"/a": caller("/a")})
-    assert len(enforce(state, nothing, second, 0, below)) == 1
-    assert enforce(state, nothing, second, 0, below) == []
+    assert len(enforce(state, nothing, second, 0)) == 1
+    assert enforce(state, nothing, second, 0) == []
     assert len(state.keys_of("/a", Kind.PUBLISHER)) == BATCH

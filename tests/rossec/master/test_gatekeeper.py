@@ -14,7 +14,6 @@ from rossec.master.gatekeeper import (
     Refused,
     Scope,
     require,
-    require_tree,
 )
 from rossec.master.registry import Registry
 from tests.rossec.master.fakes import ALL, FakeStatements, anonymous, caller, everything
@@ -219,8 +218,6 @@ def test_asking_raises() -> None:
     require(caller("/a", {"/t": Right.CALL}), Right.CALL, "/t")
     with pytest.raises(Refused, match="needs the right call on /u"):
         require(caller("/a", {"/t": Right.CALL}), Right.CALL, "/u")
-    with pytest.raises(Refused):
-        require_tree(everything("/a"), Right.PARAM_GET, "/k", [])
 
 
 @pytest.mark.parametrize(

@@ -259,9 +259,7 @@ class Master(RuleBasedStateMachine):
         self.site.now = self.now
         self.trust.update(self.site.revoke(*self.revoked, lifetime=1000 * HOUR), self.now)
         for step in steps(self.registry):
-            for event in enforce(
-                self.registry, self.trust, step, self.now, self.api.parameters.below
-            ):
+            for event in enforce(self.registry, self.trust, step, self.now):
                 assert isinstance(event, PublishersChanged)
                 assert not self.who(event.subscribers) & self.dead
 

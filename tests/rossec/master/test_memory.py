@@ -6,9 +6,11 @@ from pathlib import Path
 
 import pytest
 
+from rossec.errors import NotWritten
 from rossec.master import memory as module
 from rossec.master.journal import MAGIC, Change, decode
 from rossec.master.memory import ParameterFile
+from tests.rossec.test_files import no_room
 
 
 @pytest.fixture
@@ -110,3 +112,21 @@ def test_it_is_rewritten_at_once_when_it_grows_too_fast(
         change(memory, "/a", number)
         assert path.stat().st_size < 11_000
     assert opened(path).parameters.get("/") == {"a": 199}
+
+
+def test_a_disk_without_room_is_said_and_the_file_is_as_it_was(
+    path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    kept, said = opened(path), "they are in force, and kept as soon as there is room"
+    before = path.read_bytes()
+    with no_room():
+        change(kept, "/a", 1)
+        kept.sync()
+        assert path.read_bytes() == before
+        with pytest.raises(NotWritten, match=r"parameters\.journal was not written"):
+            ParameterFile(path).open()
+    assert [said in message for message in caplog.messages] == [True, True]
+    kept.close()  # now there is
+    again = opened(path)
+    assert again.parameters.get("/a") == 1
+    again.close()

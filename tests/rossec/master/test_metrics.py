@@ -1,6 +1,7 @@
 """Figures for Prometheus, scraped as it does."""
 
 import asyncio
+import contextlib
 import socket
 import sys
 import threading
@@ -9,6 +10,7 @@ import urllib.request
 import pytest
 
 from rossec.errors import ConfigurationError
+from rossec.master import metrics
 from rossec.master.metrics import Exporter, of_loop
 
 STATUS = {"calls": 5, "denials": 2, "nodes": 3, "registrations": 9, "connections": 4,
@@ -27,6 +29,28 @@ def test_they_are_served_on_loopback() -> None:
     for name, value in STATUS.items():
         suffix = "_total" if name in ("calls", "denials") else ""
         assert f"rossec_master_{name}{suffix} {value}.0" in text
+
+
+def test_callers_that_say_nothing_are_few(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Anybody on the host can connect: each one was a thread and a descriptor for ever."""
+    monkeypatch.setattr(metrics._Handler, "timeout", 1.0)
+    exporter = Exporter(lambda: STATUS, 0)
+    silent: list[socket.socket] = []
+    place = "127.0.0.1", exporter.port
+    try:
+        before = threading.active_count()
+        silent.extend(socket.create_connection(place, 10) for _ in range(100))
+        assert threading.active_count() - before <= 16
+        while True:  # those that have a place give it back
+            with contextlib.suppress(OSError):
+                uri = f"http://127.0.0.1:{exporter.port}/metrics"
+                with urllib.request.urlopen(uri, timeout=10) as page:
+                    assert b"rossec_master_calls_total" in page.read()
+                break
+    finally:
+        for sock in silent:
+            sock.close()
+        exporter.close()
 
 
 def test_without_the_package_the_operator_is_told(monkeypatch: pytest.MonkeyPatch) -> None:

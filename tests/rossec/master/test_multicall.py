@@ -1,5 +1,7 @@
 """Multicalls: each element alone, all of them bounded, and some at a time."""
 
+from collections.abc import Callable
+from itertools import count
 from typing import Any
 
 import pytest
@@ -7,9 +9,8 @@ import pytest
 from grants.model import Right
 from rossec.master.api import MasterApi
 from rossec.master.calls import CallRefused, Denied
-from rossec.master.gatekeeper import Caller
+from rossec.master.gatekeeper import LOOKS_AT_ONCE, Caller
 from rossec.master.multicall import (
-    BATCH,
     MULTICALL_ANSWER,
     MULTICALL_LIMIT,
     MULTICALL_ONCE,
@@ -129,15 +130,48 @@ def test_refusals_are_told_one_by_one_also_within_a_multicall(api: MasterApi) ->
 
 
 def test_some_are_made_at_a_time_with_the_rights_of_that_time(api: MasterApi) -> None:
-    calls = [element("setParam", "/a", f"/p{number}", 1) for number in range(2 * BATCH + 1)]
+    calls = [element("setParam", "/a", f"/p{number}", 1) for number in range(7)]
     multicall, made = Multicall([calls]), []
     # Between the first and the last look its grant was revoked.
     for who, done in ((everything, False), (caller, False), (everything, True), (everything, True)):
-        made.append(len(api.make(multicall, who("/a"), 0)))
+        made.append(len(api.make(multicall, who("/a"), 0, over=after(3))))
         assert multicall.done == done
     answers: Any = multicall.answer
-    assert [answer[0][0] for answer in answers] == [1] * BATCH + [-1] * BATCH + [1]
-    assert made == [BATCH, 2 * BATCH, 1, 0]  # a refusal is two events
+    assert [answer[0][0] for answer in answers] == [1] * 3 + [-1] * 3 + [1]
+    assert made == [3, 6, 1, 0]  # a refusal is two events
+
+
+def test_a_query_in_a_multicall_takes_as_many_turns_as_it_needs(api: MasterApi) -> None:
+    for number in range(5 * LOOKS_AT_ONCE):
+        ask(api, everything("/a"), "registerPublisher", "/a", f"/t{number}", "*", "http://a:1/")
+    calls = [element("getPid", "/a"), element("getTopicTypes", "/a"), element("getPid", "/a")]
+    multicall, turns = Multicall([calls]), 0
+    while not multicall.done:
+        api.make(multicall, everything("/a"), 0, over=lambda: True)
+        turns += 1
+    answers: Any = multicall.answer
+    assert [len(answers), len(answers[1][0][2])] == [3, 5 * LOOKS_AT_ONCE]
+    assert turns == 1 + 6 + 1
+
+
+def test_what_a_query_found_with_rights_it_has_lost_does_not_count(api: MasterApi) -> None:
+    """Also for one that may come once only, and begins a second time."""
+    for number in range(2 * LOOKS_AT_ONCE):
+        ask(api, everything("/a"), "registerPublisher", "/a", f"/t{number}", "*", "http://a:1/")
+    multicall = Multicall([[element(WATCH, "/b", "", 0), element("getPublishedTopics", "/b", "")]])
+    api.make(multicall, everything("/b"), 0, over=lambda: True)
+    multicall.begin_again()
+    api.make(multicall, caller("/b", {"/master": Right.GRAPH}), 0)
+    answers: Any = multicall.answer
+    assert answers[0][0][:1] == [1]
+    assert answers[0][0][2]["added"] == []
+    assert answers[1][0][2] == []
+
+
+def after(times: int) -> Callable[[], bool]:
+    """A turn that is over when it was asked about so often."""
+    asked = count(1)
+    return lambda: next(asked) >= times
 
 
 @pytest.mark.parametrize(

@@ -1,13 +1,17 @@
 """Parameter calls: who hears of a change; answers are compared with stock elsewhere."""
 
+from dataclasses import replace
+
 import pytest
 
 from grants.model import Right
+from rossec.master import paramcalls
 from rossec.master.api import MasterApi
 from rossec.master.calls import MasterEvent, ParameterChanged, ParameterKept
-from rossec.master.gatekeeper import Caller
+from rossec.master.gatekeeper import LOOKS_AT_ONCE, Caller
 from rossec.master.journal import Change
 from rossec.master.registry import NodeRef, Registry
+from rossec.ros.xmlrpc import BODY_LIMIT, Fault
 from tests.rossec.master.fakes import FakeStatements, caller, everything
 
 A, B = NodeRef("/a", "http://a:1/", b"/a"), NodeRef("/b", "http://b:1/", b"/b")
@@ -74,3 +78,100 @@ def test_a_new_slave_api_takes_the_subscription_along(api: MasterApi) -> None:
     ask(api, everything("/b"), "subscribeParam", moved.uri, "/ns")
     [event] = ask(api, everything("/a"), "setParam", "/ns/k", 1)
     assert event == ParameterChanged(moved, "/ns/k/", 1)
+
+
+@pytest.mark.parametrize("rights", [{}, {"/ns/**": Right.PARAM_SET}])
+def test_an_illegal_name_in_a_tree_is_named_whatever_the_rights(
+    api: MasterApi, rights: dict[str, Right]
+) -> None:
+    tree = {"fine": 1, "deep": {"not fine": 2}}
+    outcome = api.call("setParam", ("/a", "/ns", tree), caller("/a", rights), 0)
+    text = "'not fine' cannot be the name of a parameter in a tree"
+    assert outcome.answer == [-1, f"Error: invalid arguments: {text}", 0]
+    assert outcome.events == ()
+
+
+@pytest.mark.parametrize("method", ["getParam", "subscribeParam"])
+def test_what_is_much_too_long_is_not_written_out(api: MasterApi, method: str) -> None:
+    for number in range(3):
+        ask(api, everything("/a"), "setParam", f"/long/p{number}", "x" * (BODY_LIMIT - 100))
+    params = ("/long",) if method == "getParam" else (A.uri, "/long")
+    with pytest.raises(Fault, match=f"an answer of more than {BODY_LIMIT} bytes: ask for less"):
+        api.call(method, ("/a", *params), everything("/a"), 0)
+    assert not any(
+        isinstance(event, ParameterChanged) and event.node == A
+        for event in ask(api, everything("/b"), "setParam", "/long/p0", 1)
+    )
+
+
+def test_names_that_no_answer_can_carry_are_not_collected(
+    api: MasterApi, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(paramcalls, "_TOO_LONG", 5000)
+    ask(api, everything("/a"), "setParam", "/many", {f"p{number}": 1 for number in range(99)})
+    assert len(api.call("getParamNames", ("/a",), everything("/a"), 0).answer[2]) == 99  # type: ignore[index]
+    ask(api, everything("/a"), "setParam", "/more", {f"p{number}": 1 for number in range(99)})
+    with pytest.raises(Fault, match="ask for less at a time"):
+        api.call("getParamNames", ("/a",), everything("/a"), 0)
+
+
+def test_a_search_looks_for_something_that_may_be_read(api: MasterApi) -> None:
+    tree = {f"p{number}": 1 for number in range(3 * LOOKS_AT_ONCE)}
+    for key in ("/x", "/ns/x"):
+        ask(api, everything("/a"), "setParam", key, tree)
+
+    def search(node: str, key: str, *readable: str) -> object:
+        who = caller(node, dict.fromkeys(readable, Right.PARAM_GET))
+        answer: list[object] = api.call("searchParam", (node, key), who, 0).answer  # type: ignore[assignment]
+        return answer[2]
+
+    last = f"p{3 * LOOKS_AT_ONCE - 1}"
+    assert search("/ns/n", "x", "/x/p1", f"/ns/x/{last}") == "/ns/x"
+    assert search("/ns/n", "x/y", "/x/p1") == "/x/y"
+    assert search("/ns/n", "/x", "/ns/x/p1") == search("/ns/n", "x") == ""
+    assert search("/ns/n", "/x", "/x/p1") == "/x"
+
+
+def test_one_key_cannot_fill_the_room_that_is_for_all() -> None:
+    api = MasterApi(
+        Registry(), FakeStatements(), name="/m", uri="http://m:1/", pid=1, parameter_bytes=10_000
+    )
+
+    def put(node: str, key: str, size: int) -> str:
+        answer: list[str] = api.call(
+            "setParam", (node, key, "x" * size), everything(node), 0
+        ).answer  # type: ignore[assignment]
+        return answer[1]
+
+    full = "Error: invalid arguments: the parameters that /a has set would take more than 5000 byte"
+    assert put("/a", "/a/big", 4000) == "parameter /a/big set"
+    assert put("/a", "/a/more", 1000).startswith(full)
+    assert put("/b", "/b/big", 4000) == "parameter /b/big set"
+    assert "all parameters together would take more than 10000" in put("/b", "/b/big", 6000)
+    ask(api, everything("/a"), "deleteParam", "/a/big")
+    assert put("/a", "/a/more", 4000) == "parameter /a/more set"
+    assert put("/a", "/a/more", 3000) == "parameter /a/more set"
+    ask(api, everything("/b"), "deleteParam", "/a")  # somebody else made room
+    assert put("/a", "/a/more", 4000).startswith(full), "what it set counts for its key"
+    ask(api, everything("/b"), "deleteParam", "/b")
+    assert put("/a", "/a/more", 4000) == "parameter /a/more set", "all of it is gone"
+
+
+def test_a_key_that_is_many_nodes_is_judged_once_for_a_change(
+    api: MasterApi, statements: FakeStatements, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Else one call judges a large tree as often as its caller has nodes."""
+    shared = [NodeRef(f"/rviz_{number}", f"http://c:{number}/", b"rviz") for number in range(1, 21)]
+    for node in shared:
+        statements.callers[node.name] = replace(everything(node.name), thumbprint=b"rviz")
+        ask(api, statements.callers[node.name], "subscribeParam", node.uri, "/ns")
+    judged: list[bytes] = []
+
+    def may_all(who: Caller, *_: object) -> bool:
+        judged.append(who.thumbprint)
+        return True
+
+    monkeypatch.setattr(paramcalls, "may_all", may_all)
+    told = ask(api, everything("/b"), "setParam", "/ns", {"k": 1})
+    assert {event.node for event in told if isinstance(event, ParameterChanged)} == {A, *shared}
+    assert judged.count(b"rviz") == 1

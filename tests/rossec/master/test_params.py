@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from rossec.master.params import (
     ParameterMissing,
     Parameters,
-    leaves_of,
+    check_names,
+    places_to_search,
     subscription_key,
     updates,
 )
@@ -23,17 +24,35 @@ def tree() -> Parameters:
     return parameters
 
 
-def test_leaves_are_what_a_call_reaches() -> None:
-    assert tree().leaves("/") == ["/a/b", "/a/c/d", "/e"]
-    assert tree().leaves("/a/c") == ["/a/c/d"]
-    assert tree().leaves("/a/b") == ["/a/b"]
-    assert tree().leaves("/none") == ["/none"]
-    assert leaves_of("/x", {"y": {"z": 1}}) == ["/x/y/z"]
+def test_a_place_is_what_a_call_reaches() -> None:
+    assert tree().place("/") == ("/", {"a": {"b": 1, "c": {"d": 2}}, "e": {}})
+    assert tree().place("/a/c") == ("/a/c", {"d": 2})
+    assert tree().place("/a/b") == ("/a/b", 1)
+    assert tree().place("/none") == ("/none", None)
 
 
 def test_reach_includes_a_value_that_would_become_a_tree() -> None:
-    assert tree().reach("/a/b/new/deep") == ["/a/b", "/a/b/new/deep"]
-    assert tree().reach("/a") == ["/a/b", "/a/c/d"]
+    assert tree().reach("/a/b/new/deep") == [("/a/b", 1), ("/a/b/new/deep", None)]
+    assert tree().reach("/a") == [("/a", {"b": 1, "c": {"d": 2}})]
+    assert tree().reach("/none/b") == [("/none/b", None)]
+
+
+@pytest.mark.parametrize(
+    "name", ["a b", "1st", "", "a/b", "~a", "caf\u00e9", "a\nb", "x" * 255, "-", "a" * 500]
+)
+def test_an_illegal_name_in_a_tree_is_named(name: str) -> None:
+    for value in ({name: 1}, {"fine": 1, "deep": {"er": {name: {}}}}):
+        with pytest.raises(ValueError, match="cannot be the name of a parameter") as refused:
+            check_names("/ns", value)
+        assert repr(name[:80]) in str(refused.value)
+    for fine in ({"a": {"b_1": [{name: 1}]}}, [{name: 2}]):
+        check_names("/", fine)  # inside a list nothing is asked for by its name
+
+
+def test_a_name_too_long_together_with_its_key_is_refused() -> None:
+    check_names("/" + "k" * 200, {"a" * 50: 1})
+    with pytest.raises(ValueError, match="'aaa"):
+        check_names("/" + "k" * 200, {"a" * 60: 1})
 
 
 def test_get_set_delete() -> None:
@@ -47,7 +66,7 @@ def test_get_set_delete() -> None:
     for key in ("/", "/none", "/none/x"):
         with pytest.raises(ParameterMissing):
             parameters.delete(key)
-    assert list(parameters.names()) == []
+    assert parameters.get("/") == {"e": {}}
 
 
 def test_refuses_what_cannot_be_found_or_sent_again() -> None:
@@ -61,7 +80,7 @@ def test_refuses_what_cannot_be_found_or_sent_again() -> None:
         parameters.set("/a" * (DEPTH_LIMIT + 1), 1)
     with pytest.raises(ValueError, match="nested deeper"):
         parameters.set("/a" * DEPTH_LIMIT, [[1]])
-    assert list(parameters.names()) == []
+    assert parameters.get("/") == {}
 
 
 def test_all_together_are_bounded_and_can_be_made_fewer() -> None:
@@ -101,14 +120,14 @@ def test_the_size_is_that_of_what_is_held(changes: list[tuple[str, object]]) -> 
     assert parameters.size == weight({"": parameters.get("/")})
 
 
-def test_search_sees_only_what_is_visible() -> None:
-    parameters = Parameters()
-    parameters.set("/x", 1)
-    parameters.set("/ns/x", 2)
-    assert parameters.search("/ns/node", "x", lambda _: True) == "/ns/x"
-    assert parameters.search("/ns/node", "x", lambda leaf: leaf == "/x") == "/x"
-    assert parameters.search("/ns/node", "x", lambda _: False) is None
-    assert parameters.search("/ns/node", "/x", lambda _: False) is None
+def test_a_search_climbs_and_looks_for_the_first_segment() -> None:
+    assert places_to_search("/ns/node", "x/y") == [
+        ("/ns/node/x", "/ns/node/x/y"), ("/ns/x", "/ns/x/y"), ("/x", "/x/y"),
+    ]  # fmt: skip
+    assert places_to_search("/ns/node", "/x/y") == [("/x/y", "/x/y")]
+    for key in ("", "~x"):
+        with pytest.raises(ValueError, match="invalid key"):
+            places_to_search("/ns/node", key)
 
 
 SUBSCRIPTIONS = [subscription_key(key) for key in ("/a", "/a/b", "/z", "/")]
@@ -119,13 +138,13 @@ def heard(key: str, value: object) -> list[tuple[str, str, object]]:
 
 
 def test_a_change_is_heard_above_at_and_below() -> None:
-    assert heard("/a/b", 1) == [("/a/", "/a/b/", 1), ("/a/b/", "/a/b/", 1), ("/", "/a/b/", 1)]
+    assert heard("/a/b", 1) == [("/", "/a/b/", 1), ("/a/", "/a/b/", 1), ("/a/b/", "/a/b/", 1)]
     assert heard("/a", {"b": 5}) == [
-        ("/a/", "/a/", {"b": 5}),
         ("/", "/a/", {"b": 5}),
+        ("/a/", "/a/", {"b": 5}),
         ("/a/b/", "/a/b/", 5),
     ]
-    assert heard("/a", {"c": 5})[1] == ("/a/b/", "/a/b/", {})
+    assert heard("/a", {"c": 5})[2] == ("/a/b/", "/a/b/", {})
 
 
 def test_an_update_is_a_copy() -> None:

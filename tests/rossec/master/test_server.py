@@ -42,7 +42,7 @@ async def test_a_watcher_waits_until_there_is_news(
     assert ["publisher", "/image", "/camera"] in news["added"]
     assert (news["whole"], news["instance"]) == (False, whole["instance"])
     assert news["version"] > whole["version"]
-    monkeypatch.setattr("rossec.master.server.WATCH_WAIT", 0.05)
+    monkeypatch.setattr("rossec.master.answering.WATCH_WAIT", 0.05)
     quiet = await watcher.ask("rossec.watchGraph", news["instance"], news["cursor"])
     assert (quiet["added"], quiet["removed"], quiet["cursor"]) == ([], [], news["cursor"])
 

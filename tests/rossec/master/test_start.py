@@ -80,9 +80,9 @@ async def test_it_renews_itself_with_the_intermediate_it_renews_others_with(tmp_
         raise RenewalRefused("seen")
 
     server = master_of(home, host=None, port=0, newest=site.revoke(), now=site.now, renewer=renewer)
-    server._upkeep._look_after_self(site.now)
+    server._upkeep._looks[0](site.now)
     assert asked == []
-    server._upkeep._look_after_self(site.now + 29 * 86400)
+    server._upkeep._looks[0](site.now + 29 * 86400)
     [(_, now)] = asked
     assert now == site.now + 29 * 86400
 

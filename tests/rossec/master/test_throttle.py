@@ -44,9 +44,14 @@ def test_a_node_has_its_share_and_others_have_theirs(lines: Lines) -> None:
 
 
 def test_all_together_are_bounded(lines: Lines) -> None:
-    assert sum(lines(f"/n{number}") for number in range(2000)) == 1000
+    flood = [f"/n{number % 10}" for number in range(3000)]
+    assert sum(map(lines, flood)) == 1000 + 10 * 10
     lines.now += 1
-    assert sum(lines(f"/n{number}") for number in range(2000)) == 50
+    assert sum(map(lines, flood)) == 50
+    assert lines("/robot"), "what some have used up together is not its own"
+    assert sum(lines("/robot") for _ in range(50)) == 9
+    lines.now += 10
+    assert sum(map(lines, flood)) == 500 + 10
 
 
 def test_what_was_left_out_is_told_by_the_next(lines: Lines) -> None:

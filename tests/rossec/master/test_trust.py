@@ -14,6 +14,7 @@ from grants.errors import GrantError
 from grants.model import Right
 from grants.renewal import open_delegation
 from rossec.master import trust as module
+from rossec.master.gatekeeper import Caller
 from rossec.master.holdings import FAILURES_WITHIN, MAX_FAILURES, MAX_HELD
 from rossec.master.registry import NodeRef
 from rossec.master.trust import Trust
@@ -327,17 +328,36 @@ def test_what_of_the_list_concerns_a_node(world: World) -> None:
     world.trust.keep_only(frozenset(), world.now)
     caller = world.trust.caller(world.node, world.now)
     mine = {grant_id(own), id_}
-    assert world.trust.pertaining(caller, []) == mine
-    assert world.trust.pertaining(caller, ["/t"]) == mine | {grant_id(near), other.thumbprint}
+    assert pertaining(world, caller) == mine
+    assert pertaining(world, caller, "/t") == mine | {grant_id(near), other.thumbprint}
     assert len(world.trust.revoked()) == 6
     world.trust.update(world.site.revoke(far), world.now)
-    assert world.trust.pertaining(caller, ["/t", "/far"]) == {grant_id(far)}
+    assert pertaining(world, caller, "/t", "/far") == {grant_id(far)}
+
+
+def pertaining(world: World, caller: Caller, *names: str) -> frozenset[bytes]:
+    work = world.trust.pertaining(caller, names)
+    while True:
+        try:
+            next(work)
+        except StopIteration as end:
+            found: frozenset[bytes] = end.value
+            return found
 
 
 def tree_of(world: World, *entries: bytes) -> tuple[bytes, bytes]:
     listing = Listing([*entries, *(n.to_bytes(16) for n in range(9))])
     tree = RevocationTree(1, 90, world.now, world.now + DAY, *listing.size_and_root)
     return sign_tree(world.site.signer, tree), listing.encoded()
+
+
+def test_nothing_is_made_of_entries_before_their_tree_is_the_authoritys(world: World) -> None:
+    """Whoever is enrolled could have the master hash a megabyte again and again."""
+    tree, _ = tree_of(world)
+    with pytest.raises(RevocationRefused, match="signature"):
+        world.trust.update_tree(tree[:-1] + bytes([tree[-1] ^ 1]), b"no listing", world.now)
+    with pytest.raises(RevocationRefused, match="not a listing"):
+        world.trust.update_tree(tree, b"no listing", world.now)
 
 
 def test_a_tree_takes_the_place_of_the_list(world: World) -> None:

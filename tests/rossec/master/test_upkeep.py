@@ -2,11 +2,13 @@
 
 import asyncio
 import socket
+import time
 from typing import Any
 
 import pytest
 
 from ca.revocation import digest, open_timestamp
+from rossec.clock import Clock
 from rossec.errors import AnswerRefused
 from tests.rossec.master.world import T, World, ends, until
 
@@ -123,3 +125,17 @@ async def test_a_revoked_node_is_in_no_answer_from_the_moment_its_list_is_there(
     before, taken, after, node, service = (answer[0] for answer in answers)
     assert (before[2][0], taken[2]) == ([["/image", ["/camera"]]], 1)
     assert (after[2], node[0], service[0]) == ([[], [], []], -1, -1)
+
+
+async def test_a_master_whose_clock_went_back_goes_on_and_says_so(
+    world: World, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    shows = time.time()
+    monkeypatch.setattr("rossec.clock.HOST", Clock(lambda: shows, lambda: 0.0))
+    camera = await world.node("/camera")
+    shows -= 3600
+    await world.server._upkeep._look_around()
+    _, stamp = await camera.ask("rossec.revocations")
+    issued = open_timestamp(stamp, world.master.identity.public_key).issued
+    assert issued == int(shows) + 3600
+    assert "restart the master" in caplog.text

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rossec.master.values import DEPTH_LIMIT, check, weight
+from rossec.master.values import DEPTH_LIMIT, check, exceeds, weight
 from rossec.ros import xmlrpc
 from rossec.ros.xmlwrite import Written
 
@@ -23,6 +23,12 @@ _GOOD = st.recursive(
     lambda below: st.lists(below, max_size=3) | st.dictionaries(st.text("ab", min_size=1), below),
     max_leaves=9,
 )
+
+
+@given(_GOOD, st.integers(0, 300))
+def test_what_weighs_too_much_is_found_without_weighing_all(value: Any, limit: int) -> None:
+    assert exceeds(value, limit) == (weight(value) > limit)
+    assert exceeds({"much": "x" * limit, "never looked at": object()}, limit)
 
 
 @given(_GOOD)
@@ -70,3 +76,9 @@ def test_what_is_written_already_weighs_its_text() -> None:
     state = Written([["/t", ["/node"]]])
     assert weight([1, "", state]) - weight([1, ""]) == len(state.text)
     assert weight((1, 2)) == weight([1, 2])
+
+
+def test_a_number_is_no_name() -> None:
+    """XML-RPC's structs can have one in the place of a member's name."""
+    with pytest.raises(ValueError, match="1 cannot be the name of a parameter"):
+        check({1: 2})

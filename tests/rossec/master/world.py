@@ -12,6 +12,7 @@ from grants.model import Right
 from rossec.errors import RossecError
 from rossec.master.server import MasterServer
 from rossec.master.trust import Trust
+from rossec.master.turns import Turns
 from rossec.net.rpc import RpcClient, serve_calls
 from rossec.net.stream import Flavour, SecureStream, connect, serve
 from rossec.ros.settings import parse_uri
@@ -67,7 +68,7 @@ class World:
         )
         self.trust.update(self.site.revoke(), self.site.now)
 
-    async def start(self) -> None:
+    async def start(self, turns: Turns | None = None) -> None:
         self.server = MasterServer(
             self.master.credentials,
             self.site.anchor.verify,
@@ -75,6 +76,7 @@ class World:
             host="127.0.0.1",
             port=0,
             advertise="127.0.0.1",
+            turns=turns,
         )
         await self.server.start()
         self.exit.push_async_callback(self.server.close)
