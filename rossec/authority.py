@@ -11,16 +11,18 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from ca import keys
 from ca.authority import Authority, create_root
 from ca.certificates import TrustAnchor, from_pem, to_pem
+from ca.errors import RevocationRefused
 from ca.hsm import KeyUri, TokenSigner
 from ca.names import check_domain
-from ca.revocationtree import MAX_LISTING
+from ca.revocationtree import MAX_LISTING, Listing, is_tree, open_tree
 from ca.signer import KeySigner, Signer
 from ca.store import Store
-from rossec import files
+from rossec import files, listing
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
-from rossec.unlocked import ENTRIES, OWN_NODE, OpenAuthority
+from rossec.unlocked import OWN_NODE, OpenAuthority
 
+ENTRIES: Final = "revocations.entries"  # of a tree, beside the statement in a master's home
 KEY_URI: Final = "ca.uri"  # names the key of an authority that has it in a token
 _MAX_URI: Final = 4096
 _SIZE_LIMIT: Final = 256 * 1024
@@ -90,7 +92,7 @@ class AuthorityHome:
 
     def anchor(self) -> TrustAnchor:
         """Its certificate, as nodes trust it."""
-        data = files.read(self.path / "ca.pem", _SIZE_LIMIT, ConfigurationError("no ca.pem"))
+        data = files.read_own(self.path / "ca.pem", _SIZE_LIMIT, ConfigurationError("no ca.pem"))
         (der,) = from_pem(data)
         return TrustAnchor.load(der)
 
@@ -118,8 +120,8 @@ class AuthorityHome:
         path = self.path / KEY_URI
         if not path.exists():
             return KeySigner(keys.load_private(self.path / "ca.key", secret))
-        uri = files.read(path, _MAX_URI, ConfigurationError(f"no {KEY_URI}")).decode().strip()
-        return TokenSigner.open(KeyUri.parse(uri), secret)
+        data = files.read_own(path, _MAX_URI, ConfigurationError(f"no {KEY_URI}"))
+        return TokenSigner.open(KeyUri.parse(data.decode(errors="replace").strip()), secret)
 
     @property
     def is_intermediate(self) -> bool:
@@ -136,7 +138,7 @@ class AuthorityHome:
         path = self.path / "intermediate.pem"
         if not path.exists():
             return None
-        (der,) = from_pem(files.read(path, _SIZE_LIMIT, ConfigurationError(f"no {path.name}")))
+        (der,) = from_pem(files.read_own(path, _SIZE_LIMIT, ConfigurationError(f"no {path.name}")))
         return der
 
     def revocation_list(self) -> bytes:
@@ -154,10 +156,25 @@ class AuthorityHome:
         """The entries of the newest tree.
 
         Raises:
-            ConfigurationError: they are missing.
+            ConfigurationError: there is no tree, or they are missing.
         """
+        data = self.revocation_list()
+        if not is_tree(data):
+            raise ConfigurationError("the newest revocations are no tree", "see: rossec ca publish")
+        tree = open_tree(data, self.anchor().public_key)
+        with contextlib.suppress(RevocationRefused):
+            return listing.entries_of(self.store(), tree).encoded()
+        # Of an older version, which kept them beside the record and could lose one of the two.
         missing = ConfigurationError("the entries of the tree are missing", "rossec ca refresh")
-        return files.read(self.path / ENTRIES, MAX_LISTING, missing)
+        kept = files.read_own(self.path / ENTRIES, MAX_LISTING, missing)
+        Listing.read(kept).check(tree)
+        return kept
+
+    def unlisted(self, now: int) -> int:
+        """How many revocations are recorded and in no signed list; an intermediate has none."""
+        if self.is_intermediate:
+            return 0
+        return len(listing.missing(self.store(), self.anchor().public_key, now))
 
 
 def _build(path: Path, signer: Signer, root: bytes, now: int) -> None:

@@ -10,6 +10,7 @@ list kept by the master or a node brings back the revocations that are missing.
 import contextlib
 import secrets
 import shutil
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
@@ -17,7 +18,7 @@ from typing import Final
 
 from ca import backup
 from ca.certificates import TrustAnchor
-from ca.errors import BackupRefused, HintedError
+from ca.errors import BackupRefused, HintedError, LogDamaged, PassphraseRefused
 from ca.log import Entry
 from ca.revocation import open_list
 from ca.revocationtree import Listing, is_tree, open_tree
@@ -26,6 +27,7 @@ from rossec.authority import AuthorityHome
 from rossec.unlocked import OpenAuthority
 
 _SKIPPED: Final = ("ca.db", "ca.db-wal", "ca.db-shm")  # the record goes in as a snapshot
+_OTHER: Final = "take another backup, and find out who made this one"
 _PUBLIC: Final = ".pem"
 
 
@@ -87,22 +89,54 @@ def restore(
     begun = place.with_name(f".ca.{secrets.token_hex(8)}")
     try:
         _write(begun, backup.unseal(data, passphrase))
-        authority = AuthorityHome(begun).unlock(secret or passphrase)
-        authority.store.journal.audit(authority.signer.public_key)
+        authority = _prove(AuthorityHome(begun), secret or passphrase)
         size = authority.store.journal.head(now).size
         newest = _listed(newest_list, entries, authority)
-        if place.exists():
-            _check_over(AuthorityHome(place), authority, over, forget)
-        revived = _bring_up_to_date(authority, newest, size, now)
-        authority.store.close()
-        if place.exists():
-            aside = (place.with_name(f"ca.replaced.{number}") for number in count(now))
-            place.rename(next(path for path in aside if not path.exists()))
-        files.settle(begun, place)
+        with _alone(place):
+            if place.exists():
+                _check_over(AuthorityHome(place), authority, over, forget)
+            revived = _bring_up_to_date(authority, newest, size, now)
+            authority.store.close()
+            if place.exists():
+                aside = (place.with_name(f"ca.replaced.{number}") for number in count(now))
+                place.rename(next(path for path in aside if not path.exists()))
+            files.settle(begun, place)
     except BaseException:
         shutil.rmtree(begun, ignore_errors=True)
         raise
     return Restored(AuthorityHome(place), size, revived)
+
+
+def _prove(begun: AuthorityHome, secret: str) -> OpenAuthority:
+    """The authority in a backup, if key, certificate and record are whole and of one another.
+
+    Raises:
+        BackupRefused: a part is missing, or is not what it must be.
+        PassphraseRefused, LogDamaged: as `restore`.
+    """
+    try:
+        authority = begun.unlock(secret)
+        authority.store.journal.audit(authority.signer.public_key)
+        authority.store.check()
+        newest = authority.store.newest_list()
+        if newest is not None and authority.authority.is_root:
+            key = authority.authority.anchor.public_key
+            open_tree(newest, key) if is_tree(newest) else open_list(newest, key)
+    except (PassphraseRefused, LogDamaged):
+        raise
+    except (HintedError, ValueError) as error:  # also: not one certificate where one belongs
+        raise BackupRefused(f"what is in the backup is no authority: {error}", _OTHER) from error
+    return authority
+
+
+@contextlib.contextmanager
+def _alone(place: Path) -> Iterator[None]:
+    """Nobody signs or revokes at `place` from its comparison with the backup until it has moved."""
+    with contextlib.ExitStack() as stack:
+        with contextlib.suppress(HintedError):  # no whole authority: `_read` says so
+            store = stack.enter_context(contextlib.closing(AuthorityHome(place).store()))
+            stack.enter_context(store.changing())
+        yield
 
 
 def _write(directory: Path, content: dict[str, bytes]) -> None:
@@ -174,7 +208,8 @@ def _bring_up_to_date(
     if not authority.authority.is_root:
         return 0
     missing = newest - authority.store.revoked_entries()
-    for entry in sorted(missing):
-        authority.store.revoke(entry, "from a list newer than the backup", now)
-    authority.sign_list(now, new_epoch=True)
+    with authority.store.changing():
+        for entry in sorted(missing):
+            authority.store.revoke(entry, "from a list newer than the backup", now)
+        authority.sign_list(now, new_epoch=True)
     return len(missing)

@@ -1,7 +1,8 @@
 """Where requests are decided: by the policy, or by a person where the policy wants one asked.
 
 A shell around the authority, its policy and its inbox. Only `sign` needs the key. A person who
-does not answer in time has said no; so does the desk when a node asks for too much at once.
+does not answer in time has said no; so does the desk when a node asks for too much at once. Two
+people may sit at it: an answer is recorded together with the grants it gives, or not at all.
 """
 
 import secrets
@@ -13,15 +14,16 @@ from typing import Final
 from cryptography import x509
 from cryptography.hazmat.primitives.asymmetric import ec
 
-from ca.errors import HintedError
+from ca.errors import HintedError, RecordUnusable
 from grants.model import Draft
-from grants.policy.decision import Decider, Verdict
+from grants.policy.decision import Verdict
 from grants.policy.drafts import approve, drafts
 from grants.policy.model import Effect, Subject
 from grants.request import GrantRequest, open_request, peek_request
 from rossec import inbox
 from rossec.authority import AuthorityHome
 from rossec.inbox import Asked, Inbox
+from rossec.policyfile import PolicyFile
 from rossec.unlocked import OpenAuthority
 
 MAX_ASKED: Final = 16  # prompts one node may have waiting
@@ -39,18 +41,22 @@ class Question:
 
 
 class Desk:
-    """The authority's desk at `now`."""
+    """The authority's desk at `now`, deciding by `policy`.
 
-    def __init__(self, home: AuthorityHome, decider: Decider, now: int) -> None:
+    `denied` counts what the last `questions` answered with a no by itself.
+    """
+
+    def __init__(self, home: AuthorityHome, policy: PolicyFile, now: int) -> None:
         self._home = home
-        self._decider = decider
+        self._policy = policy
+        self._decider = policy.decider
         self._now = now
         self._store = home.store()
-        self._inbox = Inbox.of(home.path)
+        self._inbox = Inbox(self._store.database)
+        self.denied = 0
 
     def close(self) -> None:
         """Close the record."""
-        self._inbox.close()
         self._store.close()
 
     def take(self, data: bytes) -> GrantRequest:
@@ -68,21 +74,35 @@ class Desk:
         return request
 
     def collect(self) -> list[str]:
-        """Take what lies in the inbox directory; returns what was wrong, a line each."""
+        """Take what lies in the inbox directory; returns what was wrong, a line each.
+
+        Raises:
+            RecordUnusable: what could not be recorded stays in the inbox.
+        """
         trouble: list[str] = []
-        for path in inbox.waiting(self._home.path):
-            try:
-                self.take(inbox.read(path))
-            except HintedError as error:
-                trouble.append(f"{path.name}: {error}")
+        with self._store.changing():  # another desk takes what this one has not
+            paths = inbox.waiting(self._home.path)
+            for path in paths:
+                try:
+                    self.take(inbox.read(path))
+                except RecordUnusable:
+                    raise
+                except HintedError as error:
+                    trouble.append(f"{path.name}: {error}")
+        for path in paths:
             path.unlink(missing_ok=True)
         return trouble
 
     def questions(self) -> list[Question]:
         """What is not answered; what the policy denies, or nobody answered, is answered here."""
+        with self._store.changing():
+            return self._questions()
+
+    def _questions(self) -> list[Question]:
         open_: list[Question] = []
         waiting: dict[str, int] = {}
-        for asked in self._inbox.unanswered():
+        unanswered = self._inbox.unanswered()
+        for asked in unanswered:
             try:
                 verdict = self._verdict(asked)
             except HintedError as error:  # its identity has expired since
@@ -95,6 +115,7 @@ class Desk:
                 self._inbox.answer(asked, DENIED, why, self._now)
                 continue
             open_.append(Question(asked, verdict))
+        self.denied = len(unanswered) - len(open_)
         return open_
 
     def deny(self, question: Question, reason: str) -> None:
@@ -108,6 +129,8 @@ class Desk:
 
         Raises:
             PolicyRefused: one of them is denied, or cannot be expressed; nothing is signed then.
+            StoreError: one was answered meanwhile, or its key revoked; nothing is signed then.
+            ConfigurationError: the policy is another one by now; nothing is signed then.
         """
         chosen = list(questions)
         verdicts = [change(approve(question.verdict)) for question in chosen]
@@ -117,9 +140,12 @@ class Desk:
             now=self._now,
             serial=lambda: secrets.token_bytes(16),
         )
-        for question in chosen:
-            self._inbox.answer(question.asked, GRANTED, reason, self._now)
-        return [(draft, authority.grant(draft, self._now)) for draft in made]
+        answers = Inbox(authority.store.database)
+        with authority.store.changing():
+            self._policy.check_unchanged()
+            for question in chosen:
+                answers.answer(question.asked, GRANTED, reason, self._now)
+            return [(draft, authority.grant(draft, self._now)) for draft in made]
 
     def _verdict(self, asked: Asked) -> Verdict:
         row = self._store.live_certificate(asked.request.node, self._now)

@@ -19,6 +19,10 @@ class ConfigurationError(RossecError):
     """Something the operator has to set right: a name, a file, an environment variable."""
 
 
+class NotWritten(RossecError):
+    """A file the disk does not take; what was there before is unchanged."""
+
+
 class TopicRefused(RossecError):
     """A peer's TCPROS header that does not fit what this node publishes or subscribes."""
 

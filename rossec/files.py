@@ -1,22 +1,37 @@
-"""Files that must never be half written, overwritten by accident, or readable by others."""
+"""Files that must never be half written, overwritten by accident, or readable by others.
+
+A disk that is full, failing or read-only is said as `NotWritten`: what happened, and that what was
+there is unchanged. Whoever runs into it must not think that something is damaged.
+"""
 
 import errno
 import fcntl
 import os
 import secrets
+import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
-from typing import Final
+from typing import BinaryIO, Final, TextIO
 
-from rossec.errors import ConfigurationError
+from ca import places
+from rossec.errors import ConfigurationError, NotWritten
 
+_DISK: Final = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS}
 _CREATE: Final = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
 
 
 def make_private_directory(path: Path) -> None:
-    """Create `path` and what is missing above it, for the owner alone; an existing one is kept."""
+    """Create `path` and what is missing above it, for the owner alone; an existing one is kept.
+
+    Raises:
+        PlaceRefused: somebody else can write there.
+    """
     if not path.parent.is_dir():  # mkdir(parents=True) would ignore the mode for those above
         make_private_directory(path.parent)
     path.mkdir(mode=0o700, exist_ok=True)
+    places.check_directory(path)
 
 
 def create(path: Path, data: bytes, mode: int = 0o600) -> None:
@@ -24,7 +39,35 @@ def create(path: Path, data: bytes, mode: int = 0o600) -> None:
 
     Raises:
         ConfigurationError: the file exists already.
+        NotWritten: the disk does not take it; nothing is left behind.
     """
+    with _told(path):
+        _create(path, data, mode)
+
+
+def replace(path: Path, data: bytes, mode: int = 0o600) -> None:
+    """Write or replace a file in one step: a reader or a crash sees the old or the new content.
+
+    Raises:
+        ConfigurationError: what is there is a link, a device or the like: not ours to take away.
+        NotWritten: the disk does not take it; the old content is there.
+    """
+    if path.is_symlink() or (path.exists() and not path.is_file() and not path.is_dir()):
+        raise ConfigurationError(
+            f"{path} is not a plain file and is not replaced", "name a new file, or a plain one"
+        )
+    temporary = path.with_name(f".{path.name}.{secrets.token_hex(8)}")
+    with _told(path):
+        _create(temporary, data, mode)
+        try:
+            temporary.replace(path)
+        except OSError:
+            temporary.unlink(missing_ok=True)
+            raise
+        _sync_directory(path.parent)
+
+
+def _create(path: Path, data: bytes, mode: int) -> None:
     try:
         descriptor = os.open(path, _CREATE, mode)
     except FileExistsError:
@@ -42,16 +85,18 @@ def create(path: Path, data: bytes, mode: int = 0o600) -> None:
     _sync_directory(path.parent)
 
 
-def replace(path: Path, data: bytes, mode: int = 0o600) -> None:
-    """Write or replace a file in one step: a reader or a crash sees the old or the new content."""
-    temporary = path.with_name(f".{path.name}.{secrets.token_hex(8)}")
-    create(temporary, data, mode)
+@contextmanager
+def _told(path: Path) -> Iterator[None]:
+    """What the disk refuses, in words. A peer may read the first line: no path in it."""
     try:
-        temporary.replace(path)
-    except OSError:
-        temporary.unlink(missing_ok=True)
-        raise
-    _sync_directory(path.parent)
+        yield
+    except OSError as error:
+        if error.errno not in _DISK:
+            raise
+        raise NotWritten(
+            f"{path.name} was not written: {os.strerror(error.errno).lower()}",
+            f"nothing is damaged, {path} is as it was: make room, then do it again",
+        ) from error
 
 
 def settle(temporary: Path, path: Path) -> None:
@@ -88,6 +133,17 @@ def hold(path: Path, busy: ConfigurationError) -> int:
     return descriptor
 
 
+@contextmanager
+def alone(directory: Path) -> Iterator[None]:
+    """Nobody else who asks for this is at work in `directory` meanwhile: to look, then to write."""
+    descriptor = os.open(directory, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(descriptor)
+
+
 def read(path: Path, limit: int, missing: ConfigurationError) -> bytes:
     """Content of a file of at most `limit` bytes.
 
@@ -96,12 +152,73 @@ def read(path: Path, limit: int, missing: ConfigurationError) -> bytes:
     """
     try:
         with path.open("rb") as file:
-            data = file.read(limit + 1)
+            return _bounded(file, path, limit)
     except FileNotFoundError:
         raise missing from None
+
+
+def _bounded(file: BinaryIO, path: Path, limit: int) -> bytes:
+    data = file.read(limit + 1)
     if len(data) > limit:
         raise ConfigurationError(f"{path} is larger than {limit} bytes", "is it the right file?")
     return data
+
+
+def read_own(path: Path, limit: int, missing: ConfigurationError, *, link: bool = False) -> bytes:
+    """As `read`, of a file that is believed: nobody else may have written it.
+
+    Args:
+        path, limit, missing: as for `read`.
+        link: it may be a symbolic link, as the operator's own files are; its target is judged.
+
+    Raises:
+        ConfigurationError: as for `read`.
+        PlaceRefused: see `ca.places`.
+    """
+    try:
+        descriptor = places.open_own(path, link=link)
+    except FileNotFoundError:
+        raise missing from None
+    with os.fdopen(descriptor, "rb") as file:
+        return _bounded(file, path, limit)
+
+
+def append_own(path: Path) -> int:
+    """Open a log to append to, made for its owner alone; returns its descriptor.
+
+    Raises:
+        PlaceRefused: it is no plain file, or somebody else's: whoever made it could read it.
+        OSError: it cannot be opened.
+    """
+    flags = os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK
+    descriptor = os.open(path, flags, 0o600)
+    try:
+        places.check_file(path, os.fstat(descriptor))
+    except BaseException:
+        os.close(descriptor)
+        raise
+    return descriptor
+
+
+def open_text(path: Path, missing: ConfigurationError) -> TextIO:
+    """Open a text of any length, whose damaged characters are replaced; a device has no end.
+
+    Raises:
+        ConfigurationError: `missing` when there is no file, another when it is no regular one.
+    """
+    try:  # without O_NONBLOCK a FIFO holds the caller until somebody writes
+        descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
+    except FileNotFoundError:
+        raise missing from None
+    if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+        os.close(descriptor)
+        raise ConfigurationError(f"{path} is no regular file", "copy what is in it to one")
+    return os.fdopen(descriptor, encoding="utf-8", errors="replace")
+
+
+def lines(file: TextIO, longest: int) -> Iterator[str]:
+    """The lines of an open file; one of more than `longest` characters comes in pieces of that."""
+    return iter(partial(file.readline, longest), "")
 
 
 def _sync_directory(path: Path) -> None:

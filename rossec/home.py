@@ -4,14 +4,13 @@ A shell. Keys are written by `ca.keys`, everything else by `rossec.files`; what 
 by the module that knows the format. Errors say which command comes next.
 """
 
-import contextlib
 import re
 import secrets
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Final, Self
 
-from ca import keys, svid
+from ca import keys, places, svid
 from ca.certificates import (
     Identity,
     Request,
@@ -21,7 +20,9 @@ from ca.certificates import (
     from_pem,
     to_pem,
 )
+from ca.errors import HintedError, PlaceRefused
 from ca.names import check_name
+from ca.revocation import NO_FLOOR, open_statement
 from ca.revocationtree import MAX_LISTING
 from ca.signer import KeySigner
 from grants.hashing import FILTER_KEY_SIZE, check_key_name
@@ -37,14 +38,29 @@ def rossec_home(environ: Mapping[str, str]) -> Path:
     """ROSSEC_HOME, by default `~/.local/share/rossec`.
 
     Raises:
-        ConfigurationError: set to something that is no absolute path.
+        ConfigurationError: set to something that is no absolute path, or nobody knows a home.
     """
-    value = environ.get("ROSSEC_HOME")
-    if value is None:
-        return Path.home() / ".local" / "share" / "rossec"
-    path = Path(value).expanduser()
+    value = environ.get("ROSSEC_HOME", "~/.local/share/rossec")
+    try:
+        path = Path(value).expanduser()
+    except RuntimeError as error:  # no such user, or one that has no home
+        raise ConfigurationError(
+            f"{value.partition('/')[0]} is no home directory", "set ROSSEC_HOME to an absolute path"
+        ) from error
     if not path.is_absolute():
         raise ConfigurationError(f"ROSSEC_HOME is {value!r}", "give it an absolute path")
+    return path
+
+
+def own_home(environ: Mapping[str, str]) -> Path:
+    """`rossec_home`, if nobody else can write there; it need not exist yet.
+
+    Raises:
+        ConfigurationError: as for `rossec_home`.
+        PlaceRefused: it belongs to somebody else, or others can write in it.
+    """
+    path = rossec_home(environ)
+    places.check_directory(path)
     return path
 
 
@@ -197,8 +213,20 @@ class NodeHome:
 
     def grants(self) -> list[bytes]:
         """The grants this node holds, as signed; unverified."""
-        found = sorted((self.path / "grants").glob("*.grant"))
-        return [files.read(path, _SIZE_LIMIT, self._missing(path, "")) for path in found]
+        return [self.read_grant(path) for path in self.grant_files()]
+
+    def grant_files(self) -> list[Path]:
+        """Where they are; what is in the files need not be grants."""
+        return sorted((self.path / "grants").glob("*.grant"))
+
+    def read_grant(self, path: Path) -> bytes:
+        """One of `grant_files`.
+
+        Raises:
+            ConfigurationError: it is gone, or too large.
+            PlaceRefused: it is no file, or somebody else could have written it.
+        """
+        return files.read_own(path, _SIZE_LIMIT, self._missing(path, ""))
 
     def add_grant(self, grant_id: bytes, data: bytes) -> None:
         """Keep one more grant; adding it twice changes nothing."""
@@ -208,16 +236,29 @@ class NodeHome:
     def load_revocations(self) -> bytes | None:
         """The newest revocation list this node has seen, if any."""
         path = self.path / "revocations.cose"
-        return files.read(path, _SIZE_LIMIT, self._missing(path, "")) if path.exists() else None
+        return files.read_own(path, _SIZE_LIMIT, self._missing(path, "")) if path.exists() else None
 
     def save_revocations(self, data: bytes) -> None:
-        """Keep a revocation list; durable on return."""
-        files.replace(self.path / "revocations.cose", data)
+        """Keep a revocation list; durable on return.
+
+        Processes of one identity share this directory: a slower one puts no older list back.
+        """
+        with files.alone(self.path):
+            held = self.load_revocations()
+            if held is None or self._number(held) <= self._number(data):
+                files.replace(self.path / "revocations.cose", data)
+
+    def _number(self, data: bytes) -> tuple[int, int]:
+        """Of a list or tree of this node's authority; the lowest of what is none."""
+        try:
+            return open_statement(data, self.anchor().public_key).number
+        except HintedError:
+            return NO_FLOOR
 
     def load_entries(self) -> bytes | None:
         """The entries of the revocation tree, in the master's home, if there are any."""
         path = self.path / "revocations.entries"
-        return files.read(path, MAX_LISTING, self._missing(path, "")) if path.exists() else None
+        return files.read_own(path, MAX_LISTING, self._missing(path, "")) if path.exists() else None
 
     def save_entries(self, data: bytes) -> None:
         """Keep the entries of a revocation tree; durable on return."""
@@ -226,7 +267,7 @@ class NodeHome:
     def load_delegation(self) -> bytes | None:
         """The authority's leave to renew grants, in the master's home, if there is one."""
         path = self.path / "delegation.cose"
-        return files.read(path, _SIZE_LIMIT, self._missing(path, "")) if path.exists() else None
+        return files.read_own(path, _SIZE_LIMIT, self._missing(path, "")) if path.exists() else None
 
     def save_delegation(self, data: bytes) -> None:
         """Keep a delegation; durable on return."""
@@ -241,10 +282,15 @@ class NodeHome:
         """
         path = self.path / "filters" / f"{check_key_name(name)}.key"
         files.make_private_directory(path.parent)
-        if not path.exists():
-            with contextlib.suppress(ConfigurationError):  # another process was faster
+        with files.alone(path.parent):
+            if not path.exists():
                 files.create(path, secrets.token_bytes(FILTER_KEY_SIZE))
-        key = files.read(path, FILTER_KEY_SIZE, self._missing(path, ""))
+        try:
+            key = files.read_own(path, FILTER_KEY_SIZE, self._missing(path, ""))
+        except PlaceRefused as error:  # a peer may read this: no path in it
+            raise ConfigurationError(
+                f"others could have written the filter key {name}", f"{error}: {error.hint}"
+            ) from error
         if len(key) != FILTER_KEY_SIZE:
             raise ConfigurationError(
                 # A peer may read this: no path in it.
@@ -263,7 +309,7 @@ class NodeHome:
 
     def _read(self, name: str, command: str) -> bytes:
         path = self.path / name
-        return files.read(path, _SIZE_LIMIT, self._missing(path, command))
+        return files.read_own(path, _SIZE_LIMIT, self._missing(path, command))
 
     def _missing(self, path: Path, command: str) -> ConfigurationError:
         hint = f"next: {command}" if command else ""

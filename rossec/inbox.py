@@ -11,7 +11,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Final, NamedTuple, Self
 
-from ca.errors import StoreError
+from ca.database import Database
+from ca.errors import RecordUnusable, StoreError
 from grants.policy.drafts import Wish
 from grants.request import GrantRequest, peek_request
 from rossec import files
@@ -37,9 +38,6 @@ _SCHEMA: Final = (
 )
 
 
-_RESTORE: Final = "is the disk full, or another command at work?"
-
-
 class Asked(NamedTuple):
     """One wish that is in the record and not answered."""
 
@@ -54,10 +52,11 @@ class Asked(NamedTuple):
 
 
 class Inbox:
-    """The requests in the record at `path`."""
+    """The requests in one record."""
 
-    def __init__(self, path: Path) -> None:
-        self._db = sqlite3.connect(path, timeout=10, isolation_level=None)
+    def __init__(self, database: Database) -> None:
+        """In the record that `database` is, so that an answer can be one step with its grants."""
+        self._database = database
         with self._changing() as db:
             for statement in _SCHEMA:
                 db.execute(statement)
@@ -65,11 +64,11 @@ class Inbox:
     @classmethod
     def of(cls, authority: Path) -> Self:
         """The inbox of the authority in this directory."""
-        return cls(authority / "ca.db")
+        return cls(Database.open(authority / "ca.db"))
 
     def close(self) -> None:
-        """Close the file."""
-        self._db.close()
+        """Close the record."""
+        self._database.close()
 
     def add(self, request: GrantRequest, data: bytes, now: int) -> None:
         """Record a verified request.
@@ -94,8 +93,8 @@ class Inbox:
 
     def unanswered(self) -> list[Asked]:
         """Every wish without an answer, oldest first."""
-        answered = set(self._db.execute("SELECT request, right, pattern FROM decision"))
-        rows = self._db.execute("SELECT data, at FROM grant_request ORDER BY rowid").fetchall()
+        answered = set(self._database.rows("SELECT request, right, pattern FROM decision"))
+        rows = self._database.rows("SELECT data, at FROM grant_request ORDER BY rowid")
         requests = [(peek_request(data), at) for data, at in rows]
         return [
             Asked(request, at, wish)
@@ -107,16 +106,13 @@ class Inbox:
     @contextmanager
     def _changing(self) -> Iterator[sqlite3.Connection]:
         try:
-            self._db.execute("BEGIN IMMEDIATE")
-            with self._db:
-                yield self._db
-        except sqlite3.IntegrityError as error:
+            with self._database.changing() as db:
+                yield db
+        except RecordUnusable:
+            raise
+        except StoreError as error:
             raise StoreError(
                 "that was asked or answered before", "see: rossec grant pending"
-            ) from error
-        except sqlite3.Error as error:
-            raise StoreError(
-                f"the record cannot be written: {error}", "is the disk full?"
             ) from error
 
 

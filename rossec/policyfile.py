@@ -29,27 +29,52 @@ class PolicyFile:
     policy: Policy
 
     @classmethod
-    def read(cls, path: Path) -> Self:
-        """Read the policy in `path`.
+    def read(cls, path: Path, *, own: bool = False) -> Self:
+        """Read the policy in `path`; with `own`, only if nobody else can write it.
 
         Raises:
             ConfigurationError: there is no such file, or it is no text.
+            PlaceRefused: somebody else could have written it.
             PolicyRefused: with all its mistakes.
         """
         missing = ConfigurationError(
             f"there is no policy in {path}", "write one, or: rossec policy learn --from-graph"
         )
         try:
-            text = files.read(path, MAX_SIZE, missing).decode()
+            text = (
+                files.read_own(path, MAX_SIZE, missing, link=True)
+                if own else files.read(path, MAX_SIZE, missing)
+            ).decode()  # fmt: skip
         except UnicodeDecodeError:
             raise ConfigurationError(f"{path} is not UTF-8", "is it the right file?") from None
         return cls(path, text, parse_policy(text, str(path)))
 
     def replace(self, text: str) -> "PolicyFile":
-        """Write another text, which is read first: a policy with mistakes is never written."""
+        """Write another text, which is read first: a policy with mistakes is never written.
+
+        Raises:
+            PolicyRefused: with all its mistakes.
+            ConfigurationError: somebody else has changed the file; it is not touched.
+        """
         policy = parse_policy(text, str(self.path))
-        files.replace(self.path, text.encode(), 0o644)
+        with files.alone(self.path.parent):
+            if self.path.exists():  # else it is a new one
+                self.check_unchanged()
+            files.replace(self.path.resolve(), text.encode(), 0o644)  # behind a link
         return PolicyFile(self.path, text, policy)
+
+    def check_unchanged(self) -> None:
+        """Return if the file still says what was read: what was decided by it may be done.
+
+        Raises:
+            ConfigurationError: somebody else has changed it.
+        """
+        gone = ConfigurationError(f"{self.path} is gone, nothing was done", "write a policy first")
+        if files.read(self.path, MAX_SIZE, gone) != self.text.encode():
+            raise ConfigurationError(
+                f"{self.path} was changed while this command was at work, nothing was done",
+                "run the command again: it then goes by what the file says now",
+            )
 
     @property
     def decider(self) -> Decider:

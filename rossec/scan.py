@@ -1,20 +1,19 @@
-"""Read enrollment codes from a picture: a photograph, a screenshot, a frame of a camera.
+"""Read an enrollment code from a picture: a photograph, a screenshot, a frame of a camera.
 
-A shell around pillow and zxing-cpp (the extra `scan`), which are loaded only here. Pictures come
-from anywhere: few formats, and the size is judged before anything is unpacked.
+A shell. The picture is looked at by a process of its own (`rossec.scanner`), which has so much time
+and no more: what it does not answer, or answers with anything but a few texts, is no code.
 """
 
-import io
+import json
+import subprocess
+import sys
 from pathlib import Path
-from typing import Any, BinaryIO, Final
+from typing import BinaryIO, Final
 
-from ca.qr import PREFIX
 from rossec.errors import ConfigurationError
+from rossec.scanner import CLOSER, MAX_FILE, SECONDS
 
-MAX_FILE: Final = 32 * 1024 * 1024
-MAX_PIXELS: Final = 64 * 1000 * 1000
-_FORMATS: Final = ("PNG", "JPEG", "WEBP", "BMP", "PPM")
-_CLOSER: Final = "hold the camera so that the code fills the picture, or paste the text below it"
+_SCANNER: Final = (sys.executable, "-I", "-m", "rossec.scanner")
 
 
 def code_in_file(path: Path, stdin: BinaryIO) -> str:
@@ -31,52 +30,27 @@ def code_in_file(path: Path, stdin: BinaryIO) -> str:
 
 def code_in(data: bytes) -> str:
     """As `code_in_file`, for the bytes of the picture."""
-    found = sorted({text for text in _texts(data) if text.startswith(PREFIX)})
-    match found:
+    match _texts(data):
         case [text]:
             return text
         case []:
-            raise ConfigurationError("there is no rossec code in the picture", _CLOSER)
-        case _:
+            raise ConfigurationError("there is no rossec code in the picture", CLOSER)
+        case found:
             raise ConfigurationError(
                 f"there are {len(found)} codes in the picture", "show one of them alone"
             )
 
 
 def _texts(data: bytes) -> list[str]:
-    zxingcpp, image = _library(), _open(data)
-    found = zxingcpp.read_barcodes(image, formats=zxingcpp.BarcodeFormat.QRCode)
-    return [code.text for code in found]
-
-
-def _library() -> Any:
-    try:
-        import zxingcpp  # noqa: PLC0415 - an extra
-    except ImportError as error:
-        raise _missing() from error
-    return zxingcpp
-
-
-def _open(data: bytes) -> Any:
-    try:
-        from PIL import Image, UnidentifiedImageError  # noqa: PLC0415 - an extra
-    except ImportError as error:
-        raise _missing() from error
     if len(data) > MAX_FILE:
-        raise ConfigurationError(f"the picture has more than {MAX_FILE} bytes", _CLOSER)
+        raise ConfigurationError(f"the picture has more than {MAX_FILE} bytes", CLOSER)
     try:
-        image = Image.open(io.BytesIO(data), formats=_FORMATS)
-        if image.width * image.height > MAX_PIXELS:
-            raise ConfigurationError("the picture has too many pixels", "make it smaller")
-        return image.convert("L")
-    except (UnidentifiedImageError, Image.DecompressionBombError, OSError, ValueError) as error:
-        raise ConfigurationError(
-            "this is no picture that can be read", f"take one of {', '.join(_FORMATS)}"
-        ) from error
-
-
-def _missing() -> ConfigurationError:
-    return ConfigurationError(
-        "reading pictures needs pillow and zxing-cpp",
-        "pip install 'rossec[scan]', or paste the text below the code",
-    )
+        done = subprocess.run(  # noqa: S603 - our own program, by its full path
+            _SCANNER, input=data, capture_output=True, timeout=3 * SECONDS, check=True
+        )
+        answer = json.loads(done.stdout)
+    except (subprocess.SubprocessError, ValueError) as error:
+        raise ConfigurationError("to read the picture took too long, or failed", CLOSER) from error
+    if "error" in answer:
+        raise ConfigurationError(answer["error"], answer["hint"])
+    return [str(text) for text in answer["texts"]]

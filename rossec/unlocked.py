@@ -1,6 +1,8 @@
 """The authority with its key unlocked: what it signs, and the record of it.
 
-Nothing is handed out that is not recorded first.
+Nothing is handed out that is not recorded first. Two commands may be at work at once: whatever is
+decided by the record (a number, who is alive, what is to be listed) is decided, signed and recorded
+in one transaction, and so is a revocation with the list that says it.
 """
 
 import secrets
@@ -16,19 +18,18 @@ from ca.log import sign_head
 from ca.names import check_name
 from ca.revocation import MAX_ENTRIES, RevocationList, open_statement, sign_list
 from ca.revocationtree import Listing, RevocationTree, sign_tree
+from ca.rows import INTERMEDIATE
 from ca.signer import Signer
 from ca.store import CertificateRow, GrantRow, Store
 from grants import document
 from grants.model import Draft
 from grants.renewal import Delegation, open_delegation, sign_delegation
-from rossec import files
+from rossec import files, listing
 from rossec.errors import ConfigurationError
 
-SKEW: Final = 60  # seconds another host's clock may be behind: what is signed holds at once
+SKEW: Final = listing.SKEW  # what is signed holds at once, on a host whose clock is behind
 _DELEGATIONS: Final = "delegations"
-ENTRIES: Final = "revocations.entries"  # of the newest tree
 OWN_NODE: Final = "/ca"  # as which the authority's tools speak to the master
-INTERMEDIATE: Final = "intermediate/"  # before the key: no node's name begins like this
 _SIZE_LIMIT: Final = 256 * 1024
 _LIST_LIFETIME: Final = 90 * 86400
 _LIST_REFRESH: Final = 7 * 86400
@@ -75,7 +76,7 @@ class OpenAuthority:
         asked = check_request(request, self.domain, wildcard=wildcard)
         if replace_key is not None:
             self._check_root()
-        self._refresh_list(now)
+        self.refresh_list(now)
         answered = self.store.identities.answer(asked.digest)
         if answered is not None:
             self.store.identities.check_not_revoked(asked.name, asked.thumbprint)
@@ -99,10 +100,11 @@ class OpenAuthority:
         )
         identity = self.verify(der, now)
         replace_key = row.name if row.replaces else None
-        self.store.add_certificate(
-            certificate_row(identity), now, request=row.digest, replace_key=replace_key
-        )
-        self._refresh_list(now)
+        with self.store.changing():
+            self.store.add_certificate(
+                certificate_row(identity), now, request=row.digest, replace_key=replace_key
+            )
+            self.refresh_list(now)
         return self.bundle(der)
 
     def verify(self, der: bytes, now: int) -> Identity:
@@ -130,14 +132,17 @@ class OpenAuthority:
 
         Raises:
             ConfigurationError: this is an intermediate; nobody would take a grant from it.
+            StoreError: its key was revoked since the draft was made.
         """
         self._check_root("sign grants")
         data = document.sign(self.signer, draft)
         row = GrantRow(
             document.grant_id(data), draft.subject, data, draft.not_before, draft.expires
         )
-        self._refresh_list(now)
-        self.store.add_grant(row, now)
+        with self.store.changing():
+            self.store.identities.check_not_revoked(draft.subject, draft.holder)
+            self.refresh_list(now)
+            self.store.add_grant(row, now)
         return data
 
     def delegate(self, holder: bytes, lifetime: int, max_ttl: int, now: int) -> bytes:
@@ -146,6 +151,7 @@ class OpenAuthority:
         Raises:
             RenewalMalformed: for too long.
         """
+        self.refresh_list(now)
         begin = now - SKEW
         draft = Delegation(
             self.domain, holder, begin, begin + lifetime, max_ttl, secrets.token_bytes(16)
@@ -164,20 +170,20 @@ class OpenAuthority:
         """
         missing = ConfigurationError("no delegation")
         found = [
-            open_delegation(files.read(path, _SIZE_LIMIT, missing), self.signer.public_key)
+            open_delegation(files.read_own(path, _SIZE_LIMIT, missing), self.signer.public_key)
             for path in sorted((self.path / _DELEGATIONS).glob("*.cose"))
         ]
         living = frozenset(item.id for item in found if now < item.expires)
-        living -= self.store.revoked_entries()
-        if not living:
-            raise ConfigurationError("no delegation is in force", "see: rossec master delegate")
-        return self._revoke(living, reason, now), len(living)
+        with self.store.changing():
+            living -= self.store.revoked_entries()
+            if not living:
+                raise ConfigurationError("no delegation is in force", "see: rossec master delegate")
+            return self._revoke(living, reason, now), len(living)
 
     def revoke(self, entry: bytes, reason: str, now: int) -> RevocationList:
         """Add a grant id or key thumbprint to the list of revocations, and sign that anew."""
         self._check_root()
-        self.store.revoke(entry, reason, now)
-        return self.sign_list(now)
+        return self._revoke(frozenset({entry}), reason, now)
 
     def revoke_identity(self, name: str, reason: str, now: int) -> tuple[RevocationList, int]:
         """Revoke every living key of `name`; returns the list, signed anew, and how many keys.
@@ -190,55 +196,49 @@ class OpenAuthority:
                 f"{name} is the authority's own node: without it no list reaches the master",
                 "a stolen authority must be made anew, in another ROSSEC_HOME",
             )
-        found = self.store.live_keys(
-            name if name.startswith(INTERMEDIATE) else check_name(name), now
+        sought = name if name.startswith(INTERMEDIATE) else check_name(name)
+        with self.store.changing():
+            found = self.store.live_keys(sought, now)
+            if found:
+                self._check_root()
+                return self._revoke(found, reason, now), len(found)
+            self.refresh_list(now)
+        certified = self.store.certified(name, now)
+        raise ConfigurationError(
+            f"{name} has no living identity to revoke",
+            "see: rossec ca show; to deliver the list again: rossec ca publish"
+            if certified == name
+            else f"it is one of the anonymous nodes of {certified}: revoking that ends all",
         )
-        if not found:
-            self._refresh_list(now)  # of one that was killed before it had signed
-            certified = self.store.certified(name, now)
-            raise ConfigurationError(
-                f"{name} has no living identity to revoke",
-                "see: rossec ca show; to deliver the list again: rossec ca publish"
-                if certified == name
-                else f"it is one of the anonymous nodes of {certified}: revoking that ends all",
-            )
-        self._check_root()
-        return self._revoke(found, reason, now), len(found)
 
     def _revoke(self, entries: frozenset[bytes], reason: str, now: int) -> RevocationList:
-        for entry in entries:
-            self.store.revoke(entry, reason, now)
-        return self.sign_list(now)
+        """Record what is revoked and sign the list that says so: both, or neither."""
+        with self.store.changing():
+            for entry in sorted(entries):
+                self.store.revoke(entry, reason, now)
+            return self.sign_list(now)
 
     def _signed(self, listed: RevocationList) -> bytes:
-        """The list, or where it has grown too long a tree of it, whose entries are kept beside."""
+        """The list, or where it has grown too long a tree of it."""
         if len(listed.entries) <= MAX_ENTRIES:
             return sign_list(self.signer, listed)
-        listing = Listing(listed.entries)
-        tree = RevocationTree(
-            listed.epoch, listed.seq, listed.issued, listed.expires, *listing.size_and_root
-        )
-        files.replace(self.path / ENTRIES, listing.encoded())
+        size, root = Listing(listed.entries).size_and_root
+        tree = RevocationTree(listed.epoch, listed.seq, listed.issued, listed.expires, size, root)
         return sign_tree(self.signer, tree)
 
-    def _ended(self, now: int) -> frozenset[bytes]:
-        """Grants that no renewal can bring back: they need not be on the list any longer.
+    def refresh_list(self, now: int) -> None:
+        """Sign the list anew when it lacks something that is revoked, and long before it expires.
 
-        A node that relies on a list refuses to have a clock behind it, so whoever lacks the entry
-        finds the grant expired (RFC 9770 lets entries go in the same way). Keys stay: they are few,
-        and a certificate renewed by the master may outlive all that are recorded here.
+        Every command that has the key does this: what another one left behind is made good.
         """
-        rows = self.store.grants()
-        return frozenset(row.id for row in rows if document.peek(row.data).cap + SKEW < now)
-
-    def _refresh_list(self, now: int) -> None:
-        """Sign the list anew when something was revoked since, and long before it expires."""
         if not self.authority.is_root:
             return
-        held = self.store.newest_list()
-        issued = 0 if held is None else open_statement(held, self.signer.public_key).issued
-        if now - issued > _LIST_REFRESH or self.store.is_list_behind():
-            self.sign_list(now)
+        with self.store.changing():
+            held = self.store.newest_list()
+            issued = 0 if held is None else open_statement(held, self.signer.public_key).issued
+            late = now - issued > _LIST_REFRESH
+            if late or listing.missing(self.store, self.signer.public_key, now):
+                self.sign_list(now)
 
     def sign_list(self, now: int, *, new_epoch: bool = False) -> RevocationList:
         """Sign the list of everything revoked that could still hold, with the next number.
@@ -250,13 +250,14 @@ class OpenAuthority:
             ConfigurationError: this is an intermediate.
         """
         self._check_root()
-        epoch, seq = self.store.next_number()
-        if new_epoch:
-            epoch, seq = max(epoch + 1, now), 1
-        entries = self.store.revoked_entries() - self._ended(now)
-        listed = RevocationList(epoch, seq, now, now + _LIST_LIFETIME, entries)
-        self.store.save_list(listed.number, self._signed(listed), now)
-        self.sign_head(now)
+        with self.store.changing():
+            epoch, seq = self.store.next_number()
+            if new_epoch:
+                epoch, seq = max(epoch + 1, now), 1
+            entries = listing.due(self.store, now)
+            listed = RevocationList(epoch, seq, now, now + _LIST_LIFETIME, entries)
+            self.store.save_list(listed.number, self._signed(listed), now)
+            self.sign_head(now)
         return listed
 
     def _check_root(self, act: str = "revoke") -> None:
@@ -267,8 +268,9 @@ class OpenAuthority:
 
     def sign_head(self, now: int) -> bytes:
         """Sign the state of the log: whoever keeps it can tell whether the past was rewritten."""
-        head = sign_head(self.signer, self.store.journal.head(now))
-        self.store.journal.add_head(head, now)
+        with self.store.changing():
+            head = sign_head(self.signer, self.store.journal.head(now))
+            self.store.journal.add_head(head, now)
         return head
 
 

@@ -12,9 +12,10 @@ from ca.names import check_wildcard, spiffe_id
 from rossec import files
 from rossec.authority import AuthorityHome, fingerprint, grouped
 from rossec.cli import options, passphrase
+from rossec.cli.batch import Batch
 from rossec.cli.context import Environment, confirm, moment, now, pass_environment
 from rossec.cli.publish import deliver, remind
-from rossec.cli.voice import printable, say
+from rossec.cli.voice import note, printable, say
 from rossec.errors import ConfigurationError
 from rossec.succession import own_is_due, renew_own
 from rossec.unlocked import OWN_NODE
@@ -82,40 +83,59 @@ def sign(
     """Sign the identity requests in REQUESTS, after showing who asks.
 
     Each certificate is written beside its request, as node.pem. With --code the request must be the
-    one the code was made for: scan or paste it from the node's own screen.
+    one the code was made for: scan or paste it from the node's own screen. Where one of several is
+    refused the others are signed, and the exit code is 1.
     """
-    home = AuthorityHome.at(environment.home)
+    home, batch = AuthorityHome.at(environment.home), Batch(len(requests))
     read = [(path, _read(path)) for path in requests]
-    checked = [
-        (path, data, check_request(data, home.domain, wildcard=anonymous)) for path, data in read
-    ]
     if codes:
-        _check_codes(codes, [data for _, data, _ in checked])
-    for path, _, request in checked:
-        _introduce(path, request, home, vouched=bool(codes))
-        if anonymous:
-            warn_of_tail(request.name)
-    confirm(f"sign {_count(len(checked))}?", yes=yes)
-    authority = home.unlock(passphrase.read(passphrase_file, environment.variables))
-    revoked, number = authority.store.revoked_entries(), authority.store.next_number()
-    for path, data, request in checked:
-        replace_key = request.name if request.name in replaced else None
-        bundle = authority.issue(data, now(), lifetime, replace_key=replace_key, wildcard=anonymous)
-        target = path.with_name("node.pem" if path.name == "node.csr" else f"{path.stem}.pem")
-        files.replace(target, bundle, 0o644)
-        say(f"signed {request.name}: {target}")
-    if authority.store.revoked_entries() != revoked:
-        say("the replaced key is revoked")
-        _tell(environment, master_uri)
-    else:
-        remind(authority.store, number)
+        _check_codes(codes, [data for _, data in read])
+    asked: list[tuple[Path, bytes, str]] = []
+    for path, data in read:
+        with batch.one(path):
+            request = check_request(data, home.domain, wildcard=anonymous)
+            _introduce(path, request, home, vouched=bool(codes))
+            if anonymous:
+                warn_of_tail(request.name)
+            asked.append((path, data, request.name))
+    if asked:
+        confirm(f"sign {_count(len(asked))}?", yes=yes)
+        authority = home.unlock(passphrase.read(passphrase_file, environment.variables))
+        revoked, number = authority.store.revoked_entries(), authority.store.next_number()
+        for path, data, name in asked:
+            with batch.one(path):
+                bundle = authority.issue(
+                    data, now(), lifetime,
+                    replace_key=name if name in replaced else None, wildcard=anonymous,
+                )  # fmt: skip
+                _hand_out(path, bundle, name)
+        if authority.store.revoked_entries() != revoked:
+            say("the replaced key is revoked")
+            _tell(environment, master_uri)
+        else:
+            remind(authority.store, number)
+    batch.end()
+
+
+def _hand_out(path: Path, bundle: bytes, name: str) -> None:
+    target = path.with_name("node.pem" if path.name == "node.csr" else f"{path.stem}.pem")
+    files.replace(target, bundle, 0o644)
+    say(f"signed {name}: {target}")
 
 
 @ca.command()
 @options.master_to_tell
+@passphrase.option
 @pass_environment
-def publish(environment: Environment, master_uri: str | None) -> None:
-    """Give the newest revocation list to the master."""
+def publish(environment: Environment, master_uri: str | None, passphrase_file: Path | None) -> None:
+    """Give the newest revocation list to the master.
+
+    The passphrase is needed only where something is revoked that no signed list says yet.
+    """
+    home = AuthorityHome.at(environment.home)
+    if count := home.unlisted(now()):
+        note(f"{count} revocation{'s' * (count != 1)} in no signed list yet: it is signed anew")
+        home.unlock(passphrase.read(passphrase_file, environment.variables)).refresh_list(now())
     asyncio.run(deliver(environment, master_uri))
     say("the master has the newest list")
 

@@ -9,12 +9,11 @@ from ca.revocationtree import MAX_LISTING
 from ca.statements import MAX_LIST
 from rossec import backup as backups
 from rossec import files
-from rossec.authority import AuthorityHome, fingerprint
+from rossec.authority import ENTRIES, AuthorityHome, fingerprint
 from rossec.cli import passphrase
 from rossec.cli.context import Environment, now, pass_environment
 from rossec.cli.voice import note, say
 from rossec.errors import ConfigurationError
-from rossec.unlocked import ENTRIES
 
 _FILE = click.Path(path_type=Path, exists=True, dir_okay=False)
 
@@ -77,6 +76,8 @@ def restore(
     )  # fmt: skip
     say(f"restored {found.home.domain} in {found.home.path}, {found.entries} log entries")
     say(f"fingerprint {fingerprint(found.home.anchor())}")
+    if found.home.is_intermediate:  # it signs no lists
+        return
     if newest is None:
         note("what was revoked after the backup is valid again: restore with --list if you can")
     elif found.revived:

@@ -6,7 +6,7 @@ from typing import Any
 import click
 
 from ca.authority import DAY, MAX_LIFETIME
-from ca.rows import CertificateRow
+from ca.rows import INTERMEDIATE, CertificateRow
 from ca.store import Store
 from rossec import files
 from rossec.authority import AuthorityHome, fingerprint, grouped
@@ -16,14 +16,17 @@ from rossec.cli.publish import remind
 from rossec.cli.voice import say, say_json
 from rossec.errors import ConfigurationError
 from rossec.succession import renew_by_name, renew_own
-from rossec.unlocked import INTERMEDIATE, OWN_NODE
+from rossec.unlocked import OWN_NODE
 
 
 def states(store: Store, at: int) -> list[tuple[CertificateRow, str]]:
     """Every identity with what it is now: valid, replaced by a newer one, expired, or revoked."""
-    rows, revoked = store.certificates(), store.revoked_entries()
-    newest = {row.name: row.serial for row in rows if row.thumbprint not in revoked}
-    return [(row, _state(row, at, newest, row.thumbprint in revoked)) for row in rows]
+    with store.reading():
+        rows, revoked = store.certificates(), store.revoked_entries()
+        in_force = store.identities.in_force(rows)
+    alive = {row.serial for row in in_force if row.thumbprint not in revoked}
+    newest = {row.name: row.serial for row in rows if row.serial in alive}
+    return [(row, _state(row, at, newest, row.serial not in alive)) for row in rows]
 
 
 def _state(row: CertificateRow, at: int, newest: dict[str, int], revoked: bool) -> str:

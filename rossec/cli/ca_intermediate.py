@@ -11,6 +11,7 @@ from rossec import files, intermediatehome
 from rossec.authority import AuthorityHome, grouped
 from rossec.cli import passphrase
 from rossec.cli.context import Duration, Environment, confirm, moment, now, pass_environment
+from rossec.cli.publish import remind
 from rossec.cli.voice import say
 from rossec.errors import ConfigurationError
 from rossec.succession import sign_intermediate
@@ -68,6 +69,7 @@ def sign(
     say(f"  fingerprint {grouped(thumbprint(key))}")
     confirm("is this the fingerprint its host shows, and sign it?", yes=yes)
     authority = home.unlock(passphrase.read(passphrase_file, environment.variables))
+    number = authority.store.next_number()
     name, bundle = sign_intermediate(
         authority, data, now(), may_enroll=may == "enroll", lifetime=lifetime
     )
@@ -75,6 +77,7 @@ def sign(
     files.replace(target, bundle, 0o644)
     say(f"signed {name}: {target}")
     say(f"to take it back, with all it signed: rossec ca revoke {name}")
+    remind(authority.store, number)
 
 
 @intermediate.command()

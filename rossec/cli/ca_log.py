@@ -11,6 +11,7 @@ from rossec import files
 from rossec.authority import AuthorityHome
 from rossec.cli import passphrase
 from rossec.cli.context import Environment, moment, now, pass_environment
+from rossec.cli.publish import remind
 from rossec.cli.voice import note, printable, say, say_json
 from rossec.errors import ConfigurationError
 
@@ -55,7 +56,10 @@ def verify(environment: Environment, heads: tuple[Path, ...], in_json: bool) -> 
         say_json({"entries": size, "signed": newest.size, "at": newest.issued})
         return
     say(f"{size} entries, all as they were written")
-    say(f"the first {newest.size} are signed, {moment(newest.issued)}")
+    if newest.size:
+        say(f"the first {newest.size} are signed, {moment(newest.issued)}")
+    else:
+        say("none of them is signed: next, rossec ca log head")
     if not heads:
         note("a head kept elsewhere shows more: this file's owner could have rewritten all of it")
 
@@ -68,7 +72,10 @@ def head(environment: Environment, out: Path | None, passphrase_file: Path | Non
     """Sign the state of the log, to be kept elsewhere."""
     home = AuthorityHome.at(environment.home)
     authority = home.unlock(passphrase.read(passphrase_file, environment.variables))
+    number = authority.store.next_number()
+    authority.refresh_list(now())
     data = authority.sign_head(now())
+    remind(authority.store, number)
     size = open_head(data, home.own_key()).size
     if out is None:
         say(base64.b64encode(data).decode())

@@ -142,7 +142,7 @@ def _prospects(environment: Environment, row: RequestRow) -> list[str]:
     path = place(environment.home, None)
     if not path.exists():
         return ["there is no policy: it gets nothing by itself"]
-    policy = PolicyFile.read(path).policy
+    policy = PolicyFile.read(path, own=True).policy
     lines = prospects(policy, Subject(row.name, row.thumbprint))
     if not lines:
         return [f"the policy has no rule for it: {policy.defaults.decision}"]

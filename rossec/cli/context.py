@@ -9,8 +9,9 @@ from typing import Final
 
 import click
 
+from rossec import clock
 from rossec.errors import ConfigurationError
-from rossec.home import rossec_home
+from rossec.home import own_home
 
 _UNITS: Final = {"s": 1, "m": 60, "h": 3600, "d": 86400, "w": 7 * 86400}
 _ANSWER: Final = "answer y, or give --yes where there is nobody to ask"
@@ -25,8 +26,8 @@ class Environment:
 
     @property
     def home(self) -> Path:
-        """ROSSEC_HOME."""
-        return rossec_home(self.variables)
+        """ROSSEC_HOME, if nobody else can write there."""
+        return own_home(self.variables)
 
 
 pass_environment = click.make_pass_decorator(Environment)
@@ -34,7 +35,7 @@ pass_environment = click.make_pass_decorator(Environment)
 
 def now() -> int:
     """Seconds since the epoch, host clock."""
-    return int(time.time())
+    return clock.now()
 
 
 class Duration(click.ParamType[int]):

@@ -6,10 +6,11 @@ from typing import Final
 
 import click
 
-from grants.renewal import MAX_DELEGATION, MAX_TICKET, open_delegation
+from grants.renewal import MAX_DELEGATION, MAX_TICKET, MIN_TICKET, open_delegation
 from rossec.cli import passphrase
 from rossec.cli.context import Duration, Environment, moment, now, pass_environment
 from rossec.cli.voice import say
+from rossec.errors import ConfigurationError
 from rossec.ros.names import MASTER
 
 DAY: Final = 86400
@@ -30,7 +31,7 @@ _HINT: Final = "it is signed and kept in {}; start the master and run this again
     type=Duration(MAX_TICKET // DAY),
     default="8h",
     show_default=True,
-    help="how long a renewed grant holds before it is renewed again",
+    help="how long a renewed grant holds before it is renewed again; at least a minute",
 )
 @click.option("--withdraw", is_flag=True, help="revoke what was delegated before instead")
 @click.option("--master", "master_uri", help="master to tell, instead of ROS_MASTER_URI")
@@ -48,9 +49,14 @@ def delegate(
 
     A revoked grant is not renewed. With --withdraw, what the master has renewed ends at once.
     """
+    if ticket < MIN_TICKET:
+        raise ConfigurationError(
+            f"a ticket of {ticket} s ends before a node can be sure to have the next one",
+            f"give {MIN_TICKET}s or more: it asks after two thirds, the rest is for asking again",
+        )
     # Not carried by a running master, which has this command beside it.
     from rossec.authority import AuthorityHome  # noqa: PLC0415 - not carried by a running master
-    from rossec.cli.publish import carry, deliver  # noqa: PLC0415 - not carried by a running master
+    from rossec.cli.publish import carry, deliver, remind  # noqa: PLC0415 - not carried by a running master
 
     home = AuthorityHome.at(environment.home)
     store = home.store()
@@ -61,6 +67,7 @@ def delegate(
         asyncio.run(deliver(environment, master_uri))
         say("the master has the new list")
         return
+    number = authority.store.next_number()
     data = authority.delegate(
         store.live_certificate(MASTER, now()).thumbprint, lifetime, ticket, now()
     )
@@ -70,6 +77,7 @@ def delegate(
     given = carry(environment, master_uri, "rossec.updateDelegation", (data,), "it", hint)
     asyncio.run(given)
     say("the master has the delegation")
+    remind(authority.store, number)
 
 
 COMMANDS: Final = (delegate,)

@@ -11,6 +11,7 @@ from ca.names import check_name
 from grants import document
 from grants.model import Draft
 from grants.presets import PRESETS
+from rossec import files
 from rossec.authority import AuthorityHome
 from rossec.cli import grantoptions, options, passphrase
 from rossec.cli.context import Duration, Environment, moment, now, pass_environment
@@ -205,8 +206,7 @@ def _check_new(out: Path) -> None:
 def hand_over(environment: Environment, node: str, data: bytes, out: Path | None) -> None:
     """Give a grant to its node: into its directory when it lives here, and into a file."""
     if out is not None:
-        with out.open("xb") as file:
-            file.write(data)
+        files.create(out, data, 0o644)
         say(f"written to {out}")
     home = NodeHome.of(environment.home, node)
     if home.path.is_dir():

@@ -2,18 +2,25 @@
 
 import asyncio
 from collections import defaultdict
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
 from typing import Final
 
 import click
 
-from ca.errors import HintedError
-from rossec.cli.context import Environment, pass_environment
+from ca.errors import CertificateExpired, HintedError
+from rossec.channel.credentials import Credentials, LiveCredentials
+from rossec.cli.context import Environment, now, pass_environment
 from rossec.cli.reach import master_as, master_at
 from rossec.cli.voice import note, printable, say, say_json
+from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
 from rossec.node.graph import METHOD, Change, Fact, GraphView
+from rossec.node.identity import IdentityRenewal, renew_identity
+from rossec.node.renewal import Call
 
 _PAUSE: Final = 1.0  # seconds until a master that is gone is looked for again
+_LONGEST: Final = 30.0  # the same, when it has been looked for often
 _HEADINGS: Final = {"publisher": "published by", "subscriber": "subscribed by"}
 
 
@@ -38,7 +45,9 @@ def graph(environment: Environment, node: str, watch: bool, as_json: bool) -> No
 
 async def _look(environment: Environment, home: NodeHome, uri: str, as_json: bool) -> None:
     view = GraphView()
-    await _listen(environment, home, uri, view, once=True)
+    async with _watching(environment, home, home.credentials(), uri) as call:
+        while view.take(await call(METHOD, *view.question)).more:
+            pass
     if as_json:
         say_json(_json(view, Change(tuple(sorted(view.facts)), (), False, False)))
         return
@@ -47,35 +56,57 @@ async def _look(environment: Environment, home: NodeHome, uri: str, as_json: boo
 
 
 async def _follow(environment: Environment, home: NodeHome, uri: str, as_json: bool) -> None:
-    view = GraphView()
+    """Ask for news for ever, over as many connections as it takes.
+
+    Raises:
+        ConfigurationError: the identity has expired, and nobody has renewed it.
+        HintedError, OSError: there never was an answer.
+    """
+    view, pause, trouble = GraphView(), _PAUSE, ""
+    own = LiveCredentials(home.credentials())
+    renewal = IdentityRenewal(home, own, now())
     while True:
+        before = view.version
         try:
-            await _listen(environment, home, uri, view, as_json=as_json)
+            async with _watching(environment, home, own.current, uri) as call:
+                while not await renew_identity(call, renewal, now()):
+                    _say(view, view.take(await call(METHOD, *view.question)), as_json)
         except (HintedError, OSError, TimeoutError) as error:
             if view.version < 0:
                 raise
-            note(f"no news of the graph: {printable(str(error))}")
-            await asyncio.sleep(_PAUSE)
+            _check_identity(home)
+            if before != view.version:
+                pause, trouble = _PAUSE, ""
+            if str(error) != trouble:
+                trouble = str(error)
+                note(f"no news of the graph: {printable(trouble)}")
+            await asyncio.sleep(pause)
+            pause = min(2 * pause, _LONGEST)
 
 
-async def _listen(
-    environment: Environment,
-    home: NodeHome,
-    uri: str,
-    view: GraphView,
-    *,
-    as_json: bool = False,
-    once: bool = False,
-) -> None:
-    """Ask for news until the connection ends; with `once`, until all is told."""
-    async with master_as(environment, home, uri) as client:
-        await client.ask("rossec.presentGrants", home.name, home.grants())
-        while True:
-            change = view.take(await client.ask(METHOD, home.name, *view.question))
-            if not once:
-                _say(view, change, as_json)
-            elif not change.more:
-                return
+@asynccontextmanager
+async def _watching(
+    environment: Environment, home: NodeHome, own: Credentials, uri: str
+) -> AsyncIterator[Call]:
+    """A connection on which the master has seen the grants of the watcher; calls over it."""
+    async with master_as(environment, home, uri, own) as client:
+
+        async def call(method: str, *parameters: object) -> object:
+            return await client.ask(method, home.name, *parameters)
+
+        await call("rossec.presentGrants", home.grants())
+        yield call
+
+
+def _check_identity(home: NodeHome) -> None:
+    """With an identity that is over, no master is going to answer again."""
+    try:
+        home.identity(now())
+    except CertificateExpired as error:
+        raise ConfigurationError(
+            f"the identity of {home.name} has expired, and the master did not renew it",
+            f"rossec ca renew {home.name}, then here: rossec node install FILE, and start again",
+        ) from error
 
 
 def _say(view: GraphView, change: Change, as_json: bool) -> None:

@@ -17,7 +17,8 @@ from rossec.errors import NotDelivered
 _NOUNS: Final = {  # a noun, and the modules whose COMMANDS are more of its verbs
     "audit": (), "demo": (), "discover": (), "doctor": (), "explain": (),
     "grant": ("request",), "graph": (), "master": ("delegate",),
-    "ca": ("ca_identities", "ca_backup", "ca_enroll", "ca_requests", "ca_intermediate", "ca_log"),
+    "ca": ("ca_identities", "ca_backup", "ca_enroll", "ca_requests", "ca_intermediate", "ca_import",
+           "ca_log"),
     "node": ("node_enroll",), "param": (), "policy": (), "privacy": (), "run": (),
     "service": (), "sidecar": (), "simulate": (), "topic": (),
 }  # fmt: skip
@@ -106,8 +107,8 @@ def _complain(error: click.ClickException) -> int:
 
 
 def _plain(message: str) -> str:
-    first = message.splitlines()[0]
-    return (first[:1].lower() + first[1:]).rstrip(".")
+    line = " ".join(message.split())
+    return (line[:1].lower() + line[1:]).rstrip(".")
 
 
 def _usage_hint(error: click.ClickException) -> str:

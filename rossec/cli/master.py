@@ -16,12 +16,12 @@ from typing import Any
 
 import click
 
-from ca.revocationtree import is_tree
 from rossec import files
 from rossec.channel import policy
 from rossec.cli import passphrase
 from rossec.cli.audit import AUDIT
 from rossec.cli.context import Environment, now, pass_environment
+from rossec.cli.near import NearAuthority
 from rossec.cli.voice import printable, say, say_json
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
@@ -112,7 +112,7 @@ def master(
         settings.read((), environment.variables, default_name=MASTER)  # likewise
         stack.callback(os.close, files.hold(home.path / _LOCK, _busy(home)))
         if config.audit:
-            _keep_audit(home.path / AUDIT, stack)
+            _keep_audit(home, stack)
         renewer = _renewer(environment, passphrase_file) if renew_identities else None
         asyncio.run(_serve(environment, home, config, suites, renewer, as_json=as_json))
 
@@ -171,8 +171,9 @@ def _bound_denials(stack: ExitStack) -> None:
     stack.callback(log.removeFilter, throttle)
 
 
-def _keep_audit(path: Path, stack: ExitStack) -> None:
-    handler, log = AuditFile(path), logging.getLogger("rossec.audit")
+def _keep_audit(home: NodeHome, stack: ExitStack) -> None:
+    handler = AuditFile(home.path / AUDIT, signer=home.signer())
+    log = logging.getLogger("rossec.audit")
     before, root = log.level, logging.getLogger()
     log.setLevel(logging.INFO)
     for other in root.handlers:  # who reads along need not hear more than without an audit
@@ -211,12 +212,15 @@ async def _serve(
     stop = asyncio.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         asyncio.get_running_loop().add_signal_handler(number, stop.set)
+    near = NearAuthority(environment.home)
+    newest = near.newest()
     server = master_of(
         home,
         host=own.address,
         port=own.master_port if config.port is None else config.port,
-        newest=_newest_list(environment),
-        entries=_entries(environment),
+        newest=None if newest is None else newest[0],
+        entries=None if newest is None else newest[1],
+        news=near.news,
         renewer=renewer,
         now=now(),
         complain=ComplainLog(config.complaints) if config.complaints is not None else unheard,
@@ -293,27 +297,6 @@ def _commands(server: MasterServer) -> Mapping[str, Any]:
         return {"stopping": True}
 
     return {"status": server.status, "stop": stop}
-
-
-def _newest_list(environment: Environment) -> bytes | None:
-    """The authority's own record, when it lives on this host."""
-    if not (environment.home / "ca" / "ca.pem").exists():
-        return None
-    # Not carried by a master elsewhere: a database, and the policy's reader.
-    from rossec.authority import AuthorityHome  # noqa: PLC0415 - as above
-
-    home = AuthorityHome.at(environment.home)
-    return None if home.is_intermediate else home.revocation_list()  # lists are the root's
-
-
-def _entries(environment: Environment) -> bytes | None:
-    """The entries of the authority's tree, when it lives on this host and needs one."""
-    newest = _newest_list(environment)
-    if newest is None or not is_tree(newest):
-        return None
-    from rossec.authority import AuthorityHome  # noqa: PLC0415 - as above
-
-    return AuthorityHome.at(environment.home).entries()
 
 
 def _renewer(environment: Environment, file: Path | None) -> Renewer:

@@ -10,7 +10,7 @@ import click
 
 from grants.errors import PolicyRefused
 from grants.policy.editing import NewRule, add_rules, empty, free_id
-from grants.policy.learn import Seen, from_graph, from_log
+from grants.policy.learn import MAX_LINE, Seen, from_graph, from_log
 from grants.policy.learn import learn as learn_from
 from grants.policy.lint import Finding
 from grants.policy.lint import lint as advise
@@ -95,7 +95,11 @@ def learn(
         seen += _certified(environment, asyncio.run(_look(environment, node)))
     read = _existing(place(environment.home, policy_path))
     text, rules = learn_from(read.text, read.decider, seen, _day())
-    PolicyFile(out or read.path, text, parse_policy(text, str(out or read.path))).replace(text)
+    if out is None:
+        read.replace(text)
+    else:
+        parse_policy(text, str(out))
+        files.replace(out, text.encode(), 0o644)
     for rule in rules:
         say(f"learned {rule.id}: {_rights(rule)}")
     say(f"{len(rules)} rules in {out or read.path}; next: rossec policy review")
@@ -156,7 +160,7 @@ def _existing(path: Path) -> PolicyFile:
 
 def _read_log(path: Path) -> list[Seen]:
     with path.open(encoding="utf-8", errors="replace") as file:
-        return from_log(file)
+        return from_log(files.lines(file, MAX_LINE + 2))
 
 
 async def _look(environment: Environment, node: str) -> list[Seen]:

@@ -98,18 +98,25 @@ def opt_out(
     rule = _denial(name, node, [item.id for item in read.policy.rules])
     read = read.replace(add_rules(read.text, [rule]))
     say(f"rule {rule.id} in {read.path} denies it from now on")
-    concerned = [grant for grant in _live(authority) if _shows(grant, name, node)]
-    for grant in concerned:
-        authority.revoke(grant.id, f"opted out of {name}", now())
-        say(f"revoked grant {grant.id.hex()} of {grant.subject}")
-        rest = _rest(grant, name, node)
-        if rest is not None:
-            data = authority.grant(rest, now())
+    # With the record locked: who decides by the policy of before has signed already, or cannot.
+    with authority.store.changing():
+        concerned = [grant for grant in _live(authority) if _shows(grant, name, node)]
+        given = [(grant.subject, _instead(authority, grant, name, node)) for grant in concerned]
+    for subject, data in given:
+        if data is not None:
             say(f"its other rights are grant {document.grant_id(data).hex()}")
-            hand_over(environment, grant.subject, data, None)
+            hand_over(environment, subject, data, None)
     if concerned:
         asyncio.run(deliver(environment, master_uri))
         say("the master has the new list")
+
+
+def _instead(authority: OpenAuthority, grant: Grant, name: str, node: str | None) -> bytes | None:
+    """Revoke `grant`; returns what gives its holder the other rights, signed, if there are any."""
+    authority.revoke(grant.id, f"opted out of {name}", now())
+    say(f"revoked grant {grant.id.hex()} of {grant.subject}")
+    rest = _rest(grant, name, node)
+    return None if rest is None else authority.grant(rest, now())
 
 
 def _denial(name: str, node: str | None, taken: list[str]) -> NewRule:
@@ -122,10 +129,11 @@ def _denial(name: str, node: str | None, taken: list[str]) -> NewRule:
 def _live(authority: OpenAuthority) -> list[Grant]:
     """Every grant that holds, or will."""
     revoked = authority.store.revoked_entries()
+    grants = [document.peek(row.data) for row in authority.store.grants()]
     return [
-        document.peek(row.data)
-        for row in authority.store.grants()
-        if row.id not in revoked and now() < document.peek(row.data).cap
+        grant
+        for grant in grants
+        if revoked.isdisjoint((grant.id, grant.holder)) and now() < grant.cap
     ]
 
 

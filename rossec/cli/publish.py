@@ -13,7 +13,10 @@ from rossec.cli.voice import note
 from rossec.errors import ConfigurationError, NotDelivered
 from rossec.ros import settings
 
-_HINT = "the list is signed and kept; deliver it with: rossec ca publish"
+_HINT = (
+    "the list is signed and kept, but cuts nobody before the master has it;"
+    " deliver it with: rossec ca publish"
+)
 _SOON: Final = 7 * 86400
 
 

@@ -3,6 +3,7 @@
 import contextlib
 from collections.abc import AsyncIterator
 
+from rossec.channel.credentials import Credentials
 from rossec.channel.policy import post_quantum
 from rossec.cli.context import Environment
 from rossec.errors import ConfigurationError
@@ -20,8 +21,10 @@ def master_at(environment: Environment, master_uri: str | None = None) -> str:
 
 
 @contextlib.asynccontextmanager
-async def master_as(environment: Environment, home: NodeHome, uri: str) -> AsyncIterator[RpcClient]:
-    """A connection to the master at `uri`, with the identity in `home`.
+async def master_as(
+    environment: Environment, home: NodeHome, uri: str, own: Credentials | None = None
+) -> AsyncIterator[RpcClient]:
+    """A connection to the master at `uri`, with the identity in `home`, or `own` instead.
 
     Raises:
         ConfigurationError: no URI, or somebody else answers there.
@@ -31,7 +34,7 @@ async def master_as(environment: Environment, home: NodeHome, uri: str) -> Async
     stream = await connect(
         host,
         port,
-        home.credentials(),
+        home.credentials() if own is None else own,
         home.anchor().verify,
         opening=Flavour.HTTP,
         suites=post_quantum(environment.variables),

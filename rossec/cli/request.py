@@ -97,7 +97,7 @@ def decide(
 
     What it allows is signed; what it wants asked waits for `rossec grant pending`.
     """
-    file = options.read_policy(environment, policy_path)
+    file = options.read_policy(environment, policy_path, signs=True)
     with _desk(environment, file) as desk:
         for path in request_files:
             desk.take(inbox.read(path))
@@ -111,7 +111,8 @@ def decide(
             for data in _signed(desk, authority, allowed, lambda verdict: verdict, "policy"):
                 _deliver(environment, data, out_dir)
         waiting = len(questions) - len(allowed)
-        say(f"{len(allowed)} allowed, {waiting} for you: see `rossec grant pending`")
+        denied = f", {desk.denied} denied" if desk.denied else ""
+        say(f"{len(allowed)} allowed, {waiting} for you{denied}: see `rossec grant pending`")
 
 
 @click.command()
@@ -120,7 +121,7 @@ def decide(
 @pass_environment
 def pending(environment: Environment, as_json: bool, policy_path: Path | None) -> None:
     """Show what nodes ask for and the policy leaves to you. No answer in time is a no."""
-    file = options.read_policy(environment, policy_path)
+    file = options.read_policy(environment, policy_path, signs=True)
     with _desk(environment, file) as desk:
         _collect(desk)
         asked = [item for item in desk.questions() if item.verdict.effect is Effect.PROMPT]
@@ -154,7 +155,7 @@ def approve(
 
     --approximate gives it through a filter of the policy or a preset, --today until midnight.
     """
-    file = options.read_policy(environment, policy_path)
+    file = options.read_policy(environment, policy_path, signs=True)
     change = _change(file, coarse, only_today)
     with _desk(environment, file) as desk:
         chosen = _chosen(desk, request_id)
@@ -171,7 +172,7 @@ def approve(
 @pass_environment
 def deny(environment: Environment, request_id: str, policy_path: Path | None) -> None:
     """Say no to the request REQUEST_ID (or the beginning of it)."""
-    with _desk(environment, options.read_policy(environment, policy_path)) as desk:
+    with _desk(environment, options.read_policy(environment, policy_path, signs=True)) as desk:
         for item in _chosen(desk, request_id):
             desk.deny(item, "a person")
             say(f"denied {item.asked.request.node} {item.asked.wish}")
@@ -179,7 +180,7 @@ def deny(environment: Environment, request_id: str, policy_path: Path | None) ->
 
 @contextmanager
 def _desk(environment: Environment, file: PolicyFile) -> Iterator[Desk]:
-    desk = Desk(AuthorityHome.at(environment.home), file.decider, now())
+    desk = Desk(AuthorityHome.at(environment.home), file, now())
     try:
         yield desk
     finally:

@@ -1,5 +1,6 @@
 """`rossec simulate`: what another policy would change, tried on a recorded bag."""
 
+import struct
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,17 +15,23 @@ from grants.errors import GrantError
 from grants.layout import Layout, parse
 from grants.model import Right
 from grants.policy.decision import Decider
+from grants.policy.editing import empty
 from grants.policy.lint import someone
 from grants.policy.model import Policy, Subject
 from grants.policy.trial import Outcome, Trial
 from rossec.cli import options
 from rossec.cli.context import Environment, pass_environment
 from rossec.cli.explain import changes, subject_of
-from rossec.cli.voice import note, say, say_json
+from rossec.cli.voice import note, printable, say, say_json
 from rossec.errors import ConfigurationError, MessageError
-from rossec.policyfile import PolicyFile
+from rossec.policyfile import PolicyFile, parse_policy, place
 
 _FILE = click.Path(path_type=Path, exists=True, dir_okay=False)
+# What the reader of bags raises when a byte is wrong; it looks at few of them beforehand.
+_BROKEN = (
+    ReaderError, OSError, EOFError, ValueError, LookupError, struct.error, TypeError,
+    AttributeError, AssertionError, RuntimeError, ArithmeticError, MemoryError,
+)  # fmt: skip
 MAX_MESSAGES = 100_000  # per bag; the rest is said to be left out
 
 
@@ -50,7 +57,7 @@ class Tally:
 
 @click.command()
 @click.option("--policy", "new", type=_FILE, required=True, help="the policy to try")
-@click.option("--old", type=_FILE, help="the policy to compare with; by default the one in force")
+@click.option("--old", type=_FILE, help="compare with this; by default the one in force, if any")
 @click.option("--bag", type=_FILE, required=True, help="a bag of ROS 1")
 @click.option("--node", "nodes", multiple=True, help="only as this receiver sees it")
 @click.option("--json", "as_json", is_flag=True, help="one line of JSON")
@@ -68,7 +75,7 @@ def simulate(
     Conditions and rates see each message at the time it was recorded.
     """
     read = PolicyFile.read(new)
-    before = PolicyFile.read(old) if old is not None else options.read_policy(environment, None)
+    before = PolicyFile.read(old) if old is not None else _in_force(environment)
     receivers = _receivers(environment, nodes, before.policy, read.policy)
     found = run(bag, receivers, (before.decider, read.decider))
     if as_json:
@@ -78,6 +85,15 @@ def simulate(
         _say(topic, receiver, *tallies)
     if not found:
         say("the bag holds nothing these receivers are concerned with")
+
+
+def _in_force(environment: Environment) -> PolicyFile:
+    """The policy in force; where there is none nobody gets anything by one."""
+    path = place(environment.home, None)
+    if path.exists():
+        return options.read_policy(environment, None)
+    note("no policy is in force here: compared with one that denies everything")
+    return PolicyFile(path, empty(), parse_policy(empty(), str(path)))
 
 
 def run(
@@ -117,8 +133,10 @@ def _messages(bag: Path) -> Iterator[tuple[str, Layout, int, int, bytes]]:
                 layout = layouts[connection.id]
                 if layout is not None:
                     yield connection.topic, layout, connection.id, at // 10**9, bytes(data)
-    except (ReaderError, OSError) as error:
-        raise ConfigurationError(f"{bag} is no ROS 1 bag: {error}", "see: rosbag record") from error
+    except _BROKEN as error:
+        what = printable(str(error)) or type(error).__name__
+        hint = "see: rosbag record, rosbag reindex, rosbag check"
+        raise ConfigurationError(f"{bag} is no whole ROS 1 bag: {what}", hint) from error
 
 
 def _layout(connection: Any) -> Layout | None:

@@ -6,14 +6,16 @@ from typing import Any
 
 import click
 import numpy as np
-from ruamel.yaml import YAML
-from ruamel.yaml.error import YAMLError
 
+from grants import yamltext
+from grants.errors import YamlRefused
 from rossec.cli.context import Environment, pass_environment
 from rossec.cli.voice import note, printable, say
 from rossec.errors import ConfigurationError
 from rossec.node import Node, Publisher
 from rossec.node.messages import Message, field_names, message_type
+
+_SHOWN = 60  # characters of what was typed
 
 
 @click.group()
@@ -199,10 +201,15 @@ def plain(value: Any) -> object:
 
 
 def parse_message(text: str) -> object:
-    """The YAML of a message, as in rostopic."""
+    """The YAML of a message, as in rostopic; see `grants.yamltext.load`.
+
+    Raises:
+        ConfigurationError: it is none, or more than is read.
+    """
     try:
-        return YAML(typ="safe").load(text)
-    except YAMLError as error:
+        return yamltext.load(text)
+    except YamlRefused as error:
+        shown = printable(text[:_SHOWN]) + ("..." if len(text) > _SHOWN else "")
         raise ConfigurationError(
-            f"this is no YAML: {text}", "for example '{data: hello}'"
+            f"this is no YAML: {shown}: {error}", error.hint or "for example '{data: hello}'"
         ) from error

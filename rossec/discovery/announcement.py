@@ -83,6 +83,58 @@ def sign(signer: Signer, chain: tuple[bytes, ...], announcement: Announcement) -
     return data
 
 
+@dataclass(frozen=True)
+class Claim:
+    """A datagram in good form and of this time; nothing in it is believed yet."""
+
+    data: bytes
+    announcement: Announcement
+    chain: tuple[bytes, ...]
+
+    def verify_chain(self, anchor: TrustAnchor, revoked: frozenset[bytes], now: int) -> Identity:
+        """Who it says it is from: the master that the authority certified.
+
+        Raises:
+            AnnouncementRefused: not the master of this trust domain, or revoked.
+        """
+        try:
+            identity = anchor.verify(self.chain, now)
+        except CAError as error:
+            raise _foreign(error) from error
+        if identity.name != MASTER:
+            raise AnnouncementRefused(f"{identity.name} announces itself as a master")
+        if not revoked.isdisjoint(identity.keys):
+            raise AnnouncementRefused("the master that announces itself is revoked")
+        return identity
+
+    def verify(self, identity: Identity) -> Announcement:
+        """What the master `identity` says.
+
+        Raises:
+            AnnouncementRefused: it did not sign this.
+        """
+        try:
+            PROFILE.open_body(self.data, identity.public_key, limit=MAX_SIZE)
+        except CAError as error:
+            raise _foreign(error) from error
+        return self.announcement
+
+
+def read_claim(data: bytes, now: int) -> Claim:
+    """What a datagram from anybody claims: its size, form and age; no signature is looked at.
+
+    Raises:
+        AnnouncementRefused: no announcement, or of another time.
+    """
+    try:
+        announcement, chain = _read(PROFILE.peek(data, limit=MAX_SIZE))
+    except CAError as error:
+        raise _foreign(error) from error
+    if announcement.issued > now + SKEW or announcement.issued + announcement.max_age < now:
+        raise AnnouncementRefused("an announcement of another time", "check both clocks")
+    return Claim(data, announcement, tuple(chain))
+
+
 def open_announcement(
     data: bytes, anchor: TrustAnchor, revoked: frozenset[bytes], now: int
 ) -> tuple[Announcement, Identity]:
@@ -95,19 +147,13 @@ def open_announcement(
     Raises:
         AnnouncementRefused: not the master of this trust domain, revoked, outdated, or malformed.
     """
-    try:
-        announcement, chain = _read(PROFILE.peek(data, limit=MAX_SIZE))
-        identity = anchor.verify(chain, now)
-        if identity.name != MASTER:
-            raise AnnouncementRefused(f"{identity.name} announces itself as a master")
-        if not revoked.isdisjoint(identity.keys):
-            raise AnnouncementRefused("the master that announces itself is revoked")
-        PROFILE.open_body(data, identity.public_key, limit=MAX_SIZE)
-    except CAError as error:
-        raise AnnouncementRefused(f"no announcement of this domain's master: {error}") from error
-    if announcement.issued > now + SKEW or announcement.issued + announcement.max_age < now:
-        raise AnnouncementRefused("an announcement of another time", "check both clocks")
-    return announcement, identity
+    claim = read_claim(data, now)
+    identity = claim.verify_chain(anchor, revoked, now)
+    return claim.verify(identity), identity
+
+
+def _foreign(error: CAError) -> AnnouncementRefused:
+    return AnnouncementRefused(f"no announcement of this domain's master: {error}")
 
 
 def _read(payload: Value) -> tuple[Announcement, list[bytes]]:

@@ -3,17 +3,17 @@
 import asyncio
 import logging
 import secrets
-import time
 from itertools import count
 from typing import Final
 
+from rossec import clock
 from rossec.channel.credentials import Credentials
 from rossec.discovery.announcement import INSTANCE_SIZE, Announcement, sign
 from rossec.discovery.multicast import MulticastSocket
 from rossec.errors import ConfigurationError
 from rossec.ros.settings import is_loopback, parse_uri
 
-PERIOD: Final = 2.0
+PERIOD: Final = 0.5  # who listens for four seconds can tell how many are lost
 _log = logging.getLogger("rossec.master")
 
 
@@ -36,7 +36,7 @@ async def announce(credentials: Credentials, uri: str, *, period: float = PERIOD
     heard = True
     try:
         for seq in count():
-            announcement = Announcement(host, port, instance, seq, int(time.time()))
+            announcement = Announcement(host, port, instance, seq, clock.now())
             sent = group.send(sign(credentials.signer, credentials.chain, announcement)) > 0
             if sent is not heard:
                 _log.warning("announcing on %s", "the links again" if sent else "no link: all down")

@@ -1,23 +1,29 @@
 """The masters heard on the local links, the best one first, and which one is kept.
 
-Pure: datagrams, sources and times in. The signature is what costs, so it is checked at most
-`RATE` times a second, and an announcement counts once for each link: who repeats somebody else's
-from an address of its own comes too late. What a forger can still do is to be tried in vain.
+Pure: datagrams, sources and times in. What is cheap is asked first: size, form, age, whether it was
+heard already; only then is a signature checked, within `rossec.discovery.budget`. A chain that
+verified is not verified again for a while. An announcement counts once for each link: who repeats
+somebody else's from an address of its own comes too late. What a forger can still do is to be tried
+in vain.
 """
 
 from collections import Counter, OrderedDict, deque
 from dataclasses import dataclass, field
 from typing import Final
 
-from ca.certificates import TrustAnchor
-from rossec.discovery.announcement import Announcement, open_announcement
+from ca.certificates import Identity, TrustAnchor
+from rossec.discovery.announcement import Announcement, Claim, read_claim
+from rossec.discovery.budget import Budget
 from rossec.errors import AnnouncementRefused
 
-RATE: Final = 20.0  # signatures checked in a second, and at once
 MAX_CANDIDATES: Final = 16
-_SEEN: Final = 256
-_WINDOW: Final = 8  # announcements over which loss is measured
+_SEEN: Final = 1024
+_WINDOW: Final = 16  # announcements over which loss is measured
+_SLOWEST: Final = 2.0  # seconds between announcements, until two of them have told
 _LOSS_STEP: Final = 0.25  # a smaller difference is chance
+_CHAIN_LIFE: Final = 60.0  # seconds for which a chain is not verified again
+_MAX_REASONS: Final = 32
+_OTHER: Final = "other reasons"
 
 
 @dataclass(frozen=True)
@@ -35,7 +41,7 @@ class Candidate:
     key: bytes
     source: Source
     announcement: Announcement
-    heard: deque[int] = field(default_factory=lambda: deque(maxlen=_WINDOW))
+    heard: deque[tuple[int, float]] = field(default_factory=lambda: deque(maxlen=_WINDOW))
     rtt: float | None = None
     endpoint: tuple[str, int] | None = None
 
@@ -50,17 +56,29 @@ class Candidate:
         """The second after which it is forgotten, unless it is heard again."""
         return self.announcement.issued + self.announcement.max_age
 
-    @property
-    def loss(self) -> float:
-        """The share of its last announcements that did not arrive, 0 to 1."""
-        span = self.heard[-1] - self.heard[0] + 1
-        return 1 - len(self.heard) / span
+    def age(self, clock: float) -> float:
+        """Seconds since it was last heard."""
+        return max(0.0, clock - self.heard[-1][1])
 
-    @property
-    def quality(self) -> tuple[float, float, str]:
-        """The lower the better: loss in coarse steps, then the time a probe took."""
+    def sent(self, clock: float) -> int:
+        """How many announcements it has sent since the first of those that `heard` holds.
+
+        By their numbers up to the last one heard; since then by the time between them, so that a
+        master that has died loses more and more. Half an interval late is not lost.
+        """
+        (first, began), (last, ended) = self.heard[0], self.heard[-1]
+        interval = (ended - began) / (last - first) if last > first else _SLOWEST
+        missed = int(self.age(clock) / max(interval, 0.1) - 0.5)
+        return last - first + 1 + max(0, missed)
+
+    def loss(self, clock: float) -> float:
+        """The share of these announcements that did not arrive, 0 to 1."""
+        return 1 - len(self.heard) / self.sent(clock)
+
+    def quality(self, clock: float) -> tuple[bool, float, float, str]:
+        """The lower the better: reached at all, loss in coarse steps, the time a probe took."""
         rtt = float("inf") if self.rtt is None else self.rtt
-        return self.loss // _LOSS_STEP, rtt, self.source.address
+        return self.rtt is None, self.loss(clock) // _LOSS_STEP, rtt, self.source.address
 
 
 class Candidates:
@@ -72,7 +90,8 @@ class Candidates:
         self._held: dict[tuple[bytes, Source], Candidate] = {}
         self._seen: OrderedDict[tuple[bytes, int, int], None] = OrderedDict()
         self._newest: dict[bytes, Announcement] = {}
-        self._allowance, self._refilled = RATE, 0.0
+        self._chains: OrderedDict[tuple[bytes, ...], tuple[Identity, float]] = OrderedDict()
+        self._budget: Budget = Budget()
         self.refused: Counter[str] = Counter()
 
     def heard(self, data: bytes, source: Source, now: int, clock: float) -> Candidate | None:
@@ -88,7 +107,9 @@ class Candidates:
         try:
             return self._heard(data, source, now, clock)
         except AnnouncementRefused as error:
-            self.refused[str(error)] += 1
+            why = str(error)
+            full = len(self.refused) >= _MAX_REASONS  # a stranger's certificate is quoted in them
+            self.refused[_OTHER if full and why not in self.refused else why] += 1
             raise
 
     def probed(self, candidate: Candidate, endpoint: tuple[str, int], seconds: float) -> None:
@@ -96,47 +117,63 @@ class Candidates:
         if candidate.rtt is None or seconds < candidate.rtt:
             candidate.rtt, candidate.endpoint = seconds, endpoint
 
-    def ranked(self, now: int) -> list[Candidate]:
+    def ranked(self, now: int, clock: float) -> list[Candidate]:
         """The masters still heard, the best first; those no probe has reached are last."""
-        self._held = {key: one for key, one in self._held.items() if now <= one.ends}
-        return sorted(self._held.values(), key=lambda one: (one.rtt is None, one.quality))
+        self._forget(now)
+        return sorted(self._held.values(), key=lambda one: one.quality(clock))
 
-    def best(self, now: int) -> Candidate | None:
+    def best(self, now: int, clock: float) -> Candidate | None:
         """The best master that a probe has reached."""
-        return next((one for one in self.ranked(now) if one.rtt is not None), None)
+        return next((one for one in self.ranked(now, clock) if one.rtt is not None), None)
 
     def _heard(self, data: bytes, source: Source, now: int, clock: float) -> Candidate | None:
-        self._spend(clock)
-        announcement, identity = open_announcement(data, self._anchor, self._revoked, now)
-        if self._is_repeated(announcement, source):
+        claim = read_claim(data, now)
+        if self._is_repeated(claim.announcement, source):
             return None
+        identity = self._identity(claim, source, now, clock)
+        announcement = claim.verify(identity)
+        self._budget.proved(source)
+        self._remember(announcement, source)
         self._check_newer(identity.thumbprint, announcement)
-        self.ranked(now)
-        key = (identity.thumbprint, source)
-        if key not in self._held and len(self._held) >= MAX_CANDIDATES:
+        return self._take(identity.thumbprint, source, announcement, now, clock)
+
+    def _identity(self, claim: Claim, source: Source, now: int, clock: float) -> Identity:
+        """Whose it claims to be, the cost of checking that and the claim itself being paid."""
+        identity, until = self._chains.get(claim.chain, (None, 0.0))
+        if identity is not None and clock < until:
+            self._budget.spend(source, 1, clock, known_chain=True)
+            return identity
+        self._budget.spend(source, 1 + len(claim.chain), clock, known_chain=False)
+        identity = claim.verify_chain(self._anchor, self._revoked, now)
+        self._chains[claim.chain] = identity, clock + _CHAIN_LIFE
+        if len(self._chains) > MAX_CANDIDATES:
+            self._chains.popitem(last=False)
+        return identity
+
+    def _take(
+        self, key: bytes, source: Source, announcement: Announcement, now: int, clock: float
+    ) -> Candidate:
+        self._forget(now)
+        held = self._held.get((key, source))
+        if held is None and len(self._held) >= MAX_CANDIDATES:
             raise AnnouncementRefused("more masters announce themselves than can be remembered")
-        held = self._held.get(key)
         if held is None or held.announcement.instance != announcement.instance:
-            held = self._held[key] = Candidate(identity.thumbprint, source, announcement)
+            held = self._held[key, source] = Candidate(key, source, announcement)
         held.announcement = announcement
-        held.heard.append(announcement.seq)
+        held.heard.append((announcement.seq, clock))
         return held
 
-    def _spend(self, clock: float) -> None:
-        earned = max(0.0, clock - self._refilled) * RATE
-        self._allowance, self._refilled = min(RATE, self._allowance + earned), clock
-        if self._allowance < 1:
-            raise AnnouncementRefused("more announcements than can be checked")
-        self._allowance -= 1
+    def _forget(self, now: int) -> None:
+        self._held = {key: one for key, one in self._held.items() if now <= one.ends}
 
     def _is_repeated(self, announcement: Announcement, source: Source) -> bool:
-        seen = (announcement.instance, announcement.seq, source.link)
-        if seen in self._seen:
-            return True
-        self._seen[seen] = None
+        """Whether one with these numbers has verified: then another can only be it, or forged."""
+        return (announcement.instance, announcement.seq, source.link) in self._seen
+
+    def _remember(self, announcement: Announcement, source: Source) -> None:
+        self._seen[announcement.instance, announcement.seq, source.link] = None
         if len(self._seen) > _SEEN:
             self._seen.popitem(last=False)
-        return False
 
     def _check_newer(self, key: bytes, announcement: Announcement) -> None:
         """Numbers only rise, and a new instance is later than the one before it."""

@@ -1,6 +1,5 @@
 """`ROS_MASTER_URI=discover:`: the master is found when the program starts, and then kept."""
 
-import time
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
@@ -8,11 +7,12 @@ from typing import Final
 from ca.certificates import TrustAnchor
 from ca.errors import CAError
 from ca.names import check_name
-from ca.revocation import Revocations
+from rossec import clock
 from rossec.discovery.candidates import Candidate
 from rossec.discovery.finder import PATIENCE, find
 from rossec.errors import ConfigurationError
-from rossec.home import NodeHome, rossec_home
+from rossec.home import NodeHome, own_home
+from rossec.savedrevocations import saved_revocations
 
 VARIABLE: Final = "ROS_MASTER_URI"
 DISCOVER: Final = "discover:"
@@ -30,7 +30,7 @@ async def settle_master(environ: Mapping[str, str], identity: str | None) -> dic
     """
     if environ.get(VARIABLE) != DISCOVER:
         return dict(environ)
-    best, *_ = await masters(rossec_home(environ), identity)
+    best, *_ = await masters(own_home(environ), identity)
     return {**environ, VARIABLE: uri_of(best)}
 
 
@@ -88,7 +88,4 @@ def _anchor(node: NodeHome) -> TrustAnchor:
 
 def _revoked(node: NodeHome, anchor: TrustAnchor) -> frozenset[bytes]:
     """What the newest list says, however old: the handshake asks for a fresh one."""
-    revocations, saved = Revocations(anchor.public_key), node.load_revocations()
-    if saved is not None:
-        revocations.update(saved, int(time.time()))
-    return revocations.entries
+    return saved_revocations(node, anchor, clock.now()).entries

@@ -9,19 +9,22 @@ import asyncio
 import contextlib
 import time
 from collections.abc import AsyncIterator
+from itertools import islice
 from typing import Final
 
 from ca.certificates import TrustAnchor
+from rossec import clock
 from rossec.discovery.candidates import Candidate, Candidates
 from rossec.discovery.multicast import MulticastSocket
 from rossec.errors import AnnouncementRefused, MasterNotFound
 from rossec.net.tasks import TaskSet
 from rossec.ros.text import printable
 
-PATIENCE: Final = 10.0  # seconds; a master speaks every two
-SETTLE: Final = 2.5  # after the first, for others to be heard
+PATIENCE: Final = 10.0  # seconds; a master speaks twice in each
+SETTLE: Final = 4.0  # after the first, for others to be heard, and often enough to tell their loss
 _PROBE: Final = 2.0
 _LOOK: Final = 0.1
+_AT_ONCE: Final = 32  # datagrams
 _REJOIN: Final = 1.0
 
 
@@ -36,7 +39,7 @@ async def find(
 
     Args:
         revoked: entries of the newest revocation list known.
-        patience: seconds to wait for the first; `settle`: then for others.
+        patience: seconds to wait for the first; `settle`: then, to hear others and how well.
 
     Raises:
         MasterNotFound: none, with what was heard instead.
@@ -44,13 +47,13 @@ async def find(
     """
     candidates = Candidates(anchor, revoked)
     async with listening(candidates):
-        end = time.monotonic() + patience
-        found: float | None = None
-        while time.monotonic() < (end if found is None else min(end, found + settle)):
+        end, found = time.monotonic() + patience, False
+        while time.monotonic() < end:
             await asyncio.sleep(_LOOK)
-            if found is None and candidates.best(int(time.time())) is not None:
-                found = time.monotonic()
-    reached = [one for one in candidates.ranked(int(time.time())) if one.rtt is not None]
+            if not found and candidates.best(clock.now(), time.monotonic()) is not None:
+                end, found = time.monotonic() + settle, True
+    ranked = candidates.ranked(clock.now(), time.monotonic())
+    reached = [one for one in ranked if one.rtt is not None]
     if not reached:
         raise _nobody(candidates)
     return reached
@@ -63,9 +66,9 @@ async def listening(candidates: Candidates) -> AsyncIterator[None]:
     probes = TaskSet()
 
     def arrived() -> None:
-        for data, source in group.receive():
+        for data, source in islice(group.receive(), _AT_ONCE):  # the rest after whoever else waits
             with contextlib.suppress(AnnouncementRefused):
-                heard = candidates.heard(data, source, int(time.time()), time.monotonic())
+                heard = candidates.heard(data, source, clock.now(), time.monotonic())
                 if heard is not None:
                     probes.spawn(_probe(candidates, heard))
 
@@ -99,7 +102,7 @@ async def _probe(candidates: Candidates, candidate: Candidate) -> None:
 
 
 def _nobody(candidates: Candidates) -> MasterNotFound:
-    heard = candidates.ranked(int(time.time()))
+    heard = candidates.ranked(clock.now(), time.monotonic())
     if heard:
         where = ", ".join(f"{host} port {port}" for host, port in heard[0].endpoints)
         return MasterNotFound(

@@ -1,5 +1,6 @@
 """Where a node can be reached: what its code says, and what a person types."""
 
+import re
 import socket
 from typing import Final
 
@@ -7,6 +8,14 @@ from rossec.errors import ConfigurationError
 from rossec.ros.settings import is_loopback
 
 DEFAULT_PORT: Final = 11317
+# A name of labels, or an address with its zone: a code comes from anybody, and what the resolver
+# makes of an empty label, a long one or a NUL is its own exception.
+_HOST: Final = re.compile(
+    r"(?=.{1,253}$)(?:[A-Za-z0-9_](?:[A-Za-z0-9_-]{0,62}))(?:\.[A-Za-z0-9_-]{1,63})*\.?"
+    r"|(?=[^%]*:)[0-9A-Fa-f:.]{2,45}(?:%[A-Za-z0-9_.-]{1,32})?",
+    re.ASCII,
+)
+_PORT: Final = re.compile(r"[0-9]{1,5}", re.ASCII)
 _EXAMPLE: Final = f"write it as 192.168.1.7:{DEFAULT_PORT}, [fd00::7]:{DEFAULT_PORT} or robot.local"
 # Documentation addresses (RFC 5737, RFC 3849): connecting a UDP socket sends nothing, it only
 # asks the routing table which of our addresses would be used.
@@ -33,7 +42,7 @@ def split(text: str) -> tuple[str, int]:
         port = rest.removeprefix(":") if rest else port
     elif text.count(":") == 1:
         host, _, port = text.partition(":")
-    if not host or not port.isascii() or not port.isdigit() or not 0 < int(port[:6]) < 1 << 16:
+    if not _HOST.fullmatch(host) or not _PORT.fullmatch(port) or not 0 < int(port) < 1 << 16:
         raise ConfigurationError(f"{text!a} is no address of a node", _EXAMPLE)
     return host, int(port)
 

@@ -21,7 +21,7 @@ from ca.errors import (
     RivalOffer,
 )
 from rossec.enrolling import wire
-from rossec.net.halfopen import HalfOpen, HalfOpenCount
+from rossec.net.halfopen import HalfOpen, HalfOpenCount, Place
 from rossec.net.server import bind
 from rossec.net.tasks import TaskSet
 from rossec.ros.text import printable
@@ -134,10 +134,31 @@ class WaitingNode:
 
     def _accept(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         peer = writer.get_extra_info("peername")  # None: gone already
-        if peer is not None and self._callers.admit(address := str(peer[0])):
-            self._tasks.spawn(self._call(reader, writer, address), name=f"caller {address}")
-        else:
+        address = "" if peer is None else str(peer[0])
+        place = None if peer is None else self._callers.admit(address)
+        if place is None:
             writer.transport.abort()
+            return
+        self._tasks.spawn(self._count(reader, writer, address, place), name=f"caller {address}")
+
+    async def _count(
+        self,
+        reader: asyncio.StreamReader,
+        writer: asyncio.StreamWriter,
+        address: str,
+        place: Place,
+    ) -> None:
+        """A caller counts until its socket is closed; who does not read its end makes room."""
+        place.close = writer.transport.abort
+        try:
+            await self._call(reader, writer, address)
+            place.linger()
+            with suppress(OSError, TimeoutError):
+                async with asyncio.timeout(_FAREWELL):
+                    await writer.wait_closed()
+        finally:
+            writer.transport.abort()
+            place.settle()
 
     async def _call(
         self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, address: str
@@ -157,7 +178,6 @@ class WaitingNode:
         except (OSError, EOFError):
             pass  # whoever hangs up may call again
         finally:
-            self._callers.settle(address)
             self._answered.discard(writer)
             writer.close()
 

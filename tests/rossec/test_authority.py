@@ -142,7 +142,7 @@ def test_too_many_revocations_become_a_tree(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     home = AuthorityHome.create(tmp_path, "home", PASSPHRASE, NOW)
-    with pytest.raises(ConfigurationError, match="the entries of the tree are missing"):
+    with pytest.raises(ConfigurationError, match="are no tree"):
         home.entries()
     opened = home.unlock(PASSPHRASE)
     monkeypatch.setattr("rossec.unlocked.MAX_ENTRIES", 1)

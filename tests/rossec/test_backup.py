@@ -3,12 +3,21 @@ import sqlite3
 import time
 from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from ca.errors import BackupRefused, LogDamaged, PassphraseRefused, RevocationRefused
+from ca.errors import (
+    BackupRefused,
+    LogDamaged,
+    PassphraseRefused,
+    RecordUnusable,
+    RevocationRefused,
+    StoreError,
+)
 from ca.revocation import open_list
 from ca.revocationtree import Listing, is_tree
+from rossec import backup as backups
 from rossec import files
 from rossec.authority import AuthorityHome
 from rossec.backup import back_up, restore
@@ -230,3 +239,25 @@ def test_the_entries_beside_a_tree_are_found(
     (kept / "other").rename(kept / "revocations.entries")
     done = shell.unlocked(*over)
     assert "1 revocations are newer than the backup" in done.out
+
+
+def test_nobody_revokes_into_a_record_that_is_being_replaced(
+    home: AuthorityHome, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """From the comparison with the backup until it has moved, and not into what was moved."""
+    data, other = back_up(home, PASSPHRASE), home.unlock(PASSPHRASE)
+    other.store.database.connection.execute("PRAGMA busy_timeout = 0")
+    check, refused = backups._check_over, list[str]()
+
+    def meanwhile(*arguments: Any) -> None:
+        check(*arguments)
+        with pytest.raises(RecordUnusable) as caught:
+            other.revoke(b"k" * 32, "meanwhile", NOW)
+        refused.append(str(caught.value))
+
+    monkeypatch.setattr(backups, "_check_over", meanwhile)
+    restore(home.path.parent, data, PASSPHRASE, NOW, over="home")
+    assert "another command is at work" in refused[0]
+    with pytest.raises(StoreError, match="was replaced by another command"):
+        other.revoke(b"k" * 32, "afterwards", NOW)
+    assert b"k" * 32 in home.unlock(PASSPHRASE).revoke(b"k" * 32, "again", NOW).entries

@@ -6,18 +6,18 @@ from pathlib import Path
 
 import pytest
 
-from ca.errors import HintedError, SignatureError, StoreError
+from ca.errors import HintedError, RecordUnusable, SignatureError, StoreError
 from grants.errors import GrantForged
 from grants.model import Right
-from grants.policy.decision import Decider
 from grants.policy.drafts import Wish
 from grants.request import GrantRequest, sign_request
 from rossec import desk as module
 from rossec import inbox
 from rossec.authority import AuthorityHome
 from rossec.desk import Desk, today
+from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
-from rossec.policyfile import parse_policy
+from rossec.policyfile import PolicyFile
 
 SECRET = "four random words here"
 POLICY = """rossec: 1
@@ -45,8 +45,10 @@ class Place:
         return sign_request(self.node.credentials().signer, asked)
 
     def desk(self, later: int = 0) -> Desk:
-        decider = Decider(parse_policy(POLICY, "p.yaml"))
-        return Desk(self.home, decider, self.now + later)
+        path = self.root / "p.yaml"
+        if not path.exists():
+            path.write_text(POLICY)
+        return Desk(self.home, PolicyFile.read(path), self.now + later)
 
 
 @pytest.fixture
@@ -137,3 +139,58 @@ def test_today_ends_at_midnight() -> None:
 
 def test_refusals_carry_hints() -> None:
     assert issubclass(SignatureError, HintedError)
+
+
+def test_two_people_at_the_desk_give_one_answer(place: Place) -> None:
+    """The slower one signs nothing, also not the part nobody had answered."""
+    place.desk().take(place.request(LIFT))
+    here, there = place.desk(), place.desk()
+    (question,) = here.questions()
+    there.deny(there.questions()[0], "no")
+    before = place.authority.store.grants()
+    with pytest.raises(StoreError, match="asked or answered before"):
+        here.sign(place.authority, [question], lambda verdict: verdict, "yes")
+    assert place.authority.store.grants() == before
+
+
+def test_what_cannot_be_signed_is_not_answered(place: Place) -> None:
+    """The key was revoked while the passphrase was being typed."""
+    desk = place.desk()
+    desk.take(place.request(POSE))
+    questions = desk.questions()
+    place.authority.store.revoke(place.node.identity(place.now).thumbprint, "stolen", place.now)
+    with pytest.raises(StoreError, match="the key of /toaster is revoked"):
+        desk.sign(place.authority, questions, lambda verdict: verdict, "policy")
+    assert [asked.wish for asked in desk._inbox.unanswered()] == [POSE]
+
+
+def test_a_policy_that_was_changed_meanwhile_is_not_signed_by(place: Place) -> None:
+    desk = place.desk()
+    desk.take(place.request(POSE))
+    questions = desk.questions()
+    (place.root / "p.yaml").write_text(POLICY.replace("[/pose]", "[/nothing]"))
+    with pytest.raises(ConfigurationError, match="was changed while this command was") as caught:
+        desk.sign(place.authority, questions, lambda verdict: verdict, "policy")
+    assert "run the command again" in caught.value.hint
+    assert place.authority.store.grants() == []
+
+
+def test_a_request_that_cannot_be_recorded_stays_in_the_inbox(
+    place: Place, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = place.home.path / "inbox" / "x.request"
+    path.parent.mkdir()
+    path.write_bytes(place.request(POSE))
+    desk = place.desk()
+    with monkeypatch.context() as patched:
+
+        def full(_: bytes) -> None:
+            raise RecordUnusable("the disk is full")
+
+        patched.setattr(desk, "take", full)
+        with pytest.raises(RecordUnusable):
+            desk.collect()
+    assert path.exists()
+    assert desk.collect() == []
+    assert not path.exists()
+    assert len(desk.questions()) == 1

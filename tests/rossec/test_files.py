@@ -1,11 +1,28 @@
+import errno
 import os
+import resource
 import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
+from ca.errors import PlaceRefused
 from rossec import files
-from rossec.errors import ConfigurationError
+from rossec.errors import ConfigurationError, NotWritten
+
+
+@contextmanager
+def no_room() -> Iterator[None]:
+    """No file may grow, as on a full disk (setrlimit(2); Python ignores its signal)."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (0, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
 
 MISSING = ConfigurationError("there is none", "make one")
 
@@ -71,7 +88,7 @@ def test_a_failed_write_leaves_the_old_content(
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(os, "fsync", full)
-    with pytest.raises(OSError, match="No space"):
+    with pytest.raises(NotWritten, match="no space"):
         files.replace(tmp_path / "list", b"new")
     assert (tmp_path / "list").read_bytes() == b"old"
     assert list(tmp_path.iterdir()) == [tmp_path / "list"]
@@ -104,3 +121,49 @@ def test_a_file_is_held_by_one_until_it_lets_go(tmp_path: Path) -> None:
     (tmp_path / "link").symlink_to(tmp_path / "lock")
     with pytest.raises(OSError, match="symbolic"):
         files.hold(tmp_path / "link", busy)
+
+
+def test_what_is_no_plain_file_is_not_replaced(tmp_path: Path) -> None:
+    (tmp_path / "link").symlink_to(tmp_path / "elsewhere")
+    os.mkfifo(tmp_path / "pipe")
+    for name in ("link", "pipe"):
+        with pytest.raises(ConfigurationError, match="is not a plain file and is not replaced"):
+            files.replace(tmp_path / name, b"x")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["link", "pipe"]
+
+
+def test_a_file_that_is_believed(tmp_path: Path) -> None:
+    (tmp_path / "own").write_bytes(b"12345")
+    assert files.read_own(tmp_path / "own", 5, MISSING) == b"12345"
+    with pytest.raises(ConfigurationError, match="larger than 4"):
+        files.read_own(tmp_path / "own", 4, MISSING)
+    with pytest.raises(ConfigurationError, match="there is none"):
+        files.read_own(tmp_path / "missing", 4, MISSING)
+    (tmp_path / "own").chmod(0o666)
+    for open_it in (lambda path: files.read_own(path, 5, MISSING), files.append_own):
+        with pytest.raises(PlaceRefused, match="can be written by others"):
+            open_it(tmp_path / "own")
+
+
+def test_lines_are_bounded(tmp_path: Path) -> None:
+    (tmp_path / "log").write_text("ab\n" + "x" * 9 + "\nc")
+    with (tmp_path / "log").open() as file:
+        assert list(files.lines(file, 4)) == ["ab\n", "xxxx", "xxxx", "x\n", "c"]
+
+
+def test_a_disk_without_room_leaves_what_was_there(tmp_path: Path) -> None:
+    path = tmp_path / "revocations.cose"
+    files.replace(path, b"old")
+    with no_room(), pytest.raises(NotWritten, match=r"^revocations.cose was not written: ") as no:
+        files.replace(path, b"new")
+    assert no.value.hint == f"nothing is damaged, {path} is as it was: make room, then do it again"
+    assert path.read_bytes() == b"old"
+    with no_room(), pytest.raises(NotWritten, match="fresh was not written: file too large"):
+        files.create(tmp_path / "fresh", b"new")
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_what_is_no_fault_of_the_disk_stays_what_it_is(tmp_path: Path) -> None:
+    with pytest.raises(OSError, match="No such file") as caught:
+        files.replace(tmp_path / "missing" / "file", b"x")
+    assert caught.value.errno == errno.ENOENT

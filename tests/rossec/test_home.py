@@ -1,5 +1,6 @@
 import secrets
 import stat
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -18,6 +19,7 @@ from grants.errors import FilterRefused
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome, rossec_home
 from tests.support.pki import DAY, NOW, Site
+from tests.support.site import Site as Place
 
 NAME = "/robot1/camera"
 SITE = Site.create()
@@ -52,6 +54,18 @@ def test_home_is_absolute(value: str) -> None:
     with pytest.raises(ConfigurationError, match="ROSSEC_HOME is") as caught:
         rossec_home({"ROSSEC_HOME": value})
     assert "absolute path" in caught.value.hint
+
+
+def test_a_home_nobody_knows(monkeypatch: pytest.MonkeyPatch) -> None:
+    def unknown(text: Path) -> Path:
+        raise RuntimeError(text)
+
+    with pytest.raises(ConfigurationError, match=r"^~nobody-of-that-name is no home") as caught:
+        rossec_home({"ROSSEC_HOME": "~nobody-of-that-name/rossec"})
+    assert "absolute path" in caught.value.hint
+    monkeypatch.setattr(Path, "expanduser", unknown)  # a user without an entry, and no HOME
+    with pytest.raises(ConfigurationError, match=r"^~ is no home directory"):
+        rossec_home({})
 
 
 def test_two_names_never_share_a_directory(tmp_path: Path) -> None:
@@ -285,3 +299,23 @@ def test_a_label_for_another_key(tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match="is for another key than") as caught:
         home.label_request("home")
     assert "begin anew" in caught.value.hint
+
+
+def test_a_slower_process_of_the_same_identity_puts_no_older_list_back(tmp_path: Path) -> None:
+    """Processes of a wildcard identity share one directory; at the next start it would be old."""
+    site = Place(tmp_path / "site")
+    home = site.enroll("/rviz")
+    older, newer = site.revoke(b"o" * 32), site.revoke(b"n" * 32)
+    for data in (older, newer, older):
+        NodeHome.of(site.root, "/rviz").save_revocations(data)
+    assert home.load_revocations() == newer
+    (home.path / "revocations.cose").write_bytes(b"damaged")
+    home.save_revocations(older)
+    assert home.load_revocations() == older
+
+
+def test_processes_that_need_a_filter_key_at_once_get_one(tmp_path: Path) -> None:
+    home = Place(tmp_path / "site").enroll("/robot")
+    with ThreadPoolExecutor(8) as pool:
+        keys = set(pool.map(lambda _: home.filter_key("people"), range(32)))
+    assert len(keys) == 1

@@ -67,7 +67,7 @@ def test_nothing_is_changed_or_deleted(path: Path, table: str, change: str) -> N
 def test_a_record_that_is_closed_cannot_be_written(path: Path) -> None:
     box = Inbox.of(path)
     box.close()
-    with pytest.raises(StoreError, match="cannot be written"):
+    with pytest.raises(StoreError, match="cannot be used"):
         box.add(ASKED, DATA, NOW)
 
 

@@ -38,3 +38,18 @@ def test_what_is_no_policy(tmp_path: Path) -> None:
 
 def test_layouts() -> None:
     assert layout_of("std_msgs/String").type_name == "std_msgs/String"
+
+
+def test_two_editors_at_once_lose_no_rule(tmp_path: Path) -> None:
+    path = tmp_path / "policy.yaml"
+    path.write_text(TEXT)
+    slower, faster = PolicyFile.read(path), PolicyFile.read(path)
+    faster.replace(TEXT.replace("robot: r", "robot: faster"))
+    with pytest.raises(ConfigurationError, match="was changed while this command") as caught:
+        slower.replace(TEXT.replace("robot: r", "robot: slower"))
+    assert "run the command again" in caught.value.hint
+    assert "faster" in path.read_text()
+    slower.path.unlink()
+    with pytest.raises(ConfigurationError, match="is gone, nothing was done"):
+        slower.check_unchanged()
+    assert slower.replace(TEXT).text == path.read_text()

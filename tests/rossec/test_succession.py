@@ -57,8 +57,19 @@ def test_a_node_renews_itself(site: Site) -> None:
     home = site.enroll("/robot", LIFE)
     key = KeySigner(home.credentials().signer._key)  # type: ignore[attr-defined]
     bundle = renew(site.authority, asks(home, key), LATER)
-    assert home.install(bundle, LATER).not_after == LATER + LIFE + 3600
+    assert home.install(bundle, LATER).not_after == LATER + LIFE
     assert len(site.authority.store.identities.of("/robot")) == 2
+
+
+def test_a_revoked_key_gets_no_successor(site: Site) -> None:
+    """Also where the check that was passed in knows nothing of it."""
+    home = site.enroll("/robot", LIFE)
+    site.authority.store.revoke(home.identity(LATER).thumbprint, "stolen", LATER)
+    asked = asks(home, KeySigner(generate()))
+    with pytest.raises(Revoked):
+        renew(site.authority, asked, LATER)
+    with pytest.raises(StoreError, match="the key of /robot is revoked"):
+        renew(site.authority, asked, LATER, lambda _entry, _now: None)
 
 
 def test_one_renewal_one_answer(site: Site) -> None:

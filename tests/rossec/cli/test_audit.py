@@ -2,6 +2,7 @@
 
 import json
 import logging
+import os
 from pathlib import Path
 
 import pytest
@@ -62,3 +63,39 @@ def test_no_file_and_what_was_left_out(shell: Shell) -> None:
     one, two = shell("audit", str(shell.root / "other.log")).out.splitlines()
     assert one.endswith("denied (3 lines like it before it were left out)")
     assert two.endswith("next (4 bytes before it were cut short)")
+
+
+def test_a_key_that_is_none_and_one_that_was(shell: Shell) -> None:
+    refused(shell("audit", "--verify", "--key", "zz"), "is no thumbprint", "64 hexadecimal digits")
+    said = shell("audit", "--verify", "--key", "00" * 32)
+    assert "an older master began it" in said.err
+    empty = shell.root / "empty.log"
+    empty.touch()
+    assert "in 0 lines" in shell("audit", "--verify", str(empty)).err
+
+
+@pytest.mark.parametrize("options", [(), ("--verify",)])
+def test_what_has_no_end_is_not_read(shell: Shell, options: tuple[str, ...]) -> None:
+    os.mkfifo(shell.root / "pipe")
+    for path in ("/dev/zero", str(shell.root / "pipe")):
+        refused(shell("audit", *options, path), f"{path} is no regular file", "copy what is in it")
+
+
+def test_a_huge_file_of_rubbish_is_given_up(shell: Shell) -> None:
+    path = shell.root / "rubbish.log"
+    with path.open("wb") as file:
+        os.truncate(file.fileno(), 1 << 40)  # sparse, without one line end
+    refused(shell("audit", "--verify", str(path)), f"line 1 of {path} is damaged")
+    said = shell("audit", str(path))
+    refused(said, f"10000 of the first 10000 lines of {path} are damaged", "the right file?")
+    assert len(said.err.splitlines()) == 2
+
+
+def test_many_damaged_lines_hide_no_entry(shell: Shell) -> None:
+    path = shell.node("/master") / "audit.log"
+    one, two = path.read_text().splitlines()
+    path.write_text("\n".join([one, *["x"] * 9999, two, ""]))
+    said = shell("audit")
+    assert (said.code, len(said.out.splitlines())) == (0, 2)
+    assert len(said.err.splitlines()) == 21
+    assert f"9979 more lines of {path} are damaged and not shown" in said.err

@@ -244,6 +244,44 @@ def test_a_link_beside_a_request_is_not_followed(shell: Shell, tmp_path: Path) -
     request.write_bytes((shell.node("/robot") / "node.csr").read_bytes())
     target.write_bytes(b"precious")
     (tmp_path / "node.pem").symlink_to(target)
-    assert shell.unlocked("ca", "sign", str(request), "--yes").code == 0
+    said = shell.unlocked("ca", "sign", str(request), "--yes")
+    assert (said.code, "is not a plain file" in said.err) == (1, True)
     assert target.read_bytes() == b"precious"
-    assert not (tmp_path / "node.pem").is_symlink()
+    (tmp_path / "node.pem").unlink()
+    assert shell.unlocked("ca", "sign", str(request), "--yes").code == 0, "signed once"
+    assert (tmp_path / "node.pem").read_bytes().startswith(b"-----BEGIN")
+
+
+def test_one_refused_request_does_not_fail_the_rest(shell: Shell, tmp_path: Path) -> None:
+    """One that is no request, one whose name has another key, and between them two good ones."""
+    files = []
+    for name in ("/one", "/held", "/two"):
+        shell("node", "request", name)
+        files.append(str(shell.node(name) / "node.csr"))
+    assert shell.unlocked("ca", "sign", files[1], "--yes").code == 0
+    (shell.node("/held") / "node.key").unlink()
+    shell("node", "request", "/held")  # a new key
+    bad = tmp_path / "bad.csr"
+    bad.write_bytes(b"not a request")
+    said = shell.unlocked("ca", "sign", str(bad), *files, "--yes")
+    assert said.code == 1
+    assert [line for line in said.out.splitlines() if line.startswith("signed")] == [
+        f"signed /one: {shell.node('/one') / 'node.pem'}",
+        f"signed /two: {shell.node('/two') / 'node.pem'}",
+    ]
+    errors = said.err.splitlines()
+    assert errors[0].startswith(f"rossec: error: {bad}: ")
+    assert errors[1].startswith("rossec: hint: ")
+    assert errors[2].startswith(f"rossec: error: {files[1]}: /held has an identity with another")
+    assert "--replace-key /held" in errors[3]
+    assert errors[4:] == ["rossec: error: 2 of 4 were refused", "rossec: hint: see above"]
+
+
+def test_where_all_are_refused_nothing_is_asked(shell: Shell, tmp_path: Path) -> None:
+    bad = [tmp_path / "a.csr", tmp_path / "b.csr"]
+    for path in bad:
+        path.write_bytes(b"not a request")
+    said = shell("ca", "sign", *map(str, bad))
+    assert said.code == 1
+    assert said.out == ""
+    assert said.err.splitlines()[-2] == "rossec: error: 2 of 2 were refused"

@@ -77,3 +77,5 @@ def test_nothing_was_signed_yet(shell: Shell) -> None:
     with closing(sqlite3.connect(shell.root / "ca" / "ca.db")) as db:
         db.executescript("DROP TRIGGER head_no_DELETE; DELETE FROM head")
     refused(shell("ca", "log", "prove", "--entry", "0"), "no state of the log", "ca log head")
+    said = shell("ca", "log", "verify")
+    assert said.out.splitlines()[-1] == "none of them is signed: next, rossec ca log head"

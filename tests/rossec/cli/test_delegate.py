@@ -61,6 +61,9 @@ def test_nothing_to_withdraw_and_too_long(site: Shell) -> None:
     refused(said, "at most 90d are allowed", code=2)
     said = site.unlocked("master", "delegate", "--ticket", "8d", *NOBODY)
     refused(said, "at most 7d are allowed", code=2)
+    said = site.unlocked("master", "delegate", "--ticket", "59s", *NOBODY)
+    refused(said, "a ticket of 59 s ends before a node can", "give 60s or more")
+    assert not (site.root / "ca" / "delegations").exists()
 
 
 async def test_a_tree_is_delivered_with_its_entries(

@@ -2,7 +2,12 @@ import json
 from pathlib import Path
 
 import pytest
+from cryptography.hazmat.primitives.asymmetric import ec
 
+from ca.encoding import Value, encode
+from ca.signer import KeySigner
+from grants.claims import issuer_uri
+from grants.document import GRANT
 from tests.support.commands import Shell, refused
 
 POSE = ("--type", "geometry_msgs/PoseStamped")
@@ -134,3 +139,17 @@ def test_a_slip_is_found_before_anything_is_signed(robot: Shell, tmp_path: Path)
     refused(said, "'robot' is not an absolute ROS name", "write it as /robot1/camera")
     assert robot("grant", "list").out == ""
     assert taken.read_text() == "mine"
+
+
+@pytest.mark.parametrize("filters", [{7: {"clear": True}}, {"x": {7: True}}, {"x": {-1: {"a": 1}}}])
+def test_a_filter_that_is_no_text_is_told_like_every_mistake(
+    robot: Shell, tmp_path: Path, filters: dict[int | str, Value]
+) -> None:
+    scope: list[Value] = [["/pose", 2, {0: "geometry_msgs/PoseStamped", 2: filters}]]
+    claims: dict[int | str, Value] = {
+        1: issuer_uri(bytes(32)), 2: "/robot", 3: "home", 4: 2, 5: 1, 7: bytes(16),
+        8: {5: bytes(32)}, 9: encode(scope), -65537: 2,
+    }  # fmt: skip
+    signer = KeySigner(ec.generate_private_key(ec.SECP256R1()))
+    (tmp_path / "odd.grant").write_bytes(GRANT.sign(signer, claims))
+    refused(robot("grant", "show", str(tmp_path / "odd.grant")), "in a grant: ")

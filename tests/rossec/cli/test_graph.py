@@ -1,7 +1,9 @@
 """`rossec graph`: one look, and following a master through its restart."""
 
 import asyncio
+import contextlib
 import json
+import time
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +15,10 @@ from rossec.cli import graph as module
 from rossec.cli.context import Environment
 from rossec.cli.graph import describe
 from rossec.cli.main import run
+from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
-from tests.support.site import Site
+from tests.rossec.node.test_identity import BEGIN, below
+from tests.support.site import DAY, Site
 
 POSE = "geometry_msgs/PoseStamped"
 
@@ -95,6 +99,77 @@ async def test_following_a_master_through_its_restart(
                 await until(lambda: "the master has begun anew" in notes)
         said.clear()
         following.cancel()
+
+
+async def follow(site: Site) -> None:
+    assert site.master is not None
+    home = NodeHome.of(site.root, "/desk")
+    await module._follow(Environment(site.environ), home, site.master.uri, as_json=False)
+
+
+async def test_who_watches_renews_its_identity_and_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    site, said = Site(tmp_path / "old", clock=lambda: BEGIN), list[str]()
+    monkeypatch.setattr(module, "say", said.append)
+    for name in ("/desk", "/robot", "/master"):
+        site.enroll(name, 20 * DAY)
+    site.grant("/desk", Right.GRAPH, "/**", lifetime=20 * DAY)
+    site.publish("/robot", "/robot/pose", lifetime=20 * DAY)
+    site._clock = time.time
+    site.intermediate = below(site)
+    home = NodeHome.of(site.root, "/desk")
+    before = home.identity(int(time.time())).not_after
+    async with site.running():
+        following = asyncio.ensure_future(follow(site))
+        await until(lambda: home.identity(int(time.time())).not_after > before or following.done())
+        async with site.node("/robot") as robot:
+            await robot.publisher("/robot/pose", POSE)
+            await until(lambda: "publisher" in "".join(said) or following.done())
+        assert not following.done()
+        following.cancel()
+
+
+async def test_who_watches_with_an_identity_that_is_over_is_told_so(
+    site: Site, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It said the same line every second, for ever."""
+    said = list[str]()
+    monkeypatch.setattr(module, "say", said.append)
+    site.publish("/robot", "/robot/pose")
+    async with site.running(), site.node("/robot") as robot:
+        await robot.publisher("/robot/pose", POSE)
+        following = asyncio.ensure_future(follow(site))
+        await until(lambda: "publisher" in "".join(said))
+        monkeypatch.setattr(module, "now", lambda: int(time.time()) + 2 * DAY)
+        await site.restart_master()
+        with pytest.raises(ConfigurationError, match="of /desk has expired, and") as caught:
+            await asyncio.wait_for(following, 20)
+    assert "rossec ca renew /desk" in caught.value.hint
+
+
+async def test_the_same_trouble_is_told_once(site: Site, monkeypatch: pytest.MonkeyPatch) -> None:
+    notes, said, tries = list[str](), list[str](), list[int]()
+
+    class Unreachable(contextlib.nullcontext[None]):
+        async def __aenter__(self) -> None:
+            tries.append(1)
+            raise OSError("out of reach")
+
+    monkeypatch.setattr(module, "note", notes.append)
+    monkeypatch.setattr(module, "say", said.append)
+    monkeypatch.setattr(module, "_PAUSE", 0.01)
+    monkeypatch.setattr(module, "_LONGEST", 0.04)
+    site.publish("/robot", "/robot/pose")
+    async with site.running(), site.node("/robot") as robot:
+        await robot.publisher("/robot/pose", POSE)
+        following = asyncio.ensure_future(follow(site))
+        await until(lambda: "publisher" in "".join(said))
+        monkeypatch.setattr(module, "_watching", lambda *_: Unreachable())
+        await site.restart_master()
+        await until(lambda: len(tries) > 5)
+        following.cancel()
+    assert sum("out of reach" in text for text in notes) == 1
 
 
 async def test_nobody_to_follow(site: Site) -> None:

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from rossec import intermediatehome
-from rossec.cli.context import Environment
-from rossec.cli.master import JsonLines, _newest_list
+from rossec.cli.master import JsonLines
+from rossec.cli.near import NearAuthority
 from rossec.succession import sign_intermediate
 from tests.support.commands import Shell, refused
 from tests.support.site import Site
@@ -66,7 +66,7 @@ def test_the_host_of_an_intermediate_has_no_list_of_its_own(shell: Shell) -> Non
     request = intermediatehome.begin(shell.root, "home", "secret").read_bytes()
     _, bundle = sign_intermediate(site.authority, request, site.now(), may_enroll=False)
     intermediatehome.install(shell.root, bundle, "secret", site.now())
-    assert _newest_list(Environment({"ROSSEC_HOME": str(shell.root)})) is None
+    assert NearAuthority(shell.root).newest() is None
     refused(shell("master"), "/master has no ca.pem", "rossec node request /master")
 
 

@@ -127,6 +127,6 @@ async def test_a_running_connection_ends_at_once(site: Shell) -> None:
             await asyncio.to_thread(site, "grant", "request", "/viewer", "--subscribe", "/pose",
                                     "--why", "again")  # fmt: skip
             said = await asyncio.to_thread(site.unlocked, "grant", "decide")
-            assert said.out.startswith("0 allowed, 0 for you")
+            assert said.out.startswith("0 allowed, 0 for you, 1 denied: see")
     finally:
         await server.close()

@@ -46,7 +46,7 @@ def test_the_policy_says_yes(site: Shell, tmp_path: Path) -> None:
     assert " for /heating until " in first
     assert "  may subscribe /robot/pose" in rest
     assert "    pose.position: round step 2.0" in rest
-    assert rest[-1] == "2 allowed, 0 for you: see `rossec grant pending`"
+    assert rest[-1] == "2 allowed, 0 for you, 1 denied: see `rossec grant pending`"
     assert len(list((site.node("/heating") / "grants").iterdir())) == 1
     assert len(list((tmp_path / "out").iterdir())) == 1
     assert site("grant", "pending").out == "nobody asks for anything\n"
@@ -55,7 +55,8 @@ def test_the_policy_says_yes(site: Shell, tmp_path: Path) -> None:
 def test_a_request_is_carried_as_a_file(site: Shell, tmp_path: Path) -> None:
     out = tmp_path / "heat.request"
     ask(site, "--publish", "/heat", "--out", str(out))
-    assert "1 allowed" in site.unlocked("grant", "decide", str(out)).out
+    said = site.unlocked("grant", "decide", str(out))
+    assert "1 allowed, 0 for you: see" in said.out
     refused(site.unlocked("grant", "decide", str(out)), "asked or answered before", "pending")
 
 

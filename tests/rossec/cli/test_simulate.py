@@ -80,7 +80,6 @@ def test_json_and_another_receiver(shell: Shell, options: tuple[str, ...]) -> No
 
 def test_against_the_policy_in_force(shell: Shell, options: tuple[str, ...]) -> None:
     plain = (*options[:2], *options[4:])
-    refused(shell("simulate", *plain), "there is no policy")
     (shell.root / "ca").mkdir(exist_ok=True)
     (shell.root / "ca" / "policy.yaml").write_text("rossec: 1\nrobot: r\nrules: []\n")
     assert "/pose -> /x: 0 of 4 admitted before, 2 after" in shell("simulate", *plain).out
@@ -89,7 +88,29 @@ def test_against_the_policy_in_force(shell: Shell, options: tuple[str, ...]) -> 
 def test_what_is_no_bag(shell: Shell, options: tuple[str, ...], tmp_path: Path) -> None:
     bad = tmp_path / "bad.bag"
     bad.write_text("no bag")
-    refused(shell("simulate", *options[:4], "--bag", str(bad)), "is no ROS 1 bag", "rosbag record")
+    refused(
+        shell("simulate", *options[:4], "--bag", str(bad)), "is no whole ROS 1 bag", "rosbag record"
+    )
+
+
+def test_a_bag_with_a_wrong_byte(shell: Shell, options: tuple[str, ...], bag: Path) -> None:
+    """What the reader of bags raises then is its own; each of them is said, none is shown."""
+    whole, bad = bag.read_bytes(), bag.with_name("bad.bag")
+    refusals = set()
+    for place in range(13, len(whole), len(whole) // 300):
+        bad.write_bytes(whole[:place] + bytes([whole[place] ^ 0xFF]) + whole[place + 1 :])
+        said = shell("simulate", *options[:4], "--bag", str(bad))
+        if said.code:
+            refused(said, "bad.bag is no whole ROS 1 bag: ", "see: rosbag record")
+            refusals.add(said.err)
+    assert len(refusals) > 3
+
+
+def test_without_a_policy_in_force(shell: Shell, options: tuple[str, ...]) -> None:
+    said = shell("simulate", *options[:2], *options[4:])
+    assert said.code == 0
+    assert "no policy is in force here" in said.err
+    assert "/pose -> /x: 0 of 4 admitted before, 2 after" in said.out
 
 
 def test_an_empty_bag(shell: Shell, options: tuple[str, ...], tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 import pytest
 
+from rossec.discovery.announcement import Announcement, sign
 from rossec.discovery.candidates import MAX_CANDIDATES, Candidate, Candidates, Source
 from rossec.errors import AnnouncementRefused
 from tests.rossec.discovery.conftest import NOW, Make
@@ -21,16 +22,16 @@ def heard(candidates: Candidates, data: bytes, source: Source = NEAR) -> Candida
 
 def test_the_shortest_way_is_best_once_it_is_reached(candidates: Candidates, make: Make) -> None:
     near, far = heard(candidates, make(1)), heard(candidates, make(1), FAR)
-    assert candidates.best(NOW) is None
+    assert candidates.best(NOW, 1.0) is None
     assert near.endpoints == (("192.0.2.7", 11311), ("fe80::1%near", 11311))
     candidates.probed(far, far.endpoints[1], 0.004)
-    assert candidates.best(NOW) is far
+    assert candidates.best(NOW, 1.0) is far
     candidates.probed(near, near.endpoints[0], 0.001)
     candidates.probed(near, near.endpoints[0], 0.009)
-    assert candidates.best(NOW) is near
+    assert candidates.best(NOW, 1.0) is near
     assert near.rtt == 0.001
     assert near.endpoint == ("192.0.2.7", 11311)
-    assert candidates.ranked(NOW) == [near, far]
+    assert candidates.ranked(NOW, 1.0) == [near, far]
 
 
 def test_a_link_that_loses_much_is_worse_than_a_slow_one(
@@ -40,17 +41,17 @@ def test_a_link_that_loses_much_is_worse_than_a_slow_one(
     for seq in (2, 3, 4):
         heard(candidates, make(seq), FAR)
     heard(candidates, make(4))
-    assert (near.loss, far.loss) == (0.5, 0.0)
+    assert (near.loss(1.0), far.loss(1.0)) == (0.5, 0.0)
     candidates.probed(near, near.endpoints[0], 0.001)
     candidates.probed(far, far.endpoints[0], 0.5)
-    assert candidates.best(NOW) is far
+    assert candidates.best(NOW, 1.0) is far
 
 
 def test_who_falls_silent_is_forgotten(candidates: Candidates, make: Make) -> None:
     candidates.probed(one := heard(candidates, make()), ("h", 1), 0.1)
-    assert candidates.best(NOW + 15) is one
-    assert candidates.best(NOW + 16) is None
-    assert candidates.ranked(NOW) == []
+    assert candidates.best(NOW + 15, 1.0) is one
+    assert candidates.best(NOW + 16, 1.0) is None
+    assert candidates.ranked(NOW, 1.0) == []
 
 
 def test_an_announcement_counts_once_on_each_link(candidates: Candidates, make: Make) -> None:
@@ -59,7 +60,7 @@ def test_an_announcement_counts_once_on_each_link(candidates: Candidates, make: 
     echo = Source("fe80::bad%near", NEAR.link)
     assert candidates.heard(data, echo, NOW, 1.0) is None
     assert candidates.heard(data, NEAR, NOW, 1.0) is None
-    assert [one.source for one in candidates.ranked(NOW)] == [NEAR]
+    assert [one.source for one in candidates.ranked(NOW, 1.0)] == [NEAR]
 
 
 def test_numbers_only_rise(candidates: Candidates, make: Make) -> None:
@@ -75,18 +76,82 @@ def test_a_restarted_master_begins_anew(candidates: Candidates, make: Make) -> N
     candidates.probed(heard(candidates, make(5)), ("h", 1), 0.1)
     again = heard(candidates, make(0, instance=b"restart!"))
     assert again.rtt is None
-    assert again.loss == 0
-    assert candidates.ranked(NOW) == [again]
+    assert again.loss(1.0) == 0
+    assert candidates.ranked(NOW, 1.0) == [again]
 
 
-def test_signatures_are_checked_at_a_bounded_rate(candidates: Candidates) -> None:
-    for _ in range(20):
-        with pytest.raises(AnnouncementRefused, match="no announcement of this"):
-            candidates.heard(b"garbage", NEAR, NOW, 1.0)
-    with pytest.raises(AnnouncementRefused, match="more announcements than can be checked"):
-        candidates.heard(b"garbage", NEAR, NOW, 1.0)
-    with pytest.raises(AnnouncementRefused, match="no announcement of this"):
-        candidates.heard(b"garbage", NEAR, NOW, 1.05)
+def test_what_is_no_announcement_costs_no_check(candidates: Candidates, make: Make) -> None:
+    for data in (b"", b"x", bytes(2048), make(issued=NOW - 60), make(issued=NOW + 60)):
+        for _ in range(500):
+            with pytest.raises(AnnouncementRefused, match=r"no announcement of this|another time"):
+                candidates.heard(data, NEAR, NOW, 1.0)
+    assert heard(candidates, make()).source == NEAR
+
+
+def test_a_repetition_costs_no_check(candidates: Candidates, make: Make) -> None:
+    heard(candidates, data := make(1))
+    for _ in range(500):
+        assert candidates.heard(data, NEAR, NOW, 1.0) is None
+    heard(candidates, make(2))
+
+
+def flood(candidates: Candidates, data: bytes, *sources: Source) -> int:
+    """How many of these were not even checked."""
+    unchecked = 0
+    for source in sources:
+        with pytest.raises(AnnouncementRefused) as refused:
+            candidates.heard(data, source, NOW, 1.0)
+        unchecked += "more announcements than can be checked" in str(refused.value)
+    return unchecked
+
+
+def addresses(count: int) -> list[Source]:
+    return [Source(f"fe80::{number:x}%near", NEAR.link) for number in range(count)]
+
+
+def test_one_address_spends_its_own_share(
+    candidates: Candidates, make: Make, elsewhere: Site
+) -> None:
+    foreign = elsewhere.enroll("/master").credentials()
+    rubbish = sign(foreign.signer, foreign.chain, Announcement("h", 1, b"instance", 9, NOW))
+    assert flood(candidates, rubbish, *[FAR] * 100) > 0
+    heard(candidates, make(1))
+
+
+def test_many_addresses_do_not_silence_one_that_was_heard(
+    candidates: Candidates, make: Make
+) -> None:
+    forged = bytearray(make(7))
+    forged[-1] ^= 1
+    heard(candidates, make(1))
+    assert flood(candidates, bytes(forged), *addresses(500)) > 0
+    heard(candidates, make(2))
+
+
+def test_chains_nobody_knows_do_not_silence_those_that_verified(
+    candidates: Candidates, make: Make, elsewhere: Site
+) -> None:
+    heard(candidates, make(1))
+    foreign = elsewhere.enroll("/master").credentials()
+    rubbish = sign(foreign.signer, foreign.chain, Announcement("h", 1, b"instance", 9, NOW))
+    assert flood(candidates, rubbish, *addresses(500)) > 0
+    heard(candidates, make(2), FAR)
+
+
+def test_a_chain_is_verified_again_after_a_while(candidates: Candidates, make: Make) -> None:
+    heard(candidates, make(1))
+    ((identity, until),) = candidates._chains.values()
+    assert candidates.heard(make(2), NEAR, NOW, until + 1) is not None
+    assert [later for _, later in candidates._chains.values()] == [until + 1 + 60]
+    assert identity.name == "/master"
+
+
+def test_reasons_are_counted_and_bounded(candidates: Candidates) -> None:
+    candidates.refused.update(f"reason {number}" for number in range(32))
+    for _ in range(3):
+        flood(candidates, b"x", FAR)
+    assert len(candidates.refused) == 33
+    assert candidates.refused["other reasons"] == 3
 
 
 def test_so_many_are_remembered_and_no_more(candidates: Candidates, make: Make) -> None:
@@ -98,6 +163,34 @@ def test_so_many_are_remembered_and_no_more(candidates: Candidates, make: Make) 
 
 
 def test_the_memory_of_numbers_is_bounded(candidates: Candidates, make: Make) -> None:
-    for seq in range(300):
+    for seq in range(1100):
         assert candidates.heard(make(seq), NEAR, NOW, float(seq)) is not None
-    assert len(candidates._seen) == 256
+    assert len(candidates._seen) == 1024
+
+
+def test_loss_is_counted_by_numbers_over_a_window(candidates: Candidates, make: Make) -> None:
+    one = heard(candidates, make(0))
+    for seq in range(2, 100, 2):
+        candidates.heard(make(seq), NEAR, NOW, seq / 2)
+    assert (len(one.heard), one.sent(49.0)) == (16, 31)
+    assert one.loss(49.0) == pytest.approx(15 / 31)
+
+
+def test_silence_is_loss(candidates: Candidates, make: Make) -> None:
+    dead, alive = heard(candidates, make(0)), heard(candidates, make(0), FAR)
+    for seq in range(1, 12):
+        for source in (NEAR, FAR) if seq < 4 else (FAR,):
+            candidates.heard(make(seq), source, NOW, 1 + seq / 2)
+    candidates.probed(dead, ("h", 1), 0.001)
+    candidates.probed(alive, ("h", 2), 0.1)
+    assert dead.age(2.6) == pytest.approx(0.1)
+    assert dead.loss(2.7) == 0.0
+    assert dead.loss(3.2) == 0.0  # a little late is not lost
+    assert dead.sent(6.5) == 11
+    assert dead.loss(6.5) == pytest.approx(7 / 11)
+    assert candidates.ranked(NOW, 6.5) == [alive, dead]
+
+
+def test_who_was_heard_once_is_not_called_lost_at_once(candidates: Candidates, make: Make) -> None:
+    one = heard(candidates, make(0))
+    assert [one.loss(at) for at in (1.0, 2.9, 4.1)] == [0.0, 0.0, 0.5]

@@ -3,6 +3,7 @@
 import asyncio
 import json
 import os
+import re
 import signal
 import socket
 import subprocess
@@ -70,7 +71,10 @@ def test_a_master_is_found_without_configuration(
     assert row["key"] == home.identity("/master").thumbprint.hex()
     people = run(home, hosts.far, "discover").stdout
     assert people.startswith(row["uri"])
-    assert "0% lost, on rossec0" in people
+    assert re.search(r"ms, [0-9]+% of [0-9]+ lost, heard [0-9.]+ s ago, on rossec0", people)
+    assert row["heard"] >= 2
+    assert row["heard"] <= row["sent"]
+    assert row["age_s"] < 15
 
 
 def test_a_program_is_started_with_the_master_that_was_found(

@@ -15,6 +15,8 @@ from rossec.errors import ConfigurationError
         ("[::1]:9", "::1", 9),
         ("[::1]", "::1", 11317),
         ("fd00::7", "fd00::7", 11317),
+        ("[fe80::1%eth0.2]:9", "fe80::1%eth0.2", 9),
+        ("robot_1.local.", "robot_1.local.", 11317),
     ],
 )
 def test_what_people_type(text: str, host: str, port: int) -> None:
@@ -25,7 +27,8 @@ def test_what_people_type(text: str, host: str, port: int) -> None:
 @pytest.mark.parametrize(
     "text",
     ["", ":9", "robot:", "robot:0", "robot:65536", "robot:9999999999", "robot:x", "robot:\u0661",
-     "[::1]9x", "[]:9", "robot:-1"],
+     "[::1]9x", "[]:9", "robot:-1", "a..b", "a\x00b", "-x", "a b", "../x", "a" * 64,
+     "[::1%\x1b]:1"],
 )  # fmt: skip
 def test_what_is_no_address(text: str) -> None:
     with pytest.raises(ConfigurationError, match="is no address of a node") as caught:

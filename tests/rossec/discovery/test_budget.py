@@ -1,0 +1,58 @@
+import pytest
+
+from rossec.discovery.budget import MAX_PROVEN, MAX_SOURCES, Bucket, Budget
+from rossec.errors import AnnouncementRefused
+
+
+def spend(
+    budget: Budget, source: str, times: int, clock: float = 1.0, *, known: bool = False
+) -> int:
+    """How often it was possible."""
+    for count in range(times):
+        try:
+            budget.spend(source, 1, clock, known_chain=known)
+        except AnnouncementRefused:
+            return count
+    return times
+
+
+def test_a_bucket_fills_at_its_rate() -> None:
+    bucket = Bucket(10.0)
+    assert bucket.has(10, 1.0)
+    bucket.take(10)
+    assert not bucket.has(1, 1.05)
+    assert bucket.has(1, 1.2)
+    assert not bucket.has(3, 0.0)  # a clock that goes back earns nothing
+    assert bucket.has(10, 99.0)
+    assert not bucket.has(11, 999.0)
+
+
+def test_an_address_has_a_share_and_all_have_a_total() -> None:
+    budget = Budget(share=5, total=12)
+    assert [spend(budget, name, 9) for name in "abcd"] == [5, 5, 2, 0]
+    assert spend(budget, "d", 9, known=True) == 5
+    assert spend(budget, "a", 9, clock=2.0) == 5
+
+
+def test_who_proved_itself_is_bounded_by_its_share_alone() -> None:
+    budget = Budget(share=5, total=12)
+    assert spend(budget, "good", 1) == 1
+    budget.proved("good")
+    budget.proved("good")
+    assert [spend(budget, name, 9) for name in "abc"] == [5, 5, 1]
+    assert spend(budget, "good", 9) == 4
+
+
+def test_so_many_addresses_and_no_more() -> None:
+    budget = Budget(share=5, total=10_000)
+    for number in range(MAX_SOURCES + 9):
+        spend(budget, f"s{number}", 1)
+    assert len(budget._shares) == MAX_SOURCES
+    for number in range(MAX_PROVEN + 9):
+        budget.proved(f"s{number}")
+    assert len(budget._proven) == MAX_PROVEN
+
+
+def test_it_is_said() -> None:
+    with pytest.raises(AnnouncementRefused, match="more announcements than can be checked"):
+        Budget(share=0).spend("a", 1, 1.0, known_chain=True)
