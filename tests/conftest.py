@@ -7,6 +7,9 @@ import signal
 import pytest
 from hypothesis import HealthCheck, settings
 
+from rossec.net import withheld
+from rossec.net.quiet import Quiet
+
 # A loaded machine is slow, not wrong: no example is judged by the time it takes.
 settings.register_profile("untimed", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("untimed")
@@ -18,6 +21,12 @@ _ROS = all(
     importlib.util.find_spec(name) is not None
     for name in ("rospy", "rosmaster", "rosgraph", "geometry_msgs", "sensor_msgs", "nav_msgs")
 )
+
+
+@pytest.fixture(autouse=True)
+def _nothing_was_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What a process says once a minute, each test may hear."""
+    monkeypatch.setattr(withheld, "_QUIET", Quiet())
 
 
 def pytest_make_parametrize_id(val: object, argname: str) -> str | None:

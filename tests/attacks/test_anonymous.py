@@ -38,12 +38,14 @@ def eve(site: Site) -> Site:
     return site
 
 
+@pytest.mark.attack("anonymous-tail")
 async def test_the_tail_is_accepted_where_it_is_certified(eve: Site, witness: Witness) -> None:
     fields = fields_for("/eve_1", TOPIC, eve.enroll(EVE).grants())
     heard = await knock(witness.topic_port, credentials(eve), fields, at_most=1)
     assert "error" not in heard.fields
 
 
+@pytest.mark.attack("anonymous-tail")
 @pytest.mark.parametrize("name", OTHERS)
 async def test_a_topic_under_another_name(
     eve: Site, witness: Witness, caplog: pytest.LogCaptureFixture, name: str
@@ -54,6 +56,7 @@ async def test_a_topic_under_another_name(
     expect_refused(heard, caplog, CallerMismatch, f"certified as {EVE} calls itself {name}")
 
 
+@pytest.mark.attack("anonymous-tail")
 async def test_a_tail_without_a_certified_wildcard(
     site: Site, witness: Witness, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -63,6 +66,7 @@ async def test_a_tail_without_a_certified_wildcard(
     expect_refused(heard, caplog, CallerMismatch, f"certified as {EVE} calls itself /eve_1")
 
 
+@pytest.mark.attack("anonymous-tail")
 @pytest.mark.parametrize("name", OTHERS)
 async def test_the_master_and_slave_apis_under_another_name(
     eve: Site, witness: Witness, name: str
@@ -83,6 +87,7 @@ async def test_the_master_and_slave_apis_under_another_name(
     assert steered == [-1, "rossec: shutdown is for the master alone", 0]
 
 
+@pytest.mark.attack("anonymous-tail")
 async def test_the_address_of_another_node(eve: Site, witness: Witness) -> None:
     """Nor may one node of a wildcard claim the other's address while that is registered."""
     assert eve.master is not None

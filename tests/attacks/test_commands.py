@@ -16,6 +16,7 @@ from tests.support.site import Site
 from tests.support.witness import POSE, TOPIC, Witness
 
 
+@pytest.mark.attack("existence-oracle")
 async def test_the_slave_api_does_not_tell_which_topics_exist(site: Site, witness: Witness) -> None:
     eve, uri = credentials(site), witness.robot.uri
     answers = [
@@ -40,6 +41,7 @@ SLAVE_CALLS: Final[list[tuple[str, tuple[object, ...]]]] = [
 ]
 
 
+@pytest.mark.attack("steered-node")
 @pytest.mark.parametrize("victim", ["/robot", "/viewer"])
 async def test_only_the_master_steers_or_examines_a_node(
     site: Site, witness: Witness, victim: str
@@ -58,12 +60,14 @@ async def test_only_the_master_steers_or_examines_a_node(
     await stream.close()
 
 
+@pytest.mark.attack("udpros")
 async def test_udpros_is_never_offered(site: Site, witness: Witness) -> None:
     protocols = [["UDPROS", b"", HOST, 9, 1500]]
     answer = await call(witness.robot.uri, credentials(site), "requestTopic", EVE, TOPIC, protocols)
     assert answer == [-1, "rossec: only TCPROS, inside the secure channel", []]
 
 
+@pytest.mark.attack("old-list")
 async def test_an_older_or_forged_revocation_list_is_refused_by_the_node(
     site: Site, witness: Witness
 ) -> None:
@@ -89,6 +93,7 @@ async def test_an_older_or_forged_revocation_list_is_refused_by_the_node(
     assert document.grant_id(grant) in witness.robot.revocations.entries
 
 
+@pytest.mark.attack("old-list")
 async def test_an_older_or_forged_revocation_list_is_refused_by_the_master(
     site: Site, witness: Witness
 ) -> None:
@@ -110,6 +115,7 @@ async def test_an_older_or_forged_revocation_list_is_refused_by_the_master(
     assert held[0] == newest
 
 
+@pytest.mark.attack("another-name")
 async def test_no_node_registers_under_the_name_of_another(site: Site, witness: Witness) -> None:
     """M2, M3: stock ROS would shut the victim down."""
     assert site.master is not None
@@ -130,6 +136,7 @@ async def test_no_node_registers_under_the_name_of_another(site: Site, witness: 
     assert not witness.viewer._ended.done()
 
 
+@pytest.mark.attack("another-name")
 async def test_no_node_registers_the_address_of_another(site: Site, witness: Witness) -> None:
     """M8: the master would call, or send subscribers to, an address the caller chose."""
     assert site.master is not None

@@ -109,6 +109,7 @@ def honest(message: Message) -> Message:
     return message
 
 
+@pytest.mark.attack("read-network")
 @pytest.mark.parametrize("label", [False, True])
 async def test_a_network_that_only_listens(label: bool) -> None:
     with WaitingRobot(Robot(), label=label) as robot:
@@ -117,6 +118,7 @@ async def test_a_network_that_only_listens(label: bool) -> None:
     assert [pending.root for pending in robot.trusted] == [HOME.root]
 
 
+@pytest.mark.attack("enrollment-middle")
 @pytest.mark.parametrize("label", [False, True])
 async def test_a_swapped_request(label: bool) -> None:
     """The same name and a key of Mallory's: she would be the robot."""
@@ -130,6 +132,7 @@ async def test_a_swapped_request(label: bool) -> None:
     assert robot.trusted == []
 
 
+@pytest.mark.attack("enrollment-middle")
 async def test_a_swapped_authority_has_not_seen_the_screen() -> None:
     robot_ = Robot()
 
@@ -144,6 +147,7 @@ async def test_a_swapped_authority_has_not_seen_the_screen() -> None:
     assert "has not seen the code" in robot.complaints[0]
 
 
+@pytest.mark.attack("enrollment-middle")
 async def test_a_swapped_authority_and_a_label() -> None:
     """The node answers Mallory; its answer is about her offer, and the authority sees that."""
     robot_ = Robot()
@@ -159,6 +163,7 @@ async def test_a_swapped_authority_and_a_label() -> None:
     assert robot.trusted == []
 
 
+@pytest.mark.attack("enrollment-middle")
 async def test_a_swapped_authority_and_a_replayed_answer() -> None:
     """The literal form of step 4 would fall here: the answer of an earlier enrollment was kept."""
     robot_ = Robot()
@@ -186,6 +191,7 @@ async def test_a_swapped_authority_and_a_replayed_answer() -> None:
     assert robot.trusted == []
 
 
+@pytest.mark.attack("enrollment-middle")
 async def test_an_answer_kept_back_and_an_offer_made_to_fit() -> None:
     """Label codes are public: Mallory gets the node's answer to the true offer, ends that session,
     and makes the node an offer of her own before she passes the answer on. With digits that depend
@@ -207,6 +213,7 @@ async def test_an_answer_kept_back_and_an_offer_made_to_fit() -> None:
     assert second.state is NodeState.OVER
 
 
+@pytest.mark.attack("enrollment-code")
 @pytest.mark.parametrize("site", [HOME, MALLORY], ids=["then the owner", "then another thief"])
 async def test_a_stolen_screen_code_used_first(site: Site) -> None:
     """A camera saw the screen. The owner's offer ends what the thief began, and the owner is told.
@@ -231,6 +238,7 @@ async def test_a_stolen_screen_code_used_first(site: Site) -> None:
     assert robot.trusted == []
 
 
+@pytest.mark.attack("enrollment-code")
 async def test_a_code_used_twice() -> None:
     with WaitingRobot(Robot()) as robot:
         core = scanned(robot)
@@ -298,6 +306,7 @@ HOSTILE = {
 }  # fmt: skip
 
 
+@pytest.mark.attack("hostile-request")
 @pytest.mark.parametrize("flaw", HOSTILE)
 def test_a_hostile_request_is_refused_with_its_own_error(flaw: str) -> None:
     """The code vouches for it, so the comparison passes: the form is what refuses it."""
@@ -313,6 +322,7 @@ def test_a_hostile_request_is_refused_with_its_own_error(flaw: str) -> None:
         core.approve(clock())
 
 
+@pytest.mark.attack("hostile-request")
 def test_the_corpus_is_not_empty_and_no_two_errors_are_one() -> None:
     messages = {message for _, message in HOSTILE.values()}
     assert len(messages) == len(HOSTILE) - 1 > 11  # two kinds of wrong key are one mistake

@@ -98,6 +98,7 @@ CASES: Final[list[tuple[str, Make, type[HintedError]]]] = [
 ]
 
 
+@pytest.mark.attack("false-publisher")
 @pytest.mark.parametrize(("make", "kind"), [c[1:] for c in CASES], ids=[c[0] for c in CASES])
 async def test_a_publisher_without_the_right_to_publish_is_not_believed(
     site: Site, witness: Witness, make: Make, kind: type[HintedError]
@@ -106,6 +107,7 @@ async def test_a_publisher_without_the_right_to_publish_is_not_believed(
         assert type(await led(site, witness, uri)) is kind
 
 
+@pytest.mark.attack("false-publisher")
 async def test_a_publisher_that_shows_no_grants_at_all_is_not_believed(
     site: Site, witness: Witness
 ) -> None:
@@ -115,6 +117,7 @@ async def test_a_publisher_that_shows_no_grants_at_all_is_not_believed(
         assert type(await led(site, witness, uri)) is GrantMissing
 
 
+@pytest.mark.attack("false-publisher")
 async def test_a_publisher_that_takes_the_name_of_another_is_not_believed(
     site: Site, witness: Witness
 ) -> None:
@@ -123,6 +126,7 @@ async def test_a_publisher_that_takes_the_name_of_another_is_not_believed(
         assert type(await led(site, witness, uri)) is CallerMismatch
 
 
+@pytest.mark.attack("false-publisher")
 @pytest.mark.parametrize("change", [{"topic": "/other"}, {"md5sum": "0" * 32}, {"error": "go"}])
 async def test_a_publisher_that_answers_with_something_else_is_not_believed(
     site: Site, witness: Witness, change: dict[str, str]
@@ -131,6 +135,7 @@ async def test_a_publisher_that_answers_with_something_else_is_not_believed(
         assert type(await led(site, witness, uri)) is TopicRefused
 
 
+@pytest.mark.attack("false-publisher")
 async def test_a_publisher_of_another_authority_is_not_believed(
     site: Site, witness: Witness
 ) -> None:
@@ -142,6 +147,7 @@ async def test_a_publisher_of_another_authority_is_not_believed(
     assert isinstance(refused.__cause__, ForeignCertificate)
 
 
+@pytest.mark.attack("false-publisher")
 async def test_a_publisher_with_the_right_is_believed(site: Site, witness: Witness) -> None:
     """The control: what the others are refused for is their flaw, not their form."""
     async with impostor(credentials(site), answer([signed(site, right=PUBLISH)])) as uri:

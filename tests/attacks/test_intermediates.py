@@ -1,6 +1,8 @@
 """A stolen leaf after its intermediate is revoked: refused, and cut where it is (go-spiffe#383)."""
 
 import secrets
+from collections.abc import AsyncIterator
+from pathlib import Path
 from typing import Final
 
 import pytest
@@ -11,32 +13,62 @@ from ca.errors import Revoked
 from ca.intermediates import build_intermediate_request
 from ca.keys import generate
 from ca.signer import KeySigner
+from grants.model import Restriction, Right
 from rossec.errors import ChannelError
+from rossec.master.revoked import CALLS, MOST, MOST_BELOW
+from rossec.net.rpc import CallFailed, RpcClient
+from rossec.node.links import STALE_GRACE
 from rossec.succession import sign_intermediate
 from rossec.unlocked import OpenAuthority
-from tests.support.attacker import EVE, call, expect_refused, fields_for, knock, revoke, signed
+from tests.rossec.sidecar.conversation import Pair, connect, ends
+from tests.rossec.sidecar.program import Program, sidecar
+from tests.support.attacker import (
+    EVE,
+    call,
+    credentials,
+    dial,
+    expect_refused,
+    fields_for,
+    knock,
+    revoke,
+    signed,
+)
+from tests.support.fleet import SECURE, environment, program
 from tests.support.site import Site
 from tests.support.witness import POSE, TOPIC, Witness, until
 
 LIMIT: Final = 2000  # bytes: enough to see that messages come
 
 
-def below(site: Site, name: str) -> bytes:
-    """Let an intermediate certify the node's key anew; returns the intermediate's thumbprint."""
+def below(site: Site, *names: str) -> bytes:
+    """Let an intermediate certify these nodes' keys anew; returns the intermediate's thumbprint."""
     signer = KeySigner(generate())
     request = build_intermediate_request(signer, site.anchor.domain)
     _, bundle = sign_intermediate(site.authority, request, site.now(), may_enroll=True)
     der, root = from_pem(bundle)
     host = OpenAuthority(Authority(signer, root, der), site.authority.store, site.root)
-    identity = site.identity(name)
-    leaf = host.authority.certify_again(
-        identity, identity.public_key, now=site.now(), serial=secrets.randbits(127)
-    )
-    site.enroll(name).install(host.bundle(leaf), site.now())
-    assert site.identity(name).issuers == (host.authority.issuer.thumbprint,)
+    for name in names:
+        identity = site.identity(name)
+        leaf = host.authority.certify_again(
+            identity, identity.public_key, now=site.now(), serial=secrets.randbits(127)
+        )
+        site.enroll(name).install(host.bundle(leaf), site.now())
+        assert site.identity(name).issuers == (host.authority.issuer.thumbprint,)
     return host.authority.issuer.thumbprint
 
 
+async def bring(site: Site, data: bytes) -> None:
+    """Somebody who has nothing to do with it carries the list, or the tree, to the master."""
+    assert site.master is not None
+    own, method = credentials(site, "/carrier"), "rossec.updateRevocations"
+    if site.entries is None:
+        await call(site.master.uri, own, method, "/carrier", data)
+    else:
+        tree = "rossec.updateRevocationTree"
+        await call(site.master.uri, own, tree, "/carrier", data, site.entries)
+
+
+@pytest.mark.attack("revoked-intermediate")
 async def test_a_stolen_leaf_after_its_intermediate_is_revoked(
     site: Site, witness: Witness, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -52,6 +84,7 @@ async def test_a_stolen_leaf_after_its_intermediate_is_revoked(
         await call(site.master.uri, stolen, "getPid", EVE)
 
 
+@pytest.mark.attack("revoked-intermediate")
 async def test_what_it_holds_already_is_cut(site: Site, witness: Witness) -> None:
     site.subscribe(EVE, TOPIC)
     intermediate = below(site, EVE)
@@ -65,3 +98,154 @@ async def test_what_it_holds_already_is_cut(site: Site, witness: Witness) -> Non
         assert site.master is not None
         master = site.master
         await until(lambda: EVE not in {stream.peer.name for stream in master._streams})
+
+
+WITHIN: Final = STALE_GRACE / 2  # seconds: news, and not their absence, must end it
+KEEP: Final = Restriction(keep_when_stale=True)
+
+
+@pytest.fixture(params=["list", "tree"])
+async def signing(
+    request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> AsyncIterator[Site]:
+    """A site whose authority signs a list, or a tree as from the 4097th revocation on."""
+    site = Site(tmp_path / "site")
+    if request.param == "tree":
+        monkeypatch.setattr("rossec.unlocked.MAX_ENTRIES", 0)
+        monkeypatch.setattr("rossec.node.subscriber._LONGEST_PAUSE", 0.5)  # a proof at each attempt
+        site.revoke(bytes(32))
+    async with site.running():
+        yield site
+
+
+@pytest.mark.attack("revoked-intermediate")
+@pytest.mark.parametrize("restriction", [None, KEEP], ids=["cut", "keep"])
+async def test_both_ends_below_it_are_cut(signing: Site, restriction: Restriction | None) -> None:
+    """Neither may speak to the master any more, and yet they hear that the other is revoked."""
+    site = signing
+    site.grant("/robot", Right.PUBLISH, TOPIC, restriction=restriction)
+    site.grant("/viewer", Right.SUBSCRIBE, TOPIC, restriction=restriction)
+    intermediate = below(site, "/robot", "/viewer")
+    async with site.node("/robot") as robot, site.node("/viewer") as viewer:
+        pose = await robot.publisher(TOPIC, POSE)
+        sight = await viewer.subscriber(TOPIC, POSE)
+        await until(lambda: pose.links and sight.links, 120)
+        [link] = pose.links
+        assert link.decision.keep_when_stale == (restriction is not None)
+        data = site.revoke(intermediate)
+        await bring(site, data)
+        await until(lambda: not pose.links, WITHIN)
+        await until(lambda: not sight.links, WITHIN)
+        nodes = robot, viewer
+        await until(lambda: {node.revocations.data for node in nodes} == {data})
+        assert {node.revocations.fresh_until for node in nodes} == {0}
+
+
+@pytest.mark.attack("revoked-intermediate")
+async def test_both_sidecars_below_it_are_cut(tmp_path: Path) -> None:
+    site = Site(tmp_path / "site")
+    site.publish("/talker", "/word")
+    site.subscribe("/listener", "/word")
+    intermediate = below(site, "/talker", "/listener")
+    async with (
+        site.running(),
+        sidecar(site) as near,
+        sidecar(site) as far,
+        Program("/talker", near) as talker,
+        Program("/listener", far) as listener,
+    ):
+        stream, source = await connect(Pair(site, near, far, talker, listener))
+        await bring(site, site.revoke(intermediate))
+        await ends(stream)
+        await ends(source)
+
+
+TALKER: Final = (
+    SECURE
+    + """
+import rospy
+from std_msgs.msg import String
+rospy.init_node("talker")
+words = rospy.Publisher("/words", String, queue_size=10)
+rate = rospy.Rate(20)
+while not rospy.is_shutdown():
+    words.publish("word")
+    rate.sleep()
+"""
+)
+HEARER: Final = (
+    SECURE
+    + """
+import rospy
+from std_msgs.msg import String
+rospy.init_node("hearer")
+rospy.Subscriber("/words", String, lambda message: print("HEARD", message.data, flush=True))
+rospy.spin()
+"""
+)
+
+
+@pytest.mark.ros
+@pytest.mark.attack("revoked-intermediate")
+async def test_both_rospy_programs_below_it_are_cut(site: Site, tmp_path: Path) -> None:
+    site.publish("/talker", "/words")
+    site.subscribe("/hearer", "/words")
+    intermediate = below(site, "/talker", "/hearer")
+    env = environment(site, tmp_path / "logs")
+    async with program(env, HEARER) as hearer, program(env, TALKER) as talker:
+        await hearer.hears("HEARD")
+        await bring(site, site.revoke(intermediate))
+        for one in (talker, hearer):
+            await one.hears("the master tells this node what is revoked", WITHIN)
+        hearer.said = ""
+        with pytest.raises(TimeoutError):
+            await hearer.hears("HEARD", within=3)
+
+
+@pytest.mark.attack("revoked-intermediate")
+async def test_a_revoked_identity_hears_the_list_and_nothing_else(site: Site) -> None:
+    assert site.master is not None
+    intermediate, stolen, uri = below(site, EVE), credentials(site), site.master.uri
+    data = site.revoke(intermediate)
+    await bring(site, data)
+    for method, params in (("revocations", ()), ("revocationsSince", (b"",))):
+        answer = await call(uri, stolen, f"rossec.{method}", EVE, *params)
+        assert answer == [1, "revocations", [data, b""]]
+    for method in ("rossec.trl", "system.multicall", "getUri"):
+        with pytest.raises(ChannelError):
+            await call(uri, stolen, method, EVE)
+    held = [await dial(uri, stolen) for _ in range(MOST)]
+    with pytest.raises(ChannelError):
+        await call(uri, stolen, "rossec.revocations", EVE)
+    for stream in held:
+        with pytest.raises(ChannelError):  # nor does it keep a connection for long
+            await stream.receive()
+
+
+@pytest.mark.attack("revoked-intermediate")
+async def test_a_revoked_intermediate_cannot_fill_the_master_with_names_of_its_making(
+    site: Site,
+) -> None:
+    """Each has a share of its own; without one for all below it they hold every descriptor."""
+    assert site.master is not None
+    names = [f"/eve_{number}" for number in range(MOST_BELOW + 8)]
+    await bring(site, site.revoke(below(site, *names)))
+    held = [await dial(site.master.uri, credentials(site, name)) for name in names]
+    for stream in held[MOST_BELOW:]:
+        with pytest.raises(ChannelError):
+            await stream.receive()
+    assert int(site.master.status()["connections"]) <= MOST_BELOW
+    for stream in held:
+        stream.abort("seen enough")
+
+
+@pytest.mark.attack("revoked-intermediate")
+async def test_a_revoked_identity_does_not_have_the_list_sent_again_and_again(site: Site) -> None:
+    assert site.master is not None
+    await bring(site, site.revoke(site.identity(EVE).thumbprint))
+    stream = await dial(site.master.uri, credentials(site))
+    client = RpcClient(stream)
+    for _ in range(CALLS):
+        await client.call("rossec.revocations", EVE)
+    with pytest.raises((ChannelError, CallFailed)):
+        await client.call("rossec.revocations", EVE)

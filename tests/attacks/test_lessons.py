@@ -68,6 +68,7 @@ def holds_none(tap: Tap, *secrets: bytes) -> None:
 # --- D1, D2, D6: what has ended stays ended
 
 
+@pytest.mark.attack("old-permission")
 async def test_d1_an_older_and_wider_grant_cannot_be_put_back(site: Site) -> None:
     """It was revoked when a narrower one took its place; its file is still there."""
     wide = site.grant(EVE, Right.PUBLISH, "/**")
@@ -81,6 +82,7 @@ async def test_d1_an_older_and_wider_grant_cannot_be_put_back(site: Site) -> Non
         assert (await eve("registerPublisher", "/eve/t", T, eve.uri))[0] == 1
 
 
+@pytest.mark.attack("old-permission")
 async def test_d1_an_older_delegation_cannot_be_put_back(site: Site) -> None:
     """The one that was withdrawn renews nothing, whoever brings it again."""
     assert site.master is not None
@@ -96,6 +98,7 @@ async def test_d1_an_older_delegation_cannot_be_put_back(site: Site) -> None:
         assert renewed == b""
 
 
+@pytest.mark.attack("outlived-right")
 async def test_d2_a_node_that_never_restarts_loses_its_right_at_once(
     site: Site, witness: Witness
 ) -> None:
@@ -115,6 +118,7 @@ async def test_d2_a_node_that_never_restarts_loses_its_right_at_once(
             assert (await eve("getSystemState"))[2] == [[], [], []]
 
 
+@pytest.mark.attack("outlived-right")
 async def test_d6_an_identity_that_ends_takes_its_connection_along(site: Site) -> None:
     assert site.master is not None
     short = site.enroll("/short", 4)
@@ -141,6 +145,7 @@ GUARDS: Final[list[tuple[type, str]]] = [
 ]
 
 
+@pytest.mark.attack("crashed-check")
 @pytest.mark.parametrize(("where", "name"), GUARDS, ids=[name for _, name in GUARDS])
 async def test_f1_a_guard_that_crashes_lets_nobody_through(
     site: Site, monkeypatch: pytest.MonkeyPatch, where: type, name: str
@@ -162,6 +167,7 @@ async def test_f1_a_guard_that_crashes_lets_nobody_through(
         assert (await eve("hasParam", "/p"))[2] is False
 
 
+@pytest.mark.attack("crashed-check")
 async def test_f1_a_crash_while_an_identity_is_checked_ends_the_connection(
     site: Site, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -188,6 +194,7 @@ OPENING = (
 )
 
 
+@pytest.mark.attack("plain-peer")
 @pytest.mark.parametrize(
     "data",
     [
@@ -226,6 +233,7 @@ async def test_f9_nothing_that_comes_before_the_handshake_is_ever_a_call(
 # --- F8 (and D3): who listens, or asks without a name, learns nothing
 
 
+@pytest.mark.attack("read-network")
 async def test_f8_a_listener_hears_neither_names_nor_grants(site: Site, witness: Witness) -> None:
     assert site.master is not None
     grant = signed(site)
@@ -241,6 +249,7 @@ async def test_f8_a_listener_hears_neither_names_nor_grants(site: Site, witness:
         holds_none(tap, TOPIC.encode(), FRAME.encode(), b"PoseStamped", b"/eve", grant[-64:])
 
 
+@pytest.mark.attack("foreign-authority")
 async def test_f8_who_has_no_identity_here_hears_nothing_but_a_refusal(
     site: Site, witness: Witness
 ) -> None:
@@ -274,6 +283,7 @@ async def test_f8_who_has_no_identity_here_hears_nothing_but_a_refusal(
 # --- F11: what nobody configured is closed
 
 
+@pytest.mark.attack("open-by-mistake")
 def test_f11_an_empty_configuration_opens_nothing() -> None:
     assert parse("", "m.yaml") == Config()
     closed = Config()
@@ -282,10 +292,11 @@ def test_f11_an_empty_configuration_opens_nothing() -> None:
     )  # fmt: skip
 
 
+@pytest.mark.attack("open-by-mistake")
 async def test_f11_a_node_that_was_given_nothing_may_nothing(site: Site, witness: Witness) -> None:
     """Every method, with arguments that would do something: no effect, and nothing shown."""
     assert site.master is not None
-    assert site.master._api is not None
+    assert site.master._answering is not None
     arguments: dict[str, tuple[Any, ...]] = {
         "lookupService": ("/s",), "lookupNode": ("/robot",), "getPublishedTopics": ("",),
         "shutdown": ("x",), "getParam": ("/",), "hasParam": ("/p",), "setParam": ("/p", 1),
@@ -306,7 +317,7 @@ async def test_f11_a_node_that_was_given_nothing_may_nothing(site: Site, witness
         "unsubscribeParam",
     }  # fmt: skip
     async with caller(site, EVE) as eve:
-        for method in site.master._api.methods:
+        for method in site.master._answering._api.methods:
             code, status, value = await eve(method, *arguments.get(method, ()))
             assert status.find("arity") < 0, method
             nothing = value in ("", 0, [], [[], [], []], b"", [b""], {}) or value is False
@@ -360,6 +371,7 @@ BROKEN: Final[dict[str, Callable[[Path], Any]]] = {
 }
 
 
+@pytest.mark.attack("open-by-mistake")
 @pytest.mark.parametrize("flaw", BROKEN)
 def test_f12_a_master_that_cannot_know_does_not_start(shell: Shell, taken: int, flaw: str) -> None:
     refused(shell("master", "--port", str(taken)), "address already in use", "already?")
@@ -370,6 +382,7 @@ def test_f12_a_master_that_cannot_know_does_not_start(shell: Shell, taken: int, 
     assert "already in use" not in said.err, "it would have started"
 
 
+@pytest.mark.attack("open-by-mistake")
 @pytest.mark.parametrize(
     ("variable", "value"),
     [
@@ -390,6 +403,7 @@ def test_f13_a_misspelt_mode_is_no_mode(
     assert "already in use" not in said.err, "it would have started"
 
 
+@pytest.mark.attack("open-by-mistake")
 @pytest.mark.parametrize(
     "text",
     ["audit: ture", "admin: on", "limits: {idle_second: 5}", "limits: {body: -1}", "log: JSON"],

@@ -47,6 +47,7 @@ def plain(port: int, data: bytes) -> bytes:
         return b"".join(iter(lambda: sock.recv(65536), b""))
 
 
+@pytest.mark.attack("master-recon")
 async def test_m1_whoever_is_not_enrolled_learns_nothing(site: Site, witness: Witness) -> None:
     assert site.master is not None
     stranger = credentials(Site(site.root.parent / "other", site.anchor.domain), "/viewer")
@@ -62,6 +63,7 @@ async def test_m1_whoever_is_not_enrolled_learns_nothing(site: Site, witness: Wi
     assert b"robot" not in answer
 
 
+@pytest.mark.attack("master-recon")
 async def test_m1_a_node_sees_what_it_is_granted(site: Site, witness: Witness) -> None:
     async with (
         caller(site, "/robot2", {"/secret/**": PARAMS, "/secret": Right.PROVIDE}) as owner,
@@ -85,6 +87,7 @@ async def test_m1_a_node_sees_what_it_is_granted(site: Site, witness: Witness) -
         assert (await friend("lookupNode", "/robot"))[2] == witness.robot.uri
 
 
+@pytest.mark.attack("another-name")
 @pytest.mark.parametrize(
     ("method", "kind"),
     [("registerPublisher", T), ("registerSubscriber", T), ("registerService", "rosrpc://h:9")],
@@ -103,6 +106,7 @@ async def test_m2_m3_another_name_is_refused_and_its_owner_stays(
     assert [node.name for node in site.master._registry.nodes()] == ["/robot", "/viewer"]  # type: ignore[union-attr]
 
 
+@pytest.mark.attack("another-name")
 async def test_m4_nobody_unregisters_another(site: Site, witness: Witness) -> None:
     async with (
         caller(site, "/server", {"/add": Right.PROVIDE}) as server,
@@ -124,6 +128,7 @@ async def test_m4_nobody_unregisters_another(site: Site, witness: Witness) -> No
         assert (await eve("lookupService", "/add"))[2] == where
 
 
+@pytest.mark.attack("killed-master")
 async def test_m5_the_master_is_not_killed(site: Site, witness: Witness) -> None:
     assert site.master is not None
     everywhere = Right(255) & ~Right.ADMIN
@@ -138,6 +143,7 @@ async def test_m5_the_master_is_not_killed(site: Site, witness: Witness) -> None
 SAFETY = "/ns/safety/max_speed"
 
 
+@pytest.mark.attack("confused-rights")
 async def test_m6_a_right_to_some_parameters_is_none_to_their_parents(
     site: Site, witness: Witness
 ) -> None:
@@ -187,6 +193,7 @@ async def test_m6_a_right_to_some_parameters_is_none_to_their_parents(
         ]
 
 
+@pytest.mark.attack("ros-time")
 async def test_m7_no_ros_time_keeps_an_expired_right_alive(tmp_path: Path) -> None:
     """/use_sim_time and /clock are set to before the end; the host's clock goes on."""
     ahead = 0.0
@@ -212,6 +219,7 @@ async def test_m7_no_ros_time_keeps_an_expired_right_alive(tmp_path: Path) -> No
             assert (await eve("getParam", "/use_sim_time"))[2] is True
 
 
+@pytest.mark.attack("master-as-tool")
 async def test_m8_the_master_is_no_tool_against_third_parties(
     site: Site, witness: Witness, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -236,6 +244,7 @@ async def test_m8_the_master_is_no_tool_against_third_parties(
             assert (await eve("registerSubscriber", "/t", T, bad))[0] == -1
 
 
+@pytest.mark.attack("master-as-tool")
 async def test_m8_nobody_has_the_master_call_everywhere(site: Site, witness: Witness) -> None:
     """Whoever moves at every call has many addresses called, were there no end to it."""
     assert site.master is not None
@@ -265,12 +274,14 @@ async def test_m8_nobody_has_the_master_call_everywhere(site: Site, witness: Wit
 # --- faults found in others (F2-F5)
 
 
+@pytest.mark.attack("confused-rights")
 async def test_f2_two_identities_on_one_host_have_different_rights(site: Site) -> None:
     async with caller(site, "/one", {"/t": Right.PUBLISH}) as one, caller(site, "/two") as two:
         assert (await one("registerPublisher", "/t", T, one.uri))[0] == 1
         await two.refused("registerPublisher", "/t", T, two.uri)
 
 
+@pytest.mark.attack("confused-rights")
 async def test_f3_the_order_of_grants_does_not_matter(site: Site) -> None:
     patterns = ("/a/**", "/a/b", "/c/*")
     tokens = [site.grant("/g", Right.PARAM_SET, pattern) for pattern in patterns]
@@ -284,6 +295,7 @@ async def test_f3_the_order_of_grants_does_not_matter(site: Site) -> None:
     assert seen == [[-1, 1, 1, -1, -1, 1, 1]] * 6
 
 
+@pytest.mark.attack("confused-rights")
 async def test_f4_each_method_asks_for_its_own_right(site: Site) -> None:
     needs: dict[Right, list[tuple[Any, ...]]] = {
         Right.PUBLISH: [("registerPublisher", "/x", T, "URI")],
@@ -302,6 +314,7 @@ async def test_f4_each_method_asks_for_its_own_right(site: Site) -> None:
                 assert status.startswith("rossec: ") != allowed, (right, method, code, status)
 
 
+@pytest.mark.attack("confused-rights")
 async def test_f5_a_name_is_no_prefix(site: Site) -> None:
     async with caller(site, EVE, {"/chatter": Right.PUBLISH, "/p": PARAMS}) as eve:
         assert (await eve("registerPublisher", "/chatter", T, eve.uri))[0] == 1

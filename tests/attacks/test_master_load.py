@@ -80,6 +80,7 @@ def close_wait(number: int) -> list[str]:
 # --- M9
 
 
+@pytest.mark.attack("master-load")
 async def test_m9_fifty_dead_and_one_slow_node_delay_nobody(site: Site) -> None:
     """Ports that accept and never answer, ports where nobody listens, and one that never reads."""
     async with contextlib.AsyncExitStack() as stack:
@@ -115,6 +116,7 @@ async def test_m9_fifty_dead_and_one_slow_node_delay_nobody(site: Site) -> None:
             assert len(client._pending) <= 2, "not coalesced"
 
 
+@pytest.mark.attack("master-load")
 async def test_m9_what_a_node_answers_is_bounded(
     site: Site, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -143,6 +145,7 @@ async def test_m9_what_a_node_answers_is_bounded(
 # --- M10
 
 
+@pytest.mark.attack("plain-peer")
 async def test_m10_nothing_is_parsed_before_the_handshake(narrow: Site) -> None:
     """A plain caller with an endless body is told once, thrown away unread, and cut off."""
     loop = asyncio.get_running_loop()
@@ -158,6 +161,7 @@ async def test_m10_nothing_is_parsed_before_the_handshake(narrow: Site) -> None:
     await until(lambda: connections(narrow) == 0)
 
 
+@pytest.mark.attack("master-load")
 @pytest.mark.parametrize(
     ("data", "status"),
     [
@@ -189,6 +193,7 @@ BOMB = (
 )
 
 
+@pytest.mark.attack("master-load")
 @pytest.mark.parametrize(
     ("body", "said"),
     [
@@ -209,6 +214,7 @@ async def test_m10_xml_is_bounded(narrow: Site, body: bytes, said: bytes) -> Non
         assert (await other("getPid"))[0] == 1
 
 
+@pytest.mark.attack("master-load")
 async def test_m10_a_multicall_is_no_way_around(site: Site) -> None:
     async with caller(site, EVE, {"/p": Right.PARAM_SET}) as eve:
 
@@ -235,6 +241,7 @@ async def test_m10_a_multicall_is_no_way_around(site: Site) -> None:
         assert (await eve("registerSubscriber", "/p", T, host))[0] == -1
 
 
+@pytest.mark.attack("master-load")
 async def test_m10_no_value_spoils_the_parameters(site: Site) -> None:
     """What XML-RPC's extensions bring and no answer can carry is not taken."""
     assert site.master is not None
@@ -256,6 +263,7 @@ async def test_m10_no_value_spoils_the_parameters(site: Site) -> None:
         assert await eve("getParam", "/p") == [1, "Parameter [/p]", {"good": 1}]
 
 
+@pytest.mark.attack("master-load")
 async def test_m10_a_multicall_is_no_lever(site: Site) -> None:
     """A thousand short questions for one long parameter: a gigabyte, if they were answered."""
     async with (
@@ -277,6 +285,7 @@ async def test_m10_a_multicall_is_no_lever(site: Site) -> None:
 # --- M11
 
 
+@pytest.mark.attack("half-open")
 async def test_m11_whoever_dawdles_is_cut_off(narrow: Site) -> None:
     """Silent, byte by byte in clear, half a call in the channel, and nothing at all after one."""
     loop = asyncio.get_running_loop()
@@ -311,6 +320,7 @@ async def test_m11_whoever_dawdles_is_cut_off(narrow: Site) -> None:
     await until(lambda: connections(narrow) == 0)
 
 
+@pytest.mark.attack("master-load")
 async def test_m11_one_identity_has_its_share_and_others_have_theirs(narrow: Site) -> None:
     assert narrow.master is not None
     greedy = [RpcClient(await dial(narrow.master.uri, credentials(narrow))) for _ in range(4)]
@@ -328,6 +338,7 @@ async def test_m11_one_identity_has_its_share_and_others_have_theirs(narrow: Sit
     await again.close()
 
 
+@pytest.mark.attack("half-open")
 async def test_m11_what_the_peer_has_closed_does_not_stay(narrow: Site) -> None:
     """No CLOSE_WAIT pile-up (ros_comm#610): before, in and after the handshake."""
     assert narrow.master is not None

@@ -44,6 +44,7 @@ STEERING = {
 }
 
 
+@pytest.mark.attack("steered-node")
 @pytest.mark.parametrize("method", STEERING)
 @pytest.mark.parametrize("caller", [EVE, MASTER])
 async def test_only_the_master_steers(victim: Victim, method: str, caller: str) -> None:
@@ -53,6 +54,7 @@ async def test_only_the_master_steers(victim: Victim, method: str, caller: str) 
     assert status == f"rossec: {method} is for the master alone"
 
 
+@pytest.mark.attack("false-publisher")
 @pytest.mark.parametrize("uris", [[], ["{evil}"]])
 async def test_nobody_is_led_to_a_false_publisher(victim: Victim, uris: list[str]) -> None:
     """N2: not even a connection is made."""
@@ -71,6 +73,7 @@ RECON = (
 )  # fmt: skip
 
 
+@pytest.mark.attack("existence-oracle")
 @pytest.mark.parametrize("method", RECON)
 async def test_a_stranger_learns_nothing_of_the_node(victim: Victim, method: str) -> None:
     """N4."""
@@ -84,6 +87,7 @@ async def test_a_stranger_learns_nothing_of_the_node(victim: Victim, method: str
     assert not any(word in str(answer) for word in ("state", "command", "String", victim.uri))
 
 
+@pytest.mark.attack("existence-oracle")
 async def test_where_a_topic_is_does_not_tell_whether_it_is(victim: Victim) -> None:
     """N5: the grant is checked where the topic is, before a byte of it."""
     there = await ask(victim, "requestTopic", EVE, STATE, [["TCPROS"]])
@@ -102,6 +106,7 @@ async def entitled(victim: Victim, name: str, right: Right, method: str, *params
         await client.close()
 
 
+@pytest.mark.attack("steered-node")
 async def test_an_operator_may_ask(victim: Victim) -> None:
     """What `rosnode info` and `rosnode ping` need."""
     process = victim.program.process
@@ -111,8 +116,11 @@ async def test_an_operator_may_ask(victim: Victim) -> None:
     assert [STATE, "std_msgs/String"] in topics
     for method in ("getBusInfo", "getBusStats", "getSubscriptions", "getMasterUri"):
         assert (await entitled(victim, "/operator", Right.GRAPH, method))[0] == 1
+    assert (await entitled(victim, "/operator", Right.GRAPH, "getName"))[2] == "/robot"
+    assert (await entitled(victim, "/operator", Right.GRAPH, "getUri"))[2] == victim.uri
 
 
+@pytest.mark.attack("steered-node")
 @pytest.mark.parametrize("method", STEERING)
 async def test_no_grant_entitles_to_steer(victim: Victim, method: str) -> None:
     """Not to see the graph, not to administer; but an administrator may end it."""
@@ -125,6 +133,7 @@ async def test_no_grant_entitles_to_steer(victim: Victim, method: str) -> None:
     await victim.goes_on(3)
 
 
+@pytest.mark.attack("steered-node")
 async def test_grants_count_for_what_they_say_and_whom_and_once(victim: Victim) -> None:
     site = victim.site
     eve = credentials(site)
@@ -145,6 +154,7 @@ async def test_grants_count_for_what_they_say_and_whom_and_once(victim: Victim) 
     assert later[:2] == [-1, "rossec: getPid is for the master alone"]
 
 
+@pytest.mark.attack("udpros")
 async def test_udpros_is_not_spoken(victim: Victim) -> None:
     """N10: there is no transport that is silently plain."""
     udp = ["UDPROS", "x", HOST, 5555, 1500]
@@ -154,17 +164,30 @@ async def test_udpros_is_not_spoken(victim: Victim) -> None:
     assert (await ask(victim, "requestTopic", EVE, STATE, [udp, ["TCPROS"]]))[2][0] == "TCPROS"
 
 
+@pytest.mark.attack("another-name")
 async def test_a_call_in_the_name_of_another_is_refused(victim: Victim) -> None:
     code, status, _ = await ask(victim, "requestTopic", "/viewer", STATE, [["TCPROS"]])
     assert (code, status) == (-1, "rossec: caller_id is not /eve")
 
 
-@pytest.mark.parametrize("params", [(), (1,), (EVE,), (EVE, STATE), (EVE, STATE, "TCPROS", 3)])
-async def test_malformed_calls_are_refused(victim: Victim, params: tuple[object, ...]) -> None:
-    code, status, _ = await ask(victim, "requestTopic", *params)
-    assert (code, status) == (-1, "Error: bad call arity or types")
+@pytest.mark.attack("node-load")
+@pytest.mark.parametrize(
+    ("params", "said"),
+    [
+        ((), "missing required caller_id parameter"),
+        ((1,), "caller_id must be a string"),
+        ((EVE,), "Error: bad call arity or types"),
+        ((EVE, STATE), "Error: bad call arity or types"),
+        ((EVE, STATE, "TCPROS", 3), "Error: bad call arity or types"),
+    ],
+)
+async def test_malformed_calls_are_refused(
+    victim: Victim, params: tuple[object, ...], said: str
+) -> None:
+    assert (await ask(victim, "requestTopic", *params))[:2] == [-1, said]
 
 
+@pytest.mark.attack("node-load")
 async def test_one_identity_cannot_take_every_thread(victim: Victim) -> None:
     """N8: beyond the cap of one identity the others get through."""
     eve = credentials(victim.site)
@@ -181,6 +204,7 @@ async def test_one_identity_cannot_take_every_thread(victim: Victim) -> None:
             stream.abort("enough")
 
 
+@pytest.mark.attack("outlived-right")
 async def test_a_revoked_identity_is_told_nothing(victim: Victim) -> None:
     """D2: not even where a topic is, over a connection made after its revocation."""
     site = victim.site
@@ -203,6 +227,7 @@ async def test_a_revoked_identity_is_told_nothing(victim: Victim) -> None:
     await victim.goes_on(3)
 
 
+@pytest.mark.attack("steered-node")
 async def test_an_administrator_ends_the_node(victim: Victim) -> None:
     """What `rosnode kill` needs; the last thing that happens here."""
     with contextlib.suppress(ChannelError):  # as stock: it may end before it has answered

@@ -71,12 +71,14 @@ def expect_refusal(answer: Heard, *words: str) -> None:
     assert all(word in answer.error for word in words), answer.error
 
 
+@pytest.mark.attack("no-grant")
 @pytest.mark.parametrize("grants", [None, [], [b"nonsense"]], ids=["none", "empty", "nonsense"])
 async def test_without_a_grant_not_a_byte(victim: Victim, grants: list[bytes] | None) -> None:
     """N5."""
     expect_refusal(await heard(victim, fields_for(EVE, STATE, grants)))
 
 
+@pytest.mark.attack("unit-before-right")
 async def test_no_stranger_makes_it_keep_more_than_a_header(victim: Victim) -> None:
     """A unit is put together before anybody looks at it."""
     own, verify = credentials(victim.site), victim.site.anchor.verify
@@ -85,6 +87,7 @@ async def test_no_stranger_makes_it_keep_more_than_a_header(victim: Victim) -> N
     await victim.goes_on()
 
 
+@pytest.mark.attack("existence-oracle")
 @pytest.mark.parametrize("changes", [{}, {"md5sum": "0" * 32}, {"probe": "1"}])
 async def test_what_exists_looks_like_what_does_not(
     victim: Victim, changes: dict[str, str]
@@ -100,6 +103,7 @@ async def test_what_exists_looks_like_what_does_not(
         assert not any(word in str(texts) for word in ("String", "Trigger", "command", "state"))
 
 
+@pytest.mark.attack("another-name")
 async def test_a_name_that_is_not_the_certified_one(victim: Victim) -> None:
     """N6: Eve shows the viewer's grants and calls herself the viewer."""
     stolen = victim.site.enroll("/viewer").grants()
@@ -108,6 +112,7 @@ async def test_a_name_that_is_not_the_certified_one(victim: Victim) -> None:
     expect_refusal(await heard(victim, for_service("/viewer", SERVICE, [])), "calls itself")
 
 
+@pytest.mark.attack("no-grant")
 async def test_a_right_to_one_thing_is_none_to_another(victim: Victim) -> None:
     site = victim.site
     grants = [
@@ -122,6 +127,7 @@ async def test_a_right_to_one_thing_is_none_to_another(victim: Victim) -> None:
     )
 
 
+@pytest.mark.attack("unit-before-right")
 async def test_a_header_without_end_costs_nothing(victim: Victim) -> None:
     """N7: a length near a gigabyte, before the handshake and after it."""
     before = memory(victim)
@@ -162,6 +168,7 @@ async def raw(victim: Victim, data: bytes) -> bytes:
     return answer
 
 
+@pytest.mark.attack("half-open")
 @pytest.mark.parametrize("port", [lambda victim: victim.port, slave_port], ids=["topics", "api"])
 async def test_the_silent_hold_nobody_up(victim: Victim, port: Callable[[Victim], int]) -> None:
     """N8: stock rospy stands still after the first; here a newcomer is served meanwhile."""
@@ -193,6 +200,7 @@ async def admitted(victim: Victim, name: str, *grants: bytes) -> bytes:
 # --- N9: somebody else at the publisher's address
 
 
+@pytest.mark.attack("false-publisher")
 async def test_a_false_publisher_is_refused(victim: Victim) -> None:
     """Eve answers at an honest publisher's address, shows its grants, and calls herself it."""
     site = victim.site
@@ -292,6 +300,7 @@ def meddle_header(one: bytes, two: bytes) -> bytes:
     return bytes([one[0] ^ 0x10]) + one[1:] + two
 
 
+@pytest.mark.attack("tampered-records")
 @pytest.mark.parametrize(
     ("meddle", "called"),
     [(meddle_tampered, 0), (meddle_replayed, 1), (meddle_reordered, 0), (meddle_header, 0)],
@@ -317,6 +326,7 @@ async def test_records_that_are_not_the_peers_end_the_connection(
     await victim.goes_on()
 
 
+@pytest.mark.attack("tampered-records")
 async def test_a_record_cut_short_delivers_nothing(victim: Victim) -> None:
     """N11: truncation; the half of a request is no request."""
     grant = victim.site.grant("/clerk", Right.CALL, SERVICE)
@@ -333,6 +343,7 @@ async def test_a_record_cut_short_delivers_nothing(victim: Victim) -> None:
 # --- D2: rights that end while the connection lives
 
 
+@pytest.mark.attack("outlived-right")
 @pytest.mark.parametrize("what", ["grant", "key"])
 async def test_revoking_cuts_this_connection_and_no_other(victim: Victim, what: str) -> None:
     site, name = victim.site, f"/visitor_{what}"
@@ -349,6 +360,7 @@ async def test_revoking_cuts_this_connection_and_no_other(victim: Victim, what: 
         assert sight.received == received
 
 
+@pytest.mark.attack("outlived-right")
 async def test_an_expired_grant_cuts_to_the_second(victim: Victim) -> None:
     site = victim.site
     site.subscribe("/guest", STATE, lifetime=4)
@@ -360,6 +372,7 @@ async def test_an_expired_grant_cuts_to_the_second(victim: Victim) -> None:
         await victim.goes_on()
 
 
+@pytest.mark.attack("node-load")
 async def test_one_identity_holds_only_so_many_connections(victim: Victim) -> None:
     """N8: also where it is entitled; the others get through, and its key ends all of them (D2)."""
     site, name = victim.site, "/many"

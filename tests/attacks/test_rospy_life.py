@@ -97,6 +97,7 @@ async def pair(tmp_path_factory: pytest.TempPathFactory) -> AsyncIterator[tuple[
                 running.process.stdin.close()  # the end of the program
 
 
+@pytest.mark.attack("forked-child")
 async def test_a_forked_child_has_nothing_to_send_with(pair: tuple[Program, Program]) -> None:
     """Else two messages would go out under one nonce."""
     robot, viewer = pair
@@ -110,6 +111,7 @@ async def test_a_forked_child_has_nothing_to_send_with(pair: tuple[Program, Prog
     assert "lost" not in viewer.said
 
 
+@pytest.mark.attack("tampered-records")
 async def test_connections_without_a_word_renew_their_keys(pair: tuple[Program, Program]) -> None:
     """Nobody publishes and nobody calls, for many periods of renewal: nothing is connected anew."""
     robot, viewer = pair
@@ -151,6 +153,7 @@ rospy.spin()
 )
 
 
+@pytest.mark.attack("outlived-right")
 async def test_what_a_revoked_publisher_sent_before_is_not_heard_after(tmp_path: Path) -> None:
     """D2: the callback is slow, so thousands of messages wait when the list arrives."""
     async with Site(tmp_path / "site").running() as site:
@@ -183,6 +186,7 @@ rospy.spin()
 )
 
 
+@pytest.mark.attack("node-load")
 async def test_a_publisher_that_was_besieged_is_found_afterwards(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -195,7 +199,7 @@ async def test_a_publisher_that_was_besieged_is_found_afterwards(
             words.publish(words.create(data="at last"))
             topics = robot._listener._servers[1]
             with monkeypatch.context() as siege:
-                siege.setattr(topics, "_admit", lambda _: False)
+                siege.setattr(topics, "_admit", lambda _: None)
                 async with program(environment(site, tmp_path / "logs"), PATIENT) as patient:
                     await patient.hears("cannot connect to 127.0.0.1")
                     siege.undo()

@@ -77,6 +77,7 @@ def port_of(node: Node) -> int:
     return node.topic_endpoint()[1]
 
 
+@pytest.mark.attack("service-no-grant")
 @pytest.mark.parametrize("probe", [{}, {"probe": "1"}], ids=["call", "probe"])
 async def test_a_caller_without_a_right_is_told_nothing(
     site: Site, lamp: Node, caplog: pytest.LogCaptureFixture, probe: dict[str, str]
@@ -91,6 +92,7 @@ async def test_a_caller_without_a_right_is_told_nothing(
     assert lamp_calls == []
 
 
+@pytest.mark.attack("service-no-grant")
 async def test_other_rights_do_not_help(
     site: Site, lamp: Node, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -102,6 +104,7 @@ async def test_other_rights_do_not_help(
     assert lamp_calls == []
 
 
+@pytest.mark.attack("service-no-grant")
 async def test_the_entitled_and_only_they_learn_what_is_there(site: Site, lamp: Node) -> None:
     grants = [may_call(site, "/lamp/*")]
     heard = await knock(port_of(lamp), credentials(site), asking(grants, probe="1"))
@@ -140,6 +143,7 @@ async def ended(stream: SecureStream[Any]) -> bytes:
     return data
 
 
+@pytest.mark.attack("service-no-grant")
 async def test_the_control(site: Site, lamp: Node) -> None:
     async with open_call(site, lamp) as stream:
         await stream.send(REQUEST)
@@ -147,6 +151,7 @@ async def test_the_control(site: Site, lamp: Node) -> None:
     assert lamp_calls == [True]
 
 
+@pytest.mark.attack("service-occupied")
 @pytest.mark.parametrize(
     "data",
     [
@@ -165,6 +170,7 @@ async def test_requests_out_of_turn_end_the_connection(site: Site, lamp: Node, d
     assert lamp_calls == []
 
 
+@pytest.mark.attack("service-occupied")
 @pytest.mark.parametrize("persistent", ["0", "1"])
 async def test_a_request_that_never_ends(
     site: Site, lamp: Node, persistent: str, monkeypatch: pytest.MonkeyPatch
@@ -176,6 +182,7 @@ async def test_a_request_that_never_ends(
     assert lamp_calls == []
 
 
+@pytest.mark.attack("service-occupied")
 async def test_nonsense_for_a_request_is_refused_and_no_more(site: Site, lamp: Node) -> None:
     async with open_call(site, lamp, persistent="true") as stream:
         for nonsense in (b"\0\0\0\0", b"\2\0\0\0\1\1", header.frame(bytes(300_000))):
@@ -190,6 +197,7 @@ async def test_nonsense_for_a_request_is_refused_and_no_more(site: Site, lamp: N
     assert lamp_calls == [True]
 
 
+@pytest.mark.attack("outlived-right")
 async def test_a_call_under_way_ends_with_its_grant(site: Site, lamp: Node) -> None:
     """Revoked between the request and the response: the response does not leave."""
     begun, go_on = asyncio.Event(), asyncio.Event()
@@ -210,6 +218,7 @@ async def test_a_call_under_way_ends_with_its_grant(site: Site, lamp: Node) -> N
     await until(lambda: not service.links)
 
 
+@pytest.mark.attack("service-occupied")
 async def test_one_caller_cannot_take_all_turns(site: Site, lamp: Node) -> None:
     held = asyncio.Semaphore(0)
 
@@ -232,6 +241,7 @@ async def test_one_caller_cannot_take_all_turns(site: Site, lamp: Node) -> None:
             assert (await hall.client("/lamp/slow", BOOL)(data=False)).success
 
 
+@pytest.mark.attack("outlived-right")
 async def test_a_revoked_key_cannot_call(site: Site, lamp: Node) -> None:
     async with open_call(site, lamp, persistent="1") as stream:
         revoked = site.revoke(site.identity(EVE).thumbprint)
@@ -289,6 +299,7 @@ def answering(site: Site, grants: list[bytes], **changes: bytes) -> dict[str, by
     return {**server_header(EVE, SERVICE, kind, Nothing(), 0), **changes}  # type: ignore[arg-type]
 
 
+@pytest.mark.attack("service-no-grant")
 async def test_a_provider_without_the_right_is_not_asked(site: Site, hall: Node) -> None:
     for grants in ([], [may_call(site)], [signed(site, right=Right.PROVIDE, pattern="/lamp/no")]):
         heard: list[bytes] = []
@@ -300,6 +311,7 @@ async def test_a_provider_without_the_right_is_not_asked(site: Site, hall: Node)
         assert heard == []
 
 
+@pytest.mark.attack("service-no-grant")
 async def test_a_provider_under_another_name_or_type_is_not_asked(site: Site, hall: Node) -> None:
     right = [signed(site, right=Right.PROVIDE, pattern=SERVICE)]
     for changes in ({"callerid": b"/lamp"}, {"md5sum": b"0" * 32}, {"error": b"no\x1b[2J"}):
@@ -311,6 +323,7 @@ async def test_a_provider_under_another_name_or_type_is_not_asked(site: Site, ha
         assert heard == []
 
 
+@pytest.mark.attack("service-no-grant")
 @pytest.mark.parametrize(
     "reply",
     [

@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 
-from grants.model import Right
+from grants.model import Restriction, Right
 from rossec.channel.opening import Flavour
 from rossec.errors import RossecError
 from rossec.net.dial import dial
@@ -80,6 +80,7 @@ async def call_as(uri: str, user: int | None) -> str:
     return said.decode()
 
 
+@pytest.mark.attack("borrowed-identity")
 async def test_the_process_of_another_user_cannot_borrow_the_identity(
     near: Sidecar, robot: Program
 ) -> None:
@@ -124,6 +125,7 @@ def probed(port: int, probe: bytes) -> bytes:
         return answer
 
 
+@pytest.mark.attack("scanned-sidecar")
 async def test_a_scan_of_everything_it_opens_learns_nothing(site: Site, near: Sidecar) -> None:
     """L8: ports to the network answer only with the refusal meant for plain peers."""
     before = listening()
@@ -140,6 +142,7 @@ async def test_a_scan_of_everything_it_opens_learns_nothing(site: Site, near: Si
         assert robot.calls == []
 
 
+@pytest.mark.attack("program-port")
 async def test_who_takes_a_programs_port_is_not_taken_for_it(
     site: Site, near: Sidecar, robot: Program, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -175,6 +178,7 @@ def knocking(ports: Collection[int], times: int, stack: contextlib.ExitStack) ->
                 stack.enter_context(socket.create_connection(("127.0.0.1", port), timeout=5))
 
 
+@pytest.mark.attack("sidecar-exhausted")
 async def test_strangers_at_many_doors_cost_no_more_than_at_one(
     near: Sidecar, robot: Program
 ) -> None:
@@ -192,6 +196,7 @@ async def test_strangers_at_many_doors_cost_no_more_than_at_one(
         assert await robot.ask(near.uri, "getPid") is not None
 
 
+@pytest.mark.attack("steered-program")
 async def test_the_slave_api_is_closed_to_peers(site: Site, near: Sidecar, robot: Program) -> None:
     """N1-N4 and L1 through a sidecar: the program does not even hear of it."""
     home = site.enroll("/mallory")
@@ -215,6 +220,7 @@ async def test_the_slave_api_is_closed_to_peers(site: Site, near: Sidecar, robot
     assert robot.calls == []
 
 
+@pytest.mark.attack("confused-deputy")
 async def test_the_sidecar_lends_nobody_its_rights(site: Site, near: Sidecar) -> None:
     """L7: who asks through a sidecar asks as itself, and is refused as itself."""
     site.enroll("/weak")
@@ -232,6 +238,7 @@ async def test_the_sidecar_lends_nobody_its_rights(site: Site, near: Sidecar) ->
     assert answer[2] == [[], [], []]
 
 
+@pytest.mark.attack("crashed-check")
 async def test_a_failing_guard_closes_the_connection(
     site: Site, near: Sidecar, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -240,7 +247,7 @@ async def test_a_failing_guard_closes_the_connection(
     def crash(*_: object) -> object:
         raise RuntimeError("a bug")
 
-    site.subscribe("/ear", "/word")
+    site.subscribe("/ear", "/word", Restriction(rate=1))
     async with (
         sidecar(site) as far,
         Program("/robot", near) as robot,
@@ -249,6 +256,6 @@ async def test_a_failing_guard_closes_the_connection(
         await robot.register("registerPublisher", "/word", "std_msgs/String")
         uris = await ear.register("registerSubscriber", "/word", "std_msgs/String")
         assert isinstance(uris, list)
-        monkeypatch.setattr(headers, "guard_of", crash)
+        monkeypatch.setattr(headers, "guard_for", crash)
         with pytest.raises(Exception, match=r"closed|reset"):
             await ear.subscribe(uris[0], "/word")

@@ -59,6 +59,7 @@ def door_of(near: Sidecar) -> SecureServer[Identity]:
     return next(iter(near._agent_for("/robot")._exports.doorways))
 
 
+@pytest.mark.attack("two-readings")
 async def test_a_right_to_call_reads_no_topic(site: Site, near: Sidecar) -> None:
     """One header with a service for the guard and a topic for the program behind it."""
     async with Program("/robot", near) as robot:
@@ -105,6 +106,7 @@ async def liar(site: Site, answer: object) -> AsyncIterator[str]:
 UNSEEN = xmlrpc.dump_response([1, "", PLAIN]).replace(b"</methodResponse>", b"</methodResponse><")
 
 
+@pytest.mark.attack("address-outside")
 @pytest.mark.parametrize("answer", [[2, "", PLAIN], [True, "", PLAIN], Encoded(UNSEEN)])
 async def test_no_peer_names_a_place_outside_the_channel(
     site: Site, near: Sidecar, answer: object
@@ -121,6 +123,7 @@ async def test_no_peer_names_a_place_outside_the_channel(
         await program.close()
 
 
+@pytest.mark.attack("steered-program")
 async def test_nobody_but_the_master_says_what_is_revoked(site: Site, near: Sidecar) -> None:
     """The list is the authority's, but who may vouch that it is the newest becomes the master."""
     async with Program("/robot", near) as robot:
@@ -141,6 +144,7 @@ async def test_nobody_but_the_master_says_what_is_revoked(site: Site, near: Side
         await client.close()
 
 
+@pytest.mark.attack("sidecar-exhausted")
 async def test_a_subscriber_that_sends_data_hears_nothing(site: Site, near: Sidecar) -> None:
     """With its header or after it."""
     site.subscribe("/mallory", "/word")
@@ -165,6 +169,7 @@ async def test_a_subscriber_that_sends_data_hears_nothing(site: Site, near: Side
         await client.close()
 
 
+@pytest.mark.attack("outlived-right")
 async def test_a_revoked_peer_is_not_asked_over_an_old_connection(
     site: Site, near: Sidecar
 ) -> None:
@@ -183,6 +188,7 @@ async def test_a_revoked_peer_is_not_asked_over_an_old_connection(
         await program.close()
 
 
+@pytest.mark.attack("unit-before-right")
 async def test_no_peer_makes_the_sidecar_keep_more_than_a_call(site: Site, near: Sidecar) -> None:
     """A unit is put together before anybody looks at it."""
     async with Program("/robot", near) as robot:

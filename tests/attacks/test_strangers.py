@@ -123,6 +123,7 @@ CASES: Final[list[tuple[str, Callable[[Site], bytes], type[GrantError], str]]] =
 ]  # fmt: skip
 
 
+@pytest.mark.attack("bad-grant")
 @pytest.mark.parametrize(
     ("make", "kind", "said"), [c[1:] for c in CASES], ids=[c[0] for c in CASES]
 )
@@ -138,6 +139,7 @@ async def test_a_useless_grant_is_refused_by_its_own_error(
     expect_refused(heard, caplog, kind, said)
 
 
+@pytest.mark.attack("bad-grant")
 async def test_a_good_grant_is_not_refused_in_the_same_way(site: Site, witness: Witness) -> None:
     """The control: what all others are refused for is their flaw, not their form."""
     fields = fields_for(EVE, TOPIC, [signed(site)])
@@ -147,6 +149,7 @@ async def test_a_good_grant_is_not_refused_in_the_same_way(site: Site, witness: 
     await until(lambda: len(witness.publisher.links) == 1)
 
 
+@pytest.mark.attack("no-grant")
 @pytest.mark.parametrize("grants", [None, []], ids=["no field", "an empty list"])
 async def test_nodes_without_a_grant_are_refused(
     site: Site, witness: Witness, caplog: pytest.LogCaptureFixture, grants: list[bytes] | None
@@ -155,6 +158,7 @@ async def test_nodes_without_a_grant_are_refused(
     expect_refused(heard, caplog, GrantMissing, "subscribe")
 
 
+@pytest.mark.attack("bad-grant")
 @pytest.mark.parametrize(
     "presented", [b"", b"\x60", b"\x81\x01", b"\x9f\xff", b"\x80\x80", b"\x81" * 99, b"\xff" * 40]
 )
@@ -166,6 +170,7 @@ async def test_a_list_of_grants_that_is_none_is_refused(
     expect_refused(heard, caplog, GrantMalformed, "grants")
 
 
+@pytest.mark.attack("bad-grant")
 async def test_a_flood_of_grants_is_refused_before_it_is_opened(
     site: Site, witness: Witness, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -174,6 +179,7 @@ async def test_a_flood_of_grants_is_refused_before_it_is_opened(
     expect_refused(heard, caplog, GrantMalformed, "at most 16")
 
 
+@pytest.mark.attack("bad-grant")
 def test_no_bit_of_a_grant_can_be_changed(tmp_path: Path) -> None:
     site = Site(tmp_path)
     data = signed(site)
@@ -186,6 +192,7 @@ def test_no_bit_of_a_grant_can_be_changed(tmp_path: Path) -> None:
                 )
 
 
+@pytest.mark.attack("bad-grant")
 async def test_a_revoked_grant_is_refused_and_so_is_its_malleated_twin(
     site: Site, witness: Witness, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -199,6 +206,7 @@ async def test_a_revoked_grant_is_refused_and_so_is_its_malleated_twin(
         expect_refused(heard, caplog, GrantRevoked, "revoked")
 
 
+@pytest.mark.attack("outlived-right")
 async def test_a_revoked_node_gets_nowhere(
     site: Site, witness: Witness, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -212,10 +220,14 @@ async def test_a_revoked_node_gets_nowhere(
     assert isinstance(refusals(caplog)[-1], Revoked)
     assert site.master is not None
     with pytest.raises(RossecError):
-        await call(site.master.uri, eve, "rossec.revocations", EVE)
+        await call(site.master.uri, eve, "getUri", EVE)
+    told = await call(site.master.uri, eve, "rossec.revocations", EVE)
+    assert isinstance(told, list)
+    assert told[2][1] == b"", "what it is told must not let it go on"
     assert not [record for record in caplog.records if record.exc_info], "a crash was logged"
 
 
+@pytest.mark.attack("outlived-right")
 @pytest.mark.parametrize("name", [EVE, MASTER])
 async def test_the_slave_api_closes_for_whoever_is_revoked_while_connected(
     site: Site, name: str
@@ -238,6 +250,7 @@ async def test_the_slave_api_closes_for_whoever_is_revoked_while_connected(
         assert not robot._ended.done()
 
 
+@pytest.mark.attack("outlived-right")
 async def test_a_node_that_is_revoked_while_connected_is_cut(site: Site, witness: Witness) -> None:
     eve = await connect(HOST, witness.topic_port, credentials(site), site.anchor.verify)
     await eve.send(header.encode(fields_for(EVE, TOPIC, [signed(site)])))
@@ -248,6 +261,7 @@ async def test_a_node_that_is_revoked_while_connected_is_cut(site: Site, witness
     await until(lambda: len(witness.publisher.links) == 1)
 
 
+@pytest.mark.attack("foreign-authority")
 async def test_a_stranger_of_another_authority_is_refused_in_the_handshake(
     site: Site, witness: Witness, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -268,6 +282,7 @@ async def test_a_stranger_of_another_authority_is_refused_in_the_handshake(
         assert isinstance(refusals(caplog)[-1].__cause__, ForeignCertificate)
 
 
+@pytest.mark.attack("another-name")
 async def test_a_name_that_is_not_the_certified_one_is_refused(
     site: Site, witness: Witness, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -277,6 +292,7 @@ async def test_a_name_that_is_not_the_certified_one_is_refused(
     expect_refused(heard, caplog, CallerMismatch, "/eve calls itself /viewer")
 
 
+@pytest.mark.attack("no-grant")
 async def test_a_header_without_caller_or_topic_is_refused(
     site: Site, witness: Witness, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -287,6 +303,7 @@ async def test_a_header_without_caller_or_topic_is_refused(
         expect_refused(heard, caplog, TopicRefused, missing)
 
 
+@pytest.mark.attack("unit-before-right")
 async def test_no_stranger_makes_a_node_keep_more_than_a_header(
     site: Site, witness: Witness
 ) -> None:
@@ -298,6 +315,7 @@ async def test_no_stranger_makes_a_node_keep_more_than_a_header(
     await witness.goes_on()
 
 
+@pytest.mark.attack("no-grant")
 async def test_one_who_may_subscribe_must_still_mean_the_same_type(
     site: Site, witness: Witness, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -306,6 +324,7 @@ async def test_one_who_may_subscribe_must_still_mean_the_same_type(
     expect_refused(heard, caplog, TopicRefused, "carries")
 
 
+@pytest.mark.attack("existence-oracle")
 @pytest.mark.parametrize(
     "changes", [{}, {"md5sum": "0" * 32}, {"type": "std_msgs/String"}, {"probe": "1"}]
 )

@@ -18,8 +18,8 @@ from typing import Final
 
 from grants.model import Right
 from rossec.node.questions import MASTER
-from rossec.sidecar.callers import descendants, parents
 from rossec.sidecar.loopback import free_port
+from rossec.sidecar.processes import descendants, parents
 from tests.support.hosts import Host, Hosts
 from tests.support.site import DAY, Site
 

@@ -39,7 +39,7 @@ class Deterministic:
         return r.to_bytes(32) + s.to_bytes(32)
 
 
-def _fixed(credentials: Credentials) -> Credentials:
+def fixed(credentials: Credentials) -> Credentials:
     signer = credentials.signer
     return Credentials(Deterministic(signer._key), credentials.chain)  # type: ignore[attr-defined]  # a KeySigner
 
@@ -67,7 +67,7 @@ def _converse(w: Wire) -> list[dict[str, str]]:
 
 def transcripts() -> dict[str, list[dict[str, str]]]:
     """All of them, computed now."""
-    left, right = _fixed(ALICE), _fixed(BOB)
+    left, right = fixed(ALICE), fixed(BOB)
 
     def talk(
         flavour: Flavour, ours: KnownCertificates, theirs: KnownCertificates, brief: bool

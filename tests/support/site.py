@@ -10,12 +10,14 @@ from pathlib import Path
 from ca import keys
 from ca.authority import Authority, create_root
 from ca.certificates import Identity, TrustAnchor, to_pem
+from ca.revocationtree import is_tree, open_tree
 from ca.signer import KeySigner
 from ca.store import Store
 from grants import document
 from grants.model import Draft, Permission, Restriction, Right, filter_rules
 from rossec.channel.policy import post_quantum
 from rossec.home import NodeHome
+from rossec.listing import entries_of
 from rossec.master.complaints import Complain, unheard
 from rossec.master.limits import Limits
 from rossec.master.server import MasterServer
@@ -65,8 +67,11 @@ class Site:
     @property
     def entries(self) -> bytes | None:
         """The entries of the newest tree, if the authority has signed one."""
-        path = self.root / "revocations.entries"
-        return path.read_bytes() if path.exists() else None
+        data = self.authority.store.newest_list()
+        if data is None or not is_tree(data):
+            return None
+        tree = open_tree(data, self.anchor.public_key)
+        return entries_of(self.authority.store, tree).encoded()
 
     @property
     def environ(self) -> Mapping[str, str]:

@@ -17,6 +17,7 @@ from rossec.channel.connection import Connection
 from rossec.channel.credentials import Credentials
 from rossec.channel.known import KnownCertificates
 from rossec.channel.opening import Flavour
+from rossec.channel.owndials import OwnDials
 from rossec.channel.records import Limits
 from rossec.channel.states import Event, UnitReceived
 from rossec.errors import ChannelError
@@ -77,6 +78,7 @@ def alice(
     suites: tuple[int, ...] = (6,),
     known: KnownCertificates | None = None,
     brief: bool = False,
+    own_dials: OwnDials | None = None,
 ) -> Connection[FakeIdentity]:
     """An initiator."""
     return Connection[FakeIdentity].initiator(
@@ -89,6 +91,7 @@ def alice(
         suites=suites,
         known=known,
         brief=brief,
+        own_dials=own_dials,
     )
 
 
@@ -98,6 +101,7 @@ def bob(
     suites: tuple[int, ...] = (6,),
     accept: frozenset[Flavour] = frozenset(Flavour),
     known: KnownCertificates | None = None,
+    own_dials: OwnDials | None = None,
 ) -> Connection[FakeIdentity]:
     """A responder."""
     return Connection[FakeIdentity].responder(
@@ -109,6 +113,7 @@ def bob(
         suites=suites,
         accept=accept,
         known=known,
+        own_dials=own_dials,
     )
 
 

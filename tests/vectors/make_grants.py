@@ -7,7 +7,7 @@ signatures deterministic (RFC 6979), so the same program always writes the same 
 import json
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from cryptography.hazmat.primitives import hashes
 from cryptography.hazmat.primitives.asymmetric import ec
@@ -66,6 +66,7 @@ VALID = {
     "every right on everything": replace(DRAFT, permissions=(Permission("/**", ALL_RIGHTS),)),
     "parameters": replace(DRAFT, permissions=(Permission("/a/*/b", Right.PARAM_SET),)),
     "only a rate": replace(DRAFT, permissions=(Permission("/a", Right.CALL, Restriction(rate=5)),)),
+    "a domain of 255 bytes": replace(DRAFT, domain="a" * 255),
     "other letters and a far end": replace(
         DRAFT, domain="zuhäuse", not_before=0, expires=1 << 40, cap=1 << 40
     ),
@@ -133,6 +134,123 @@ def flaws() -> dict[str, tuple[bytes, str]]:
     }
 
 
+def tokens() -> list[dict[str, object]]:
+    """Grants as they are presented: bare, and renewed by the first of `renewals`."""
+    renewed = renewals()[0]
+    parts = [bytes.fromhex(str(renewed[part])) for part in ("grant", "ticket", "delegation")]
+    grant, ticket, delegation = parts
+    three = encode([grant, ticket, delegation])
+    cases: dict[str, tuple[bytes, str | None]] = {
+        "renewed": (three, None),
+        "a bare grant that has expired": (grant, "GrantExpired"),
+        "two parts": (encode([grant, ticket]), "GrantForged"),
+        "four parts": (encode([grant, ticket, delegation, b""]), "GrantForged"),
+        "an empty part": (encode([grant, b"", delegation]), "GrantMalformed"),
+        "a part that is text": (encode([grant, "ticket", delegation]), "GrantMalformed"),
+        "another order": (encode([ticket, grant, delegation]), "GrantForged"),
+        "a long array header": (b"\x98\x03" + three[1:], "GrantForged"),
+        "a trailing byte": (three + b"\0", "GrantMalformed"),
+    }
+    common = {key: renewed[key] for key in ("ca_key", "key", "now", "seq")}
+    return [
+        {"name": name, **common, "data": data.hex(), "failure": failure}
+        for name, (data, failure) in cases.items()
+    ]
+
+
+_GOOD_FILTERS: Final[dict[str, dict[str, Any]]] = {
+    "a field": {"a": {"clear": True}},
+    "a field of a field": {"a_1.B": {"clear": True}},
+    "elements": {"a[*].b[*].c": {"clear": True}},
+    "round": {"a": {"round": {"step": 2}}},
+    "round with all of it as hysteresis": {"a": {"round": {"step": 0.5, "hysteresis": 0.5}}},
+    "clamp to one value": {"a": {"clamp": {"low": 1, "high": 1.0}}},
+    "set to a truth value": {"a": {"set": {"value": False}}},
+    "truncate to nothing": {"a": {"truncate": {"length": 0}}},
+    "truncate, the longest": {"a": {"truncate": {"length": (1 << 32) - 1}}},
+    "hash": {"a": {"hash": {"key": "k-1_x", "length": 64}}},
+    "pixelate": {"data": {"pixelate": {"block": 2}}},
+    "pixelate a region": {
+        "data": {"pixelate": {"block": 65535, "x": 0, "y": 0, "width": 1, "height": 65535}}
+    },
+}
+_BAD_FILTERS: Final[dict[str, dict[str, Any]]] = {
+    "an empty path": {"": {"clear": True}},
+    "a path that begins with a point": {".a": {"clear": True}},
+    "a path that ends with a point": {"a.": {"clear": True}},
+    "a name that begins with a digit": {"1a": {"clear": True}},
+    "a name that begins with _": {"_a": {"clear": True}},
+    "another letter": {"\u00e4": {"clear": True}},
+    "an index": {"a[0]": {"clear": True}},
+    "an element of an element": {"a[*][*]": {"clear": True}},
+    "a line end": {"a\n": {"clear": True}},
+    "two operators": {"a": {"clear": True, "drop": True}},
+    "no operator": {"a": {}},
+    "an unknown operator": {"a": {"noise": True}},
+    "an operator in other letters": {"a": {"Clear": True}},
+    "false for true": {"a": {"clear": False}},
+    "a parameter too many": {"a": {"clear": {"x": 1}}},
+    "no parameters": {"a": {"round": {}}},
+    "a bare parameter": {"a": {"round": 2.0}},
+    "a parameter missing": {"a": {"clamp": {"low": 1}}},
+    "an unknown parameter": {"a": {"round": {"step": 1, "speed": 2}}},
+    "a step of 0": {"a": {"round": {"step": 0}}},
+    "a step below 0": {"a": {"round": {"step": -1}}},
+    "an infinite step": {"a": {"round": {"step": float("inf")}}},
+    "a step that is true": {"a": {"round": {"step": True}}},
+    "a step that is text": {"a": {"round": {"step": "1"}}},
+    "hysteresis of 0": {"a": {"round": {"step": 1, "hysteresis": 0}}},
+    "hysteresis above the step": {"a": {"round": {"step": 1, "hysteresis": 1.5}}},
+    "low above high": {"a": {"clamp": {"low": 2, "high": 1}}},
+    "redact with a number": {"a": {"redact": {"text": 1}}},
+    "truncate below 0": {"a": {"truncate": {"length": -1}}},
+    "truncate to 2^32": {"a": {"truncate": {"length": 1 << 32}}},
+    "truncate to a fraction": {"a": {"truncate": {"length": 1.5}}},
+    "a key in other letters": {"a": {"hash": {"key": "Key"}}},
+    "a key with a path": {"a": {"hash": {"key": "../k"}}},
+    "a hash of 65 digits": {"a": {"hash": {"key": "k", "length": 65}}},
+    "a hash of no digit": {"a": {"hash": {"key": "k", "length": 0}}},
+    "a block of 1": {"data": {"pixelate": {"block": 1}}},
+    "a block of 65536": {"data": {"pixelate": {"block": 65536}}},
+    "half a region": {"data": {"pixelate": {"block": 2, "x": 0, "y": 0}}},
+}
+
+
+def filters() -> list[dict[str, object]]:
+    """Grants with one filter on /a: what can be refused without knowing the message type."""
+    corpus = ((True, _GOOD_FILTERS), (False, _BAD_FILTERS))
+    return [
+        {"name": name, "data": _filtering(rules), "valid": valid}
+        for valid, named in corpus
+        for name, rules in named.items()
+    ]
+
+
+def _filtering(rules: Any) -> str:
+    claims: Any = decode(BODY)
+    claims[9] = encode([["/a", 2, {0: "p/T", 2: rules}]])
+    return document.GRANT.sign(CA, claims).hex()
+
+
+def truncations() -> list[dict[str, object]]:
+    """`truncate` of a string, in bytes; None: the message is dropped."""
+    cases: dict[str, tuple[bytes, int, bytes | None]] = {
+        "shorter": (b"abc", 5, b"abc"),
+        "code points, not bytes": ("\u00e4\u00f6\u00fc".encode(), 2, "\u00e4\u00f6".encode()),
+        "beyond 16 bits": ("\U0001f916\U0001f9be".encode(), 1, "\U0001f916".encode()),
+        "a combining mark is a code point of its own": ("e\u0301x".encode(), 1, b"e"),
+        "nothing left": (b"abc", 0, b""),
+        "a sequence that is cut": (b"ab\xc3", 1, None),
+        "a byte that is none of UTF-8": (b"a\xff", 1, None),
+        "a surrogate": (b"a\xed\xa0\x80", 1, None),
+    }
+    return [
+        {"name": name, "data": data.hex(), "length": length,
+         "result": None if result is None else result.hex()}
+        for name, (data, length, result) in cases.items()
+    ]  # fmt: skip
+
+
 def renewals() -> list[dict[str, object]]:
     """A delegation and tickets under it; `now` is after the end of the grant."""
     grant, now = document.grant_id(GOOD), DRAFT.expires + 10
@@ -189,7 +307,10 @@ def build() -> dict[str, list[dict[str, object]]]:
         {"name": name, **common, "data": data.hex(), "failure": failure}
         for name, (data, failure) in {**frames(), **flaws()}.items()
     ]
-    return {"valid": valid, "refused": refused, "renewals": renewals()}
+    return {
+        "valid": valid, "refused": refused, "renewals": renewals(), "tokens": tokens(),
+        "filters": filters(), "truncations": truncations(),
+    }  # fmt: skip
 
 
 def text(vectors: list[dict[str, object]]) -> str:

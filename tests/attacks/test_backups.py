@@ -1,0 +1,211 @@
+"""A backup made by somebody who wants more than an authority back: it is given to `ca restore`.
+
+He knows its passphrase, for he made it, and has the operator run the command.
+"""
+
+import os
+import secrets
+import sqlite3
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import cbor2
+import pytest
+from cryptography.hazmat.primitives.ciphers.aead import AESGCM
+
+from ca import backup
+from rossec.authority import AuthorityHome
+from rossec.backup import back_up
+from tests.support.commands import PASSPHRASE, Said, Shell
+
+pytestmark = [pytest.mark.attack("malicious-backup"), pytest.mark.timeout(600)]
+
+Content = dict[str, bytes]
+
+
+@pytest.fixture
+def empty(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Shell:
+    """A home with nothing in it."""
+    return Shell(tmp_path / "site" / "home", capsys)
+
+
+@pytest.fixture(scope="module")
+def genuine(tmp_path_factory: pytest.TempPathFactory) -> Content:
+    """What is in a good backup."""
+    home = AuthorityHome.create(
+        tmp_path_factory.mktemp("genuine") / "home", "home", PASSPHRASE, int(time.time())
+    )
+    return backup.unseal(back_up(home, PASSPHRASE), PASSPHRASE)
+
+
+@pytest.fixture(scope="module")
+def foreign(tmp_path_factory: pytest.TempPathFactory) -> Content:
+    """The same of another authority, of the same name and passphrase."""
+    home = AuthorityHome.create(
+        tmp_path_factory.mktemp("foreign") / "home", "home", PASSPHRASE, int(time.time())
+    )
+    return backup.unseal(back_up(home, PASSPHRASE), PASSPHRASE)
+
+
+def sealed(content: object) -> bytes:
+    """A backup of anything; nothing is judged as `seal` does."""
+    salt, nonce = secrets.token_bytes(backup.SALT_SIZE), secrets.token_bytes(backup.NONCE_SIZE)
+    head = backup.MAGIC + salt + nonce
+    plain = cbor2.dumps(content, canonical=True)
+    return head + AESGCM(backup._key(PASSPHRASE, salt)).encrypt(nonce, plain, head)
+
+
+def restore(shell: Shell, data: bytes) -> Said:
+    file = shell.root / "given.backup"
+    file.write_bytes(data)
+    return shell.unlocked("ca", "restore", str(file))
+
+
+def refused(shell: Shell, data: bytes, *said: str) -> None:
+    """Nothing is there afterwards that was not there before: in the home, beside it, or above."""
+    before = sorted(shell.root.parent.rglob("*"))
+    done = restore(shell, data)
+    assert done.code == 1, done
+    assert done.err.startswith("rossec: error: ")
+    assert "Traceback" not in done.err
+    for words in said:
+        assert words in done.err, done.err
+    left = {*shell.root.parent.rglob("*")} - {*before, shell.root / "given.backup"}
+    assert left == set()
+
+
+def test_the_genuine_one_is_restored(empty: Shell, genuine: Content) -> None:
+    assert restore(empty, sealed(genuine)).code == 0
+
+
+NAMES = [
+    "../evil", "../../evil", "/tmp/rossec-evil", "node/../../evil", "node/../evil", "a/b", "..",
+    ".", "", "node/", "node//x", "evil\x00.pem", "evil\n.pem", "evil\u202e.pem", "ev\u0456l",
+    ".ssh",
+    "ca.db-wal", "ca.db-shm", "ca.db-journal", "node/x-journal", "node", "inbox",
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("name", NAMES, ids=ascii)
+def test_a_file_of_another_name(empty: Shell, genuine: Content, name: str) -> None:
+    refused(empty, sealed({**genuine, name: b"evil"}), "is no file of an authority")
+
+
+@pytest.mark.parametrize("value", ["text", 5, [b"x"], {"a": b"x"}, None], ids=str)
+def test_a_file_that_is_none(empty: Shell, genuine: Content, value: object) -> None:
+    refused(empty, sealed({**genuine, "policy.yaml": value}), "the backup is malformed")
+
+
+@pytest.mark.parametrize(
+    "content", [b"", [], "x", {1: b"x"}, {b"x": b"x"}], ids=["bytes", "list", "text", "one", "two"]
+)
+def test_content_that_is_none(empty: Shell, content: object) -> None:
+    refused(empty, sealed(content), "backup")
+
+
+def test_a_huge_one(empty: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
+    file = empty.root / "huge"
+    with file.open("wb") as out:
+        out.write(backup.MAGIC)
+        out.truncate(backup.MAX_BACKUP + 1)
+    said = empty.unlocked("ca", "restore", str(file))
+    assert said.code == 1
+    assert "is larger than" in said.err
+
+
+@pytest.mark.parametrize("name", ["ca.key", "ca.pem", "ca.db"])
+def test_a_part_is_missing(empty: Shell, genuine: Content, name: str) -> None:
+    refused(empty, sealed({key: data for key, data in genuine.items() if key != name}))
+
+
+@pytest.mark.parametrize("name", ["ca.key", "ca.pem", "ca.db"])
+def test_a_part_is_garbage(empty: Shell, genuine: Content, name: str) -> None:
+    refused(empty, sealed({**genuine, name: b"garbage" * 100}))
+
+
+@pytest.mark.parametrize("name", ["ca.key", "ca.pem", "ca.db"])
+def test_a_part_is_of_another_authority(
+    empty: Shell, genuine: Content, foreign: Content, name: str
+) -> None:
+    refused(empty, sealed({**genuine, name: foreign[name]}))
+
+
+def test_two_certificates(empty: Shell, genuine: Content, foreign: Content) -> None:
+    both = genuine["ca.pem"] + foreign["ca.pem"]
+    refused(empty, sealed({**genuine, "ca.pem": both}), "no authority")
+
+
+RECORDS = {
+    "a trigger that forgets": "CREATE TRIGGER t BEFORE INSERT ON revocation"
+    " BEGIN SELECT RAISE(IGNORE); END",
+    "a trigger on the log": "CREATE TRIGGER t AFTER INSERT ON log BEGIN DELETE FROM csr; END",
+    "a trigger in place of ours": "DROP TRIGGER revocation_no_DELETE; CREATE TRIGGER"
+    " revocation_no_DELETE BEFORE DELETE ON revocation BEGIN SELECT 1; END",
+    "a trigger less": "DROP TRIGGER revocation_no_DELETE",
+    "a view": "CREATE VIEW v AS SELECT * FROM revocation",
+    "a view for a table": "ALTER TABLE revocation RENAME TO kept;"
+    "CREATE VIEW revocation AS SELECT * FROM kept WHERE 0",
+    "a virtual table": "CREATE VIRTUAL TABLE t USING fts5(x)",
+    "an index on an expression": "CREATE INDEX i ON revocation (abs(length(entry)))",
+    "a table less": "DROP TABLE answer",
+}
+
+
+def crafted(genuine: Mapping[str, bytes], script: str, tmp_path: Path) -> Content:
+    path = tmp_path / "crafted.db"
+    path.write_bytes(genuine["ca.db"])
+    db = sqlite3.connect(path, isolation_level=None)
+    db.execute("PRAGMA journal_mode = DELETE")
+    db.executescript(script)
+    db.close()
+    data = path.read_bytes()
+    path.unlink()
+    return {**genuine, "ca.db": data}
+
+
+@pytest.mark.parametrize("script", RECORDS.values(), ids=RECORDS)
+def test_a_record_with_something_that_runs(
+    empty: Shell, genuine: Content, script: str, tmp_path: Path
+) -> None:
+    refused(empty, sealed(crafted(genuine, script, tmp_path)), "the backup is no authority")
+
+
+def test_a_record_with_other_rows(empty: Shell, genuine: Content, tmp_path: Path) -> None:
+    script = "INSERT INTO revocation VALUES (x'00', 'planted', 1)"
+    refused(empty, sealed(crafted(genuine, script, tmp_path)), "not in the log")
+
+
+Trap = Callable[[Path, Path], None]
+TRAPS: dict[str, Trap] = {
+    "to a directory": lambda place, elsewhere: place.symlink_to(elsewhere),
+    "to nowhere": lambda place, elsewhere: place.symlink_to(elsewhere / "nothing"),
+    "a file": lambda place, elsewhere: place.touch(),
+}
+
+
+@pytest.mark.parametrize("trap", TRAPS.values(), ids=TRAPS)
+def test_a_link_where_it_is_to_be(
+    empty: Shell, genuine: Content, trap: Trap, tmp_path: Path
+) -> None:
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    trap(empty.root / "ca", elsewhere)
+    refused(empty, sealed(genuine))
+    assert list(elsewhere.iterdir()) == []
+
+
+def test_a_home_that_others_can_write(empty: Shell, genuine: Content) -> None:
+    empty.root.chmod(0o777)
+    refused(empty, sealed(genuine), "can be written by others")
+
+
+def test_what_is_restored_is_for_its_owner_alone(empty: Shell, genuine: Content) -> None:
+    before = os.umask(0)
+    try:
+        assert restore(empty, sealed({**genuine, "-rf": b"x"})).code == 0
+    finally:
+        os.umask(before)
+    for path in (empty.root / "ca").rglob("*"):
+        assert path.stat().st_mode & 0o022 == 0, path
+        assert not path.is_symlink()

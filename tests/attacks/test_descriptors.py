@@ -1,0 +1,192 @@
+"""A few bytes each, from connections that never end: how many descriptors strangers can have.
+
+The attacker is a process of its own; what is counted are the descriptors of the one attacked.
+"""
+
+import asyncio
+import contextlib
+import sys
+from collections.abc import AsyncIterator, Callable
+from pathlib import Path
+from typing import Final
+
+import pytest
+
+from rossec.channel.opening import Flavour
+from rossec.enrolling.waiting import WaitingNode
+from rossec.errors import ChannelError
+from rossec.net.blocking import SecureSocket
+from rossec.net.halfopen import HalfOpen
+from rossec.net.stream import connect
+from rossec.node import guests
+from rossec.ros.settings import parse_uri
+from rossec.sidecar.addresses import inside
+from tests.rossec.sidecar.program import Program, sidecar
+from tests.support.attacker import HOST, credentials
+from tests.support.enrolling import Robot
+from tests.support.pki import NOW
+from tests.support.site import Site
+from tests.support.victim import attacked, slave_port
+from tests.support.witness import until
+
+CONNECTIONS: Final = 600
+CAP: Final = HalfOpen().per_address
+OTHERS: Final = 60  # descriptors that come and go for other reasons
+FLOOD: Final = """
+import resource, socket, sys
+host, port, count, data, *sources = sys.argv[1:]
+resource.setrlimit(resource.RLIMIT_NOFILE, (4096, 4096))
+held = []
+for number in range(int(count)):
+    source = (sources[number % len(sources)], 0) if sources else None
+    sock = socket.create_connection((host, int(port)), 30, source)
+    try:
+        sock.sendall(bytes.fromhex(data))
+    except OSError:
+        pass
+    held.append(sock)
+print("ALL", flush=True)
+sys.stdin.read()
+"""
+
+
+@contextlib.asynccontextmanager
+async def flood(
+    port: int, data: bytes, *sources: str, count: int = CONNECTIONS
+) -> AsyncIterator[None]:
+    """So many connections, each of which sends `data` and is kept."""
+    process = await asyncio.create_subprocess_exec(
+        sys.executable, "-c", FLOOD, HOST, str(port), str(count), data.hex(), *sources,
+        stdin=asyncio.subprocess.PIPE, stdout=asyncio.subprocess.PIPE,
+    )  # fmt: skip
+    try:
+        assert process.stdout is not None
+        assert await process.stdout.readline() == b"ALL\n"
+        yield
+    finally:
+        process.kill()
+        await process.communicate()
+
+
+def descriptors(pid: int | None = None) -> int:
+    return sum(1 for _ in Path(f"/proc/{pid or 'self'}/fd").iterdir())
+
+
+@contextlib.asynccontextmanager
+async def watched(pid: int | None = None) -> AsyncIterator[list[int]]:
+    """The most descriptors that were in use, above those before."""
+    before, most = descriptors(pid), [0]
+
+    async def look() -> None:
+        while True:
+            most[0] = max(most[0], descriptors(pid) - before)
+            await asyncio.sleep(0 if pid is None else 0.01)
+
+    looking = asyncio.create_task(look())  # noqa: TID251 - cancelled below
+    try:
+        yield most
+    finally:
+        looking.cancel()
+
+
+async def served(site: Site, port: int, flavour: Flavour) -> None:
+    """An honest caller is authenticated at its first attempt."""
+    stream = await connect(
+        HOST, port, site.enroll("/honest").credentials(), site.anchor.verify, opening=flavour
+    )
+    stream.abort("done")
+
+
+@contextlib.asynccontextmanager
+async def node_topics(site: Site) -> AsyncIterator[tuple[int, Flavour]]:
+    async with site.node("/robot") as robot:
+        yield robot.topic_endpoint()[1], Flavour.TCPROS
+
+
+@contextlib.asynccontextmanager
+async def node_api(site: Site) -> AsyncIterator[tuple[int, Flavour]]:
+    async with site.node("/robot") as robot:
+        yield parse_uri(robot.uri)[1], Flavour.HTTP
+
+
+@contextlib.asynccontextmanager
+async def master(site: Site) -> AsyncIterator[tuple[int, Flavour]]:
+    assert site.master is not None
+    yield site.master.port, Flavour.HTTP
+
+
+@contextlib.asynccontextmanager
+async def sidecar_door(site: Site) -> AsyncIterator[tuple[int, Flavour]]:
+    site.publish("/robot", "/word")
+    async with sidecar(site) as near, Program("/robot", near) as robot:
+        await robot.register("registerPublisher", "/word", "std_msgs/String")
+        agent = near._agent_for("/robot")
+        yield agent.export(inside(Flavour.TCPROS, robot.topics.port)), Flavour.TCPROS
+
+
+Place = Callable[[Site], contextlib.AbstractAsyncContextManager[tuple[int, Flavour]]]
+PLACES: Final = [node_topics, node_api, master, sidecar_door]
+
+
+@pytest.mark.attack("descriptors")
+@pytest.mark.parametrize("place", PLACES)
+async def test_handshakes_that_fail_at_once(site: Site, place: Place) -> None:
+    """Four bytes end the handshake; the socket that lingers for its refusal is counted."""
+    async with place(site) as (port, flavour), watched() as most:
+        async with flood(port, b"\xff\xff\xff\xff"):
+            await served(site, port, flavour)
+        assert most[0] <= CAP + OTHERS
+
+
+@pytest.mark.attack("descriptors")
+@pytest.mark.parametrize("place", PLACES)
+async def test_silence_from_many_addresses(site: Site, place: Place) -> None:
+    """Together they have all places; who has none yet is given one of theirs."""
+    sources = [f"127.0.0.{number}" for number in range(2, 8)]
+    async with place(site) as (port, flavour), watched() as most:
+        async with flood(port, b"\x0c\0\0", *sources):
+            await served(site, port, flavour)
+        assert most[0] <= HalfOpen().total + OTHERS
+
+
+@pytest.mark.attack("descriptors")
+async def test_an_enrolled_caller_that_never_hangs_up(
+    site: Site, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is refused after its identity was proved; the socket that lingers is still its own."""
+    monkeypatch.setattr(guests, "PEER_CONNECTIONS", 8)
+    own, verify, held = credentials(site), site.anchor.verify, []
+    async with site.node("/robot") as robot, watched() as most:
+        for _ in range(40):
+            place = (HOST, robot.topic_endpoint()[1])
+            held.append(await asyncio.to_thread(SecureSocket.connect, place, own, verify, 30))
+            with contextlib.suppress(ChannelError):
+                held[-1].sendall(b"no header of a connection")
+        assert most[0] - len(held) <= 8 + 8
+        for sock in held:
+            sock.close()
+
+
+@pytest.mark.ros
+@pytest.mark.attack("descriptors")
+async def test_a_rospy_node(tmp_path: Path) -> None:
+    async with attacked(tmp_path) as victim:
+        pid = victim.program.process.pid
+        for port in (victim.port, slave_port(victim)):
+            async with watched(pid) as most:
+                async with flood(port, b"\xff\xff\xff\xff"):
+                    await victim.goes_on()
+                assert most[0] <= CAP + OTHERS
+        await served(victim.site, victim.port, Flavour.TCPROS)
+
+
+@pytest.mark.attack("descriptors")
+async def test_a_node_that_waits_to_be_enrolled() -> None:
+    refused: list[str] = []
+    core = Robot().enrollment()
+    async with WaitingNode(core, lambda: NOW, refused.append) as waiting, watched() as most:
+        await waiting.listen(HOST, 0)
+        async with flood(waiting.port, b"\xff\xff\xff\xff"):
+            await until(lambda: refused)
+            await until(lambda: len(waiting._callers) == 0)
+        assert most[0] <= 2 * 128 + OTHERS  # asyncio accepts all that the kernel has queued

@@ -1,0 +1,73 @@
+"""A master that is started again gives nobody more than it had: what is gone goes, all the same."""
+
+from functools import partial
+
+import pytest
+
+from rossec import clock
+from rossec.clock import Clock, counter
+from rossec.node import Node
+from rossec.node.named import GRACE
+from tests.support.absent import Absent
+from tests.support.site import Site
+from tests.support.witness import POSE, TOPIC, until
+
+
+class Ahead:
+    """Seconds of this process that nobody has to wait for."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.seconds = 0.0
+        count = counter()
+        host = clock.HOST
+        monkeypatch.setattr(
+            clock, "HOST", Clock(lambda: host.time() + self.seconds, lambda: count() + self.seconds)
+        )
+
+
+def _is_another(node: Node, before: object) -> bool:
+    return node._session._stream is not before
+
+
+@pytest.mark.attack("reset-sessions")
+async def test_whoever_resets_sessions_keeps_nobody_alive(
+    site: Site, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The publisher is no longer registered; its accomplice breaks the viewer's sessions."""
+    absent, ahead = Absent(monkeypatch), Ahead(monkeypatch)
+    site.publish("/robot", TOPIC)
+    site.subscribe("/viewer", TOPIC)
+    async with site.node("/robot") as robot, site.node("/viewer") as viewer:
+        pose, sight = await robot.publisher(TOPIC, POSE), await viewer.subscriber(TOPIC, POSE)
+        await until(lambda: pose.links and sight.links)
+        absent.names, session = {"/robot"}, viewer._session._stream
+        await site.restart_master()
+        for _ in range(4):
+            await until(partial(_is_another, viewer, session))
+            session = viewer._session._stream
+            assert session is not None
+            ahead.seconds += GRACE / 4
+            session.abort("an attacker resets it")
+        await until(lambda: not sight._tasks)
+        await until(lambda: not sight.links)
+        await until(lambda: not pose.links)
+
+
+@pytest.mark.attack("reset-sessions")
+async def test_a_publisher_that_is_missing_is_judged_as_ever(
+    site: Site, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its right ends while it is followed without being named."""
+    absent = Absent(monkeypatch)
+    right = site.publish("/robot", TOPIC)
+    site.subscribe("/viewer", TOPIC)
+    async with site.node("/robot") as robot, site.node("/viewer") as viewer:
+        pose, sight = await robot.publisher(TOPIC, POSE), await viewer.subscriber(TOPIC, POSE)
+        await until(lambda: pose.links and sight.links)
+        absent.names = {"/robot"}
+        await site.restart_master()
+        await until(lambda: viewer._topics._named._missing)
+        [link] = sight.links
+        await viewer._session.call("rossec.updateRevocations", site.revoke(right))
+        await until(lambda: link not in sight.links)
+        assert viewer._topics._named.to_follow(TOPIC) == [robot.uri]

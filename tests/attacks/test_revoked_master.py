@@ -1,0 +1,132 @@
+"""Whoever was the master, or makes one below an intermediate of his, and is known to be revoked.
+
+His certificate still verifies, and connections are redirected to him. He says that the list held is
+the newest, so that no other one is missed, or that it is earlier than it is.
+"""
+
+import secrets
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any, Final
+
+import pytest
+
+from ca.authority import Authority
+from ca.certificates import from_pem
+from ca.errors import RevocationsStale
+from ca.intermediates import build_intermediate_request
+from ca.keys import generate
+from ca.revocation import Timestamp, digest, sign_timestamp
+from ca.signer import KeySigner
+from rossec import clock
+from rossec.home import NodeHome
+from rossec.net.rpc import serve_calls
+from rossec.net.stream import Flavour, SecureStream, serve
+from rossec.node import Node, session
+from rossec.node.slave import MASTER
+from rossec.succession import sign_intermediate
+from rossec.unlocked import OpenAuthority
+from tests.attacks.test_clock import HOUR, Hand, bereft, hand
+from tests.attacks.test_intermediates import bring
+from tests.support.site import DAY, Site
+from tests.support.witness import until
+
+__all__ = ["hand"]
+
+STOPS: Final = 30 + 5  # seconds after which a confirmation does not count any more
+
+
+@pytest.fixture
+def below(site: Site, tmp_path: Path) -> NodeHome:
+    """A master of somebody who has an intermediate."""
+    signer = KeySigner(generate())
+    request = build_intermediate_request(signer, site.anchor.domain)
+    _, bundle = sign_intermediate(site.authority, request, site.now(), may_enroll=True)
+    der, root = from_pem(bundle)
+    host = OpenAuthority(Authority(signer, root, der), site.authority.store, site.root)
+    home = NodeHome.of(tmp_path / "elsewhere", MASTER)
+    home.create_request(site.anchor.domain)
+    leaf = host.authority.issue(
+        home.request(), now=site.now(), serial=secrets.randbits(127), lifetime=DAY
+    )
+    home.install(host.bundle(leaf), site.now())
+    return home
+
+
+class Told:
+    """What the node was told, how often."""
+
+    times = 0
+
+
+@asynccontextmanager
+async def instead_of_the_master(
+    site: Site, home: NodeHome, news: Callable[[], list[bytes]]
+) -> AsyncIterator[Told]:
+    """The real one is out of reach, and this one answers at its address."""
+    port = (await bereft(site)).port
+    told = Told()
+
+    def answer(method: str, params: tuple[object, ...], _: object) -> list[object]:
+        if method != "rossec.revocationsSince":
+            return [0, "no", 0]
+        told.times += 1
+        return [1, "", news()]
+
+    async def handle(stream: SecureStream[Any]) -> None:
+        await serve_calls(stream, answer)
+
+    server = serve(
+        handle, "127.0.0.1", port, home.credentials(), site.anchor.verify, accept={Flavour.HTTP}
+    )
+    try:
+        yield told
+    finally:
+        await server.close()
+
+
+def stamped(home: NodeHome, node: Node, issued: int) -> bytes:
+    held = node.revocations.held
+    assert held is not None
+    word = Timestamp(held.seq, digest(node.revocations.data), issued, 30)
+    return sign_timestamp(home.credentials().signer, word)
+
+
+@pytest.mark.attack("revoked-master")
+async def test_a_master_below_a_revoked_intermediate_confirms_nothing(
+    site: Site, below: NodeHome, hand: Hand
+) -> None:
+    [intermediate] = below.identity(site.now()).issuers
+    site.enroll("/robot")
+    async with site.node("/robot") as robot:
+        data = site.revoke(intermediate)
+        await bring(site, data)
+        await until(lambda: robot.revocations.data == data)
+        async with instead_of_the_master(
+            site, below, lambda: [b"", stamped(below, robot, clock.now())]
+        ) as told:
+            hand.passed = STOPS
+            await until(lambda: told.times >= 2)
+            with pytest.raises(RevocationsStale):
+                robot.revocations.check_fresh(clock.now())
+
+
+@pytest.mark.attack("revoked-master")
+async def test_a_revoked_master_does_not_say_what_time_it_is(
+    site: Site, below: NodeHome, hand: Hand, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With a list that is refused for another reason, and a hand at the host's clock."""
+    monkeypatch.setattr(session, "HEARTBEAT", 0.2)
+    site.enroll("/robot")
+    async with site.node("/robot") as robot:
+        data = site.revoke(below.identity(site.now()).thumbprint)
+        await bring(site, data)
+        await until(lambda: robot.revocations.data == data)
+        before = clock.now()
+        async with instead_of_the_master(
+            site, below, lambda: [b"no list", stamped(below, robot, before - HOUR)]
+        ) as told:
+            hand.set = -HOUR
+            await until(lambda: told.times >= 2)
+            assert clock.now() >= before

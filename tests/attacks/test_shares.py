@@ -1,0 +1,75 @@
+"""Whoever uses up what is there for all: nobody else is silenced or left without room."""
+
+import logging
+from pathlib import Path
+
+import pytest
+
+from grants.model import Right
+from rossec.master.complaints import MAX_LINES, ComplainLog
+from rossec.master.limits import Limits
+from rossec.master.throttle import DENIALS, Throttle
+from tests.support.attacker import EVE
+from tests.support.caller import Caller, caller
+from tests.support.site import Site
+
+ROBOT = "/robot"
+
+
+async def flood(eve: Caller, names: int) -> None:
+    """Ask for what it may not have, under as many names."""
+    for first in range(0, names, 2000):
+        wanted = range(first, min(names, first + 2000))
+        params = ([eve.name, f"/wanted/p{number}"] for number in wanted)
+        calls = [{"methodName": "getParam", "params": each} for each in params]
+        await eve.client.call("system.multicall", calls)
+
+
+@pytest.mark.attack("log-share")
+async def test_one_node_does_not_fill_the_log_of_what_is_missing(tmp_path: Path) -> None:
+    """Of which a policy is learnt: who fills it decides what is learnt of the others."""
+    site = Site(tmp_path / "site")
+    log = ComplainLog(tmp_path / "complaints")
+    site.complain = log
+    async with site.running(), caller(site, EVE) as eve, caller(site, ROBOT) as robot:
+        await flood(eve, MAX_LINES + 2000)
+        assert (await robot("getParam", "/robot/speed"))[0] == -1
+    log.close()
+    lines = (tmp_path / "complaints").read_text().splitlines()
+    assert [line for line in lines if "/robot/speed" in line]
+    assert len(lines) < MAX_LINES + 2000
+
+
+@pytest.mark.attack("log-share")
+async def test_some_nodes_together_do_not_silence_the_audit_of_others(
+    site: Site, caplog: pytest.LogCaptureFixture
+) -> None:
+    denials, throttle = logging.getLogger(DENIALS), Throttle(lambda: 0.0)
+    denials.addFilter(throttle)
+    try:
+        for number in range(7):
+            async with caller(site, f"/eve{number}") as eve:
+                await flood(eve, 300)
+        async with caller(site, ROBOT) as robot:
+            assert (await robot("getParam", "/robot/speed"))[0] == -1
+    finally:
+        denials.removeFilter(throttle)
+    assert "/robot needs the right param-get on /robot/speed" in caplog.text
+    assert len(caplog.records) < 2000
+
+
+@pytest.mark.attack("parameter-share")
+async def test_one_node_does_not_fill_the_parameters_of_all(tmp_path: Path) -> None:
+    site = Site(tmp_path / "site")
+    site.limits = Limits(parameters=256 * 1024)
+    async with (
+        site.running(),
+        caller(site, EVE, {"/eve/**": Right.PARAM_SET}) as eve,
+        caller(site, ROBOT, {"/robot/**": Right.PARAM_SET}) as robot,
+    ):
+        for size in (100_000, 10_000, 1000, 100, 10):
+            for number in range(20):
+                await eve("setParam", f"/eve/p{size}/n{number}", "x" * size)
+        code, status, _ = await eve("setParam", "/eve/more", "x" * 1000)
+        assert (code, "/eve has set would take more than" in status) == (-1, True)
+        assert (await robot("setParam", "/robot/speed", "x" * 100_000))[0] == 1

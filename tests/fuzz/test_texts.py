@@ -1,0 +1,84 @@
+"""Texts that are whole and wrong: XML-RPC's elements in every place, policies with every type."""
+
+import json
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, Final
+
+import pytest
+from ruamel.yaml import YAML
+
+from ca.errors import HintedError
+from rossec.policyfile import parse_policy
+from rossec.ros import xmlrpc
+from tests.fuzz.mutants import mutants
+
+POLICIES: Final = sorted((Path(__file__).parents[2] / "examples" / "policies").glob("*.yaml"))
+ELEMENTS: Final = (
+    "<int>abc</int>", "<int></int>", "<i4>99999999999999999999</i4>", f"<int>{'9' * 5000}</int>",
+    "<double>nan</double>", "<double>1e999</double>", "<double>x</double>", "<boolean>2</boolean>",
+    "<base64>!!!</base64>", "<base64>A</base64>", "<dateTime.iso8601>x</dateTime.iso8601>",
+    "<dateTime.iso8601>20260101T00:00:00</dateTime.iso8601>", "<nil/>", "<ex:nil/>", "<i8>5</i8>",
+    "<bigdecimal>1</bigdecimal>", "<bigdecimal>x</bigdecimal>", "<bigdecimal>NaN</bigdecimal>",
+    "<struct></struct>", "<struct><member></member></struct>",
+    "<struct><member><name>a</name></member></struct>",
+    "<struct><member><value>b</value><name>a</name></member></struct>",
+    "<struct><member><value><int>1</int></value><value>b</value></member></struct>",
+    "<struct><member><value><array><data/></array></value><value>b</value></member></struct>",
+    "<array></array>", "<array><value>1</value></array>", "<string>x</string><int>1</int>",
+    "<string>&#0;</string>", "<string>&#xD800;</string>", "<string>&lol;</string>", "plain", "",
+    "<value>x</value>", "<params></params>", "<methodName>x</methodName>",
+    "<fault><value>1</value></fault>", "<array><data>" * 70 + "</data></array>" * 70,
+    "<!-- x --><int>1</int>", "<![CDATA[x]]>", "<?x y?>", "<int>1</string>",
+)  # fmt: skip
+_CALL: Final = "<methodCall><methodName>m</methodName><params>{}</params></methodCall>"
+CALLS: Final = (
+    _CALL, _CALL.format("<param><value>{}</value></param>"), "<methodCall>{}</methodCall>",
+    "<methodCall><methodName>{}</methodName><params></params></methodCall>",
+    _CALL.format("<param><value><array><data><value>{}</value></data></array></value></param>"),
+)  # fmt: skip
+_FAULT: Final = "<member><name>{}</name><value>{{0}}</value></member>"
+ANSWERS: Final = (
+    "<methodResponse>{}</methodResponse>",
+    "<methodResponse><params><param><value>{}</value></param></params></methodResponse>",
+    "<methodResponse><fault><value>{}</value></fault></methodResponse>",
+    "<methodResponse><fault><value><struct>"
+    + _FAULT.format("faultCode")
+    + _FAULT.format("faultString")
+    + "</struct></value></fault></methodResponse>",
+)
+
+
+@pytest.mark.parametrize(
+    ("templates", "load"), [(CALLS, xmlrpc.load_call), (ANSWERS, xmlrpc.load_response)]
+)
+def test_every_element_of_xml_rpc_in_every_place(
+    templates: tuple[str, ...], load: Callable[[bytes], object]
+) -> None:
+    for template in templates:
+        for element in ELEMENTS:
+            with suppress(HintedError, xmlrpc.Fault):
+                load(template.format(element).encode())
+
+
+def texts(value: Any) -> Iterator[str]:
+    """Changed structures that a text can hold; JSON is YAML."""
+    for changed in mutants(value):
+        with suppress(TypeError):  # bytes, and what is raw
+            yield json.dumps(changed)
+
+
+@pytest.mark.timeout(300)
+@pytest.mark.parametrize("path", POLICIES, ids=lambda path: str(path.stem))
+def test_every_type_in_every_place_of_a_policy(path: Path) -> None:
+    policy = YAML(typ="safe").load(path.read_text())
+    parse_policy(json.dumps(policy), "policy.yaml")
+    every = 11 if len(json.dumps(policy)) < 1000 else 101  # by samples: each takes milliseconds
+    for number, text in enumerate(texts(policy)):
+        if number % every == 0:
+            try:
+                with suppress(HintedError):
+                    parse_policy(text, "policy.yaml")
+            except Exception as error:
+                raise AssertionError(text[:400]) from error

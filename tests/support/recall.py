@@ -1,0 +1,14 @@
+"""Memories of limited rights that begin with the test."""
+
+from types import SimpleNamespace
+from typing import Any, Final
+
+from grants.memory import Memories, Recall
+
+HOLDER: Final[Any] = SimpleNamespace(holder=bytes(32))
+"""What a decision's memory is found by, in place of a grant."""
+
+
+def fresh(clock: int = 0) -> Recall:
+    """A node that remembers nothing yet."""
+    return Recall(Memories(lambda: clock), ("/node",))

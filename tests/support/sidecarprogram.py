@@ -1,0 +1,19 @@
+"""How a plain program behind a sidecar comes to a publisher's messages."""
+
+from rossec.channel.opening import Flavour
+from rossec.node.fields import Fields
+from rossec.sidecar.addresses import endpoint
+from rossec.sidecar.plain import PlainStream
+from tests.rossec.sidecar.program import Program
+
+
+async def subscribed(program: Program, topic: str, fields: Fields) -> tuple[PlainStream, Fields]:
+    """Register, ask the publisher and connect, with these fields in the connection header."""
+    kind = fields["type"].decode()
+    uris = await program.register("registerSubscriber", topic, kind)
+    assert isinstance(uris, list)
+    answer = await program.ask(uris[0], "requestTopic", topic, [["TCPROS"]])
+    assert isinstance(answer, list)
+    place = endpoint(f"rosrpc://{answer[2][1]}:{answer[2][2]}", Flavour.TCPROS)
+    assert place is not None
+    return await program.meet(place, {"topic": topic.encode(), **fields})
