@@ -5,10 +5,11 @@ SHELL := /bin/bash
 BIN := .venv/bin
 READY := .venv/.ready
 
-.PHONY: help demo test check static cover bench ros format clean
+.PHONY: help demo test attacks check static cover bench ros format clean
 help:
 	@echo "make demo    the main job, end to end, in under 30 s (no ROS needed)"
 	@echo "make test    the whole suite and its coverage gates (installs Debian's ROS packages when it can)"
+	@echo "make attacks the attacks of docs/threat-model.md alone"
 	@echo "make static  formatting, lint, types, import contracts, wheel contents"
 	@echo "make cover   the unit tests with their coverage gates"
 	@echo "make check   make static and make cover"
@@ -28,6 +29,10 @@ demo: $(READY)
 # Unit tests alone must cover the packages; integration tests only add confidence, a worker a file.
 test: cover
 	$(BIN)/python -m pytest -q -n 2 --dist loadfile $(ARGS) --ignore tests/ca --ignore tests/grants --ignore tests/rossec
+
+attacks: ros
+	@tools/venv.sh
+	$(BIN)/python -m pytest -q -n 2 --dist loadfile $(ARGS) tests/attacks
 
 cover: ros
 	@tools/venv.sh
