@@ -18,12 +18,12 @@ from ca.encoding import encode
 from grants.document import grant_id
 from grants.model import Right
 from rossec.errors import ChannelError
-from rossec.net.rpc import RpcClient, serve_calls
-from rossec.net.stream import Flavour, SecureStream, connect, serve
+from rossec.net.aio import Flavour, SecureStream, connect, serve
+from rossec.net.rpc.client import RpcClient, serve_calls
 from rossec.node import Node
-from rossec.node.access import FIELD
-from rossec.node.messages import message_type
-from rossec.node.topics import Endpoint
+from rossec.participant.access import FIELD
+from rossec.participant.message_types import message_type
+from rossec.participant.topic_handshake import Endpoint
 from rossec.ros import header
 from tests.support.site import Site
 

@@ -13,7 +13,7 @@ from collections.abc import Iterable, Sequence
 
 from ca.certificates import Identity
 from rossec.channel.connection import Connection
-from rossec.channel.credentials import Credentials, Verify
+from rossec.channel.edhoc.credentials import Credentials, Verify
 from rossec.channel.opening import Flavour
 from rossec.channel.records import HEADER, Frame
 from rossec.channel.states import Authenticated, UnitReceived

@@ -13,12 +13,12 @@ from typing import NamedTuple
 
 from ca.authority import Authority
 from ca.certificates import Identity, build_request
-from ca.keys import generate
-from ca.signer import KeySigner
+from ca.keys.key_files import generate
+from ca.keys.signer import KeySigner
 from grants import document
 from grants.model import Draft, Permission, Right
-from rossec.channel.credentials import Credentials
-from rossec.node.slave import MASTER
+from rossec.channel.edhoc.credentials import Credentials
+from rossec.participant.slave_api import MASTER
 from tests.support.site import DAY, Site
 
 OWN = Right.PUBLISH | Right.SUBSCRIBE | Right.PROVIDE | Right.PARAM_GET | Right.PARAM_SET

@@ -11,8 +11,8 @@ from bench._lines import Line, request
 from bench._masters import Member
 from ca.certificates import Identity, TrustAnchor
 from rossec.errors import RossecError
-from rossec.net.rpc import RpcClient, serve_calls
-from rossec.net.stream import Flavour, SecureStream, connect, serve
+from rossec.net.aio import Flavour, SecureStream, connect, serve
+from rossec.net.rpc.client import RpcClient, serve_calls
 
 TYPE = "std_msgs/String"
 _ATTEMPTS = 10

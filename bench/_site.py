@@ -10,8 +10,8 @@ from cryptography.hazmat.primitives.asymmetric import ec
 
 from ca.authority import Authority, create_root
 from ca.certificates import TrustAnchor, build_request, from_pem, to_pem
-from ca.signer import KeySigner
-from rossec.channel.credentials import Credentials
+from ca.keys.signer import KeySigner
+from rossec.channel.edhoc.credentials import Credentials
 
 _DAY = 86400
 

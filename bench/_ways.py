@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Any, Final
 from xmlrpc.server import SimpleXMLRPCServer
 
-from rossec.node.questions import MASTER
-from rossec.sidecar.loopback import free_port
+from rossec.participant.slave_rights import MASTER
+from rossec.sidecar.loopback_port import free_port
 from tests.support.roscpp import compiled
 from tests.support.site import Site
 

@@ -24,10 +24,10 @@ from typing import Any, TypeAlias
 from bench import _site
 from ca.certificates import Identity
 from rossec.channel.connection import Connection
-from rossec.channel.known import KnownCertificates
-from rossec.channel.suites import HYBRID, POST_QUANTUM
+from rossec.channel.edhoc.known import KnownCertificates
+from rossec.channel.edhoc.suites import HYBRID, POST_QUANTUM
 from rossec.errors import ChannelError
-from rossec.net.stream import SecureStream, connect, serve
+from rossec.net.aio import SecureStream, connect, serve
 
 SIZES = (64, 1024, 16 * 1024, 256 * 1024, 1024 * 1024, 6 * 1024 * 1024)
 VOLUME = {64: 256 * 1024, 1024: 2 << 20}  # bytes per slice; the others below

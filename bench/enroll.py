@@ -12,15 +12,15 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from ca import merkle
 from ca.authority import Authority, create_root
 from ca.certificates import build_request
-from ca.keys import generate
-from ca.log import digest_of
-from ca.merkle import Tree
-from ca.signer import KeySigner
-from ca.store import Store
-from rossec.unlocked import OpenAuthority
+from ca.keys.key_files import generate
+from ca.keys.signer import KeySigner
+from ca.revocation import merkle
+from ca.revocation.merkle import Tree
+from ca.store.log_entries import digest_of
+from ca.store.record import Store
+from rossec.authority.signing import OpenAuthority
 
 NOW = 1_800_000_000
 SIZES = (100, 10_000)

@@ -18,11 +18,11 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.asymmetric.utils import encode_dss_signature
 
 from bench import policy
-from ca.signer import KeySigner
-from grants.conditions import compile_condition
+from ca.keys.signer import KeySigner
+from grants.conditions.compile import compile_condition
 from grants.document import open_grant, sign
-from grants.filters import compile_filter
-from grants.layout import Layout, parse
+from grants.filters.compile import compile_filter
+from grants.filters.layout import Layout, parse
 from grants.model import Draft, Permission, Restriction, Right, filter_rules
 
 NOW = 1_800_000_000

@@ -25,7 +25,7 @@ from typing import TypeAlias
 from bench import _site
 from ca.certificates import Identity
 from rossec.errors import ChannelError
-from rossec.net.stream import SecureStream, connect, serve
+from rossec.net.aio import SecureStream, connect, serve
 
 COUNT = 10_000
 WAVES = 10

@@ -28,7 +28,7 @@ from bench._latency import (
 )
 from bench._lines import Line, SecureLine, drive, request
 from bench._masters import Master, Member, enroll, ours, stock
-from rossec.master.server import TIMESTAMP_EVERY
+from rossec.master.server.server import TIMESTAMP_EVERY
 from rossec.ros import xmlrpc
 from tests.support.site import Site
 

@@ -18,13 +18,13 @@ from cryptography.x509.oid import NameOID
 from ca.certificates import Identity, TrustAnchor
 from ca.errors import IssueRefused
 from ca.intermediates import Intermediate, check_intermediate_request, policy
+from ca.keys.publickey import require_p256, thumbprint
+from ca.keys.signer import Signer
+from ca.keys.x509signer import X509Signer
 from ca.names import check_domain, check_wildcard, spiffe_id
-from ca.publickey import require_p256, thumbprint
 from ca.renewal import BACKDATE, Renewal
 from ca.requests import check_request
-from ca.signer import Signer
 from ca.svid import SCHEME, WILDCARD, WILDCARD_VALUE
-from ca.x509signer import X509Signer
 
 DAY: Final = 86_400
 LIFETIME: Final = 30 * DAY

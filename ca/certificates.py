@@ -25,8 +25,8 @@ from ca.errors import (
     NameRefused,
 )
 from ca.intermediates import Intermediate, read_intermediate
+from ca.keys.publickey import thumbprint
 from ca.names import check_wildcard, covers, parse_spiffe_id
-from ca.publickey import thumbprint
 from ca.requests import MAX_REQUEST, Request, build_request, check_request
 from ca.svid import MAX_CERTIFICATE
 

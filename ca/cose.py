@@ -17,7 +17,7 @@ from cryptography.hazmat.primitives.asymmetric.utils import encode_dss_signature
 
 from ca.encoding import MAX_SIZE, Value, decode, encode, head
 from ca.errors import EncodingError, SignatureError
-from ca.signer import Signer
+from ca.keys.signer import Signer
 
 _SIGN1_TAG: Final = b"\xd2"  # tag 18, RFC 9052 section 2
 _ALG, _CRIT, _TYP = 1, 2, 16  # RFC 9052 section 3.1; typ: RFC 9596

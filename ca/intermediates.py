@@ -18,12 +18,12 @@ from cryptography.hazmat.primitives.serialization import Encoding
 
 from ca import svid
 from ca.errors import CertificateRefused, RequestRefused
+from ca.keys.publickey import thumbprint
+from ca.keys.signer import Signer
+from ca.keys.x509signer import X509Signer
 from ca.names import check_domain
-from ca.publickey import thumbprint
 from ca.requests import MAX_REQUEST, asked_for, proven_key
-from ca.signer import Signer
 from ca.svid import PARSE_ERRORS, SCHEME, ends_with_whole_octets
-from ca.x509signer import X509Signer
 
 # Private policies, from UUIDs (ITU-T X.667).
 MAY_RENEW: Final = x509.ObjectIdentifier("2.25.283421307419275216482910536471209357741")

@@ -18,8 +18,8 @@ from ca.certificates import Identity, TrustAnchor
 from ca.cose import Profile
 from ca.encoding import Value
 from ca.errors import EncodingError, RenewalRefused, SignatureError
+from ca.keys.signer import Signer
 from ca.requests import MAX_REQUEST, Request, check_request
-from ca.signer import Signer
 from ca.svid import MAX_CERTIFICATE
 
 PROFILE: Final = Profile("rossec-renewal+cwt")

@@ -17,11 +17,11 @@ from cryptography.hazmat.primitives.serialization import Encoding
 from cryptography.x509.oid import ExtensionOID, SignatureAlgorithmOID
 
 from ca.errors import KeyRefused, NameRefused, RequestRefused
+from ca.keys.publickey import require_p256, thumbprint
+from ca.keys.signer import Signer
+from ca.keys.x509signer import X509Signer
 from ca.names import check_wildcard, parse_spiffe_id, spiffe_id
-from ca.publickey import require_p256, thumbprint
-from ca.signer import Signer
 from ca.svid import PARSE_ERRORS, WILDCARD, WILDCARD_VALUE, ends_with_whole_octets
-from ca.x509signer import X509Signer
 
 MAX_REQUEST: Final = 2048  # a request for the longest name has about 800 bytes
 _EXTENSION_REQUEST: Final = x509.ObjectIdentifier("1.2.840.113549.1.9.14")

@@ -15,8 +15,8 @@ from cryptography.utils import CryptographyDeprecationWarning
 from cryptography.x509.oid import ExtensionOID, SignatureAlgorithmOID
 
 from ca.errors import CertificateRefused, KeyRefused, NameRefused
+from ca.keys.publickey import require_p256
 from ca.names import check_domain
-from ca.publickey import require_p256
 
 SCHEME: Final = "spiffe://"
 MAX_CERTIFICATE: Final = 2048  # a leaf with the longest name has about 900 bytes

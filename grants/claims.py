@@ -215,7 +215,7 @@ def _restriction(value: Value) -> Restriction:
     rules = filter_rules(filters)
     if rules:
         # The operators carry numpy, which a process that never meets a filter need not.
-        from grants.operators import treatment  # noqa: PLC0415 - loaded for grants with filters only
+        from grants.filters.operators import treatment  # noqa: PLC0415 - loaded for grants with filters only
 
         for rule in rules:
             treatment(rule)

@@ -11,8 +11,8 @@ from cryptography.hazmat.primitives.asymmetric import ec
 
 from ca.cose import Profile
 from ca.errors import EncodingError, SignatureError
-from ca.publickey import thumbprint
-from ca.signer import Signer
+from ca.keys.publickey import thumbprint
+from ca.keys.signer import Signer
 from grants import claims
 from grants.errors import GrantForged, GrantMalformed
 from grants.model import Draft, Grant
@@ -30,7 +30,7 @@ def sign(signer: Signer, draft: Draft) -> bytes:
         GrantMalformed: too large, or a condition or filter outside the language.
         ConditionRefused: a condition that is not in the language.
     """
-    from grants.conditions import check_syntax  # noqa: PLC0415 - those who only read grants spare it
+    from grants.conditions.compile import check_syntax  # noqa: PLC0415 - those who only read grants spare it
 
     issuer = thumbprint(signer.public_key)
     for permission in draft.permissions:

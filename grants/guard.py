@@ -9,13 +9,13 @@ from collections.abc import Callable, Hashable, Iterable
 from functools import partial
 from typing import Final, TypeAlias
 
-from grants.codegen import Buffer
-from grants.conditions import Condition, compile_condition
+from grants.conditions.compile import Condition, compile_condition
 from grants.decision import Decision
 from grants.errors import GrantError, GrantExpired, MessageRefused, RestrictionMismatch
-from grants.filters import Filter, compile_filter
-from grants.hashing import Keys, key_names
-from grants.layout import Layout
+from grants.filters.codegen import Buffer
+from grants.filters.compile import Filter, compile_filter
+from grants.filters.hashing import Keys, key_names
+from grants.filters.layout import Layout
 from grants.memory import Bucket, Cell, CellName, Memory
 from grants.model import FilterRule, Restriction
 from grants.validity import moment

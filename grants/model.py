@@ -58,7 +58,7 @@ class FilterRule:
 
     Args:
         path: field names joined by dots; `[*]` after an array of messages enters its elements.
-        operator: a name in `grants.operators`, for example `round`.
+        operator: a name in `grants.filters.operators`, for example `round`.
         parameters: the operator's parameters by name, sorted.
     """
 
@@ -124,7 +124,7 @@ class Restriction:
     Args:
         type: the message type it is written for; None when no condition looks into the message
             and nothing is filtered. On any other type the right does not hold at all.
-        conditions: texts in `grants.conditions`; all of them must hold.
+        conditions: texts in `grants.conditions.compile`; all of them must hold.
         filters: what is done to the fields of each message.
         rate: at most so many messages a second, on average.
         keep_when_stale: a connection that stands may outlive news of revocations (`links`).

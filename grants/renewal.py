@@ -16,8 +16,8 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from ca.cose import Profile
 from ca.encoding import Value, decode
 from ca.errors import EncodingError, HintedError, SignatureError
-from ca.publickey import thumbprint
-from ca.signer import Signer
+from ca.keys.publickey import thumbprint
+from ca.keys.signer import Signer
 from grants.claims import issuer_uri, read_issuer
 from grants.errors import (
     GrantMalformed,

@@ -15,12 +15,11 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from ca.cose import Profile
 from ca.encoding import Value, decode, encode
 from ca.errors import EncodingError, NameRefused, SignatureError
+from ca.keys.signer import Signer
 from ca.names import check_name
-from ca.signer import Signer
 from grants.errors import GrantForged, GrantMalformed, PatternRefused
 from grants.model import ALL_RIGHTS, Right
 from grants.names import check_pattern
-from grants.policy.drafts import Wish
 
 REQUEST: Final = Profile("rossec-request+cwt")
 MAX_WISHES: Final = 64
@@ -31,6 +30,17 @@ FRESH: Final = 7 * 86400  # files are carried by people
 _SUB, _AUD, _IAT, _CTI, _SCOPE, _WHY = 2, 3, 6, 7, 9, -65538
 _CLAIMS: Final = {_SUB, _AUD, _IAT, _CTI, _SCOPE, _WHY}
 _ID_DOMAIN: Final = b"rossec-request-id\0"
+
+
+@dataclass(frozen=True, order=True)
+class Wish:
+    """One thing a node asks for: one right on a name or pattern."""
+
+    right: Right
+    pattern: str
+
+    def __str__(self) -> str:
+        return f"{self.right.label} {self.pattern}"
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from pathlib import Path as _Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from rossec.inprocess.ask import ask as ask
+    from rossec.inprocess.request import ask as ask
     from rossec.inprocess.secure import secure as secure
 
 
@@ -35,7 +35,7 @@ def _check_siblings() -> None:
 
 _check_siblings()
 
-_PUBLIC = {"ask": "rossec.inprocess.ask", "secure": "rossec.inprocess.secure"}
+_PUBLIC = {"ask": "rossec.inprocess.request", "secure": "rossec.inprocess.secure"}
 
 
 def __getattr__(name: str) -> object:

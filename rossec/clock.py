@@ -8,8 +8,9 @@ the machine is suspended. They count `DRIFT` slower, since counters and clocks a
 (adjtimex(2) corrects 500 ppm at most): a small step back is made good by itself.
 
 A clock that went back by more than `SKEW` is a *setback*: it is counted, and whoever relies on news
-relies on them no longer until they are confirmed (`rossec.node.watch`). If the clock was wrong
-before, and not now, then another clock says so: `heard` takes the host's word again.
+relies on them no longer until they are confirmed (`rossec.participant.revocation_watch`). If the
+clock was wrong before, and not now, then another clock says so: `heard` takes the host's word
+again.
 """
 
 import time as _time
@@ -17,7 +18,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import Final
 
-from ca.revocation import SKEW
+from ca.revocation.state import SKEW
 
 DRIFT: Final = 500e-6
 

@@ -15,7 +15,7 @@ from functools import partial
 from pathlib import Path
 from typing import BinaryIO, Final, TextIO
 
-from ca import places
+from ca.keys import ownership
 from rossec.errors import ConfigurationError, NotWritten
 
 _DISK: Final = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS}
@@ -31,7 +31,7 @@ def make_private_directory(path: Path) -> None:
     if not path.parent.is_dir():  # mkdir(parents=True) would ignore the mode for those above
         make_private_directory(path.parent)
     path.mkdir(mode=0o700, exist_ok=True)
-    places.check_directory(path)
+    ownership.check_directory(path)
 
 
 def create(path: Path, data: bytes, mode: int = 0o600) -> None:
@@ -173,10 +173,10 @@ def read_own(path: Path, limit: int, missing: ConfigurationError, *, link: bool 
 
     Raises:
         ConfigurationError: as for `read`.
-        PlaceRefused: see `ca.places`.
+        PlaceRefused: see `ca.keys.ownership`.
     """
     try:
-        descriptor = places.open_own(path, link=link)
+        descriptor = ownership.open_own(path, link=link)
     except FileNotFoundError:
         raise missing from None
     with os.fdopen(descriptor, "rb") as file:
@@ -193,7 +193,7 @@ def append_own(path: Path) -> int:
     flags = os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK
     descriptor = os.open(path, flags, 0o600)
     try:
-        places.check_file(path, os.fstat(descriptor))
+        ownership.check_file(path, os.fstat(descriptor))
     except BaseException:
         os.close(descriptor)
         raise

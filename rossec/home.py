@@ -1,7 +1,7 @@
 """The directory of a node below ROSSEC_HOME: which file is what.
 
-A shell. Keys are written by `ca.keys`, everything else by `rossec.files`; what is read is checked
-by the module that knows the format. Errors say which command comes next.
+A shell. Keys are written by `ca.keys.key_files`, everything else by `rossec.files`; what is read is
+checked by the module that knows the format. Errors say which command comes next.
 """
 
 import re
@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Final, Self
 
-from ca import keys, places, svid
+from ca import svid
 from ca.certificates import (
     Identity,
     Request,
@@ -21,13 +21,14 @@ from ca.certificates import (
     to_pem,
 )
 from ca.errors import HintedError, PlaceRefused
+from ca.keys import key_files, ownership
+from ca.keys.signer import KeySigner
 from ca.names import check_name
-from ca.revocation import NO_FLOOR, open_statement
-from ca.revocationtree import MAX_LISTING
-from ca.signer import KeySigner
-from grants.hashing import FILTER_KEY_SIZE, check_key_name
+from ca.revocation.state import NO_FLOOR, open_statement
+from ca.revocation.tree import MAX_LISTING
+from grants.filters.hashing import FILTER_KEY_SIZE, check_key_name
 from rossec import files
-from rossec.channel.credentials import Credentials
+from rossec.channel.edhoc.credentials import Credentials
 from rossec.errors import ConfigurationError
 
 _SIZE_LIMIT: Final = 256 * 1024
@@ -60,7 +61,7 @@ def own_home(environ: Mapping[str, str]) -> Path:
         PlaceRefused: it belongs to somebody else, or others can write in it.
     """
     path = rossec_home(environ)
-    places.check_directory(path)
+    ownership.check_directory(path)
     return path
 
 
@@ -113,9 +114,9 @@ class NodeHome:
             KeyRefused: the node has a key already.
         """
         files.make_private_directory(self.path)
-        key = keys.generate()
+        key = key_files.generate()
         request = build_request(KeySigner(key), domain, self.name, wildcard=wildcard)
-        keys.write_private(self.path / "node.key", key)
+        key_files.write_private(self.path / "node.key", key)
         files.replace(self.request_path, request, 0o644)
         return check_request(request, domain, wildcard=wildcard)
 
@@ -139,7 +140,7 @@ class NodeHome:
         if not (self.path / "node.key").exists():
             self.create_request(domain, wildcard=wildcard)
         request = self.request()
-        own = keys.thumbprint(self.signer().public_key)
+        own = key_files.thumbprint(self.signer().public_key)
         if check_request(request, domain, wildcard=wildcard).thumbprint != own:
             raise ConfigurationError(
                 f"{self.request_path} is for another key than {self.name} has here",
@@ -149,7 +150,7 @@ class NodeHome:
 
     def signer(self) -> KeySigner:
         """This node's key."""
-        return KeySigner(keys.load_private(self.path / "node.key"))
+        return KeySigner(key_files.load_private(self.path / "node.key"))
 
     def request(self) -> bytes:
         """The request (DER)."""
@@ -192,7 +193,7 @@ class NodeHome:
                 f"{self.path} holds the identity of {identity.name}, not of {self.name}",
                 f"next: rossec node request {self.name}",
             )
-        if identity.thumbprint != keys.thumbprint(own.signer.public_key):
+        if identity.thumbprint != key_files.thumbprint(own.signer.public_key):
             raise ConfigurationError(
                 f"the key and the certificate in {self.path} do not belong together",
                 "bring back the key; without it move the directory away and enroll the node anew",
@@ -316,7 +317,7 @@ class NodeHome:
         return ConfigurationError(f"{self.name} has no {path.name} in {path.parent}", hint)
 
     def _check_is_ours(self, identity: Identity) -> None:
-        own = keys.thumbprint(self.signer().public_key)
+        own = key_files.thumbprint(self.signer().public_key)
         if identity.name != self.name or identity.thumbprint != own:
             raise ConfigurationError(
                 f"this identity is for {identity.name} with another key than {self.name} has here",

@@ -7,8 +7,8 @@ import signal
 import pytest
 from hypothesis import HealthCheck, settings
 
-from rossec.net import withheld
-from rossec.net.quiet import Quiet
+from rossec.log_limits import Quiet
+from rossec.net import withheld_log
 
 # A loaded machine is slow, not wrong: no example is judged by the time it takes.
 settings.register_profile("untimed", deadline=None, suppress_health_check=[HealthCheck.too_slow])
@@ -26,7 +26,7 @@ _ROS = all(
 @pytest.fixture(autouse=True)
 def _nothing_was_said(monkeypatch: pytest.MonkeyPatch) -> None:
     """What a process says once a minute, each test may hear."""
-    monkeypatch.setattr(withheld, "_QUIET", Quiet())
+    monkeypatch.setattr(withheld_log, "_QUIET", Quiet())
 
 
 def pytest_make_parametrize_id(val: object, argname: str) -> str | None:

@@ -23,6 +23,7 @@ from ca.enrollment.messages import (
     read,
     write,
 )
+from ca.enrollment.qr import Code
 from ca.errors import (
     AcknowledgementRefused,
     EnrollmentExpired,
@@ -32,7 +33,6 @@ from ca.errors import (
     RequestSwapped,
     RivalOffer,
 )
-from ca.qr import Code
 from ca.requests import Request, check_request
 
 _SAID: Final[dict[Reason, tuple[type[EnrollmentRefused], str, str]]] = {

@@ -11,9 +11,8 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Final
 
-from ca import qr
 from ca.certificates import TrustAnchor
-from ca.enrollment import NONCE_SIZE, WINDOW, transcript
+from ca.enrollment import NONCE_SIZE, WINDOW, qr, transcript
 from ca.enrollment.messages import (
     Acknowledgement,
     Delivery,
@@ -35,8 +34,8 @@ from ca.errors import (
     OfferRefused,
     RivalOffer,
 )
+from ca.keys.signer import Signer
 from ca.requests import check_request
-from ca.signer import Signer
 
 MAX_BAD_TAGS: Final = 5
 MAX_BAD_DIGITS: Final = 3

@@ -18,7 +18,7 @@ from ca.cose import Profile
 from ca.encoding import encode
 from ca.enrollment import NONCE_SIZE
 from ca.errors import AcknowledgementRefused, EncodingError, SignatureError
-from ca.signer import Signer
+from ca.keys.signer import Signer
 
 _CONTEXT: Final = "rossec-enroll-v1"
 _OFFER: Final = "rossec-enroll-offer-v1"

@@ -11,17 +11,7 @@ from grants.errors import PolicyRefused
 from grants.model import Draft, Permission, Restriction, Right
 from grants.policy.decision import Decider, Verdict
 from grants.policy.model import Clause, Effect, Subject
-
-
-@dataclass(frozen=True, order=True)
-class Wish:
-    """One thing a node asks for: one right on a name or pattern."""
-
-    right: Right
-    pattern: str
-
-    def __str__(self) -> str:
-        return f"{self.right.label} {self.pattern}"
+from grants.request import Wish
 
 
 @dataclass(frozen=True)

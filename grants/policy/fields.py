@@ -1,22 +1,22 @@
 """Field filters and conditions in a policy: how they are written, and whether they fit a type.
 
 Written shorter than in a grant: `{round: 2.0}` for `{round: {step: 2.0}}`. Whether an operator
-exists is asked of `grants.operators`, so a policy knows exactly what its grants will know.
+exists is asked of `grants.filters.operators`, so a policy knows exactly what its grants will know.
 """
 
 import re
 from dataclasses import dataclass
 from typing import Final
 
-from grants.conditions import check_syntax, compile_condition
+from grants.conditions.compile import check_syntax, compile_condition
 from grants.errors import ConditionRefused, FilterRefused, GrantError
-from grants.filters import compile_filter
-from grants.layout import Array, Layout, Struct, Type
+from grants.filters.compile import compile_filter
+from grants.filters.layout import Array, Layout, Struct, Type
+from grants.filters.operators import OPERATORS, treatment
+from grants.filters.presets import preset
 from grants.model import FilterRule, Scalar
-from grants.operators import OPERATORS, treatment
 from grants.policy.mistakes import Mistakes, Place, nearest
 from grants.policy.source import Part, Row, Table, Word
-from grants.presets import preset
 
 _SHORT: Final = {
     "round": ("step",),

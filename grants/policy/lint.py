@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from typing import Final
 
 from grants.errors import GrantError
-from grants.layout import Layout
+from grants.filters.layout import Layout
+from grants.filters.operators import OPERATORS, treatment
 from grants.model import FilterRule, Right
-from grants.operators import OPERATORS, treatment
 from grants.policy.decision import Decider
 from grants.policy.model import Clause, Effect, Policy, Rule, Subject, Who
 from grants.policy.privacy import leaves, treats

@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass
 from html import escape
 from typing import Final
 
-from grants.layout import Array, Layout, Struct, Type
+from grants.filters.layout import Array, Layout, Struct, Type
 from grants.model import FilterRule, Restriction, Right
 from grants.policy.decision import Decider, span
 from grants.policy.model import Effect, Subject, Who

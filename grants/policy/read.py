@@ -8,8 +8,8 @@ from collections.abc import Callable, Collection
 from typing import Final
 
 from ca.errors import HintedError
-from grants.layout import Layout, parse
-from grants.policy import words
+from grants.filters.layout import Layout, parse
+from grants.policy import readers
 from grants.policy.fields import FieldRule, read_fields
 from grants.policy.mistakes import Mistake, Mistakes, nearest
 from grants.policy.model import (
@@ -77,7 +77,7 @@ class _Reader:
             place = source or Word("", 1, 1)
             self._mistakes.add(place, "a policy is a mapping", "begin with: rossec: 1")
             source = Table({}, 1, 1)
-        words.closed(source, "the policy", _TOP, ("rossec", "robot", "rules"), self._mistakes)
+        readers.closed(source, "the policy", _TOP, ("rossec", "robot", "rules"), self._mistakes)
         self._version(source.get("rossec"))
         defaults = self._defaults(source.get("defaults"))
         identities = self._identities(source.get("identities"))
@@ -85,7 +85,7 @@ class _Reader:
         filters = self._filters(source.get("filters"))
         reader = RuleReader(self._mistakes, defaults, identities, types, layouts, filters)
         rules = self._rules(source.get("rules"), reader)
-        robot = words.text(source.get("robot"), "robot", self._mistakes)
+        robot = readers.text(source.get("robot"), "robot", self._mistakes)
         plain = {name: tuple(item.rule for item in rules) for name, rules in filters.items()}
         return Policy(robot or "", defaults, identities, types, rules, self._mistakes.file, plain)
 
@@ -96,16 +96,18 @@ class _Reader:
             self._mistakes.add(part, "a policy of an unknown version", hint)
 
     def _defaults(self, part: Part | None) -> Defaults:
-        table = words.table(part, "defaults", self._mistakes)
+        table = readers.table(part, "defaults", self._mistakes)
         if table is None:
             return Defaults()
-        words.closed(table, "defaults", _DEFAULTS, (), self._mistakes)
-        said = words.choice(
+        readers.closed(table, "defaults", _DEFAULTS, (), self._mistakes)
+        said = readers.choice(
             table.get("decision"), "default decision", ("deny", "prompt"), self._mistakes
         )
-        lifetime = words.duration(table.get("lifetime"), "lifetime", self._mistakes)
-        renew = words.duration(table.get("renew_until"), "renew_until", self._mistakes, never=True)
-        timeout = words.duration(table.get("prompt_timeout"), "prompt_timeout", self._mistakes)
+        lifetime = readers.duration(table.get("lifetime"), "lifetime", self._mistakes)
+        renew = readers.duration(
+            table.get("renew_until"), "renew_until", self._mistakes, never=True
+        )
+        timeout = readers.duration(table.get("prompt_timeout"), "prompt_timeout", self._mistakes)
         return Defaults(
             Effect(said) if said is not None else Effect.DENY,
             LIFETIME if lifetime is None else lifetime,
@@ -115,7 +117,7 @@ class _Reader:
         )
 
     def _identities(self, part: Part | None) -> dict[str, Who]:
-        table = words.table(part, "identities", self._mistakes)
+        table = readers.table(part, "identities", self._mistakes)
         found: dict[str, Who] = {}
         for name, (key, value) in table.entries.items() if table is not None else ():
             who = self._identity(name, key, value)
@@ -126,12 +128,12 @@ class _Reader:
     def _identity(self, name: str, key: Word, part: Part) -> Who | None:
         if name == EVERYONE or name.startswith("/"):
             self._mistakes.add(key, f"{name[:60]!r} cannot be the name of an identity")
-        table = words.table(part, f"identity {name}", self._mistakes)
+        table = readers.table(part, f"identity {name}", self._mistakes)
         if table is None:
             return None
-        words.closed(table, f"identity {name}", ("node", "key"), (), self._mistakes)
-        node = words.pattern(table.get("node"), f"node of {name}", self._mistakes)
-        pinned = words.key(table.get("key"), self._mistakes)
+        readers.closed(table, f"identity {name}", ("node", "key"), (), self._mistakes)
+        node = readers.pattern(table.get("node"), f"node of {name}", self._mistakes)
+        pinned = readers.key(table.get("key"), self._mistakes)
         if table.get("node") is None and table.get("key") is None:
             self._mistakes.add(table, f"identity {name} is nobody", "add node: /name, or key: ...")
         return Who(name, node, pinned)
@@ -140,10 +142,10 @@ class _Reader:
         """Layouts by type name, and type names by topic pattern."""
         layouts: dict[str, Layout] = {}
         types: dict[str, str] = {}
-        table = words.table(part, "types", self._mistakes)
+        table = readers.table(part, "types", self._mistakes)
         for key, value in table.entries.values() if table is not None else ():
-            topic = words.pattern(key, "topic", self._mistakes)
-            name = words.text(value, f"the type of {key.value}", self._mistakes)
+            topic = readers.pattern(key, "topic", self._mistakes)
+            name = readers.text(value, f"the type of {key.value}", self._mistakes)
             if name is not None and topic is not None:
                 types[topic] = name
             if name is not None and name not in layouts:
@@ -159,16 +161,16 @@ class _Reader:
 
     def _filters(self, part: Part | None) -> dict[str, tuple[FieldRule, ...]]:
         found: dict[str, tuple[FieldRule, ...]] = {}
-        table = words.table(part, "filters", self._mistakes)
+        table = readers.table(part, "filters", self._mistakes)
         for name, (_, value) in table.entries.items() if table is not None else ():
-            fields = words.table(value, f"filter {name}", self._mistakes)
+            fields = readers.table(value, f"filter {name}", self._mistakes)
             found[name] = read_fields(fields, self._mistakes) if fields is not None else ()
         return found
 
     def _rules(self, part: Part | None, reader: RuleReader) -> tuple[Rule, ...]:
         seen: dict[str, int] = {}
         rules: list[Rule] = []
-        for item in words.words(part):
+        for item in readers.words(part):
             rule = reader.read(item)
             if rule is None:
                 continue

@@ -9,9 +9,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final
 
-from grants.layout import Layout
+from grants.filters.layout import Layout
+from grants.filters.presets import PRESETS, preset
 from grants.model import ALL_RIGHTS, MESSAGE_RIGHTS, FilterRule, Restriction, Right
-from grants.policy import words
+from grants.policy import readers
 from grants.policy.fields import (
     FieldRule,
     When,
@@ -24,7 +25,6 @@ from grants.policy.fields import (
 from grants.policy.mistakes import Mistakes, Place, nearest
 from grants.policy.model import EVERYONE, Clause, Defaults, Effect, Rule, Who, type_of
 from grants.policy.source import Part, Table
-from grants.presets import PRESETS, preset
 
 _ID: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,79}", re.ASCII)
 _EFFECTS: Final = tuple(effect.value for effect in Effect)
@@ -66,25 +66,27 @@ class RuleReader:
 
     def read(self, part: Part) -> Rule | None:
         """One rule, or None if not even its outline is right."""
-        table = words.table(part, "a rule", self._mistakes)
+        table = readers.table(part, "a rule", self._mistakes)
         if table is None:
             return None
-        name = words.text(table.get("id"), "id", self._mistakes) or "?"
+        name = readers.text(table.get("id"), "id", self._mistakes) or "?"
         if name != "?" and _ID.fullmatch(name) is None:
             self._mistakes.add(table, f"not an id: {name[:60]!r}", "letters, digits and dashes")
-        words.closed(table, f"rule {name}", _KEYS, ("id", "who"), self._mistakes)
+        readers.closed(table, f"rule {name}", _KEYS, ("id", "who"), self._mistakes)
         effect, rights = self._effect(table, name)
         if effect is None or rights is None:
             return None
-        lifetime = words.duration(table.get("lifetime"), "lifetime", self._mistakes)
-        renew = words.duration(table.get("renew_until"), "renew_until", self._mistakes, never=True)
-        stale = words.choice(table.get("on_stale"), "on_stale", _ON_STALE, self._mistakes)
+        lifetime = readers.duration(table.get("lifetime"), "lifetime", self._mistakes)
+        renew = readers.duration(
+            table.get("renew_until"), "renew_until", self._mistakes, never=True
+        )
+        stale = readers.choice(table.get("on_stale"), "on_stale", _ON_STALE, self._mistakes)
         return Rule(
             id=name,
             effect=effect,
             who=self._people(table.get("who")),
             spared=self._people(table.get("except")),
-            why=words.text(table.get("why"), "why", self._mistakes) or "",
+            why=readers.text(table.get("why"), "why", self._mistakes) or "",
             clauses=self._clauses(table, rights, name),
             lifetime=self._defaults.lifetime if lifetime is None else lifetime,
             renew_until=self._defaults.renew_until if renew is None else renew,
@@ -106,20 +108,20 @@ class RuleReader:
                 message = f"rule {name}: a denial has no {word!r}, it always holds"
                 self._mistakes.add(place, message, "take it out, or write an allow rule")
         rights = table.get(effect.value)
-        return effect, words.table(rights, f"{effect.value} of rule {name}", self._mistakes)
+        return effect, readers.table(rights, f"{effect.value} of rule {name}", self._mistakes)
 
     def _people(self, part: Part | None) -> tuple[Who, ...]:
-        people = (self._person(item) for item in words.words(part))
+        people = (self._person(item) for item in readers.words(part))
         return tuple(who for who in people if who is not None)
 
     def _person(self, part: Part) -> Who | None:
-        label = words.text(part, "who", self._mistakes)
+        label = readers.text(part, "who", self._mistakes)
         if label is None:
             return None
         if label == EVERYONE:
             return Who(label, "/**")
         if label.startswith("/"):
-            node = words.pattern(part, "who", self._mistakes)
+            node = readers.pattern(part, "who", self._mistakes)
             return Who(label, node) if node is not None else None
         if label not in self._identities:
             message = f"unknown identity {label[:60]!r}"
@@ -129,7 +131,7 @@ class RuleReader:
 
     def _clauses(self, table: Table, rights: Table, name: str) -> tuple[Clause, ...]:
         named = self._named(rights, name)
-        whens = [read_when(item, self._mistakes) for item in words.words(table.get("when"))]
+        whens = [read_when(item, self._mistakes) for item in readers.words(table.get("when"))]
         conditions = [when for when in whens if when is not None]
         topics = [pattern for right, pattern, _ in named if right is Right.SUBSCRIBE]
         filters = self._filters_of(table.get("filter"), topics, name)
@@ -156,11 +158,11 @@ class RuleReader:
                 message = f"unknown right {label[:60]!r} in rule {name}"
                 self._mistakes.add(key, message, nearest(label, RIGHTS))
                 continue
-            items = words.words(value)
+            items = readers.words(value)
             if not items:
                 self._mistakes.add(value, f"rule {name}: {label} of nothing", "add a name")
             for item in items:
-                pattern = words.pattern(item, label, self._mistakes)
+                pattern = readers.pattern(item, label, self._mistakes)
                 if pattern is not None:
                     found.append((RIGHTS[label], pattern, item))
         return found
@@ -223,7 +225,7 @@ class RuleReader:
 
     def _filters_of(self, part: Part | None, topics: list[str], name: str) -> dict[str, _Chosen]:
         """The filter of every topic: `{use: NAME}`, fields, or either of them by topic."""
-        table = words.table(part, f"filter of rule {name}", self._mistakes)
+        table = readers.table(part, f"filter of rule {name}", self._mistakes)
         if table is None:
             return {}
         if not topics or not table.entries:
@@ -238,7 +240,7 @@ class RuleReader:
                 message = f"rule {name} does not let subscribe {topic[:80]!r}"
                 self._mistakes.add(key, message, nearest(topic, topics))
                 continue
-            inner = words.table(value, f"filter of {topic}", self._mistakes)
+            inner = readers.table(value, f"filter of {topic}", self._mistakes)
             if inner is not None:
                 found[topic] = self._choice(key, inner)
         return found
@@ -247,18 +249,18 @@ class RuleReader:
         """Fields, or `{use: NAME}` of a filter of this policy or else of a preset."""
         if "use" not in table.entries:
             return _Chosen(place, read_fields(table, self._mistakes))
-        words.closed(table, "a filter with use", ("use",), (), self._mistakes)
+        readers.closed(table, "a filter with use", ("use",), (), self._mistakes)
         known = {**PRESETS, **self._filters}
-        name = words.choice(table.get("use"), "filter", known, self._mistakes)
+        name = readers.choice(table.get("use"), "filter", known, self._mistakes)
         if name is None or name in self._filters:
             return _Chosen(place, self._filters.get(name or "", ()))
         return _Chosen(place, preset=name)
 
     def _rate(self, part: Part | None, topics: list[str], name: str) -> float | None:
-        table = words.table(part, f"limit of rule {name}", self._mistakes)
+        table = readers.table(part, f"limit of rule {name}", self._mistakes)
         if table is None:
             return None
-        words.closed(table, f"limit of rule {name}", ("rate",), ("rate",), self._mistakes)
+        readers.closed(table, f"limit of rule {name}", ("rate",), ("rate",), self._mistakes)
         if not topics:
             self._mistakes.add(table, f"rule {name}: nothing to limit", "add a subscribe right")
-        return words.number(table.get("rate"), "rate", self._mistakes)
+        return readers.number(table.get("rate"), "rate", self._mistakes)

@@ -8,7 +8,7 @@ import json
 from pathlib import Path
 from typing import Any, Final
 
-from grants.operators import OPERATORS
+from grants.filters.operators import OPERATORS
 from grants.policy.rules import RIGHTS
 
 FILE: Final = Path(__file__).with_name("policy.schema.json")

@@ -1,6 +1,6 @@
 """From YAML text to a tree in which every part knows its line. YAML 1.2, and less than all of it.
 
-`grants.yamltext` bounds the text and refuses anchors, aliases, tags, directives and further
+`grants.yaml_text` bounds the text and refuses anchors, aliases, tags, directives and further
 documents; duplicate keys are refused here: in a policy the second of two equal keys would silently
 win. Words are texts unless they are plainly a number or true/false: `22:00`, `no` and `2026-11-20`
 stay what was written.
@@ -22,7 +22,7 @@ from ruamel.yaml.events import (
 from grants.errors import YamlRefused
 from grants.model import Scalar
 from grants.policy.mistakes import Mistakes
-from grants.yamltext import Bounds, events, place, quoted
+from grants.yaml_text import Bounds, events, place, quoted
 
 BOUNDS: Final = Bounds()  # 10,000 rules of 400 characters and 30 words
 MAX_SIZE: Final = BOUNDS.size

@@ -6,13 +6,13 @@ the verdict, so the answer is what would happen, not a description of it.
 
 from dataclasses import dataclass
 
-from grants.codegen import Buffer
-from grants.conditions import compile_condition
+from grants.conditions.compile import compile_condition
 from grants.decision import Decision
 from grants.errors import GrantError
+from grants.filters.codegen import Buffer
+from grants.filters.hashing import FILTER_KEY_SIZE, key_names
+from grants.filters.layout import Layout
 from grants.guard import Guard
-from grants.hashing import FILTER_KEY_SIZE, key_names
-from grants.layout import Layout
 from grants.policy.decision import Verdict
 from grants.policy.drafts import permissions
 

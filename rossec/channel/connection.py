@@ -9,14 +9,16 @@ A caller writes every byte it is handed, in order and at once, or drops the conn
 from collections.abc import Collection
 from typing import Final, Self
 
-from rossec.channel.credentials import OwnCredential, PeerT, Verify
-from rossec.channel.handshake import Responder
-from rossec.channel.known import KnownCertificates
-from rossec.channel.messages import UNKNOWN_CREDENTIAL, UNSPECIFIED, encode_error
+from rossec.channel.edhoc.credentials import OwnCredential, PeerT, Verify
+from rossec.channel.edhoc.handshake import Responder
+from rossec.channel.edhoc.known import KnownCertificates
+from rossec.channel.edhoc.messages import UNKNOWN_CREDENTIAL, UNSPECIFIED, encode_error
+from rossec.channel.edhoc.own_dials import OwnDials
+from rossec.channel.edhoc.peer import Party
+from rossec.channel.edhoc.suites import PRODUCTION, Random
 from rossec.channel.negotiation import Negotiation, Preamble, Step
 from rossec.channel.opening import Flavour
 from rossec.channel.outbound import HINT_SILENT, Outbound
-from rossec.channel.owndials import OwnDials
 from rossec.channel.records import (
     HEADER,
     MAX_PLAINTEXT,
@@ -27,7 +29,6 @@ from rossec.channel.records import (
     check_header,
     frame,
 )
-from rossec.channel.side import Party
 from rossec.channel.states import (
     DEAD,
     FRAMED,
@@ -42,7 +43,6 @@ from rossec.channel.states import (
     State,
     UnitReceived,
 )
-from rossec.channel.suites import PRODUCTION, Random
 from rossec.errors import (
     ChannelError,
     ConnectionTruncated,

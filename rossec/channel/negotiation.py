@@ -9,15 +9,16 @@ from collections.abc import Collection
 from typing import Final, Generic, NamedTuple, cast
 
 from rossec.channel.buffers import ReceiveBuffer
-from rossec.channel.credentials import PeerT
-from rossec.channel.handshake import Initiator, Responder, WrongSuite
-from rossec.channel.messages import (
+from rossec.channel.edhoc.credentials import PeerT
+from rossec.channel.edhoc.handshake import Initiator, Responder, WrongSuite
+from rossec.channel.edhoc.messages import (
     UNKNOWN_CREDENTIAL,
     WRONG_SUITE,
     decode_error,
     encode_error,
     suites_item,
 )
+from rossec.channel.edhoc.peer import Party
 from rossec.channel.opening import (
     MAX_OPENING,
     Flavour,
@@ -30,7 +31,6 @@ from rossec.channel.opening import (
 )
 from rossec.channel.records import Epochs, Frame, Limits, frame
 from rossec.channel.session import Session
-from rossec.channel.side import Party
 from rossec.channel.states import State
 from rossec.errors import CredentialUnknown, PeerRefused, PlainPeer
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Final, TypeAlias
 
-from rossec.channel.messages import printable
+from rossec.channel.edhoc.messages import printable
 from rossec.errors import PlainPeer, ProtocolViolation
 
 MAX_OPENING: Final = 4 * 1024

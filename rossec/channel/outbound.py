@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from typing import Final, Generic
 
 from rossec.channel.buffers import SMALL, ReceiveBuffer
-from rossec.channel.credentials import PeerT
+from rossec.channel.edhoc.credentials import PeerT
 from rossec.channel.negotiation import Negotiation, Preamble
 from rossec.channel.opening import Flavour
 from rossec.channel.records import Bytes, Limits

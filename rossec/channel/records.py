@@ -18,9 +18,9 @@ from typing import Final, TypeAlias
 from cryptography.exceptions import InvalidTag
 from cryptography.hazmat.primitives.ciphers.aead import AESGCM, ChaCha20Poly1305
 
-from rossec.channel.keyschedule import Exporter
-from rossec.channel.messages import MAX_MESSAGE
-from rossec.channel.suites import Suite
+from rossec.channel.edhoc.keyschedule import Exporter
+from rossec.channel.edhoc.messages import MAX_MESSAGE
+from rossec.channel.edhoc.suites import Suite
 from rossec.errors import LimitExceeded, ProtocolViolation, RecordForged
 
 HEADER: Final = 4

@@ -20,8 +20,8 @@ from rossec.channel.records import (
     UnitAssembly,
     fragments,
 )
-from rossec.channel.unfinished import Unfinished
 from rossec.errors import ConnectionTruncated, LimitExceeded
+from rossec.progress import Unfinished
 
 _REUSE_ABOVE: Final = 64 * 1024
 _RECORD: Final = HEADER + MAX_PLAINTEXT + TAG

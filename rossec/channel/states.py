@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Final, Generic, TypeAlias
 
-from rossec.channel.credentials import PeerT
+from rossec.channel.edhoc.credentials import PeerT
 from rossec.channel.records import Frame
 
 

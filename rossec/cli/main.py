@@ -9,18 +9,29 @@ from typing import Any, Final, NoReturn
 
 import click
 
-from ca.errors import HintedError
-from rossec.cli.context import Environment
-from rossec.cli.voice import INTERRUPTED, REFUSED, UNDELIVERED, USAGE, fail, printable
-from rossec.errors import NotDelivered
+from rossec.cli.shared import invocation
+from rossec.terminal import printable
 
-_NOUNS: Final = {  # a noun, and the modules whose COMMANDS are more of its verbs
-    "audit": (), "demo": (), "discover": (), "doctor": (), "explain": (),
-    "grant": ("request",), "graph": (), "master": ("delegate",),
-    "ca": ("ca_identities", "ca_backup", "ca_enroll", "ca_requests", "ca_intermediate", "ca_import",
-           "ca_log"),
-    "node": ("node_enroll",), "param": (), "policy": (), "privacy": (), "run": (),
-    "service": (), "sidecar": (), "simulate": (), "topic": (),
+_NOUNS: Final = {  # a noun's module, and those whose COMMANDS are more of its verbs
+    "audit": ("master.audit",),
+    "ca": ("ca.group", "ca.identities", "ca.backup", "ca.enroll", "ca.requests", "ca.intermediate",
+           "ca.import_identities", "ca.log"),
+    "demo": ("demo",),
+    "discover": ("master.discover",),
+    "doctor": ("node.doctor",),
+    "explain": ("policy.explain",),
+    "grant": ("grant.group", "grant.request"),
+    "graph": ("ros.graph",),
+    "master": ("master.group", "master.delegate"),
+    "node": ("node.group", "node.enroll"),
+    "param": ("ros.param",),
+    "policy": ("policy.group",),
+    "privacy": ("policy.privacy",),
+    "run": ("node.run",),
+    "service": ("ros.service",),
+    "sidecar": ("node.sidecar",),
+    "simulate": ("policy.simulate",),
+    "topic": ("ros.topic",),
 }  # fmt: skip
 
 
@@ -42,9 +53,10 @@ class Nouns(click.Group):
 
 
 def _complete(noun: str) -> click.Command:
-    command: click.Command = getattr(importlib.import_module(f"rossec.cli.{noun}"), noun)
-    for name in _NOUNS[noun]:
-        for verb in importlib.import_module(f"rossec.cli.{name}").COMMANDS:
+    own, *more = (importlib.import_module(f"rossec.cli.{name}") for name in _NOUNS[noun])
+    command: click.Command = getattr(own, noun)
+    for module in more:
+        for verb in module.COMMANDS:
             command.add_command(verb)  # type: ignore[attr-defined]
     return command
 
@@ -78,40 +90,5 @@ def main() -> NoReturn:
 
 
 def run(arguments: Sequence[str], environ: Mapping[str, str]) -> int:
-    """Run one command line and return its exit code (see `rossec.cli.voice`)."""
-    try:
-        rossec.main(
-            list(arguments), prog_name="rossec", standalone_mode=False, obj=Environment(environ)
-        )
-    except HintedError as error:
-        fail(str(error), error.hint)
-        return UNDELIVERED if isinstance(error, NotDelivered) else REFUSED
-    except click.ClickException as error:
-        return _complain(error)
-    except (KeyboardInterrupt, click.Abort, EOFError):
-        return INTERRUPTED
-    except OSError as error:
-        fail(f"{error.filename or 'the system'}: {(error.strerror or str(error)).lower()}")
-        return REFUSED
-    return 0
-
-
-def _complain(error: click.ClickException) -> int:
-    """What click found wrong with the command line, in our voice."""
-    if isinstance(error, click.exceptions.NoArgsIsHelpError):
-        click.echo(error.format_message())
-        return USAGE
-    usage = isinstance(error, click.UsageError)
-    fail(_plain(error.format_message()), _usage_hint(error) if usage else "")
-    return USAGE if usage else REFUSED
-
-
-def _plain(message: str) -> str:
-    line = " ".join(message.split())
-    return (line[:1].lower() + line[1:]).rstrip(".")
-
-
-def _usage_hint(error: click.ClickException) -> str:
-    context = getattr(error, "ctx", None)
-    path = context.command_path if context is not None else "rossec"
-    return f"see: {path} --help"
+    """Run one command line and return its exit code (see `rossec.terminal`)."""
+    return invocation.run(rossec, arguments, environ)

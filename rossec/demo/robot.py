@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from rossec.cli.voice import say_json
 from rossec.node.node import Node
 from rossec.node.publisher import Publisher
+from rossec.terminal import say_json
 
 NAME = "/robot"
 POSE = ("/robot/pose", "geometry_msgs/PoseStamped")

@@ -12,7 +12,7 @@ import os
 import shlex
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -21,6 +21,7 @@ from rossec.errors import RossecError
 DEADLINE: Final = 15.0
 PATIENCE: Final = 3.0  # seconds a process has to end when asked
 Report = dict[str, Any]
+Run = Callable[[Sequence[str], Mapping[str, str]], int]
 
 
 class DemoFailed(RossecError):
@@ -50,11 +51,18 @@ class Narrator:
 
 
 class Stage:
-    """One ROSSEC_HOME, the commands run in it, and the processes that live in it."""
+    """One ROSSEC_HOME, the commands run in it, and the processes that live in it.
 
-    def __init__(self, root: Path, narrator: Narrator, environment: dict[str, str]) -> None:
+    Args:
+        run: runs one command line in an environment, returns its exit code (`rossec.cli.main.run`).
+    """
+
+    def __init__(
+        self, root: Path, narrator: Narrator, environment: dict[str, str], run: Run
+    ) -> None:
         self.root = root
         self.narrator = narrator
+        self.run = run
         self._environment = {**os.environ, **environment, "ROSSEC_HOME": str(root)}
         self._actors: list[Actor] = []
 
@@ -73,11 +81,9 @@ class Stage:
         return said
 
     def _run(self, arguments: tuple[str, ...]) -> tuple[int, str]:
-        from rossec.cli.main import run  # noqa: PLC0415 - the command line imports this package
-
         out = io.StringIO()
         with contextlib.redirect_stdout(out), contextlib.redirect_stderr(out):
-            code = run(list(arguments), self._environment)
+            code = self.run(list(arguments), self._environment)
         return code, out.getvalue()
 
     def set(self, variable: str, value: str) -> None:

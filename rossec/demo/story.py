@@ -126,7 +126,7 @@ async def compare(stage: Stage, doctor: Actor, heating: Actor) -> None:
 
 async def knock(stage: Stage, door: int) -> None:
     """The stranger takes the doctor's very name, certified by an authority of its own."""
-    other = Stage(stage.root / "stranger", stage.narrator, {})
+    other = Stage(stage.root / "stranger", stage.narrator, {}, stage.run)
     other.root.mkdir(mode=0o700)
     create(other.root / "passphrase", secrets.token_urlsafe(18).encode())
     quiet = {"quiet": True}

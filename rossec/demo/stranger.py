@@ -12,10 +12,10 @@ from dataclasses import dataclass
 from cryptography import x509
 from cryptography.hazmat.primitives.asymmetric import ec
 
-from rossec.cli.voice import say_json
 from rossec.errors import RossecError
 from rossec.home import NodeHome, rossec_home
-from rossec.net.stream import connect
+from rossec.net.aio import connect
+from rossec.terminal import say_json
 
 
 @dataclass(frozen=True)

@@ -8,9 +8,9 @@ import sys
 import time
 from typing import Any
 
-from rossec.cli.voice import say_json
 from rossec.node.node import Node
 from rossec.node.subscriber import Subscriber
+from rossec.terminal import say_json
 
 
 async def main(name: str, topics: list[str]) -> None:

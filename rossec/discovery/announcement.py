@@ -12,7 +12,7 @@ from ca.certificates import Identity, TrustAnchor
 from ca.cose import Profile
 from ca.encoding import Value
 from ca.errors import CAError
-from ca.signer import Signer
+from ca.keys.signer import Signer
 from rossec.errors import AnnouncementRefused
 from rossec.ros.text import printable
 

@@ -7,7 +7,7 @@ from itertools import count
 from typing import Final
 
 from rossec import clock
-from rossec.channel.credentials import Credentials
+from rossec.channel.edhoc.credentials import Credentials
 from rossec.discovery.announcement import INSTANCE_SIZE, Announcement, sign
 from rossec.discovery.multicast import MulticastSocket
 from rossec.errors import ConfigurationError

@@ -12,7 +12,7 @@ from rossec.discovery.candidates import Candidate
 from rossec.discovery.finder import PATIENCE, find
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome, own_home
-from rossec.savedrevocations import saved_revocations
+from rossec.saved_revocations import saved_revocations
 
 VARIABLE: Final = "ROS_MASTER_URI"
 DISCOVER: Final = "discover:"

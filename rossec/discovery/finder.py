@@ -17,7 +17,7 @@ from rossec import clock
 from rossec.discovery.candidates import Candidate, Candidates
 from rossec.discovery.multicast import MulticastSocket
 from rossec.errors import AnnouncementRefused, MasterNotFound
-from rossec.net.tasks import TaskSet
+from rossec.net.aio.tasks import TaskSet
 from rossec.ros.text import printable
 
 PATIENCE: Final = 10.0  # seconds; a master speaks twice in each

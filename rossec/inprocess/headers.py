@@ -12,7 +12,7 @@ from typing import Final
 from ca.errors import HintedError
 from rossec.errors import ChannelClosed, HeaderRefused
 from rossec.inprocess.sockets import RosSocket
-from rossec.node.access import FIELD
+from rossec.participant.access import FIELD
 from rossec.ros import header
 from rossec.ros.text import printable
 

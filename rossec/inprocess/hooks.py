@@ -30,16 +30,16 @@ from rospy.impl.validators import ParameterInvalid
 
 from rossec.errors import ConfigurationError, SettingsRefused
 from rossec.inprocess.addresses import bracketed, parse_rosrpc
-from rossec.inprocess.calls import REQUEST, Client
-from rossec.inprocess.following import Follower
-from rossec.inprocess.outbox import Outbox, write_data
+from rossec.inprocess.connections import Connections
+from rossec.inprocess.module_proxy import Stand
 from rossec.inprocess.process import Process
 from rossec.inprocess.publishing import publish
-from rossec.inprocess.services import Probe
+from rossec.inprocess.send_queue import Outbox, write_data
+from rossec.inprocess.service_probe import Probe
 from rossec.inprocess.sockets import RosSocket
-from rossec.inprocess.stand import Stand
-from rossec.inprocess.topics import Connections
-from rossec.inprocess.xmlrpc import Server
+from rossec.inprocess.subscription import Follower
+from rossec.inprocess.xmlrpc_client import REQUEST, Client
+from rossec.inprocess.xmlrpc_server import Server
 from rossec.ros.settings import parse_uri
 
 VERSIONS: Final = ("1.14", "1.15", "1.16", "1.17")

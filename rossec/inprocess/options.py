@@ -27,7 +27,7 @@ class Options:
         home: ROSSEC_HOME.
         node: the name of the node, absolute or as it is given to `rospy.init_node`; None: what that
             says.
-        allow_plain: what may stay plain while a fleet migrates (`rossec.inprocess.plain`).
+        allow_plain: what may stay plain while a fleet migrates (`rossec.inprocess.allow_plain`).
     """
 
     home: Path

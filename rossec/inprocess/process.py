@@ -13,16 +13,16 @@ from typing import Final
 from ca.certificates import Identity
 from rossec import clock
 from rossec.errors import ChannelError, ConfigurationError, PlainPeer
-from rossec.inprocess.doors import Doors
-from rossec.inprocess.guardian import Guardian
-from rossec.inprocess.links import Link, Links
-from rossec.inprocess.member import Member
-from rossec.inprocess.plain import Plain
+from rossec.inprocess.allow_plain import Plain
+from rossec.inprocess.background import Guardian
+from rossec.inprocess.connector import Doors
+from rossec.inprocess.identity import Member
+from rossec.inprocess.live_connections import Link, Links
 from rossec.inprocess.registrations import Registrations
-from rossec.inprocess.report import Reporter
+from rossec.inprocess.reporting import Reporter
 from rossec.inprocess.sockets import RosSocket
-from rossec.node.ownplaces import OwnPlaces
-from rossec.node.watch import WENT_BACK
+from rossec.participant.own_addresses import OwnPlaces
+from rossec.participant.revocation_watch import WENT_BACK
 
 _NAMELESS: Final = (
     "call rospy.init_node first, or give the name it will have:"

@@ -14,15 +14,15 @@ from rospy.core import is_shutdown
 from rospy.exceptions import ROSException
 from rospy.msg import serialize_message
 
-from grants.codegen import Buffer
 from grants.errors import GrantError
+from grants.filters.codegen import Buffer
 from grants.guard import Guard
-from rossec.inprocess.links import Link, PlainLink
-from rossec.inprocess.member import now
-from rossec.inprocess.outbox import ALONE, LENGTH, Pieces
-from rossec.inprocess.spare import Spare
-from rossec.net import withheld
-from rossec.node.latch import Latch, Sample
+from rossec.inprocess.buffer_pool import Spare
+from rossec.inprocess.identity import now
+from rossec.inprocess.live_connections import Link, PlainLink
+from rossec.inprocess.send_queue import ALONE, LENGTH, Pieces
+from rossec.net import withheld_log
+from rossec.participant.latch import Latch, Sample
 
 _KEEP: Final = 16 * 1024 * 1024  # memory of larger messages is given back at once
 _spare: Final = Spare(4)
@@ -139,7 +139,7 @@ def _treat(topic: Any, link: Link, samples: Samples, moment: int) -> Pieces | No
             pieces = guard.treat(memoryview(sample.data)[LENGTH.size :], moment, sample.mark)
         except GrantError as error:
             name = topic.resolved_name
-            withheld.warn(_log, withheld.SENT, name, link.stream.peer.name, error)
+            withheld_log.warn(_log, withheld_log.SENT, name, link.stream.peer.name, error)
             continue
         if pieces is not None:
             if topic.is_latch:

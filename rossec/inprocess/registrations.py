@@ -11,7 +11,7 @@ from contextlib import suppress
 from typing import Final
 
 from rossec.errors import SettingsRefused
-from rossec.node.named import NamedPublishers
+from rossec.participant.publisher_grace import NamedPublishers
 from rossec.ros.settings import parse_uri
 
 _UNDO: Final = {

@@ -14,17 +14,17 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final, NoReturn
 
-from ca import places
 from ca.errors import HintedError
+from ca.keys import ownership
 from rossec import files
-from rossec.channel.policy import post_quantum
+from rossec.channel.suite_selection import post_quantum
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
-from rossec.inprocess.member import Member
+from rossec.inprocess.allow_plain import Plain
+from rossec.inprocess.identity import Member
 from rossec.inprocess.options import Options, file_of, read
-from rossec.inprocess.plain import Plain
 from rossec.inprocess.process import Process
-from rossec.inprocess.report import LogBridge, Reporter
+from rossec.inprocess.reporting import LogBridge, Reporter
 from rossec.ros.settings import parse_uri
 from rossec.ros.text import printable
 
@@ -219,7 +219,7 @@ def _options(node: str | None, allow_plain: Sequence[str] | None) -> Options:
     elif "ROSSEC_CONFIG" in os.environ:
         raise ConfigurationError(f"ROSSEC_CONFIG names {path}, which does not exist")
     options = read(os.environ, text, node=node, allow_plain=allow_plain)
-    places.check_directory(options.home)
+    ownership.check_directory(options.home)
     return options
 
 

@@ -19,12 +19,12 @@ from rossec import clock
 from rossec.channel.opening import Flavour
 from rossec.channel.records import Bytes
 from rossec.errors import ChannelClosed, ChannelError, PlainPeer
-from rossec.inprocess.doors import CONNECT_TIMEOUT, Doors, Stream
-from rossec.inprocess.exchange import Exchange
-from rossec.inprocess.links import Link, PlainLink
-from rossec.inprocess.plain import Plain
-from rossec.inprocess.plainsocket import PlainStream, peek
-from rossec.net.blocking import SecureSocket
+from rossec.inprocess.allow_plain import Plain
+from rossec.inprocess.connector import CONNECT_TIMEOUT, Doors, Stream
+from rossec.inprocess.live_connections import Link, PlainLink
+from rossec.inprocess.plain_stream import PlainStream, peek
+from rossec.inprocess.service_filter import Exchange
+from rossec.net.threads.secure_socket import SecureSocket
 from rossec.ros.framing import PATIENCE, Framing
 
 _OUT_OF_THEM: Final = (errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.ENOBUFS)

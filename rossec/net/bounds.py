@@ -2,7 +2,7 @@
 
 A unit is assembled before anybody sees it. So who merely has an identity, and whose grants nobody
 has looked at, is given no more room than a connection header needs; a subscriber never gets more,
-and who was judged as much as its messages can need. How long it may take: `channel.unfinished`.
+and who was judged as much as its messages can need. How long it may take: `progress`.
 """
 
 from typing import Final

@@ -8,13 +8,13 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
-    from rossec.node.client import ServiceClient
-    from rossec.node.messages import message_type, register_type
     from rossec.node.node import Node
-    from rossec.node.provider import Service
     from rossec.node.publisher import Publisher
-    from rossec.node.srvtypes import register_service_type, service_type
+    from rossec.node.service import Service
+    from rossec.node.service_client import ServiceClient
     from rossec.node.subscriber import Subscriber
+    from rossec.participant.message_types import message_type, register_type
+    from rossec.participant.service_types import register_service_type, service_type
 
 __all__ = [
     "Node",
@@ -29,15 +29,15 @@ __all__ = [
 ]
 
 _PLACES: Final = {
-    "Node": "node",
-    "Publisher": "publisher",
-    "Service": "provider",
-    "ServiceClient": "client",
-    "Subscriber": "subscriber",
-    "message_type": "messages",
-    "register_service_type": "srvtypes",
-    "register_type": "messages",
-    "service_type": "srvtypes",
+    "Node": "rossec.node.node",
+    "Publisher": "rossec.node.publisher",
+    "Service": "rossec.node.service",
+    "ServiceClient": "rossec.node.service_client",
+    "Subscriber": "rossec.node.subscriber",
+    "message_type": "rossec.participant.message_types",
+    "register_service_type": "rossec.participant.service_types",
+    "register_type": "rossec.participant.message_types",
+    "service_type": "rossec.participant.service_types",
 }
 
 
@@ -45,4 +45,4 @@ def __getattr__(name: str) -> object:
     """Import what is exported (PEP 562)."""
     if name not in _PLACES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"{__name__}.{_PLACES[name]}"), name)
+    return getattr(import_module(_PLACES[name]), name)

@@ -14,27 +14,32 @@ from typing import Final
 from ca.certificates import Identity, TrustAnchor
 from ca.errors import HintedError, RevocationsStale
 from rossec import clock
-from rossec.channel.credentials import OwnCredential
-from rossec.channel.known import KnownCertificates
-from rossec.channel.suites import PRODUCTION
+from rossec.channel.edhoc.credentials import OwnCredential
+from rossec.channel.edhoc.known import KnownCertificates
+from rossec.channel.edhoc.suites import PRODUCTION
 from rossec.errors import TopicRefused
+from rossec.net.aio import Flavour, SecureServer, SecureStream, serve
 from rossec.net.bounds import ACCEPTED
 from rossec.net.halfopen import HalfOpen, HalfOpenCount
-from rossec.net.rpc import serve_calls
-from rossec.net.stream import Flavour, SecureServer, SecureStream, serve
-from rossec.node.access import Access
-from rossec.node.guests import Guests
-from rossec.node.ownplaces import OwnPlaces
+from rossec.net.rpc.client import serve_calls
 from rossec.node.publisher import Publisher
-from rossec.node.questions import QUESTIONS, check_question
-from rossec.node.servicedesk import Services
-from rossec.node.slave import MASTER, REVOCATION_UPDATE, SlaveApi
-from rossec.node.topics import admit_subscriber, check_type, publisher_header, requested_topic
+from rossec.node.services import Services
+from rossec.participant import slave_api
+from rossec.participant.accepted import Guests
+from rossec.participant.access import Access
+from rossec.participant.own_addresses import OwnPlaces
+from rossec.participant.slave_api import MASTER, REVOCATION_UPDATE, SlaveApi
+from rossec.participant.slave_rights import QUESTIONS, check_question
+from rossec.participant.topic_handshake import (
+    admit_subscriber,
+    check_type,
+    publisher_header,
+    requested_topic,
+)
 from rossec.ros import header
 from rossec.ros.settings import is_loopback
 
 HEADER_DEADLINE: Final = 5.0
-SLAVE_DEADLINE: Final = 30.0
 
 _log = logging.getLogger("rossec.node")
 
@@ -114,7 +119,7 @@ class Listener:
 
     async def _serve_slave(self, stream: SecureStream[Identity]) -> None:
         """The master's connection stays; another node asks where a topic is, and goes."""
-        limit = None if stream.peer.name == MASTER else SLAVE_DEADLINE
+        limit = None if stream.peer.name == MASTER else slave_api.DEADLINE
         shown: list[bytes] = []
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(limit):

@@ -16,39 +16,39 @@ from typing import Final, Self
 from ca.certificates import Identity
 from ca.errors import HintedError
 from rossec import clock
-from rossec.channel.credentials import LiveCredentials
-from rossec.channel.known import KnownCertificates
-from rossec.channel.policy import post_quantum
+from rossec.channel.edhoc.credentials import LiveCredentials
+from rossec.channel.edhoc.known import KnownCertificates
+from rossec.channel.suite_selection import post_quantum
 from rossec.errors import AnswerRefused, NodeShutdown
 from rossec.home import NodeHome, own_home
-from rossec.net.stream import SecureStream
-from rossec.net.tasks import TaskSet
-from rossec.node.access import Access
-from rossec.node.client import CALL_DEADLINE, ServiceClient
-from rossec.node.dial import Dialer
-from rossec.node.identity import IdentityRenewal, renew_identity
-from rossec.node.links import Link
+from rossec.net.aio import SecureStream
+from rossec.net.aio.tasks import TaskSet
+from rossec.node.context import Standing
 from rossec.node.listener import Listener
-from rossec.node.messages import message_type
-from rossec.node.ownplaces import OwnPlaces
 from rossec.node.params import Parameters
-from rossec.node.proofs import prove
-from rossec.node.provider import CONCURRENCY, HANDLER_DEADLINE, Handler, Service
 from rossec.node.publisher import Publisher
-from rossec.node.recall import recall
-from rossec.node.renewal import Renewals, renew
-from rossec.node.servicedesk import Services
-from rossec.node.session import MasterSession
-from rossec.node.shelf import Shelf
-from rossec.node.slave import SlaveApi
-from rossec.node.srvtypes import service_type
-from rossec.node.standing import Standing
+from rossec.node.service import CONCURRENCY, HANDLER_DEADLINE, Handler, Service
+from rossec.node.service_client import CALL_DEADLINE, ServiceClient
+from rossec.node.services import Services
 from rossec.node.subscriber import Subscriber
-from rossec.node.topicdesk import Topics
-from rossec.node.topics import Endpoint
-from rossec.node.watch import Watch
+from rossec.node.topics import Topics
+from rossec.participant.access import Access
+from rossec.participant.connections import Link
+from rossec.participant.dialer import Dialer
+from rossec.participant.grant_directory import Shelf
+from rossec.participant.grant_renewal import Renewals, renew
+from rossec.participant.identity_renewal import IdentityRenewal, renew_identity
+from rossec.participant.limit_memory import recall
+from rossec.participant.master_session import MasterSession
+from rossec.participant.message_types import message_type
+from rossec.participant.own_addresses import OwnPlaces
+from rossec.participant.revocation_proofs import prove
+from rossec.participant.revocation_watch import Watch
+from rossec.participant.service_types import service_type
+from rossec.participant.slave_api import SlaveApi
+from rossec.participant.topic_handshake import Endpoint
 from rossec.ros import settings
-from rossec.savedrevocations import saved_revocations
+from rossec.saved_revocations import saved_revocations
 
 _PRESENTED: Final = 64  # as many as the master keeps of one node
 _COLLECT: Final = 1.0  # seconds between looks for new grants

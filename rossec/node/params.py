@@ -13,7 +13,7 @@ from typing import Any, Final
 
 from ca.errors import HintedError
 from rossec.errors import AnswerMalformed, AnswerRefused, ParameterUnset
-from rossec.node.standing import Standing
+from rossec.node.context import Standing
 from rossec.ros.names import SEPARATOR
 from rossec.ros.xmlrpc import Fault
 

@@ -15,17 +15,17 @@ from typing import Final
 from ca.certificates import Identity
 from grants.decision import Decision
 from grants.errors import GrantError
+from grants.filters.layout import Layout
 from grants.guard import Guard, needed_keys
-from grants.layout import Layout
 from grants.memory import Recall
 from rossec import clock
 from rossec.errors import NodeShutdown, RossecError
-from rossec.net import withheld
-from rossec.net.stream import SecureStream
-from rossec.node.latch import Latch, Sample
-from rossec.node.messages import Message
+from rossec.net import withheld_log
+from rossec.net.aio import SecureStream
 from rossec.node.subscriber import check_queue_size
-from rossec.node.topics import Endpoint
+from rossec.participant.latch import Latch, Sample
+from rossec.participant.message_types import Message
+from rossec.participant.topic_handshake import Endpoint
 
 QUEUE_SIZE: Final = 10
 _LENGTH: Final = struct.Struct("<I")
@@ -212,7 +212,7 @@ class Publisher:
         try:
             pieces = link.guard.treat(sample.data, now, sample.mark)
         except GrantError as error:
-            withheld.warn(_log, withheld.SENT, self.topic, link.stream.peer.name, error)
+            withheld_log.warn(_log, withheld_log.SENT, self.topic, link.stream.peer.name, error)
             return None
         if self.latch and pieces is not None:
             self._latch.passed(link.guard, sample)

@@ -1,129 +1,218 @@
-"""The TCPROS handshake of a service inside the channel, both sides, as pure functions on fields.
+"""The services of one node: those it provides, those it calls, and what the master knows of them.
 
-As for topics: names come from certificates, rights from the grants shown, and authorization
-precedes any look at what this node offers. Probes (`probe=1`) need the right as well (attack N6).
+A shell. Authorization precedes any look at what this node provides: a caller or a probe without the
+right learns nothing (attack N6).
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+import asyncio
+import contextlib
+from collections.abc import Awaitable, Callable, Iterator, Mapping
+from functools import partial
+from typing import Final
 
 from ca.certificates import Identity
-from grants.decision import Decision
-from grants.model import Right
-from rossec.errors import TopicRefused
-from rossec.node.access import FIELD, Access
-from rossec.node.fields import Fields, check_caller, text
-from rossec.ros.names import ANY_TYPE
+from ca.errors import HintedError
+from rossec import clock
+from rossec.errors import (
+    AnswerMalformed,
+    AnswerRefused,
+    ChannelError,
+    ConfigurationError,
+    ServiceUnavailable,
+    TopicRefused,
+)
+from rossec.net.aio import SecureStream
+from rossec.net.bounds import unit_limit
+from rossec.node.context import Standing
+from rossec.node.service import CONCURRENCY, HANDLER_DEADLINE, Handler, Service
+from rossec.node.service_client import CALL_DEADLINE, ServiceClient, probe
+from rossec.participant.connections import Link
+from rossec.participant.header_fields import Fields
+from rossec.participant.service_handshake import (
+    admit_caller,
+    check_md5,
+    is_set,
+    requested_service,
+    server_header,
+)
+from rossec.participant.service_types import ServiceType
+from rossec.ros import header
+from rossec.ros.service import REQUEST_LIMIT
+
+_LOOK: Final = 0.3  # seconds between looks for a service, as in rospy
+_ABSENT: Final = "no provider"  # what the master says, as stock; a refusal begins with "rossec: "
 
 
-@dataclass(frozen=True)
-class Expected:
-    """Name and checksum of a service type; `*` expects nothing."""
+class Services:
+    """The desk every call of a service goes through, in either direction."""
 
-    type_name: str
-    md5sum: str
+    def __init__(self, standing: Standing) -> None:
+        self._standing = standing
+        self._provided: dict[str, Service] = {}
+        self._clients: set[ServiceClient] = set()
+
+    async def provide(
+        self,
+        name: str,
+        kind: ServiceType,
+        handler: Handler,
+        *,
+        concurrency: int = CONCURRENCY,
+        deadline: float = HANDLER_DEADLINE,
+    ) -> Service:
+        """Register the service `name`; see `Service`.
+
+        Raises:
+            RossecError: a second provider in this node, or the master refuses.
+        """
+        if name in self._provided:
+            raise ConfigurationError(f"{name} is provided by this node already")
+        service = Service(
+            name, kind, handler, self._standing, self._withdraw,
+            concurrency=concurrency, deadline=deadline,
+        )  # fmt: skip
+        self._provided[name] = service
+        try:
+            await self._register(service)
+        except BaseException:
+            del self._provided[name]
+            raise
+        return service
+
+    def client(
+        self,
+        name: str,
+        kind: ServiceType,
+        *,
+        persistent: bool = False,
+        deadline: float = CALL_DEADLINE,
+    ) -> ServiceClient:
+        """A client of the service `name`; nothing is connected yet."""
+        client = ServiceClient(
+            name, kind, self._standing, self.dial, self._clients.discard,
+            persistent=persistent, deadline=deadline,
+        )  # fmt: skip
+        self._clients.add(client)
+        return client
+
+    async def wait_for(self, name: str, within: float | None = None) -> None:
+        """Return as soon as a provider of `name` answers.
+
+        Raises:
+            ServiceUnavailable: none did within so many seconds.
+            HintedError: this node may not call it, or the provider may not provide it.
+        """
+        try:
+            async with asyncio.timeout(within):
+                await self._found(name)
+        except TimeoutError:
+            raise ServiceUnavailable(
+                f"no node provided {name} within {within:g} s", "is its provider running?"
+            ) from None
+
+    async def _found(self, name: str) -> None:
+        while True:
+            with contextlib.suppress(ServiceUnavailable, ChannelError, OSError, TimeoutError):
+                await self.probe(name)
+                return
+            await asyncio.sleep(_LOOK)
+
+    async def probe(self, name: str) -> tuple[Fields, Identity]:
+        """The header of the provider of `name`, and who it is; raises as `client.probe`."""
+        return await probe(self.dial, self._standing.name, name, self._standing.access)
+
+    async def known(self) -> dict[str, list[str]]:
+        """Services this node may see, and who provides each.
+
+        Raises:
+            RossecError: the master is out of reach, or answers nonsense.
+        """
+        match await self._standing.call("getSystemState"):
+            case [_, _, [*services]]:
+                return dict(_provided(item) for item in services)
+            case _:
+                raise AnswerMalformed("a system state that is none")
+
+    async def lookup(self, name: str) -> str:
+        """The rosrpc URI of the provider of `name`.
+
+        Raises:
+            ServiceUnavailable: there is none.
+            RossecError: the master refuses, or is out of reach.
+        """
+        try:
+            uri = await self._standing.call("lookupService", name)
+        except AnswerRefused as error:
+            if str(error) != _ABSENT:
+                raise
+            raise ServiceUnavailable(
+                f"no node provides {name}", "start its provider, or wait for the service"
+            ) from error
+        return str(uri)
+
+    async def dial(self, name: str) -> SecureStream[Identity]:
+        """Connect to the provider of `name`; raises as `lookup` and `Dialer.service`."""
+        return await self._standing.dialer.service(await self.lookup(name))
+
+    def admit(
+        self, fields: Mapping[str, bytes], stream: SecureStream[Identity]
+    ) -> Callable[[], Awaitable[None]]:
+        """Decide on a caller from its header; returns what serves it.
+
+        Raises:
+            HintedError: why not.
+        """
+        own, now = self._standing, clock.now()
+        decision = admit_caller(fields, stream.peer, own.access, now)
+        name = requested_service(fields)
+        service = self._provided.get(name)
+        if service is None:
+            raise TopicRefused(f"{own.name} does not provide {name}")
+        check_md5(fields, name, service.kind.md5sum)
+        answer = header.encode(server_header(own.name, name, service.expected, own.access, now))
+        if is_set(fields, "probe"):
+            return partial(stream.send, answer)
+        guard = service.guard(decision)
+        stream.welcome(unit_limit(service.kind.request_layout.root.size, REQUEST_LIMIT))
+        persistent = is_set(fields, "persistent")
+        return partial(service.serve, stream, decision, guard, answer, persistent=persistent)
+
+    def links(self) -> Iterator[Link]:
+        """Every live connection of a service."""
+        for service in self._provided.values():
+            yield from service.links
+        for client in self._clients:
+            yield from client.links
+
+    async def restore(self) -> None:
+        """Register everything again: the master was restarted, or a grant is new."""
+        for service in tuple(self._provided.values()):
+            with self._standing.restoring(service.name):
+                await self._register(service)
+
+    async def close(self) -> None:
+        """Drop every client and every caller; unregister."""
+        for client in tuple(self._clients):
+            await client.close()
+        for service in tuple(self._provided.values()):
+            await service.close()
+
+    async def _register(self, service: Service) -> None:
+        own = self._standing
+        await own.call("registerService", service.name, own.rosrpc(), own.uri())
+
+    async def _withdraw(self, service: Service) -> None:
+        if self._provided.get(service.name) is service:
+            del self._provided[service.name]
+            with contextlib.suppress(HintedError, OSError, TimeoutError):
+                await self._standing.call(
+                    "unregisterService", service.name, self._standing.rosrpc()
+                )
 
 
-ANY: Expected = Expected(ANY_TYPE, ANY_TYPE)
-
-
-def client_header(
-    caller: str,
-    service: str,
-    kind: Expected,
-    access: Access,
-    now: int,
-    *,
-    persistent: bool = False,
-    probe: bool = False,
-) -> Fields:
-    """Fields a client sends first; they prove its right to call."""
-    flags = {"persistent": persistent, "probe": probe}
-    return {
-        "callerid": caller.encode(),
-        "service": service.encode(),
-        "type": kind.type_name.encode(),
-        "md5sum": kind.md5sum.encode(),
-        **{key: b"1" for key, wanted in flags.items() if wanted},
-        **caller_proof(service, access, now),
-    }
-
-
-def server_header(caller: str, service: str, kind: Expected, access: Access, now: int) -> Fields:
-    """Fields a server answers with; they prove its right to provide."""
-    return {
-        "callerid": caller.encode(),
-        "service": service.encode(),
-        "type": kind.type_name.encode(),
-        "md5sum": kind.md5sum.encode(),
-        "request_type": f"{kind.type_name}Request".encode(),
-        "response_type": f"{kind.type_name}Response".encode(),
-        **provider_proof(service, access, now),
-    }
-
-
-def caller_proof(service: str, access: Access, now: int) -> Fields:
-    """The field a client adds to its header; it proves the right to call."""
-    return {FIELD: access.present(Right.CALL, service, now)}
-
-
-def provider_proof(service: str, access: Access, now: int) -> Fields:
-    """The field a server adds to its answer; it proves the right to provide."""
-    return {FIELD: access.present(Right.PROVIDE, service, now)}
-
-
-def requested_service(fields: Mapping[str, bytes]) -> str:
-    """Service a connecting client asks for.
-
-    Raises:
-        TopicRefused: no service, or a name that is not text.
-    """
-    return text(fields, "service")
-
-
-def admit_caller(fields: Mapping[str, bytes], peer: Identity, access: Access, now: int) -> Decision:
-    """Decide on a client from its header, before anything about the service is looked up.
-
-    A decision with restrictions must be applied to each request, or refused with
-    `Decision.require_unrestricted`: the header of a service carries no definition to apply them by.
-
-    Raises:
-        CallerMismatch, TopicRefused: the header does not fit the peer.
-        GrantError, CAError: the peer may not call.
-    """
-    check_caller(fields, peer)
-    return access.authorize(peer, fields.get(FIELD), Right.CALL, requested_service(fields), now)
-
-
-def admit_provider(
-    fields: Mapping[str, bytes], peer: Identity, service: str, access: Access, now: int
-) -> Decision:
-    """Decide on a server from the header it answered with.
-
-    Raises:
-        CallerMismatch, TopicRefused: it refuses, or calls itself by another name.
-        GrantError, CAError: the peer may not provide.
-    """
-    if "error" in fields:
-        raise TopicRefused(f"{peer.name} refuses: {text(fields, 'error')}")
-    check_caller(fields, peer)
-    return access.authorize(peer, fields.get(FIELD), Right.PROVIDE, service, now)
-
-
-def check_md5(fields: Mapping[str, bytes], service: str, md5sum: str) -> None:
-    """Compare checksums as ROS does, which ignores the type's name; `*` fits everything.
-
-    Raises:
-        TopicRefused: the two sides do not mean the same service.
-    """
-    theirs = text(fields, "md5sum")
-    if theirs != md5sum and ANY_TYPE not in {theirs, md5sum}:
-        raise TopicRefused(
-            f"{service} has the checksum {md5sum} here, {theirs} at the peer",
-            "both sides need the same version of the service's package",
-        )
-
-
-def is_set(fields: Mapping[str, bytes], flag: str) -> bool:
-    """Whether the header sets `persistent` or `probe`; stock clients write 1 or true."""
-    return fields.get(flag, b"").lower() in {b"1", b"true"}
+def _provided(item: object) -> tuple[str, list[str]]:
+    match item:
+        case [str() as name, [*nodes]]:
+            return name, [node for node in nodes if isinstance(node, str)]
+        case _:
+            raise AnswerMalformed("a system state that is none")

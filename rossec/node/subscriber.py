@@ -19,16 +19,16 @@ from grants.guard import Guard
 from grants.memory import Recall
 from rossec import clock
 from rossec.errors import ConfigurationError, MessageError
-from rossec.net import withheld
-from rossec.net.arrivals import arrived
+from rossec.net import withheld_log
+from rossec.net.aio import SecureStream
+from rossec.net.aio.arrivals import arrived
+from rossec.net.aio.tasks import TaskSet
 from rossec.net.bounds import message_limit, unit_limit
-from rossec.net.stream import SecureStream
-from rossec.net.tasks import TaskSet
-from rossec.node.access import Access
-from rossec.node.definitions import size_of
-from rossec.node.messages import Message
-from rossec.node.topicguard import FilterKey, guard_for
-from rossec.node.topics import Endpoint, admit_publisher, subscriber_header
+from rossec.participant.access import Access
+from rossec.participant.definitions import size_of
+from rossec.participant.message_types import Message
+from rossec.participant.topic_guard import FilterKey, guard_for
+from rossec.participant.topic_handshake import Endpoint, admit_publisher, subscriber_header
 from rossec.ros import header
 from rossec.ros.framing import Framing
 from rossec.ros.header import MESSAGE_LIMIT, FrameReader
@@ -112,7 +112,7 @@ class Subscriber:
             try:
                 message = self.endpoint.type.deserialize(data)
             except MessageError as error:
-                withheld.warn(
+                withheld_log.warn(
                     _log, "%(where)s: dropped a message: %(cause)s", self.topic, "", error
                 )
             else:
@@ -202,7 +202,7 @@ class Subscriber:
             try:
                 treated = guard(message, now)
             except GrantError as error:
-                withheld.warn(_log, withheld.RECEIVED, self.topic, peer, error)
+                withheld_log.warn(_log, withheld_log.RECEIVED, self.topic, peer, error)
             else:
                 believed += [] if treated is None else [b"".join(treated)]
         return believed

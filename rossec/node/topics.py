@@ -1,133 +1,180 @@
-"""The TCPROS handshake inside the channel, both sides, as pure functions on header fields.
+"""The topics of one node: its publishers and subscribers, and their standing with the master.
 
-The caller's name comes from its certificate, never from `callerid` alone; rights come from the
-grants it shows. Authorization precedes any look at what this node publishes, so that a peer
-without a grant cannot tell a topic that exists from one that does not (attack N6).
+A shell.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+import contextlib
+import logging
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import count
 
-from ca.certificates import Identity
-from grants.decision import Decision
-from grants.model import Right
-from rossec.errors import TopicRefused
-from rossec.node.access import FIELD, Access
-from rossec.node.fields import Fields, check_caller, text
-from rossec.ros.names import ANY_TYPE
+from ca.errors import HintedError
+from grants.filters import layout
+from grants.memory import Recall
+from rossec import clock
+from rossec.errors import ConfigurationError
+from rossec.node.context import Standing
+from rossec.node.publisher import Publisher
+from rossec.node.subscriber import Subscriber
+from rossec.participant.connections import Link
+from rossec.participant.publisher_grace import NamedPublishers
+from rossec.participant.topic_handshake import Endpoint
 
-if TYPE_CHECKING:
-    from rossec.node.messages import MessageType
+_log = logging.getLogger("rossec.node")
 
 
-@dataclass(frozen=True)
-class Endpoint:
-    """A topic as this node sees it: its resolved name and its type."""
+class Topics:
+    """Publishers by topic, and any number of subscribers."""
 
-    topic: str
-    type: "MessageType"
+    def __init__(self, standing: Standing) -> None:
+        self._standing = standing
+        self._publishers: dict[str, Publisher] = {}
+        self._subscribers: dict[str, list[Subscriber]] = {}
+        self._named = NamedPublishers(clock.counter())
 
     @property
-    def expected(self) -> "Expected":
-        """What the other side must mean."""
-        return Expected(self.topic, self.type.name, self.type.md5sum)
+    def publishers(self) -> Mapping[str, Publisher]:
+        """What this node publishes, by topic."""
+        return self._publishers
 
+    @property
+    def subscribers(self) -> list[Subscriber]:
+        """What this node subscribes to."""
+        return [item for items in self._subscribers.values() for item in items]
 
-@dataclass(frozen=True)
-class Expected:
-    """A topic with the name and md5sum of its type; `*` expects nothing of the type."""
+    async def publish(self, endpoint: Endpoint, *, latch: bool, queue_size: int) -> Publisher:
+        """Register a publisher.
 
-    topic: str
-    type_name: str
-    md5sum: str
+        Raises:
+            RossecError: a second publisher of the topic, or the master refuses.
+        """
+        if endpoint.topic in self._publishers:
+            raise ConfigurationError(f"{endpoint.topic} is published by this node already")
+        shape = layout.parse(endpoint.type.name, endpoint.type.definition)
+        own = self._standing
+        publisher = Publisher(
+            endpoint, shape, own.filter_key, own.recall, latch=latch, queue_size=queue_size
+        )
+        self._publishers[endpoint.topic] = publisher
+        try:
+            await self._register_publisher(publisher)
+        except BaseException:
+            del self._publishers[endpoint.topic]
+            raise
+        return publisher
 
+    async def subscribe(self, endpoint: Endpoint, *, queue_size: int) -> Subscriber:
+        """Register a subscriber.
 
-def subscriber_header(caller: str, endpoint: Endpoint, access: Access, now: int) -> Fields:
-    """Fields a subscriber sends first; they prove its right to subscribe."""
-    return {
-        "callerid": caller.encode(),
-        "topic": endpoint.topic.encode(),
-        "type": endpoint.type.name.encode(),
-        "md5sum": endpoint.type.md5sum.encode(),
-        "message_definition": endpoint.type.definition.encode(),
-        "tcp_nodelay": b"1",
-        FIELD: access.present(Right.SUBSCRIBE, endpoint.topic, now),
-    }
+        Raises:
+            RossecError: the master refuses.
+        """
+        own = self._standing
+        beside = self._subscribers.setdefault(endpoint.topic, [])
+        subscriber = Subscriber(
+            own.name,
+            endpoint,
+            own.access,
+            own.dialer.topic,
+            self._forget,
+            own.filter_key,
+            _free(own.recall, beside),
+            queue_size=queue_size,
+        )
+        beside.append(subscriber)
+        try:
+            await self._register_subscriber(subscriber)
+        except BaseException:
+            await subscriber.close()
+            raise
+        return subscriber
 
+    def describe(self) -> dict[str, object]:
+        """What the slave API says of topics: each with its type."""
+        publications = [[item.topic, item.endpoint.type.name] for item in self.publishers.values()]
+        subscriptions = [[item.topic, item.endpoint.type.name] for item in self.subscribers]
+        return {"getSubscriptions": subscriptions, "getPublications": publications}
 
-def publisher_header(
-    caller: str, endpoint: Endpoint, access: Access, now: int, *, latching: bool
-) -> Fields:
-    """Fields a publisher answers with; they prove its right to publish."""
-    return {
-        "callerid": caller.encode(),
-        "topic": endpoint.topic.encode(),
-        "type": endpoint.type.name.encode(),
-        "md5sum": endpoint.type.md5sum.encode(),
-        "message_definition": endpoint.type.definition.encode(),
-        "latching": b"1" if latching else b"0",
-        FIELD: access.present(Right.PUBLISH, endpoint.topic, now),
-    }
+    def publishers_changed(self, topic: str, uris: list[str]) -> None:
+        """Follow the master's list of publishers."""
+        self._follow(topic, self._named.are(topic, uris))
 
+    def session_opened(self) -> None:
+        """The master may have been started again, and name fewer publishers than there are."""
+        self._named.session_opened()
 
-def requested_topic(fields: Mapping[str, bytes]) -> str:
-    """Topic a connecting subscriber asks for.
+    def look(self) -> None:
+        """Let go of publishers that the master did not name again in time."""
+        for topic in self._named.overdue():
+            self._follow(topic, self._named.to_follow(topic))
 
-    Raises:
-        TopicRefused: no topic, or a name that is not text.
-    """
-    return text(fields, "topic")
+    def _follow(self, topic: str, uris: list[str]) -> None:
+        for subscriber in self._subscribers.get(topic, []):
+            subscriber.update(uris)
 
+    def links(self) -> Iterator[Link]:
+        """Every live connection of a topic."""
+        for publisher in self._publishers.values():
+            yield from publisher.links
+        for subscriber in self.subscribers:
+            yield from subscriber.links
 
-def admit_subscriber(
-    fields: Mapping[str, bytes], peer: Identity, access: Access, now: int
-) -> Decision:
-    """Decide on a subscriber from its header, before anything about the topic is looked up.
+    async def restore(self) -> None:
+        """Register everything again: the master was restarted, or a grant is new."""
+        for publisher in tuple(self._publishers.values()):
+            with self._standing.restoring(publisher.topic):
+                await self._register_publisher(publisher)
+        for subscriber in self.subscribers:
+            with self._standing.restoring(subscriber.topic):
+                await self._register_subscriber(subscriber)
 
-    Raises:
-        CallerMismatch, TopicRefused: the header does not fit the peer.
-        GrantError, CAError: the peer may not subscribe.
-    """
-    check_caller(fields, peer)
-    return access.authorize(peer, fields.get(FIELD), Right.SUBSCRIBE, text(fields, "topic"), now)
+    async def close_subscribers(self) -> None:
+        """Drop every connection to a publisher."""
+        for subscriber in self.subscribers:
+            await subscriber.close()
 
+    async def unregister(self) -> None:
+        """Tell the master that this node publishes no more."""
+        try:
+            for topic in self._publishers:
+                await self._standing.call("unregisterPublisher", topic, self._standing.uri())
+        except (HintedError, OSError, TimeoutError) as error:
+            _log.info("%s: left without unregistering: %s", self._standing.name, error)
 
-def admit_publisher(
-    fields: Mapping[str, bytes], peer: Identity, expected: Expected, access: Access, now: int
-) -> Decision:
-    """Decide on a publisher from the header it answered with.
-
-    The caller applies the restrictions of the decision to each message (`topicguard.guard_for`), as
-    the receiver reads it: the publisher may describe it otherwise under the same md5sum.
-
-    Raises:
-        CallerMismatch, TopicRefused: another topic or type than asked for, or another name.
-        GrantError, CAError: the peer may not publish.
-    """
-    if "error" in fields:
-        raise TopicRefused(f"{peer.name} refuses: {text(fields, 'error')}")
-    check_caller(fields, peer)
-    if text(fields, "topic") != expected.topic:
-        raise TopicRefused(f"{peer.name} answers with another topic than {expected.topic}")
-    check_type(fields, expected)
-    return access.authorize(peer, fields.get(FIELD), Right.PUBLISH, expected.topic, now)
-
-
-def check_type(fields: Mapping[str, bytes], expected: Expected) -> None:
-    """Compare type and md5 as TCPROS does; `*` fits everything, on either side.
-
-    Raises:
-        TopicRefused: the two sides do not mean the same message.
-    """
-    name, md5sum = text(fields, "type"), text(fields, "md5sum")
-    if not _fits(name, expected.type_name) or not _fits(md5sum, expected.md5sum):
-        raise TopicRefused(
-            f"{expected.topic} carries {expected.type_name} ({expected.md5sum}),"
-            f" the peer expects {name} ({md5sum})",
-            "both sides need the same version of the message package",
+    async def _register_publisher(self, publisher: Publisher) -> None:
+        endpoint = publisher.endpoint
+        await self._standing.call(
+            "registerPublisher", endpoint.topic, endpoint.type.name, self._standing.uri()
         )
 
+    async def _register_subscriber(self, subscriber: Subscriber) -> None:
+        endpoint, own = subscriber.endpoint, self._standing.uri()
+        before = subscriber.updates
+        uris = await self._standing.call(
+            "registerSubscriber", endpoint.topic, endpoint.type.name, own
+        )
+        if isinstance(uris, list) and subscriber.updates == before:  # a push may have been faster
+            named = [uri for uri in uris if isinstance(uri, str)]
+            subscriber.update(self._named.are(subscriber.topic, named))
 
-def _fits(one: str, other: str) -> bool:
-    return ANY_TYPE in {one, other} or one == other
+    async def _forget(self, subscriber: Subscriber) -> None:
+        """A subscriber was closed; the last one of its topic unregisters."""
+        others = self._subscribers.get(subscriber.topic, [])
+        if subscriber in others:
+            others.remove(subscriber)
+        if not others and self._subscribers.pop(subscriber.topic, None) is not None:
+            self._named.forget(subscriber.topic)
+            with contextlib.suppress(HintedError, OSError):
+                await self._standing.call(
+                    "unregisterSubscriber", subscriber.topic, self._standing.uri()
+                )
+
+
+def _free(recall: Recall, beside: Sequence[Subscriber]) -> Recall:
+    """Where a further subscriber of a topic remembers: apart from those that live.
+
+    Each of them gets every message. The next one goes on where one that was closed has stopped.
+    """
+    taken = {subscriber.recall for subscriber in beside}
+    places = (recall.apart(str(number)) for number in count())
+    return next(place for place in places if place not in taken)

@@ -1,12 +1,12 @@
 """Messages as their bytes arrive; one that was begun must be finished. Pure.
 
 Units need not end where messages do: a sidecar passes on what its program writes. So what holds for
-a unit (`channel.unfinished`) is asked of a message as well.
+a unit (`progress`) is asked of a message as well.
 """
 
 from typing import Final
 
-from rossec.channel.unfinished import STEP, Unfinished
+from rossec.progress import STEP, Unfinished
 from rossec.ros.header import FrameReader
 
 PATIENCE: Final = float(STEP)

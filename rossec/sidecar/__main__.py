@@ -1,7 +1,7 @@
 """The sidecar's own process: `python -I -m rossec.sidecar`, which `rossec run` becomes.
 
 Apart from the command line, whose imports would double its memory. Arguments come as one JSON
-object from `rossec.cli.run`; they hold no secret.
+object from `rossec.cli.node.run`; they hold no secret.
 """
 
 import asyncio
@@ -13,13 +13,13 @@ import sys
 from typing import Any
 
 from ca.errors import HintedError
-from rossec.channel.policy import post_quantum
+from rossec.channel.suite_selection import post_quantum
 from rossec.discovery.choose import settle_master
 from rossec.home import own_home
-from rossec.net.quiet import Quiet
+from rossec.log_limits import Quiet
 from rossec.ros import settings
 from rossec.ros.text import printable
-from rossec.sidecar import child, loopback
+from rossec.sidecar import child, loopback_port
 from rossec.sidecar.callers import Callers
 from rossec.sidecar.descriptors import raise_limit
 from rossec.sidecar.server import Sidecar
@@ -50,7 +50,7 @@ def main() -> int:
 
 
 def _end_quietly() -> None:
-    """Ctrl-C ends this process as it ends any other; `rossec.cli.run` has held it back till now."""
+    """End on Ctrl-C as any other process does; `rossec run` has held the signal back till now."""
     if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
@@ -82,8 +82,8 @@ async def _run(options: dict[str, Any]) -> int:
 
 def _callers(options: dict[str, Any]) -> Callers:
     if options["command"]:
-        return Callers({os.getuid()}, os.getpid(), loopback.find())
-    return Callers(options["users"] or {os.getuid()}, None, loopback.find())
+        return Callers({os.getuid()}, os.getpid(), loopback_port.find())
+    return Callers(options["users"] or {os.getuid()}, None, loopback_port.find())
 
 
 async def _serve(sidecar: Sidecar) -> int:

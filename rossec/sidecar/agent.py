@@ -9,32 +9,32 @@ import asyncio
 from ca.certificates import Identity
 from grants.model import Right
 from rossec import clock
-from rossec.channel.credentials import LiveCredentials
+from rossec.channel.edhoc.credentials import LiveCredentials
+from rossec.channel.edhoc.suites import PRODUCTION
 from rossec.channel.opening import Flavour
-from rossec.channel.suites import PRODUCTION
 from rossec.errors import HangUp
 from rossec.home import NodeHome
+from rossec.net.aio import SecureStream
+from rossec.net.aio.tasks import TaskSet
 from rossec.net.halfopen import HalfOpenCount
-from rossec.net.stream import SecureStream
-from rossec.net.tasks import TaskSet
-from rossec.node.access import Access
-from rossec.node.guests import Guests
-from rossec.node.named import NamedPublishers
-from rossec.node.watch import Watch
+from rossec.participant.accepted import Guests
+from rossec.participant.access import Access
+from rossec.participant.publisher_grace import NamedPublishers
+from rossec.participant.revocation_watch import Watch
 from rossec.ros.settings import Settings
-from rossec.savedrevocations import saved_revocations
-from rossec.sidecar import mastercalls
-from rossec.sidecar.addresses import Doors, Endpoint
+from rossec.saved_revocations import saved_revocations
 from rossec.sidecar.callers import Callers
-from rossec.sidecar.exports import Exports
-from rossec.sidecar.imports import Imports
-from rossec.sidecar.kept import Kept
-from rossec.sidecar.layers import Tenant
-from rossec.sidecar.links import Links
+from rossec.sidecar.connection_cache import Kept
+from rossec.sidecar.connector import Network
+from rossec.sidecar.core import master_calls
+from rossec.sidecar.core.endpoints import Doors, Endpoint
+from rossec.sidecar.core.layers import Tenant
+from rossec.sidecar.egress import Imports
+from rossec.sidecar.executor import Correspondent, Visit
+from rossec.sidecar.host_types import known_type
+from rossec.sidecar.ingress import Exports
 from rossec.sidecar.membership import Membership
-from rossec.sidecar.network import Network
-from rossec.sidecar.types import known_type
-from rossec.sidecar.visit import Correspondent, Visit
+from rossec.sidecar.peer_connections import Links
 
 
 class Agent:
@@ -97,7 +97,7 @@ class Agent:
         await self._start()
         visit = Visit(self)
         try:
-            return await visit.run(mastercalls.call(self.tenant, method, params))
+            return await visit.run(master_calls.call(self.tenant, method, params))
         finally:
             await visit.close()
 

@@ -11,10 +11,10 @@ from collections.abc import Collection
 from typing import Final
 
 from rossec.errors import PeerUserRefused
-from rossec.net import peeruid
-from rossec.net.peeruid import Holder
-from rossec.sidecar.addresses import LOOPBACK, Loopback
-from rossec.sidecar.holders import Holders
+from rossec.net.host import peeruid
+from rossec.net.host.peeruid import Holder
+from rossec.sidecar.core.endpoints import LOOPBACK, Loopback
+from rossec.sidecar.socket_owners import Holders
 
 _HINT: Final = "start it with `rossec run`; one with capabilities needs `rossec sidecar`"
 

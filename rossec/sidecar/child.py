@@ -19,7 +19,7 @@ from typing import Final
 
 from ca.errors import HintedError
 from rossec.errors import ConfigurationError
-from rossec.sidecar.addresses import LOOPBACK, Loopback
+from rossec.sidecar.core.endpoints import LOOPBACK, Loopback
 from rossec.sidecar.descriptors import Limits, restore_limit
 
 OUTSIDE: Final = "ROSSEC_OUTSIDE"

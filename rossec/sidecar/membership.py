@@ -13,24 +13,24 @@ from typing import Final
 
 from ca.certificates import Identity
 from ca.errors import HintedError
-from ca.revocation import Revocations
+from ca.revocation.state import Revocations
 from grants.model import Right
 from rossec import clock
-from rossec.channel.credentials import LiveCredentials
+from rossec.channel.edhoc.credentials import LiveCredentials
 from rossec.errors import AnswerRefused, HangUp
 from rossec.home import NodeHome
-from rossec.net.stream import SecureStream
-from rossec.net.tasks import TaskSet
-from rossec.node.identity import IdentityRenewal, renew_identity
-from rossec.node.proofs import prove
-from rossec.node.renewal import Renewals, renew
-from rossec.node.session import MasterSession
-from rossec.node.shelf import Shelf
+from rossec.net.aio import SecureStream
+from rossec.net.aio.tasks import TaskSet
+from rossec.participant.grant_directory import Shelf
+from rossec.participant.grant_renewal import Renewals, renew
+from rossec.participant.identity_renewal import IdentityRenewal, renew_identity
+from rossec.participant.master_session import MasterSession
+from rossec.participant.revocation_proofs import prove
 from rossec.ros.xmlrpc import Fault
-from rossec.sidecar import mastercalls
-from rossec.sidecar.layers import Layer, Tenant
-from rossec.sidecar.lost import Lost
-from rossec.sidecar.visit import House, Visit
+from rossec.sidecar.core import master_calls
+from rossec.sidecar.core.layers import Layer, Tenant
+from rossec.sidecar.core.resubscribe import Lost
+from rossec.sidecar.executor import House, Visit
 
 _PRESENTED: Final = 64
 _COLLECT: Final = 1.0
@@ -134,7 +134,7 @@ class Membership:
             await renew(session.call, self._renewals, clock.now())
         current = self._tenant.access.current(clock.now())
         await session.call("rossec.presentGrants", current[:_PRESENTED])
-        await self._visit(mastercalls.restore(self._tenant))
+        await self._visit(master_calls.restore(self._tenant))
 
     async def _collect_grants(self) -> None:
         while True:
@@ -151,9 +151,9 @@ class Membership:
     async def _return_to_topics(self) -> None:
         while True:
             await asyncio.sleep(_COLLECT)
-            await self._try("publishers that are gone", mastercalls.let_go(self._tenant))
+            await self._try("publishers that are gone", master_calls.let_go(self._tenant))
             for topic in self._lost.take_due(time.monotonic(), self._may_subscribe):
-                await self._try(topic, mastercalls.resubscribe(self._tenant, topic))
+                await self._try(topic, master_calls.resubscribe(self._tenant, topic))
 
     async def _try(self, about: str, layer: Layer[None]) -> None:
         try:

@@ -16,15 +16,15 @@ from ca.certificates import Identity
 from grants.errors import GrantError
 from rossec import clock
 from rossec.errors import ChannelClosed, HeaderRefused, TopicRefused
-from rossec.net import withheld
-from rossec.net.arrivals import arrived
-from rossec.net.stream import SecureStream
-from rossec.node.fields import Fields
+from rossec.net import withheld_log
+from rossec.net.aio import SecureStream
+from rossec.net.aio.arrivals import arrived
+from rossec.participant.header_fields import Fields
 from rossec.ros import header
 from rossec.ros.framing import Framing
 from rossec.ros.header import MESSAGE_LIMIT, FrameReader
-from rossec.sidecar.copies import Judge, Outlet
-from rossec.sidecar.plain import PlainStream
+from rossec.sidecar.core.copies import Judge, Outlet
+from rossec.sidecar.plain_stream import PlainStream
 
 _LENGTH: Final = struct.Struct("<I")
 _log = logging.getLogger("rossec.sidecar")
@@ -170,7 +170,7 @@ def _treated(guard: Judge, message: bytes, peer: str, now: int) -> list[Buffer]:
     try:
         treated = guard.treat(message, now)
     except GrantError as error:
-        withheld.warn(_log, "%(peer)s: withheld a message: %(cause)s", "", peer, error)
+        withheld_log.warn(_log, "%(peer)s: withheld a message: %(cause)s", "", peer, error)
         return []
     return framed(treated or [])
 

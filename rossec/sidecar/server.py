@@ -13,21 +13,21 @@ from typing import Final
 
 from ca.errors import HintedError, NameRefused
 from ca.names import check_name
+from rossec.channel.edhoc.suites import PRODUCTION
 from rossec.channel.opening import Flavour
-from rossec.channel.suites import PRODUCTION
 from rossec.errors import ConfigurationError, HangUp
 from rossec.home import NodeHome
 from rossec.net.halfopen import HalfOpen, HalfOpenCount
-from rossec.net.rpc import serve_calls
-from rossec.node.slave import without_caller
+from rossec.net.rpc.client import serve_calls
+from rossec.participant.slave_api import without_caller
 from rossec.ros.settings import Settings, is_loopback
 from rossec.ros.xmlrpc import Fault
-from rossec.sidecar.addresses import Endpoint
 from rossec.sidecar.agent import Agent
 from rossec.sidecar.callers import Callers
-from rossec.sidecar.loopback import LoopbackPort
-from rossec.sidecar.mastercalls import MULTICALL, rule_of
-from rossec.sidecar.plain import PlainStream
+from rossec.sidecar.core.endpoints import Endpoint
+from rossec.sidecar.core.master_calls import MULTICALL, rule_of
+from rossec.sidecar.loopback_port import LoopbackPort
+from rossec.sidecar.plain_stream import PlainStream
 
 _TAKEN: Final = "is roscore or another sidecar running? choose another port with --port"
 _log = logging.getLogger("rossec.sidecar")

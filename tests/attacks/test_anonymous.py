@@ -5,16 +5,8 @@ from typing import Final
 import pytest
 
 from rossec.errors import CallerMismatch
-from rossec.node.slave import MASTER
-from tests.support.attacker import (
-    EVE,
-    call,
-    credentials,
-    expect_refused,
-    fields_for,
-    knock,
-    listen,
-)
+from rossec.participant.slave_api import MASTER
+from tests.support.attacker import EVE, call, credentials, expect_refused, fields_for, knock, listen
 from tests.support.site import Site
 from tests.support.witness import POSE, TOPIC, Witness
 

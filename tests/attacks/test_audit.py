@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from ca.signer import KeySigner
-from rossec.master.audit import AuditFile, chained
-from rossec.master.auditmark import mark
-from rossec.node.slave import MASTER
+from ca.keys.signer import KeySigner
+from rossec.master.operation.audit import AuditFile, chained
+from rossec.master.operation.audit_mark import mark
+from rossec.participant.slave_api import MASTER
 from tests.support.commands import Shell, refused
 from tests.support.pki import new_signer
 from tests.support.site import Site

@@ -14,9 +14,9 @@ import cbor2
 import pytest
 from cryptography.hazmat.primitives.ciphers.aead import AESGCM
 
-from ca import backup
-from rossec.authority import AuthorityHome
-from rossec.backup import back_up
+from ca.store import backup
+from rossec.authority.backup import back_up
+from rossec.authority.home import AuthorityHome
 from tests.support.commands import PASSPHRASE, Said, Shell
 
 pytestmark = [pytest.mark.attack("malicious-backup"), pytest.mark.timeout(600)]

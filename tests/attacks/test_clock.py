@@ -14,14 +14,15 @@ from typing import Final
 import pytest
 
 from ca.errors import RevocationRefused, RevocationsStale
-from ca.revocation import Timestamp, digest, sign_timestamp
+from ca.revocation.state import Timestamp, digest, sign_timestamp
 from grants.model import Right
 from rossec import clock
 from rossec.clock import Clock, counter
-from rossec.master.server import MasterServer
-from rossec.node import Node, session
-from rossec.node.links import STALE_GRACE
-from rossec.node.slave import MASTER
+from rossec.master.server.server import MasterServer
+from rossec.node import Node
+from rossec.participant import master_session
+from rossec.participant.connections import STALE_GRACE
+from rossec.participant.slave_api import MASTER
 from tests.rossec.sidecar.conversation import Pair, connect, ends
 from tests.rossec.sidecar.program import Program, sidecar
 from tests.support.attacker import EVE, credentials, fields_for, knock, signed
@@ -202,7 +203,7 @@ async def test_a_whole_site_set_back_goes_on_in_its_own_time(
     site: Site, hand: Hand, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Whoever speaks for NTP gains nothing, and does not end what runs."""
-    monkeypatch.setattr(session, "HEARTBEAT", 0.2)
+    monkeypatch.setattr(master_session, "HEARTBEAT", 0.2)
     async with undisturbed(site) as witness:
         before = clock.now()
         hand.set = -HOUR
@@ -218,7 +219,7 @@ async def test_a_clock_that_was_wrong_is_put_right_and_the_master_says_so(
     site: Site, hand: Hand, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The node's host was an hour ahead; the master's was not."""
-    monkeypatch.setattr(session, "HEARTBEAT", 0.2)
+    monkeypatch.setattr(master_session, "HEARTBEAT", 0.2)
     assert site.master is not None
     site.master._clock = time.time
     site.enroll("/robot")

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from ca import qr
+from ca.enrollment import qr
 from ca.errors import CodeRefused
-from ca.lifecycle import State
-from rossec.authority import AuthorityHome
+from ca.store.lifecycle import State
+from rossec.authority.home import AuthorityHome
 from tests.support.commands import PASSPHRASE, Said, Shell
 from tests.support.enrolling import Robot, WaitingRobot
 

@@ -9,8 +9,8 @@ import pytest
 
 from ca.errors import RevocationRefused, RollbackRefused
 from grants import document
-from rossec.net.rpc import RpcClient
-from rossec.node.slave import MASTER
+from rossec.net.rpc.client import RpcClient
+from rossec.participant.slave_api import MASTER
 from tests.support.attacker import EVE, HOST, call, credentials, dial, flip, revoke, signed
 from tests.support.site import Site
 from tests.support.witness import POSE, TOPIC, Witness

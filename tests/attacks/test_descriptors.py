@@ -13,14 +13,14 @@ from typing import Final
 import pytest
 
 from rossec.channel.opening import Flavour
-from rossec.enrolling.waiting import WaitingNode
+from rossec.enrollment.node import WaitingNode
 from rossec.errors import ChannelError
-from rossec.net.blocking import SecureSocket
+from rossec.net.aio import connect
 from rossec.net.halfopen import HalfOpen
-from rossec.net.stream import connect
-from rossec.node import guests
+from rossec.net.threads.secure_socket import SecureSocket
+from rossec.participant import accepted
 from rossec.ros.settings import parse_uri
-from rossec.sidecar.addresses import inside
+from rossec.sidecar.core.endpoints import inside
 from tests.rossec.sidecar.program import Program, sidecar
 from tests.support.attacker import HOST, credentials
 from tests.support.enrolling import Robot
@@ -154,7 +154,7 @@ async def test_an_enrolled_caller_that_never_hangs_up(
     site: Site, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It is refused after its identity was proved; the socket that lingers is still its own."""
-    monkeypatch.setattr(guests, "PEER_CONNECTIONS", 8)
+    monkeypatch.setattr(accepted, "PEER_CONNECTIONS", 8)
     own, verify, held = credentials(site), site.anchor.verify, []
     async with site.node("/robot") as robot, watched() as most:
         for _ in range(40):

@@ -15,8 +15,7 @@ from cryptography.hazmat.primitives.hashes import SHA256
 from cryptography.hazmat.primitives.serialization import Encoding
 from cryptography.x509.oid import ExtensionOID
 
-from ca import qr
-from ca.enrollment import transcript
+from ca.enrollment import qr, transcript
 from ca.enrollment.authority import AuthorityEnrollment, State
 from ca.enrollment.messages import (
     Acknowledgement,
@@ -38,7 +37,7 @@ from ca.errors import (
     RequestSwapped,
     RivalOffer,
 )
-from rossec.enrolling import calling
+from rossec.enrollment import authority
 from tests.ca.test_requests import CA_TRUE, SAN, crafted
 from tests.support.enrolling import Robot, WaitingRobot, clock, fresh
 from tests.support.pki import Site, uris
@@ -92,9 +91,9 @@ async def enrolled_through(
 ) -> AuthorityEnrollment:
     core = core or scanned(robot)
     async with between(robot, change) as port:
-        await calling.fetch(core, "127.0.0.1", port, clock)
+        await authority.fetch(core, "127.0.0.1", port, clock)
         made = offer_of(core)
-        await calling.deliver(core, made, "127.0.0.1", port, clock, lambda _: None)
+        await authority.deliver(core, made, "127.0.0.1", port, clock, lambda _: None)
     return core
 
 
@@ -227,9 +226,9 @@ async def test_a_stolen_screen_code_used_first(site: Site) -> None:
         writer.write(frame(write(forged(robot_.csr, secret))))
         assert length(await reader.readexactly(4)) > 0  # the node has answered the thief
         core = scanned(robot)
-        await calling.fetch(core, robot._host, robot.port, clock)
+        await authority.fetch(core, robot._host, robot.port, clock)
         with pytest.raises(RivalOffer, match="somebody else has its code"):
-            await calling.deliver(
+            await authority.deliver(
                 core, offer_of(core, site), robot._host, robot.port, clock, pytest.fail
             )
         writer.close()
@@ -242,10 +241,12 @@ async def test_a_stolen_screen_code_used_first(site: Site) -> None:
 async def test_a_code_used_twice() -> None:
     with WaitingRobot(Robot()) as robot:
         core = scanned(robot)
-        await calling.fetch(core, robot._host, robot.port, clock)
+        await authority.fetch(core, robot._host, robot.port, clock)
         second = scanned(robot)
-        await calling.fetch(second, robot._host, robot.port, clock)
-        await calling.deliver(core, offer_of(core), robot._host, robot.port, clock, lambda _: None)
+        await authority.fetch(second, robot._host, robot.port, clock)
+        await authority.deliver(
+            core, offer_of(core), robot._host, robot.port, clock, lambda _: None
+        )
         with pytest.raises(EnrollmentRefused, match="enrolled already"):
             robot.core.receive(offer_of(second), clock())
     assert len(robot.trusted) == 1

@@ -11,14 +11,14 @@ from ca.encoding import encode
 from ca.errors import ForeignCertificate, HintedError
 from grants.errors import GrantExpired, GrantForged, GrantMalformed, GrantMissing, GrantNotHeld
 from grants.model import Right
-from rossec.channel.credentials import Credentials
+from rossec.channel.edhoc.credentials import Credentials
 from rossec.demo.stranger import Whoever, believe_anyone
 from rossec.errors import CallerMismatch, IdentityRefused, TopicRefused
-from rossec.net.rpc import serve_calls
-from rossec.net.stream import SecureStream, serve
+from rossec.net.aio import SecureStream, serve
+from rossec.net.rpc.client import serve_calls
 from rossec.node import message_type
-from rossec.node.access import FIELD
-from rossec.node.slave import MASTER
+from rossec.participant.access import FIELD
+from rossec.participant.slave_api import MASTER
 from rossec.ros import header
 from tests.support.attacker import EVE, HOST, call, credentials, flip, signed
 from tests.support.site import Site

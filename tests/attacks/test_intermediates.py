@@ -11,15 +11,15 @@ from ca.authority import Authority
 from ca.certificates import from_pem
 from ca.errors import Revoked
 from ca.intermediates import build_intermediate_request
-from ca.keys import generate
-from ca.signer import KeySigner
+from ca.keys.key_files import generate
+from ca.keys.signer import KeySigner
 from grants.model import Restriction, Right
+from rossec.authority.renewals import sign_intermediate
+from rossec.authority.signing import OpenAuthority
 from rossec.errors import ChannelError
-from rossec.master.revoked import CALLS, MOST, MOST_BELOW
-from rossec.net.rpc import CallFailed, RpcClient
-from rossec.node.links import STALE_GRACE
-from rossec.succession import sign_intermediate
-from rossec.unlocked import OpenAuthority
+from rossec.master.api.revoked_calls import CALLS, MOST, MOST_BELOW
+from rossec.net.rpc.client import CallFailed, RpcClient
+from rossec.participant.connections import STALE_GRACE
 from tests.rossec.sidecar.conversation import Pair, connect, ends
 from tests.rossec.sidecar.program import Program, sidecar
 from tests.support.attacker import (
@@ -111,7 +111,7 @@ async def signing(
     """A site whose authority signs a list, or a tree as from the 4097th revocation on."""
     site = Site(tmp_path / "site")
     if request.param == "tree":
-        monkeypatch.setattr("rossec.unlocked.MAX_ENTRIES", 0)
+        monkeypatch.setattr("rossec.authority.signing.MAX_ENTRIES", 0)
         monkeypatch.setattr("rossec.node.subscriber._LONGEST_PAUSE", 0.5)  # a proof at each attempt
         site.revoke(bytes(32))
     async with site.running():

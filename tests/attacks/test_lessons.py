@@ -15,11 +15,11 @@ import pytest
 from grants.model import Right
 from grants.reach import Reach
 from rossec.errors import ChannelError, PeerRefused, RossecError
-from rossec.master.config import Config, parse
-from rossec.master.trust import Trust
-from rossec.net.rpc import RpcClient
-from rossec.net.stream import Flavour, connect
-from rossec.node.slave import MASTER
+from rossec.master.operation.config import Config, parse
+from rossec.master.rights.statements import Trust
+from rossec.net.aio import Flavour, connect
+from rossec.net.rpc.client import RpcClient
+from rossec.participant.slave_api import MASTER
 from rossec.ros import xmlrpc
 from tests.support.attacker import EVE, HOST, call, credentials, dial, fields_for, knock, signed
 from tests.support.caller import caller

@@ -17,14 +17,14 @@ from ca.certificates import Identity
 from ca.encoding import encode
 from grants.model import Restriction, Right, filter_rules
 from rossec.errors import ChannelError, ServiceFailed
-from rossec.net.rpc import RpcClient
-from rossec.net.stream import Flavour, SecureStream, connect
+from rossec.net.aio import Flavour, SecureStream, connect
+from rossec.net.rpc.client import RpcClient
 from rossec.node import Node, Publisher
-from rossec.node.access import FIELD
-from rossec.node.messages import message_type
+from rossec.participant.access import FIELD
+from rossec.participant.message_types import message_type
 from rossec.ros import header
 from rossec.ros.header import FrameReader
-from rossec.sidecar.plain import PlainStream
+from rossec.sidecar.plain_stream import PlainStream
 from rossec.sidecar.server import Sidecar
 from tests.rossec.sidecar.program import Program, sidecar, word
 from tests.support.attacker import EVE, HOST, fields_for

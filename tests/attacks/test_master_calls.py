@@ -15,7 +15,7 @@ import pytest
 
 from grants.model import Right
 from rossec.errors import PeerRefused
-from rossec.master.updates import LEAVING
+from rossec.master.server.updates import LEAVING
 from tests.support.attacker import EVE, call, credentials
 from tests.support.caller import caller, refusal
 from tests.support.site import Site

@@ -14,9 +14,9 @@ import pytest
 
 from grants.model import Right
 from rossec.errors import ChannelError, RossecError
-from rossec.master.limits import Limits
-from rossec.net.rpc import RpcClient
-from rossec.net.stream import SecureStream, serve
+from rossec.master.operation.limits import Limits
+from rossec.net.aio import SecureStream, serve
+from rossec.net.rpc.client import RpcClient
 from rossec.ros import xmlrpc
 from rossec.ros.xmlrpc import Fault
 from tests.support.attacker import EVE, HOST, credentials, dial

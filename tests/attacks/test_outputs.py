@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from ca.errors import PlaceRefused
-from rossec.authority import AuthorityHome
-from rossec.master.complaints import ComplainLog
+from rossec.authority.home import AuthorityHome
+from rossec.master.operation.denial_log import ComplainLog
 from tests.support.commands import PASSPHRASE, Shell
 
 pytestmark = [pytest.mark.attack("linked-output"), pytest.mark.timeout(600)]

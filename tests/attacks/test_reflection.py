@@ -15,12 +15,12 @@ from ca.errors import HintedError
 from grants.model import Right
 from rossec.channel.opening import Flavour
 from rossec.errors import ChannelClosed, IdentityRefused
-from rossec.net.rpc import serve_calls
-from rossec.net.stream import SecureStream, serve
+from rossec.net.aio import SecureStream, serve
+from rossec.net.rpc.client import serve_calls
 from rossec.node import Node, Subscriber
-from rossec.node.slave import NO_TRANSPORT
+from rossec.participant.slave_api import NO_TRANSPORT
 from rossec.ros.settings import parse_uri
-from rossec.sidecar.addresses import inside
+from rossec.sidecar.core.endpoints import inside
 from tests.rossec.sidecar.program import Program, sidecar
 from tests.support.attacker import EVE, HOST, call, credentials
 from tests.support.fleet import SECURE, entitle, environment, program

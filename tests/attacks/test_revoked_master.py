@@ -16,17 +16,18 @@ from ca.authority import Authority
 from ca.certificates import from_pem
 from ca.errors import RevocationsStale
 from ca.intermediates import build_intermediate_request
-from ca.keys import generate
-from ca.revocation import Timestamp, digest, sign_timestamp
-from ca.signer import KeySigner
+from ca.keys.key_files import generate
+from ca.keys.signer import KeySigner
+from ca.revocation.state import Timestamp, digest, sign_timestamp
 from rossec import clock
+from rossec.authority.renewals import sign_intermediate
+from rossec.authority.signing import OpenAuthority
 from rossec.home import NodeHome
-from rossec.net.rpc import serve_calls
-from rossec.net.stream import Flavour, SecureStream, serve
-from rossec.node import Node, session
-from rossec.node.slave import MASTER
-from rossec.succession import sign_intermediate
-from rossec.unlocked import OpenAuthority
+from rossec.net.aio import Flavour, SecureStream, serve
+from rossec.net.rpc.client import serve_calls
+from rossec.node import Node
+from rossec.participant import master_session
+from rossec.participant.slave_api import MASTER
 from tests.attacks.test_clock import HOUR, Hand, bereft, hand
 from tests.attacks.test_intermediates import bring
 from tests.support.site import DAY, Site
@@ -117,7 +118,7 @@ async def test_a_revoked_master_does_not_say_what_time_it_is(
     site: Site, below: NodeHome, hand: Hand, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """With a list that is refused for another reason, and a hand at the host's clock."""
-    monkeypatch.setattr(session, "HEARTBEAT", 0.2)
+    monkeypatch.setattr(master_session, "HEARTBEAT", 0.2)
     site.enroll("/robot")
     async with site.node("/robot") as robot:
         data = site.revoke(below.identity(site.now()).thumbprint)

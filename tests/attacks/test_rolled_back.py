@@ -12,17 +12,10 @@ from pathlib import Path
 import pytest
 
 from ca.errors import Revoked
-from rossec.node.slave import MASTER
+from rossec.participant.slave_api import MASTER
 from rossec.ros.settings import parse_uri
 from tests.rossec.sidecar.program import Program, sidecar
-from tests.support.attacker import (
-    EVE,
-    credentials,
-    expect_refused,
-    fields_for,
-    knock,
-    listen,
-)
+from tests.support.attacker import EVE, credentials, expect_refused, fields_for, knock, listen
 from tests.support.caller import caller
 from tests.support.fleet import SECURE, environment, program
 from tests.support.site import Site

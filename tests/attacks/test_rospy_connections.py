@@ -20,12 +20,12 @@ from rossec.channel.opening import REFUSAL, tcpros_refusal
 from rossec.channel.states import Authenticated, UnitReceived
 from rossec.demo.stranger import believe_anyone
 from rossec.errors import ChannelError
-from rossec.inprocess.links import PEER_CONNECTIONS
+from rossec.inprocess.live_connections import PEER_CONNECTIONS
+from rossec.net.aio import SecureStream, connect, serve
 from rossec.net.halfopen import HalfOpen
-from rossec.net.rpc import serve_calls
-from rossec.net.stream import SecureStream, connect, serve
-from rossec.node.access import FIELD
-from rossec.node.messages import message_type
+from rossec.net.rpc.client import serve_calls
+from rossec.participant.access import FIELD
+from rossec.participant.message_types import message_type
 from rossec.ros import header
 from tests.support.attacker import (
     EVE,

@@ -16,9 +16,9 @@ pytestmark = [pytest.mark.ros, pytest.mark.asyncio(loop_scope="module")]
 
 FAST: Final = """
 import struct
-import rossec.inprocess.doors as doors
-import rossec.net.carrier
-rossec.net.carrier._SLICE = struct.pack("ll", 1, 0)  # how often a reader looks at the clock
+import rossec.inprocess.connector as doors
+import rossec.net.threads.carrier
+rossec.net.threads.carrier._SLICE = struct.pack("ll", 1, 0)  # how often a reader looks at the clock
 from rossec.channel.records import Limits
 doors.ACCEPTED = doors.DIALLED = dict.fromkeys(doors.Flavour, Limits(seconds=1))
 """

@@ -17,8 +17,8 @@ import pytest_asyncio
 from ca.encoding import encode
 from grants.model import Restriction, Right, filter_rules
 from rossec.errors import ChannelError
-from rossec.net.stream import SecureStream, connect
-from rossec.node.access import FIELD
+from rossec.net.aio import SecureStream, connect
+from rossec.participant.access import FIELD
 from rossec.ros import header
 from rossec.ros.header import FrameReader
 from tests.support.attacker import EVE, HOST, fields_for

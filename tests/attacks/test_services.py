@@ -16,23 +16,16 @@ from grants.errors import GrantError, GrantMissing
 from grants.model import Right
 from rossec.demo.stranger import believe_anyone
 from rossec.errors import ChannelError, RossecError
-from rossec.net.stream import SecureServer, SecureStream, connect, serve
-from rossec.node import Node, provider
-from rossec.node.access import FIELD
+from rossec.net.aio import SecureServer, SecureStream, connect, serve
+from rossec.node import Node
+from rossec.node import service as provider
 from rossec.node.listener import first_frame
-from rossec.node.services import Expected, server_header
-from rossec.node.srvtypes import service_type
+from rossec.participant.access import FIELD
+from rossec.participant.service_handshake import Expected, server_header
+from rossec.participant.service_types import service_type
 from rossec.ros import header
 from rossec.ros import service as wire
-from tests.support.attacker import (
-    EVE,
-    HOST,
-    credentials,
-    expect_refused,
-    knock,
-    listen,
-    signed,
-)
+from tests.support.attacker import EVE, HOST, credentials, expect_refused, knock, listen, signed
 from tests.support.site import Site
 from tests.support.witness import until
 

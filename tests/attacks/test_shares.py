@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 
 from grants.model import Right
-from rossec.master.complaints import MAX_LINES, ComplainLog
-from rossec.master.limits import Limits
-from rossec.master.throttle import DENIALS, Throttle
+from rossec.master.operation.denial_limit import DENIALS, Throttle
+from rossec.master.operation.denial_log import MAX_LINES, ComplainLog
+from rossec.master.operation.limits import Limits
 from tests.support.attacker import EVE
 from tests.support.caller import Caller, caller
 from tests.support.site import Site

@@ -18,12 +18,13 @@ import pytest
 from grants.model import Restriction, Right
 from rossec.channel.opening import Flavour
 from rossec.errors import RossecError
-from rossec.net.dial import dial
+from rossec.net.aio import connect
+from rossec.net.aio.dial import dial
 from rossec.net.halfopen import HalfOpen
-from rossec.net.rpc import RpcClient
-from rossec.net.stream import connect
-from rossec.sidecar import headers, visit
-from rossec.sidecar.addresses import inside
+from rossec.net.rpc.client import RpcClient
+from rossec.sidecar import executor
+from rossec.sidecar.core import tcpros
+from rossec.sidecar.core.endpoints import inside
 from rossec.sidecar.server import Sidecar
 from tests.rossec.sidecar.program import Program, sidecar
 from tests.support.site import Site
@@ -160,7 +161,7 @@ async def test_who_takes_a_programs_port_is_not_taken_for_it(
     async with sidecar(site) as far, Program("/ear", far) as ear:
         uris = await ear.register("registerSubscriber", "/word", "std_msgs/String")
         assert isinstance(uris, list)
-        monkeypatch.setattr(visit, "dial", taken_meanwhile)
+        monkeypatch.setattr(executor, "dial", taken_meanwhile)
         with pytest.raises(RossecError):
             await ear.ask(uris[0], "requestTopic", "/word", [["TCPROS"]])
     with thieves[0] as thief:
@@ -256,6 +257,6 @@ async def test_a_failing_guard_closes_the_connection(
         await robot.register("registerPublisher", "/word", "std_msgs/String")
         uris = await ear.register("registerSubscriber", "/word", "std_msgs/String")
         assert isinstance(uris, list)
-        monkeypatch.setattr(headers, "guard_for", crash)
+        monkeypatch.setattr(tcpros, "guard_for", crash)
         with pytest.raises(Exception, match=r"closed|reset"):
             await ear.subscribe(uris[0], "/word")

@@ -8,18 +8,18 @@ import pytest
 
 from ca.certificates import Identity
 from ca.encoding import Value, encode
-from ca.revocation import Timestamp, digest, sign_timestamp
+from ca.revocation.state import Timestamp, digest, sign_timestamp
 from grants.model import Right
 from rossec.channel.opening import Flavour
 from rossec.errors import ChannelClosed, ChannelError
-from rossec.net.dial import dial
-from rossec.net.rpc import CallFailed, RpcClient, serve_calls
-from rossec.net.stream import SecureServer, SecureStream, connect, serve
-from rossec.node.access import FIELD
+from rossec.net.aio import SecureServer, SecureStream, connect, serve
+from rossec.net.aio.dial import dial
+from rossec.net.rpc.client import CallFailed, RpcClient, serve_calls
+from rossec.participant.access import FIELD
 from rossec.ros import header, xmlrpc
 from rossec.ros.settings import parse_uri
 from rossec.ros.xmlrpc import Encoded
-from rossec.sidecar.plain import PlainStream
+from rossec.sidecar.plain_stream import PlainStream
 from rossec.sidecar.pump import split_header
 from rossec.sidecar.server import Sidecar
 from tests.rossec.sidecar.program import Program, sidecar

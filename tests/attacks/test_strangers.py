@@ -26,9 +26,9 @@ from grants.errors import (
 )
 from grants.model import Right
 from rossec.errors import CallerMismatch, IdentityRefused, PeerRefused, RossecError, TopicRefused
-from rossec.net.rpc import RpcClient
-from rossec.net.stream import connect
-from rossec.node.slave import MASTER
+from rossec.net.aio import connect
+from rossec.net.rpc.client import RpcClient
+from rossec.participant.slave_api import MASTER
 from rossec.ros import header
 from tests.support.attacker import (
     EVE,

@@ -14,20 +14,20 @@ from pathlib import Path
 
 import pytest
 
-from ca import keys
 from ca.errors import HintedError
+from ca.keys import key_files
+from ca.keys.signer import KeySigner
 from ca.renewal import Renewal, sign_renewal
 from ca.requests import build_request
-from ca.revocation import open_statement, sign_list
-from ca.revocationtree import Listing, is_tree
-from ca.signer import KeySigner
-from ca.statements import MAX_ENTRIES, RevocationList
-from ca.store import CertificateRow
-from rossec.authority import AuthorityHome
+from ca.revocation.lists import MAX_ENTRIES, RevocationList
+from ca.revocation.state import open_statement, sign_list
+from ca.revocation.tree import Listing, is_tree
+from ca.store.record import CertificateRow
+from rossec.authority.home import AuthorityHome
+from rossec.authority.renewals import renew
 from rossec.home import NodeHome
-from rossec.master.start import master_of
-from rossec.node.slave import MASTER
-from rossec.succession import renew
+from rossec.master.server.start import master_of
+from rossec.participant.slave_api import MASTER
 from tests.support.attacker import call
 from tests.support.commands import PASSPHRASE, Shell
 
@@ -191,7 +191,7 @@ def test_a_key_that_is_revoked_while_it_renews_gets_no_successor(
     node.create_request("home")
     node.install(opened.issue(node.request(), NOW, DAY), NOW)
     due = NOW + DAY * 3 // 4
-    fresh = build_request(KeySigner(keys.generate()), "home", "/thief")
+    fresh = build_request(KeySigner(key_files.generate()), "home", "/thief")
     asked = sign_renewal(node.signer(), node.credentials().chain, fresh, due)
     sign, revoked = opened.authority.renew, []
 

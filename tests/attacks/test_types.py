@@ -15,9 +15,9 @@ import pytest
 from ca.encoding import encode
 from grants.document import GRANT
 from grants.model import Restriction, Right, filter_rules
-from rossec.master.gatekeeper import RULES
-from rossec.net.rpc import RpcClient
-from rossec.node.slave import RULES as SLAVE_RULES
+from rossec.master.rights.access_rules import RULES
+from rossec.net.rpc.client import RpcClient
+from rossec.participant.slave_api import RULES as SLAVE_RULES
 from rossec.ros.xmlrpc import Fault
 from tests.fuzz.mutants import dumps, mutants
 from tests.fuzz.statements import seal

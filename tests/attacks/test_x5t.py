@@ -13,11 +13,11 @@ import pytest
 
 from ca.certificates import Identity
 from ca.encoding import Value
-from rossec.channel import known
-from rossec.channel.credentials import Credentials
-from rossec.channel.known import KnownCertificates, reference
+from rossec.channel.edhoc import known
+from rossec.channel.edhoc.credentials import Credentials
+from rossec.channel.edhoc.known import KnownCertificates, reference
 from rossec.errors import CredentialUnknown, HandshakeFailed, PeerRefused
-from rossec.net.stream import SecureStream, connect, serve
+from rossec.net.aio import SecureStream, connect, serve
 from rossec.node import Node
 from tests.support.attacker import EVE, HOST, credentials, fields_for, knock
 from tests.support.site import Site

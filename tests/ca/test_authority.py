@@ -138,7 +138,7 @@ def test_the_verifier_of_cryptography_accepts_it(*, wildcard: bool) -> None:
 def test_only_p256_authorities() -> None:
     from cryptography.hazmat.primitives.asymmetric import ec
 
-    from ca.signer import KeySigner
+    from ca.keys.signer import KeySigner
 
     signer = KeySigner(ec.generate_private_key(ec.SECP384R1()))
     with pytest.raises(KeyRefused):

@@ -15,7 +15,7 @@ from ca.errors import (
     CertificateRefused,
     ForeignCertificate,
 )
-from ca.publickey import thumbprint
+from ca.keys.publickey import thumbprint
 from ca.svid import WILDCARD, WILDCARD_VALUE
 from tests.support.pki import (
     DAY,

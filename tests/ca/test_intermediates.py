@@ -29,7 +29,7 @@ from ca.intermediates import (
     check_intermediate_request,
     policy,
 )
-from ca.signer import KeySigner
+from ca.keys.signer import KeySigner
 from tests.support.pki import (
     DAY,
     NOW,

@@ -14,6 +14,7 @@ from ca.errors import (
     Revoked,
 )
 from ca.intermediates import build_intermediate_request
+from ca.keys.signer import KeySigner
 from ca.renewal import (
     MAX_RENEWAL,
     PROFILE,
@@ -24,7 +25,6 @@ from ca.renewal import (
     sign_renewal,
     signed_at,
 )
-from ca.signer import KeySigner
 from tests.support.pki import DAY, NOW, Site, new_signer
 
 SITE = Site.create()

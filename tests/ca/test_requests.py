@@ -11,7 +11,7 @@ from cryptography.hazmat.primitives.serialization import Encoding
 from cryptography.x509.oid import AttributeOID, NameOID
 
 from ca.errors import NameRefused, RequestRefused
-from ca.publickey import thumbprint
+from ca.keys.publickey import thumbprint
 from ca.requests import MAX_REQUEST, build_request, check_request
 from ca.svid import WILDCARD, WILDCARD_VALUE
 from tests.support.pki import new_signer, uris, usage

@@ -10,13 +10,13 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final, TypeAlias
 
-from ca import qr
 from ca.encoding import decode, encode
+from ca.enrollment import qr
 from ca.enrollment.authority import AuthorityEnrollment, State
 from ca.enrollment.messages import Delivery, write
 from ca.errors import HintedError
-from rossec.channel.known import KnownCertificates, reference
-from rossec.channel.messages import (
+from rossec.channel.edhoc.known import KnownCertificates, reference
+from rossec.channel.edhoc.messages import (
     decode_bytes,
     decode_error,
     decode_message_1,
@@ -24,13 +24,7 @@ from rossec.channel.messages import (
     decode_plaintext_4,
     encode_error,
 )
-from rossec.channel.opening import (
-    Flavour,
-    first_bytes,
-    judge_answer,
-    judge_caller,
-    refusal,
-)
+from rossec.channel.opening import Flavour, first_bytes, judge_answer, judge_caller, refusal
 from tests.support.enrolling import ADDRESS, Robot, offered
 from tests.support.pki import NOW as SOME_TIME
 from tests.support.pki import Site

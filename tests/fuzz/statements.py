@@ -10,26 +10,29 @@ from typing import Any, Final, NamedTuple
 
 from cryptography.hazmat.primitives.asymmetric import ec
 
-from ca import backup, log, renewal, revocation, revocationtree, statements
+from ca import renewal
 from ca.cose import Profile
 from ca.encoding import decode, encode
 from ca.enrollment import NONCE_SIZE, messages, transcript
-from ca.publickey import thumbprint
+from ca.keys.publickey import thumbprint
+from ca.keys.signer import KeySigner, Signer
 from ca.requests import build_request
-from ca.signer import KeySigner, Signer
-from grants import document, layout, request, token
+from ca.revocation import lists, state, tree
+from ca.store import backup, log_entries
+from grants import document, request, token
 from grants import renewal as tickets
 from grants.decision import Decision
 from grants.errors import GrantError
+from grants.filters import layout
 from grants.guard import Guard
 from grants.model import Draft, Grant, Permission, Restriction, Right, filter_rules, merge
-from grants.policy.drafts import Wish
-from rossec.channel.known import KnownCertificates, reference
-from rossec.channel.messages import decode_error, decode_message_1, decode_plaintext
+from grants.request import Wish
+from rossec.channel.edhoc.known import KnownCertificates, reference
+from rossec.channel.edhoc.messages import decode_error, decode_message_1, decode_plaintext
 from rossec.discovery import announcement
-from rossec.master import trl
-from rossec.node.access import _unpack
-from rossec.node.messages import message_type
+from rossec.master.rights import trl
+from rossec.participant.access import _unpack
+from rossec.participant.message_types import message_type
 from tests.support.pki import NOW, Site
 from tests.support.wire import ALICE
 
@@ -144,46 +147,44 @@ def _token(structure: bytes) -> None:
 
 # --- revocations
 
-LISTED: Final = statements.RevocationList(
+LISTED: Final = lists.RevocationList(
     1, 2, NOW, NOW + DAY, frozenset({bytes(16), bytes(32), b"\1" * 32})
 )
-LIST: Final = statements.sign_list(CA, LISTED)
-TIMESTAMP: Final = statements.sign_timestamp(
-    MASTER, statements.Timestamp(2, statements.digest(LIST), NOW, 30)
-)
-LISTING: Final = revocationtree.Listing([bytes([number]) * 32 for number in range(9)])
+LIST: Final = lists.sign_list(CA, LISTED)
+TIMESTAMP: Final = lists.sign_timestamp(MASTER, lists.Timestamp(2, lists.digest(LIST), NOW, 30))
+LISTING: Final = tree.Listing([bytes([number]) * 32 for number in range(9)])
 SIZE, ROOT = LISTING.size_and_root
-TREE: Final = revocationtree.RevocationTree(1, 2, NOW, NOW + DAY, SIZE, ROOT)
-SIGNED_TREE: Final = revocationtree.sign_tree(CA, TREE)
+TREE: Final = tree.RevocationTree(1, 2, NOW, NOW + DAY, SIZE, ROOT)
+SIGNED_TREE: Final = tree.sign_tree(CA, TREE)
 
 
 def _list(body: bytes) -> None:
-    held = revocation.Revocations(CA.public_key)
-    held.update(seal(statements.LIST_PROFILE, CA, body), NOW)
+    held = state.Revocations(CA.public_key)
+    held.update(seal(lists.LIST_PROFILE, CA, body), NOW)
 
 
 def _tree(body: bytes) -> None:
-    held = revocation.Revocations(CA.public_key)
-    held.update(seal(revocationtree.TREE, CA, body), NOW)
+    held = state.Revocations(CA.public_key)
+    held.update(seal(tree.TREE, CA, body), NOW)
 
 
 def _timestamp(body: bytes) -> None:
-    held = revocation.Revocations(CA.public_key)
+    held = state.Revocations(CA.public_key)
     held.update(LIST, NOW)
-    signed = seal(statements.TIMESTAMP_PROFILE, MASTER, body)
-    held.confirm(statements.open_timestamp(signed, MASTER.public_key), NOW)
+    signed = seal(lists.TIMESTAMP_PROFILE, MASTER, body)
+    held.confirm(lists.open_timestamp(signed, MASTER.public_key), NOW)
 
 
 def _proof(structure: bytes) -> None:
-    revocationtree.is_revoked(TREE, b"\3" * 32, structure)
+    tree.is_revoked(TREE, b"\3" * 32, structure)
 
 
 def _absence(structure: bytes) -> None:
-    revocationtree.is_revoked(TREE, b"\3" * 16, structure)
+    tree.is_revoked(TREE, b"\3" * 16, structure)
 
 
 def _listing(structure: bytes) -> None:
-    revocationtree.Listing.read(structure).check(TREE)
+    tree.Listing.read(structure).check(TREE)
 
 
 def _listing_seed() -> Any:
@@ -192,7 +193,7 @@ def _listing_seed() -> Any:
 
 # --- the authority's own
 
-HEAD: Final = log.sign_head(CA, log.Head(3, bytes(32), NOW))
+HEAD: Final = log_entries.sign_head(CA, log_entries.Head(3, bytes(32), NOW))
 MASTER_LEAF: Final = HOME.authority.issue(
     build_request(MASTER, "home", "/master"), now=NOW - 2 * DAY, serial=7, lifetime=3 * DAY
 )
@@ -211,7 +212,7 @@ REQUEST: Final = request.sign_request(
 
 
 def _head(body: bytes) -> None:
-    log.open_head(seal(log.HEAD_PROFILE, CA, body), CA.public_key)
+    log_entries.open_head(seal(log_entries.HEAD_PROFILE, CA, body), CA.public_key)
 
 
 def _renewal(body: bytes) -> None:
@@ -278,13 +279,13 @@ DECODERS: Final[dict[str, Decoder]] = {
     "delegation": Decoder((payload(tickets.DELEGATION, DELEGATION),), _delegation),
     "ticket": Decoder((payload(tickets.TICKET, TICKET),), _ticket),
     "token": Decoder(([GRANT, TICKET, DELEGATION],), _token),
-    "list": Decoder((payload(statements.LIST_PROFILE, LIST),), _list),
-    "timestamp": Decoder((payload(statements.TIMESTAMP_PROFILE, TIMESTAMP),), _timestamp),
-    "tree": Decoder((payload(revocationtree.TREE, SIGNED_TREE),), _tree),
+    "list": Decoder((payload(lists.LIST_PROFILE, LIST),), _list),
+    "timestamp": Decoder((payload(lists.TIMESTAMP_PROFILE, TIMESTAMP),), _timestamp),
+    "tree": Decoder((payload(tree.TREE, SIGNED_TREE),), _tree),
     "proof": Decoder((decode(LISTING.prove(b"\3" * 32)),), _proof),
     "absence": Decoder((decode(LISTING.prove(b"\3" * 16)),), _absence),
     "listing": Decoder((decode(LISTING.encoded()),), _listing),
-    "log head": Decoder((payload(log.HEAD_PROFILE, HEAD),), _head),
+    "log head": Decoder((payload(log_entries.HEAD_PROFILE, HEAD),), _head),
     "renewal": Decoder((payload(renewal.PROFILE, RENEWAL),), _renewal),
     "request": Decoder((payload(request.REQUEST, REQUEST),), _request),
     "backup": Decoder(({"ca.pem": b"x", "node/a": b""},), _backup),

@@ -10,7 +10,7 @@ import pytest
 from ruamel.yaml import YAML
 
 from ca.errors import HintedError
-from rossec.policyfile import parse_policy
+from rossec.authority.policyfile import parse_policy
 from rossec.ros import xmlrpc
 from tests.fuzz.mutants import mutants
 

@@ -6,7 +6,7 @@ import struct
 from io import BytesIO
 from typing import Any
 
-from grants.layout import Layout, parse
+from grants.filters.layout import Layout, parse
 
 SEPARATOR = "=" * 80
 EVERYTHING = f"""# every kind of field

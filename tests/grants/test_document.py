@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ca.encoding import decode, encode
-from ca.publickey import thumbprint
-from ca.signer import KeySigner
+from ca.keys.publickey import thumbprint
+from ca.keys.signer import KeySigner
 from grants import document
 from grants.errors import (
     ConditionRefused,
@@ -20,14 +20,7 @@ from grants.errors import (
     GrantNotYetValid,
 )
 from grants.model import ALL_RIGHTS, Permission, Restriction, Right, filter_rules
-from tests.grants.authority import (
-    CA,
-    DRAFT,
-    NOW,
-    OTHER_CA,
-    draft,
-    signed_claims,
-)
+from tests.grants.authority import CA, DRAFT, NOW, OTHER_CA, draft, signed_claims
 
 DATA = document.sign(CA, DRAFT)
 ORDER = 0xFFFFFFFF00000000FFFFFFFFFFFFFFFFBCE6FAADA7179E84F3B9CAC2FC632551  # of P-256

@@ -5,10 +5,10 @@ from contextlib import suppress
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from grants.conditions import compile_condition
+from grants.conditions.compile import compile_condition
 from grants.errors import ConditionRefused, DefinitionRefused, FilterRefused, MessageRefused
-from grants.filters import compile_filter
-from grants.layout import Layout, parse
+from grants.filters.compile import compile_filter
+from grants.filters.layout import Layout, parse
 from grants.model import FilterRule
 from tests.grants.messages import EVERYTHING, LAYOUT, SEPARATOR
 

@@ -156,7 +156,7 @@ def test_the_unforeseen_withholds_the_message(monkeypatch: pytest.MonkeyPatch) -
 @pytest.mark.parametrize("answer", [1, "yes", None, 0])
 def test_only_true_admits(answer: object) -> None:
     guard = Guard(LAYOUT, decision(when("true")))
-    conditions = importlib.import_module("grants.conditions")
+    conditions = importlib.import_module("grants.conditions.compile")
     guard._conditions = (conditions.Condition("", False, lambda *_: answer),)
     assert guard(message(), NOW) is None
 

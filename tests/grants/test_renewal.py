@@ -8,8 +8,8 @@ from cryptography.hazmat.primitives.asymmetric import ec
 
 from ca.encoding import Value, encode
 from ca.errors import Revoked
-from ca.publickey import thumbprint
-from ca.signer import KeySigner
+from ca.keys.publickey import thumbprint
+from ca.keys.signer import KeySigner
 from grants import document
 from grants.claims import issuer_uri
 from grants.decision import authorize

@@ -7,16 +7,16 @@ from cryptography.hazmat.primitives.asymmetric import ec
 
 from ca.encoding import Value, encode
 from ca.errors import NameRefused
-from ca.signer import KeySigner
+from ca.keys.signer import KeySigner
 from grants.document import GRANT
 from grants.errors import GrantForged, GrantMalformed, PatternRefused
 from grants.model import Right
-from grants.policy.drafts import Wish
 from grants.request import (
     FRESH,
     REQUEST,
     SKEW,
     GrantRequest,
+    Wish,
     open_request,
     peek_request,
     sign_request,

@@ -7,8 +7,8 @@ import pytest
 from cryptography.hazmat.primitives.asymmetric import ec
 
 from grants import document, errors
-from grants.filters import compile_filter
-from grants.layout import parse
+from grants.filters.compile import compile_filter
+from grants.filters.layout import parse
 from grants.model import filter_rules
 from grants.renewal import open_delegation, renew
 from grants.token import Verifier

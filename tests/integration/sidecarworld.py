@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import Final
 
 from grants.model import Right
-from rossec.node.questions import MASTER
-from rossec.sidecar.loopback import free_port
+from rossec.participant.slave_rights import MASTER
+from rossec.sidecar.loopback_port import free_port
 from rossec.sidecar.processes import descendants, parents
 from tests.support.hosts import Host, Hosts
 from tests.support.site import DAY, Site

@@ -8,8 +8,8 @@ import pytest
 
 from grants.model import Right
 from rossec.errors import AnswerRefused, RossecError
-from rossec.net.rpc import RpcClient
-from rossec.net.stream import Flavour, connect
+from rossec.net.aio import Flavour, connect
+from rossec.net.rpc.client import RpcClient
 from rossec.node import Node
 from tests.support.masterprocess import MasterProcess, master_process
 from tests.support.witness import POSE, TOPIC, until

@@ -14,7 +14,7 @@ from typing import Final
 
 import pytest
 
-from ca.revocation import SKEW
+from ca.revocation.state import SKEW
 from grants.model import Right
 from tests.support.attacker import call, credentials
 from tests.support.fleet import SECURE, Program, environment, program
@@ -26,11 +26,11 @@ TOPIC: Final = "/day/count"
 SECONDS: Final = 15.0
 LIFETIME: Final = 7
 FAST: Final = """
-import rossec.inprocess.doors as doors
+import rossec.inprocess.connector as doors
 from rossec.channel.records import Limits
 doors.ACCEPTED = doors.DIALLED = dict.fromkeys(doors.Flavour, Limits(records=64, seconds=1))
-import rossec.node.renewal
-rossec.node.renewal.RETRY = 1
+import rossec.participant.grant_renewal
+rossec.participant.grant_renewal.RETRY = 1
 """
 TALKER: Final = (
     SECURE

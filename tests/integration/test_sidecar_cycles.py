@@ -11,9 +11,9 @@ from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Final
 
-from rossec.net.dial import dial
+from rossec.net.aio.dial import dial
 from rossec.ros import header
-from rossec.sidecar.plain import PlainStream
+from rossec.sidecar.plain_stream import PlainStream
 from rossec.sidecar.pump import split_header
 from tests.rossec.sidecar.program import Program, sidecar
 from tests.support.site import Site

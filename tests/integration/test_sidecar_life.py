@@ -10,8 +10,8 @@ from collections.abc import Iterator
 import pytest
 
 from grants.model import Restriction, Right, filter_rules
-from rossec import intermediatehome
-from rossec.succession import sign_intermediate
+from rossec.authority import intermediate_home
+from rossec.authority.renewals import sign_intermediate
 from tests.integration.sidecarworld import Running, World, wait
 from tests.support.hosts import two_hosts
 from tests.support.roscpp import compiled
@@ -45,9 +45,9 @@ def world(tmp_path_factory: pytest.TempPathFactory) -> Iterator[World]:
 def renewing(site: Site) -> None:
     """Let the master of `site` renew, once it is started."""
     site.delegate()
-    request = intermediatehome.begin(site.root, site.anchor.domain, SECRET).read_bytes()
+    request = intermediate_home.begin(site.root, site.anchor.domain, SECRET).read_bytes()
     _, bundle = sign_intermediate(site.authority, request, site.now(), may_enroll=False)
-    intermediatehome.install(site.root, bundle, SECRET, site.now())
+    intermediate_home.install(site.root, bundle, SECRET, site.now())
 
 
 @pytest.fixture(scope="module")

@@ -1,11 +1,15 @@
+"""Homes that commands work in, and a site with a running master."""
+
 import shutil
 import time
+from collections.abc import AsyncIterator
 from pathlib import Path
 
 import pytest
 
-from rossec.authority import AuthorityHome
+from rossec.authority.home import AuthorityHome
 from tests.support.commands import PASSPHRASE, Shell
+from tests.support.site import Site
 
 
 @pytest.fixture(scope="session")
@@ -26,3 +30,10 @@ def shell(empty: Shell, authority: Path) -> Shell:
     """A home with an authority."""
     shutil.copytree(authority, empty.root / "ca")
     return empty
+
+
+@pytest.fixture
+async def site(tmp_path: Path) -> AsyncIterator[Site]:
+    """A site whose master runs."""
+    async with Site(tmp_path / "site").running() as site:
+        yield site

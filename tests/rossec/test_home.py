@@ -5,7 +5,6 @@ from pathlib import Path
 
 import pytest
 
-from ca import keys
 from ca.certificates import check_request, to_pem
 from ca.errors import (
     CertificateExpired,
@@ -15,6 +14,7 @@ from ca.errors import (
     NameRefused,
     RequestRefused,
 )
+from ca.keys import key_files
 from grants.errors import FilterRefused
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome, rossec_home
@@ -83,8 +83,8 @@ def test_a_request_and_its_key(tmp_path: Path) -> None:
     home = NodeHome.of(tmp_path / "new", NAME)
     request = home.create_request("home")
     assert check_request(home.request(), "home") == request
-    key = keys.load_private(home.path / "node.key")
-    assert request.thumbprint == keys.thumbprint(key.public_key())
+    key = key_files.load_private(home.path / "node.key")
+    assert request.thumbprint == key_files.thumbprint(key.public_key())
     assert stat.S_IMODE(home.path.stat().st_mode) == 0o700
     assert stat.S_IMODE((home.path / "node.key").stat().st_mode) == 0o600
 
@@ -280,7 +280,7 @@ def test_a_screen_gets_a_new_request_and_a_label_keeps_its_own(tmp_path: Path) -
     screens = {home.screen_request("home") for _ in range(2)}
     assert len(screens | {label}) == 3
     assert {check_request(csr, "home").thumbprint for csr in (label, *screens)} == {
-        keys.thumbprint(home.signer().public_key)
+        key_files.thumbprint(home.signer().public_key)
     }
     assert home.request() == label
     other = NodeHome.of(tmp_path, "/rviz")
@@ -317,5 +317,5 @@ def test_a_slower_process_of_the_same_identity_puts_no_older_list_back(tmp_path:
 def test_processes_that_need_a_filter_key_at_once_get_one(tmp_path: Path) -> None:
     home = Place(tmp_path / "site").enroll("/robot")
     with ThreadPoolExecutor(8) as pool:
-        keys = set(pool.map(lambda _: home.filter_key("people"), range(32)))
-    assert len(keys) == 1
+        key_files = set(pool.map(lambda _: home.filter_key("people"), range(32)))
+    assert len(key_files) == 1

@@ -12,13 +12,13 @@ from typing import Final
 import pytest
 
 from ca.errors import Revoked
-from ca.revocation import Revocations, Timestamp, digest
+from ca.revocation.state import Revocations, Timestamp, digest
 from grants import document
 from grants.model import Right
-from rossec.authority import AuthorityHome
-from rossec.backup import restore
+from rossec.authority.backup import restore
+from rossec.authority.home import AuthorityHome
 from rossec.home import NodeHome
-from rossec.master import audit
+from rossec.master.operation import audit
 
 ARCHIVE: Final = Path(__file__).parents[1] / "vectors" / "homes" / "1.tar.gz"
 PASSPHRASE: Final = "correct horse battery staple"

@@ -13,15 +13,15 @@ import pytest
 
 from ca.encoding import encode
 from ca.errors import HintedError
-from ca.signer import Signer
+from ca.keys.signer import Signer
 from grants import document
 from grants.model import Draft, Permission, Right
-from rossec.channel.credentials import Credentials
+from rossec.channel.edhoc.credentials import Credentials
 from rossec.demo.stranger import Whoever, believe_anyone
 from rossec.errors import ChannelError
-from rossec.net.rpc import RpcClient
-from rossec.net.stream import Flavour, SecureStream, connect
-from rossec.node.access import FIELD
+from rossec.net.aio import Flavour, SecureStream, connect
+from rossec.net.rpc.client import RpcClient
+from rossec.participant.access import FIELD
 from rossec.ros import header
 from tests.support.site import DAY, Site
 from tests.support.witness import TOPIC, Witness, until

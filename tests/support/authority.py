@@ -8,13 +8,13 @@ from dataclasses import dataclass, field
 
 from ca.authority import Authority, create_root
 from ca.certificates import Identity, TrustAnchor, build_request
-from ca.keys import generate
-from ca.revocation import RevocationList, Revocations, sign_list
-from ca.signer import KeySigner
+from ca.keys.key_files import generate
+from ca.keys.signer import KeySigner
+from ca.revocation.state import RevocationList, Revocations, sign_list
 from grants.document import grant_id, sign
 from grants.model import Draft, Permission, Right
 from grants.renewal import Delegation, sign_delegation
-from rossec.channel.credentials import Credentials
+from rossec.channel.edhoc.credentials import Credentials
 
 DAY = 86400
 

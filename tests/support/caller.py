@@ -7,8 +7,8 @@ from typing import Any, Final
 
 from grants.model import Right
 from rossec.demo.stranger import Whoever
-from rossec.net.rpc import RpcClient, serve_calls
-from rossec.net.stream import SecureStream, serve
+from rossec.net.aio import SecureStream, serve
+from rossec.net.rpc.client import RpcClient, serve_calls
 from tests.support.attacker import HOST, credentials, dial
 from tests.support.site import Site
 

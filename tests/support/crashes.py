@@ -18,14 +18,14 @@ from pathlib import Path
 
 from ca.authority import Authority, create_root
 from ca.certificates import build_request, check_request, from_pem
-from ca.keys import generate
-from ca.lifecycle import DAY, State
+from ca.keys.key_files import generate
+from ca.keys.signer import KeySigner
 from ca.renewal import sign_renewal
-from ca.revocation import open_list
-from ca.signer import KeySigner
-from ca.store import Store
-from rossec.succession import renew
-from rossec.unlocked import OpenAuthority
+from ca.revocation.state import open_list
+from ca.store.lifecycle import DAY, State
+from ca.store.record import Store
+from rossec.authority.renewals import renew
+from rossec.authority.signing import OpenAuthority
 from tests.support.killing import run_killed
 from tests.support.oldstore import write_version_1
 

@@ -8,15 +8,15 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Self
 
-from ca import qr
 from ca.certificates import build_request
+from ca.enrollment import qr
 from ca.enrollment.authority import AuthorityEnrollment
 from ca.enrollment.node import NodeEnrollment, Pending
 from ca.enrollment.node import State as NodeState
 from ca.errors import CAError, EnrollmentOver
-from ca.signer import KeySigner
-from rossec.enrolling.address import join
-from rossec.enrolling.waiting import WaitingNode
+from ca.keys.signer import KeySigner
+from rossec.enrollment.address import join
+from rossec.enrollment.node import WaitingNode
 from tests.support.pki import NOW, Site, new_signer
 
 NAME = "/robot1/camera"

@@ -16,7 +16,7 @@ import time
 from pathlib import Path
 from typing import Final
 
-from rossec.authority import AuthorityHome
+from rossec.authority.home import AuthorityHome
 from rossec.cli.main import run
 from tests.support.commands import PASSPHRASE
 

@@ -10,7 +10,7 @@ from functools import partial
 from cryptography.hazmat.primitives.asymmetric import ec
 
 from ca.encoding import decode_sequence, encode
-from rossec.channel.keyschedule import (
+from rossec.channel.edhoc.keyschedule import (
     GONE,
     Exporter,
     Label,
@@ -22,8 +22,8 @@ from rossec.channel.keyschedule import (
     transcript_2,
     transcript_next,
 )
-from rossec.channel.messages import Message1, decode_bytes, decode_message_1
-from rossec.channel.suites import SUITES, Finish, Random, _p256
+from rossec.channel.edhoc.messages import Message1, decode_bytes, decode_message_1
+from rossec.channel.edhoc.suites import SUITES, Finish, Random, _p256
 
 SUITE = SUITES[2]
 SALT_3E2M, SALT_4E3M, MAC_LENGTH = 1, 5, 8

@@ -13,7 +13,7 @@ from cryptography.x509.oid import NameOID
 
 from ca.authority import Authority, create_root
 from ca.certificates import TrustAnchor, build_request
-from ca.signer import KeySigner
+from ca.keys.signer import KeySigner
 
 NOW = 1_800_000_000
 DAY = 86_400

@@ -1,9 +1,9 @@
 """How a plain program behind a sidecar comes to a publisher's messages."""
 
 from rossec.channel.opening import Flavour
-from rossec.node.fields import Fields
-from rossec.sidecar.addresses import endpoint
-from rossec.sidecar.plain import PlainStream
+from rossec.participant.header_fields import Fields
+from rossec.sidecar.core.endpoints import endpoint
+from rossec.sidecar.plain_stream import PlainStream
 from tests.rossec.sidecar.program import Program
 
 

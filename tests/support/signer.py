@@ -9,7 +9,7 @@ import time
 from pathlib import Path
 
 from ca.errors import HintedError
-from rossec.authority import AuthorityHome
+from rossec.authority.home import AuthorityHome
 from tests.support.commands import PASSPHRASE
 
 

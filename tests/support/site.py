@@ -7,26 +7,26 @@ from collections.abc import AsyncIterator, Callable, Mapping
 from functools import partial
 from pathlib import Path
 
-from ca import keys
 from ca.authority import Authority, create_root
 from ca.certificates import Identity, TrustAnchor, to_pem
-from ca.revocationtree import is_tree, open_tree
-from ca.signer import KeySigner
-from ca.store import Store
+from ca.keys import key_files
+from ca.keys.signer import KeySigner
+from ca.revocation.tree import is_tree, open_tree
+from ca.store.record import Store
 from grants import document
 from grants.model import Draft, Permission, Restriction, Right, filter_rules
-from rossec.channel.policy import post_quantum
+from rossec.authority.list_contents import entries_of
+from rossec.authority.renewals import renew
+from rossec.authority.signing import OpenAuthority
+from rossec.channel.suite_selection import post_quantum
 from rossec.home import NodeHome
-from rossec.listing import entries_of
-from rossec.master.complaints import Complain, unheard
-from rossec.master.limits import Limits
-from rossec.master.server import MasterServer
-from rossec.master.start import master_of
+from rossec.master.operation.denial_log import Complain, unheard
+from rossec.master.operation.limits import Limits
+from rossec.master.server.server import MasterServer
+from rossec.master.server.start import master_of
 from rossec.node import Node
-from rossec.node.slave import MASTER
+from rossec.participant.slave_api import MASTER
 from rossec.ros.settings import parse_uri
-from rossec.succession import renew
-from rossec.unlocked import OpenAuthority
 
 HOUR = 3600
 DAY = 86400
@@ -40,7 +40,7 @@ class Site:
     ) -> None:
         self.root = root
         self._clock = clock
-        key = KeySigner(keys.generate())
+        key = KeySigner(key_files.generate())
         now = self.now()
         certificate = create_root(key, domain, now=now, serial=secrets.randbits(127) + 1)
         root.mkdir(mode=0o700, parents=True, exist_ok=True)

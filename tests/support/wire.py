@@ -12,12 +12,12 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
 
 from ca.errors import CAError
-from ca.signer import KeySigner
+from ca.keys.signer import KeySigner
 from rossec.channel.connection import Connection
-from rossec.channel.credentials import Credentials
-from rossec.channel.known import KnownCertificates
+from rossec.channel.edhoc.credentials import Credentials
+from rossec.channel.edhoc.known import KnownCertificates
+from rossec.channel.edhoc.own_dials import OwnDials
 from rossec.channel.opening import Flavour
-from rossec.channel.owndials import OwnDials
 from rossec.channel.records import Limits
 from rossec.channel.states import Event, UnitReceived
 from rossec.errors import ChannelError

@@ -15,7 +15,7 @@ from cryptography.hazmat.primitives.asymmetric.utils import decode_dss_signature
 from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
 
 from ca.encoding import Value, decode, encode
-from ca.publickey import thumbprint
+from ca.keys.publickey import thumbprint
 from grants import document
 from grants.model import ALL_RIGHTS, Draft, Permission, Restriction, Right, filter_rules
 from grants.renewal import TICKET, Delegation, Ticket, sign_delegation, sign_ticket

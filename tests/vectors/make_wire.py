@@ -13,8 +13,8 @@ from cryptography.hazmat.primitives.asymmetric import x25519
 
 from ca.encoding import Value, encode
 from grants.token import pack
-from rossec.channel.handshake import Initiator, Responder
-from rossec.channel.keyschedule import (
+from rossec.channel.edhoc.handshake import Initiator, Responder
+from rossec.channel.edhoc.keyschedule import (
     Exporter,
     Label,
     bstr,
@@ -23,17 +23,17 @@ from rossec.channel.keyschedule import (
     transcript_2,
     transcript_next,
 )
-from rossec.channel.messages import (
+from rossec.channel.edhoc.messages import (
     MAX_MESSAGE_1,
     Plaintext,
     decode_bytes,
     encode_error,
     suites_item,
 )
+from rossec.channel.edhoc.peer import C_R, Party
 from rossec.channel.opening import MAX_DRAIN, MAX_OPENING, Flavour, first_bytes
 from rossec.channel.records import Frame, Limits
-from rossec.channel.side import C_R, Party
-from rossec.node.access import MAX_GRANTS
+from rossec.participant.access import MAX_GRANTS
 from rossec.ros import header
 from rossec.ros.xmlrpc import dump_call
 from tests.support.golden import fixed

@@ -1,7 +1,6 @@
 import pytest
 
-from ca import qr
-from ca.enrollment import transcript
+from ca.enrollment import qr, transcript
 from ca.enrollment.authority import TABLE, WITHOUT_MESSAGE, AuthorityEnrollment, State
 from ca.enrollment.messages import (
     Abort,
@@ -24,15 +23,7 @@ from ca.errors import (
     RequestSwapped,
     RivalOffer,
 )
-from tests.support.enrolling import (
-    WINDOW,
-    Robot,
-    acknowledged,
-    compared,
-    fresh,
-    offered,
-    scanned,
-)
+from tests.support.enrolling import WINDOW, Robot, acknowledged, compared, fresh, offered, scanned
 from tests.support.pki import NOW, Site, new_signer
 
 SITE, OTHER = Site.create(), Site.create()

@@ -14,8 +14,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
-from ca import qr
-from ca.enrollment import transcript
+from ca.enrollment import qr, transcript
 from ca.enrollment.authority import AuthorityEnrollment
 from ca.enrollment.authority import State as Ours
 from ca.enrollment.messages import Offer, read, write

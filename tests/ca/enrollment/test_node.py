@@ -1,8 +1,7 @@
 import pytest
 
-from ca import qr
 from ca.certificates import build_request
-from ca.enrollment import transcript
+from ca.enrollment import qr, transcript
 from ca.enrollment.messages import Abort, Acknowledgement, Done, Offer, Reason, read, write
 from ca.enrollment.node import (
     MAX_BAD_DIGITS,

@@ -8,7 +8,7 @@ from grants.policy.decision import Decider, Verdict
 from grants.policy.mistakes import Mistake
 from grants.policy.model import Policy, Subject
 from grants.policy.read import load, mistakes_in
-from rossec.node.messages import message_type, type_names
+from rossec.participant.message_types import message_type, type_names
 
 HEATING_KEY = bytes(range(32))
 OTHER_KEY = bytes(32)

@@ -9,8 +9,9 @@ from grants.document import open_grant, sign
 from grants.errors import PolicyRefused
 from grants.model import Draft, FilterRule, Restriction, Right
 from grants.policy.decision import Decider, Verdict
-from grants.policy.drafts import Wish, approve, approximate, drafts, permissions, plan, shorten
+from grants.policy.drafts import approve, approximate, drafts, permissions, plan, shorten
 from grants.policy.model import DAY, HOUR, Effect, Policy
+from grants.request import Wish
 from tests.grants.authority import CA, NOW
 from tests.grants.policy.policies import HEADER, decide, node, rules
 

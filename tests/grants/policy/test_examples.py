@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from grants.layout import parse
+from grants.filters.layout import parse
 from grants.model import Right
 from grants.policy.decision import Decider
 from grants.policy.lint import lint

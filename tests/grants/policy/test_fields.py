@@ -2,7 +2,7 @@
 
 import pytest
 
-from grants.layout import parse
+from grants.filters.layout import parse
 from grants.policy.fields import (
     check_fields,
     check_preset,

@@ -3,7 +3,7 @@
 import pytest
 
 from grants.errors import GrantError
-from grants.layout import parse
+from grants.filters.layout import parse
 from grants.policy import lint as module
 from grants.policy.lint import lint
 from tests.grants.policy.policies import HEADER, definition, policy

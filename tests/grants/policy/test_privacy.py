@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from grants.layout import Layout, parse
+from grants.filters.layout import Layout, parse
 from grants.model import FilterRule
 from grants.policy.decision import Decider
 from grants.policy.privacy import (

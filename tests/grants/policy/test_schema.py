@@ -8,7 +8,7 @@ import jsonschema
 import pytest
 from ruamel.yaml import YAML
 
-from grants.operators import OPERATORS
+from grants.filters.operators import OPERATORS
 from grants.policy import schema
 from tests.grants.policy.policies import SMALL
 from tests.grants.policy.test_seeds import GOOD, SEEDS

@@ -2,7 +2,7 @@
 
 import pytest
 
-from grants.operators import OPERATORS
+from grants.filters.operators import OPERATORS
 from tests.grants.policy.policies import HEATING_KEY, mistakes
 
 KEY = HEATING_KEY.hex()

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from grants import yamltext
+from grants import yaml_text
 from grants.errors import PolicyRefused
 from grants.policy import source
 from grants.policy.mistakes import Mistakes
@@ -80,7 +80,7 @@ def test_what_is_outside_the_subset_is_refused_with_its_place(text: str, message
 
 
 def test_a_large_file_is_refused_before_it_is_parsed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(yamltext, "YAML", None)
+    monkeypatch.setattr(yaml_text, "YAML", None)
     assert "where at most" in refusal("a" * (source.MAX_SIZE + 1))
 
 

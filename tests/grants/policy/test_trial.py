@@ -4,7 +4,7 @@ import struct
 
 import pytest
 
-from grants.layout import parse
+from grants.filters.layout import parse
 from grants.model import Right
 from grants.policy import trial as module
 from grants.policy.trial import Trial

@@ -3,12 +3,11 @@ import dataclasses
 import pytest
 
 from rossec.channel.connection import Connection
-from rossec.channel.known import KnownCertificates
-from rossec.channel.messages import encode_error
+from rossec.channel.edhoc.known import KnownCertificates
+from rossec.channel.edhoc.messages import encode_error
 from rossec.channel.opening import REFUSAL, Flavour, tcpros_refusal
 from rossec.channel.records import Bytes, Frame, Limits, frame
 from rossec.channel.states import TABLE, Authenticated, Closed, State
-from rossec.channel.unfinished import STEP, WINDOW
 from rossec.errors import (
     ChannelClosed,
     ChannelError,
@@ -25,6 +24,7 @@ from rossec.errors import (
     RecordForged,
     UnknownCredential,
 )
+from rossec.progress import STEP, WINDOW
 from tests.support.wire import (
     ALICE,
     NOT_AFTER,

@@ -2,7 +2,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rossec.channel.keyschedule import Exporter
+from rossec.channel.edhoc.keyschedule import Exporter
+from rossec.channel.edhoc.suites import SUITES
 from rossec.channel.records import (
     MAX_PLAINTEXT,
     TAG,
@@ -16,7 +17,6 @@ from rossec.channel.records import (
     frame,
     header,
 )
-from rossec.channel.suites import SUITES
 from rossec.errors import ConnectionTruncated, LimitExceeded, ProtocolViolation, RecordForged
 from tests.support.wire import Wire, alice, bob, joined
 

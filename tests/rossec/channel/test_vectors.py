@@ -5,10 +5,10 @@ from typing import Any
 
 import pytest
 
-from rossec.channel.handshake import Responder, WrongSuite
-from rossec.channel.messages import Message1, decode_message_1, encode_error, suites_item
+from rossec.channel.edhoc.handshake import Responder, WrongSuite
+from rossec.channel.edhoc.messages import Message1, decode_message_1, encode_error, suites_item
+from rossec.channel.edhoc.peer import Party
 from rossec.channel.opening import Accepted, judge_caller
-from rossec.channel.side import Party
 from rossec.errors import HandshakeFailed, ProtocolViolation
 from tests.support.wire import BOB, dice, trust
 from tests.vectors import make_wire

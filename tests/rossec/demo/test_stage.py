@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 
+from rossec.cli.main import run
 from rossec.demo.stage import DemoFailed, Narrator, Stage
 
 
@@ -14,7 +15,7 @@ def told() -> list[str]:
 
 @pytest.fixture
 async def stage(tmp_path: Path, told: list[str]) -> AsyncIterator[Stage]:
-    stage = Stage(tmp_path, Narrator(told.append), {"X": "1"})
+    stage = Stage(tmp_path, Narrator(told.append), {"X": "1"}, run)
     yield stage
     await stage.clear()
 

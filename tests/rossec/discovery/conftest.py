@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from rossec.channel.credentials import Credentials
+from rossec.channel.edhoc.credentials import Credentials
 from rossec.discovery.announcement import Announcement, sign
 from tests.support.site import Site
 

@@ -1,14 +1,8 @@
 import pytest
 
 from ca.encoding import Value
-from rossec.channel.credentials import Credentials
-from rossec.discovery.announcement import (
-    MAX_SIZE,
-    PROFILE,
-    Announcement,
-    open_announcement,
-    sign,
-)
+from rossec.channel.edhoc.credentials import Credentials
+from rossec.discovery.announcement import MAX_SIZE, PROFILE, Announcement, open_announcement, sign
 from rossec.errors import AnnouncementRefused
 from tests.rossec.discovery.conftest import NOW, Make
 from tests.support.site import Site

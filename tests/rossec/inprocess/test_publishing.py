@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from grants.errors import GrantError
-from rossec.node.latch import Sample
+from rossec.participant.latch import Sample
 from tests.support.rosconnection import connection
 
 pytestmark = pytest.mark.ros

@@ -4,7 +4,7 @@ import time
 import pytest
 
 from rossec.inprocess.registrations import Registrations
-from rossec.node.named import GRACE
+from rossec.participant.publisher_grace import GRACE
 
 ME = "/robot"
 SUBSCRIBE = ("registerSubscriber", (ME, "/t", "std_msgs/String", "http://me/"))

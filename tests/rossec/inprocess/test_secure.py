@@ -7,7 +7,7 @@ import pytest
 
 from grants.model import Right
 from rossec.errors import ConfigurationError
-from rossec.inprocess.ask import ask
+from rossec.inprocess.request import ask
 from rossec.inprocess.secure import secured
 from tests.support import stock
 from tests.support.fleet import entitle, environment, program

@@ -12,16 +12,16 @@ import pytest
 
 from rossec.channel.opening import Flavour
 from rossec.errors import ChannelClosed, ChannelError, LimitExceeded
-from rossec.inprocess import plainsocket, sockets
-from rossec.inprocess.doors import Doors
-from rossec.inprocess.member import Member
-from rossec.inprocess.plain import Plain
+from rossec.inprocess import plain_stream, sockets
+from rossec.inprocess.allow_plain import Plain
+from rossec.inprocess.connector import Doors
+from rossec.inprocess.identity import Member
+from rossec.inprocess.module_proxy import Stand
 from rossec.inprocess.sockets import RosSocket
-from rossec.inprocess.stand import Stand
 from rossec.net.halfopen import HalfOpen
 from rossec.ros.framing import Framing
 from rossec.ros.header import FrameReader
-from tests.rossec.net.test_blocking import background
+from tests.rossec.net.threads.test_secure_socket import background
 from tests.support.site import Site
 
 
@@ -116,7 +116,7 @@ def test_a_message_that_was_begun_must_get_on(
     member: Member, listening: RosSocket, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(sockets, "PATIENCE", 0.05)
-    monkeypatch.setattr("rossec.channel.unfinished.WINDOW", 1)
+    monkeypatch.setattr("rossec.progress.WINDOW", 1)
     left, right = connected(member, listening)
     framing = Framing(FrameReader())
     right.sendall(b"\x09\0\0\0half")
@@ -258,12 +258,12 @@ def test_a_plain_caller_is_looked_at_and_left(member: Member) -> None:
             sock, _ = server.accept()
             caller.sendall(sent)
             caller.shutdown(socket.SHUT_WR)
-            assert plainsocket.peek(sock) == seen
+            assert plain_stream.peek(sock) == seen
             caller.close()
             sock.close()
-    assert plainsocket.plain_fields(b"\x06\0\0\0\x02\0\0\0a=") == {"a": b""}
-    assert plainsocket.plain_fields(b"abc") == {}
-    assert plainsocket.plain_fields(b"\x01\0\0\0a") == {}
+    assert plain_stream.plain_fields(b"\x06\0\0\0\x02\0\0\0a=") == {"a": b""}
+    assert plain_stream.plain_fields(b"abc") == {}
+    assert plain_stream.plain_fields(b"\x01\0\0\0a") == {}
 
 
 def test_a_stand_is_the_module_but_for_some_names() -> None:
@@ -308,13 +308,13 @@ def test_a_caller_that_is_gone_does_not_end_the_accepting(
 
 
 def test_a_silent_caller_is_not_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(plainsocket, "_DEADLINE", 0.05)
+    monkeypatch.setattr(plain_stream, "_DEADLINE", 0.05)
     with socket.create_server(("127.0.0.1", 0)) as server:
         for sent in (b"", b"PO", b"\x06\0\0\0\x02\0"):
             with socket.create_connection(server.getsockname()) as caller:
                 sock, _ = server.accept()
                 caller.sendall(sent)
-                assert plainsocket.peek(sock) in (b"", sent)
+                assert plain_stream.peek(sock) in (b"", sent)
                 assert sock.gettimeout() is None
                 sock.close()
 

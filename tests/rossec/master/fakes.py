@@ -5,8 +5,8 @@ from dataclasses import dataclass, field
 
 from grants.errors import GrantError
 from grants.model import Right
-from rossec.master.gatekeeper import Caller, Peer
-from rossec.master.standing import Presented, Renewed
+from rossec.master.rights.access_rules import Caller, Peer
+from rossec.master.rights.interfaces import Presented, Renewed
 
 ALL = Right(255)
 

@@ -11,8 +11,8 @@ from typing import Any
 
 import pytest
 
-from rossec.master.api import MasterApi
-from rossec.master.registry import Registry
+from rossec.master.api.dispatch import MasterApi
+from rossec.master.state.registry import Registry
 from tests.rossec.master.fakes import FakeStatements, everything
 
 pytestmark = pytest.mark.ros

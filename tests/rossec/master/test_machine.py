@@ -17,13 +17,13 @@ from ca.errors import HintedError
 from grants.document import grant_id, peek
 from grants.model import Right
 from grants.token import unpack
-from rossec.master.api import MasterApi
-from rossec.master.enforce import enforce, steps
-from rossec.master.gatekeeper import SEES_TOPICS
-from rossec.master.registry import Kind, NodeRef, PublishersChanged, Registry, ShutdownNode
-from rossec.master.renewal import Delegate
-from rossec.master.trust import Trust
-from rossec.node.graph import GraphView
+from rossec.master.api.dispatch import MasterApi
+from rossec.master.rights.access_rules import SEES_TOPICS
+from rossec.master.rights.delegation import Delegate
+from rossec.master.rights.enforce import enforce, steps
+from rossec.master.rights.statements import Trust
+from rossec.master.state.registry import Kind, NodeRef, PublishersChanged, Registry, ShutdownNode
+from rossec.participant.graph_view import GraphView
 from tests.support.authority import Member, Site
 
 NODES: Final = ("/a", "/b", "/watcher")

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from rossec.master.api import MasterApi
-from rossec.master.gatekeeper import RULES
-from rossec.master.registry import Registry
+from rossec.master.api.dispatch import MasterApi
+from rossec.master.rights.access_rules import RULES
+from rossec.master.state.registry import Registry
 from tests.rossec.master.fakes import FakeStatements
 from tests.rossec.master.test_differential import BY_NAME
 

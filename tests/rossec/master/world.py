@@ -10,11 +10,11 @@ import pytest
 from ca.certificates import Identity
 from grants.model import Right
 from rossec.errors import RossecError
-from rossec.master.server import MasterServer
-from rossec.master.trust import Trust
-from rossec.master.turns import Turns
-from rossec.net.rpc import RpcClient, serve_calls
-from rossec.net.stream import Flavour, SecureStream, connect, serve
+from rossec.master.api.turns import Turns
+from rossec.master.rights.statements import Trust
+from rossec.master.server.server import MasterServer
+from rossec.net.aio import Flavour, SecureStream, connect, serve
+from rossec.net.rpc.client import RpcClient, serve_calls
 from rossec.ros.settings import parse_uri
 from tests.support.authority import Member, Site
 

@@ -8,11 +8,11 @@ from collections.abc import Callable, Iterator
 import pytest
 
 from rossec.errors import ChannelClosed
-from rossec.net.blocking import SecureSocket
+from rossec.net.aio import connect, serve
 from rossec.net.forks import forget_in_children
-from rossec.net.listener import SecureListener
-from rossec.net.stream import connect, serve
-from tests.rossec.net.test_blocking import live, make_listener, pair
+from rossec.net.threads.secure_socket import SecureSocket
+from tests.rossec.net.threads.test_secure_socket import live, make_listener, pair
+from tests.support.listener import SecureListener
 from tests.support.wire import ALICE, BOB, FakeIdentity
 
 

@@ -1,19 +1,12 @@
-"""A site with a master, a lamp that provides a service, and a hall that calls it."""
+"""A lamp that provides a service, and a hall that calls it."""
 
 from collections.abc import AsyncIterator
-from pathlib import Path
 
 import pytest
 
 from grants.model import Right
 from rossec.node import Node
 from tests.support.site import Site
-
-
-@pytest.fixture
-async def site(tmp_path: Path) -> AsyncIterator[Site]:
-    async with Site(tmp_path / "site").running() as site:
-        yield site
 
 
 @pytest.fixture

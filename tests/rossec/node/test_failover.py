@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from rossec.master.registry import Kind
+from rossec.master.state.registry import Kind
 from tests.support.absent import Absent
 from tests.support.site import Site
 from tests.support.witness import TOPIC, undisturbed, until

@@ -4,7 +4,7 @@ import asyncio
 from pathlib import Path
 
 from grants.model import Right
-from rossec.node.messages import Message
+from rossec.participant.message_types import Message
 from tests.support.site import Site
 from tests.support.witness import until
 

@@ -11,10 +11,11 @@ from ca.certificates import Identity
 from ca.encoding import encode
 from grants.model import Right
 from rossec.errors import ChannelError, PlainPeer
-from rossec.net.rpc import RpcClient
-from rossec.net.stream import Flavour, SecureStream, connect
-from rossec.node import Node, guests, listener
-from rossec.node.questions import QUESTIONS
+from rossec.net.aio import Flavour, SecureStream, connect
+from rossec.net.rpc.client import RpcClient
+from rossec.node import Node, listener
+from rossec.participant import accepted, slave_api
+from rossec.participant.slave_rights import QUESTIONS
 from rossec.ros import header
 from rossec.ros.settings import parse_uri
 from tests.support.site import Site
@@ -154,7 +155,7 @@ async def test_the_slave_api_answers_no_revoked_node(site: Site, robot: Node) ->
 async def test_one_identity_holds_a_bounded_number_of_connections(
     site: Site, robot: Node, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(guests, "PEER_CONNECTIONS", 3)
+    monkeypatch.setattr(accepted, "PEER_CONNECTIONS", 3)
     port = int(robot.uri.rstrip("/").rpartition(":")[2])
 
     async def met(name: str) -> SecureStream[Identity]:
@@ -172,7 +173,7 @@ async def test_one_identity_holds_a_bounded_number_of_connections(
 async def test_a_caller_that_stays_is_sent_away(
     site: Site, robot: Node, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(listener, "SLAVE_DEADLINE", 0.1)
+    monkeypatch.setattr(slave_api, "DEADLINE", 0.1)
     credentials = site.enroll("/viewer").credentials()
     port = int(robot.uri.rstrip("/").rpartition(":")[2])
     dial = (credentials, site.anchor.verify)

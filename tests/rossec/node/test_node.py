@@ -11,10 +11,10 @@ import pytest
 
 from ca.encoding import Value
 from ca.errors import CAError, CertificateExpired, RollbackRefused
-from ca.revocationtree import is_tree
+from ca.revocation.tree import is_tree
 from grants.model import Restriction, Right, filter_rules
 from grants.renewal import open_delegation
-from rossec.channel.known import KnownCertificates
+from rossec.channel.edhoc.known import KnownCertificates
 from rossec.errors import (
     ConfigurationError,
     HandshakeFailed,
@@ -23,7 +23,7 @@ from rossec.errors import (
     RossecError,
 )
 from rossec.node import Node, Publisher, Subscriber
-from rossec.node.session import MasterSession
+from rossec.participant.master_session import MasterSession
 from tests.support.site import DAY, HOUR, Site, coarse
 
 POSE = "geometry_msgs/PoseStamped"

@@ -5,13 +5,13 @@ from typing import Any
 
 import pytest
 
-from grants import layout
 from grants.errors import MessageRefused
+from grants.filters import layout
 from rossec.errors import ChannelClosed, ConfigurationError, NodeShutdown
-from rossec.node.messages import message_type
 from rossec.node.publisher import Publisher, SubscriberLink
-from rossec.node.recall import recall
-from rossec.node.topics import Endpoint
+from rossec.participant.limit_memory import recall
+from rossec.participant.message_types import message_type
+from rossec.participant.topic_handshake import Endpoint
 
 STRING = message_type("std_msgs/String")
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from grants.model import Right
-from rossec.master.registry import Kind
+from rossec.master.state.registry import Kind
 from tests.rossec.node.test_node import tell_master, until
 from tests.support.site import Site
 

@@ -1,137 +1,154 @@
-import time
-from pathlib import Path
+"""Services of nodes against a real master over real sockets: who may ask what, and what is cut."""
+
+import asyncio
 
 import pytest
 
-from ca.certificates import Identity
-from ca.revocation import Revocations, Timestamp, digest
-from grants.errors import GrantMissing
+from grants.errors import GrantError
 from grants.model import Right
-from rossec.errors import CallerMismatch, TopicRefused
-from rossec.node import services
-from rossec.node.access import Access
-from rossec.node.fields import Fields
-from tests.support.site import Site
-
-NOW = int(time.time())
-SERVICE = "/door/open"
-
-
-class Pair:
-    """A server and a client that hold the grants they need."""
-
-    def __init__(self, root: Path) -> None:
-        site = Site(root, clock=lambda: NOW)
-        site.grant("/door", Right.PROVIDE, SERVICE)
-        site.grant("/hall", Right.CALL, SERVICE)
-        self.door, self.hall = site.identity("/door"), site.identity("/hall")
-        self.door_access, self.hall_access = (
-            self._access(site, "/door"),
-            self._access(site, "/hall"),
-        )
-
-    def _access(self, site: Site, name: str) -> Access:
-        held = Revocations(site.anchor.public_key)
-        data = site.authority.store.newest_list()
-        assert data is not None
-        held.update(data, NOW)
-        held.confirm(Timestamp(1, digest(data), NOW, 30), NOW)
-        return Access(site.anchor, held, site.enroll(name).grants())
-
-    def question(self) -> Fields:
-        proof = services.caller_proof(SERVICE, self.hall_access, NOW)
-        return {"callerid": b"/hall", "service": SERVICE.encode(), **proof}
-
-    def answer(self) -> Fields:
-        return {"callerid": b"/door", **services.provider_proof(SERVICE, self.door_access, NOW)}
-
-    def admit_hall(self, fields: Fields, peer: Identity | None = None) -> None:
-        services.admit_caller(fields, peer or self.hall, self.door_access, NOW)
-
-    def admit_door(self, fields: Fields) -> None:
-        services.admit_provider(fields, self.door, SERVICE, self.hall_access, NOW)
-
-
-@pytest.fixture
-def pair(tmp_path: Path) -> Pair:
-    return Pair(tmp_path / "site")
-
-
-def test_the_two_headers_admit_each_other(pair: Pair) -> None:
-    pair.admit_hall(pair.question())
-    pair.admit_door(pair.answer())
-    assert services.requested_service(pair.question()) == SERVICE
-
-
-def test_a_client_needs_the_right_to_call(pair: Pair) -> None:
-    other = {**pair.question(), "service": b"/door/lock"}
-    with pytest.raises(GrantMissing):
-        pair.admit_hall(other)
-    with pytest.raises(GrantMissing):
-        pair.admit_hall({**pair.answer(), "service": SERVICE.encode()}, pair.door)
-
-
-def test_a_server_needs_the_right_to_provide(pair: Pair) -> None:
-    bare = pair.answer()
-    del bare["rossec_grants"]
-    with pytest.raises(GrantMissing):
-        pair.admit_door(bare)
-
-
-def test_names_are_those_of_the_certificates(pair: Pair) -> None:
-    with pytest.raises(CallerMismatch):
-        pair.admit_hall({**pair.question(), "callerid": b"/door"})
-    with pytest.raises(CallerMismatch):
-        pair.admit_door({**pair.answer(), "callerid": b"/hall"})
-
-
-def test_a_refusal_is_passed_on(pair: Pair) -> None:
-    with pytest.raises(TopicRefused, match=r"^/door refuses: closed$"):
-        pair.admit_door({"error": b"closed"})
-
-
-def test_a_header_without_a_service(pair: Pair) -> None:
-    question = pair.question()
-    del question["service"]
-    with pytest.raises(TopicRefused, match="'service'"):
-        pair.admit_hall(question)
-
-
-def test_headers_of_both_sides_fit_each_other(pair: Pair) -> None:
-    kind = services.Expected("std_srvs/SetBool", "09fb03525b03e7ea1fd3992bafd87e16")
-    asked = services.client_header("/hall", SERVICE, kind, pair.hall_access, NOW, persistent=True)
-    pair.admit_hall(asked)
-    assert services.is_set(asked, "persistent")
-    assert not services.is_set(asked, "probe")
-    answer = services.server_header("/door", SERVICE, kind, pair.door_access, NOW)
-    services.admit_provider(answer, pair.door, SERVICE, pair.hall_access, NOW)
-    for fields in (asked, answer):
-        services.check_md5(fields, SERVICE, kind.md5sum)
-        assert fields["type"] == b"std_srvs/SetBool"
-    assert answer["request_type"] == b"std_srvs/SetBoolRequest"
-
-
-def test_a_probe_expects_nothing(pair: Pair) -> None:
-    asked = services.client_header(
-        "/hall", SERVICE, services.ANY, pair.hall_access, NOW, probe=True
-    )
-    assert services.is_set(asked, "probe")
-    assert asked["md5sum"] == b"*"
-    services.check_md5(asked, SERVICE, "0" * 32)
-
-
-@pytest.mark.parametrize(
-    ("value", "means"),
-    [(b"1", True), (b"true", True), (b"True", True), (b"0", False), (b"", False)],
+from rossec.errors import (
+    AnswerMalformed,
+    AnswerRefused,
+    ConfigurationError,
+    RossecError,
+    ServiceUnavailable,
 )
-def test_flags_as_stock_clients_write_them(value: bytes, means: bool) -> None:
-    assert services.is_set({"probe": value}, "probe") is means
-    assert not services.is_set({}, "probe")
+from rossec.node import Node
+from tests.support.lamp import BOOL, LAMP, called, switch
+from tests.support.site import Site
+from tests.support.witness import until
 
 
-def test_checksums_must_agree() -> None:
-    services.check_md5({"md5sum": b"a"}, SERVICE, "*")
-    with pytest.raises(TopicRefused, match="/door/open has the checksum b here, a at the peer"):
-        services.check_md5({"md5sum": b"a"}, SERVICE, "b")
-    with pytest.raises(TopicRefused, match="has no 'md5sum'"):
-        services.check_md5({}, SERVICE, "b")
+async def test_a_call_is_answered(lamp: Node, hall: Node) -> None:
+    service = await lamp.service(LAMP, BOOL, switch)
+    client = hall.client(LAMP, BOOL)
+    response = await client(data=True)
+    assert (response.success, response.message) == (True, "on is True")
+    assert await called(client, data=False) == "on is False"
+    assert (await client(client.create(data=True))).message == "on is True"
+    await until(lambda: not service.links and not client.links)
+
+
+async def test_names_are_resolved(site: Site, lamp: Node) -> None:
+    await lamp.service("~on", BOOL, switch)
+    site.grant("/hall", Right.CALL, LAMP)
+    async with site.node("/hall", "light:=/lamp/on") as hall:
+        assert await called(hall.client("light", BOOL), data=True) == "on is True"
+
+
+async def test_mistakes_of_the_program(lamp: Node, hall: Node) -> None:
+    await lamp.service(LAMP, BOOL, switch)
+    with pytest.raises(ConfigurationError, match="provided by this node already"):
+        await lamp.service(LAMP, BOOL, switch)
+    for wrong in ({"concurrency": 0}, {"deadline": 0}):
+        with pytest.raises(ConfigurationError, match="concurrency"):
+            await lamp.service("/lamp/off", BOOL, switch, **wrong)
+    with pytest.raises(ConfigurationError, match="deadline of 0 s"):
+        hall.client(LAMP, BOOL, deadline=0)
+
+
+async def test_there_is_no_provider(lamp: Node, hall: Node) -> None:
+    with pytest.raises(ServiceUnavailable, match=f"no node provides {LAMP}"):
+        await hall.client(LAMP, BOOL)(data=True)
+    with pytest.raises(ServiceUnavailable, match=r"within 0\.1 s"):
+        await hall.wait_for_service(LAMP, timeout=0.1)
+    waiting = asyncio.ensure_future(hall.wait_for_service(LAMP, timeout=20))
+    service = await lamp.service(LAMP, BOOL, switch)
+    await waiting
+    await service.close()
+    with pytest.raises(ServiceUnavailable):
+        await hall.client(LAMP, BOOL)(data=True)
+
+
+async def test_without_the_right_to_call(site: Site, lamp: Node) -> None:
+    await lamp.service(LAMP, BOOL, switch)
+    site.enroll("/eve")
+    async with site.node("/eve") as eve:
+        with pytest.raises(AnswerRefused, match="call"):
+            await eve.client(LAMP, BOOL)(data=True)
+        with pytest.raises(AnswerRefused, match="call"):
+            await eve.wait_for_service(LAMP, timeout=20)
+
+
+async def test_without_the_right_to_provide(site: Site, hall: Node) -> None:
+    async with site.node("/eve") as eve:
+        with pytest.raises(RossecError, match="provide"):
+            await eve.service(LAMP, BOOL, switch)
+        with pytest.raises(RossecError, match="provide"):  # the first try left nothing behind
+            await eve.service(LAMP, BOOL, switch)
+
+
+async def tell(site: Site, node: Node, revoked: bytes) -> None:
+    await node._session.call("rossec.updateRevocations", site.revoke(revoked))
+
+
+async def test_a_revoked_caller_is_cut(site: Site, lamp: Node) -> None:
+    right = site.grant("/hall", Right.CALL, LAMP)
+    service = await lamp.service(LAMP, BOOL, switch)
+    async with site.node("/hall") as hall:
+        client = hall.client(LAMP, BOOL, persistent=True)
+        await called(client, data=True)
+        assert len(service.links) == 1
+        await tell(site, lamp, right)
+        await until(lambda: not service.links and not client.links)
+        await hall._session._beat()  # a node that registers nothing hears with its heartbeat
+        with pytest.raises((RossecError, GrantError)):
+            await called(client, data=True)
+
+
+async def test_a_revoked_provider_is_cut(site: Site, hall: Node) -> None:
+    right = site.grant("/lamp", Right.PROVIDE, LAMP)
+    async with site.node("/lamp") as lamp:
+        service = await lamp.service(LAMP, BOOL, switch)
+        client = hall.client(LAMP, BOOL, persistent=True)
+        await called(client, data=True)
+        await tell(site, hall, right)
+        await hall._session._beat()
+        await until(lambda: not service.links and not client.links)
+
+
+async def test_a_right_that_is_gone_does_not_cost_the_others(
+    site: Site, hall: Node, caplog: pytest.LogCaptureFixture
+) -> None:
+    gone = site.grant("/lamp", Right.PROVIDE, "/lamp/off")
+    site.grant("/lamp", Right.PROVIDE, LAMP)
+    async with site.node("/lamp") as lamp:
+        await lamp.service("/lamp/off", BOOL, switch)
+        await lamp.service(LAMP, BOOL, switch)
+        newest = site.revoke(gone)
+        await site.restart_master()
+        await until(lambda: "/lamp/off is not registered again" in caplog.text)
+        await until(lambda: hall.revocations.data == newest)  # it has met the new master
+        await hall.wait_for_service(LAMP, timeout=20)
+        with pytest.raises(ServiceUnavailable):
+            await hall.client("/lamp/off", BOOL)(data=True)
+        site.grant("/lamp", Right.PROVIDE, "/lamp/off")  # while it runs
+        await hall.wait_for_service("/lamp/off", timeout=20)
+
+
+async def test_what_is_known(lamp: Node, hall: Node, monkeypatch: pytest.MonkeyPatch) -> None:
+    await lamp.service(LAMP, BOOL, switch)
+    assert await hall.services.known() == {LAMP: ["/lamp"]}
+    nonsenses: list[object] = [7, [[], []], [[], [], 7], [[], [], [7]], [[], [], [[LAMP, "x"]]]]
+    for nonsense in nonsenses:
+
+        async def answer(*_: object, value: object = nonsense) -> object:
+            return value
+
+        monkeypatch.setattr(hall._session._client, "ask", answer)
+        with pytest.raises(AnswerMalformed, match="a system state that is none"):
+            await hall.services.known()
+
+
+async def test_a_restarted_master_knows_the_service_again(
+    site: Site, lamp: Node, hall: Node
+) -> None:
+    await lamp.service(LAMP, BOOL, switch)
+    await site.restart_master()
+    async with asyncio.timeout(20):
+        while True:
+            try:
+                assert await called(hall.client(LAMP, BOOL), data=True) == "on is True"
+                break
+            except RossecError:
+                await asyncio.sleep(0.05)

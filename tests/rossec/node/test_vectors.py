@@ -8,10 +8,10 @@ from typing import Any
 import pytest
 
 from ca.encoding import decode
-from ca.revocation import Revocations, Timestamp, digest
+from ca.revocation.state import Revocations, Timestamp, digest
 from grants.errors import GrantError
 from grants.model import Right
-from rossec.node.access import FIELD, Access
+from rossec.participant.access import FIELD, Access
 from rossec.ros import header
 from rossec.ros.xmlrpc import load_call
 from tests.support.site import Site

@@ -2,8 +2,8 @@
 
 import pytest
 
-from rossec.channel.unfinished import STEP, WINDOW
 from rossec.errors import FrameRefused, LimitExceeded
+from rossec.progress import STEP, WINDOW
 from rossec.ros.framing import Framing
 from rossec.ros.header import FrameReader, frame
 

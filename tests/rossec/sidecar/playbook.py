@@ -5,14 +5,14 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 from ca.certificates import Identity
-from ca.revocation import Revocations, Timestamp, digest
-from rossec.node.access import Access
-from rossec.node.named import NamedPublishers
-from rossec.sidecar.addresses import Doors
-from rossec.sidecar.commands import Command
-from rossec.sidecar.events import Event
-from rossec.sidecar.layers import Tenant
-from rossec.sidecar.types import known_type
+from ca.revocation.state import Revocations, Timestamp, digest
+from rossec.participant.access import Access
+from rossec.participant.publisher_grace import NamedPublishers
+from rossec.sidecar.core.commands import Command
+from rossec.sidecar.core.endpoints import Doors
+from rossec.sidecar.core.events import Event
+from rossec.sidecar.core.layers import Tenant
+from rossec.sidecar.host_types import known_type
 from tests.support.site import Site
 
 Outcome = TypeVar("Outcome")

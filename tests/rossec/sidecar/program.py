@@ -8,15 +8,15 @@ from collections.abc import AsyncIterator, Collection
 from typing import Self
 
 from rossec.channel.opening import Flavour
-from rossec.net.dial import dial
-from rossec.net.rpc import RpcClient, serve_calls
-from rossec.node.fields import Fields
+from rossec.net.aio.dial import dial
+from rossec.net.rpc.client import RpcClient, serve_calls
+from rossec.participant.header_fields import Fields
 from rossec.ros import header
 from rossec.ros.settings import parse_uri, read
-from rossec.sidecar.addresses import Endpoint, endpoint
 from rossec.sidecar.callers import Callers
-from rossec.sidecar.loopback import LoopbackPort
-from rossec.sidecar.plain import PlainStream
+from rossec.sidecar.core.endpoints import Endpoint, endpoint
+from rossec.sidecar.loopback_port import LoopbackPort
+from rossec.sidecar.plain_stream import PlainStream
 from rossec.sidecar.pump import split_header
 from rossec.sidecar.server import Sidecar
 from tests.support.site import Site

@@ -7,7 +7,7 @@ import pytest
 from rossec.channel.opening import Flavour
 from rossec.clock import Clock
 from rossec.errors import RossecError
-from rossec.sidecar.addresses import Endpoint, inside
+from rossec.sidecar.core.endpoints import Endpoint, inside
 from tests.rossec.sidecar.conversation import Pair, connect, ends, heard
 from tests.rossec.sidecar.program import word
 

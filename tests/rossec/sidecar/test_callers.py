@@ -9,7 +9,7 @@ import sys
 import pytest
 
 from rossec.errors import PeerUserRefused
-from rossec.net import peeruid
+from rossec.net.host import peeruid
 from rossec.sidecar.callers import Callers
 from tests.rossec.sidecar.manyprograms import programs
 

@@ -13,8 +13,8 @@ import pytest
 
 from rossec.errors import ConfigurationError
 from rossec.sidecar import child
-from rossec.sidecar.addresses import Loopback
 from rossec.sidecar.child import OUTSIDE, NoSuchProgram, inside, outside
+from rossec.sidecar.core.endpoints import Loopback
 
 HERE = {"ROS_MASTER_URI": "http://far:11311", "ROS_HOSTNAME": "near", "HOME": "/home/me"}
 LOOPBACK_URI = "http://127.0.0.1:4000/"

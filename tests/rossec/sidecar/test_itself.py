@@ -6,7 +6,7 @@ import pytest
 
 from grants.model import Right
 from rossec.channel.opening import Flavour
-from rossec.sidecar.addresses import endpoint
+from rossec.sidecar.core.endpoints import endpoint
 from tests.rossec.sidecar.program import Program, sidecar, word
 from tests.support.site import Site
 

@@ -8,7 +8,7 @@ import pytest
 from grants.model import Right
 from rossec.channel.opening import Flavour
 from rossec.errors import HangUp, RossecError
-from rossec.sidecar.addresses import Endpoint, inside
+from rossec.sidecar.core.endpoints import Endpoint, inside
 from tests.rossec.sidecar.conversation import Pair, connect, ends, heard
 from tests.rossec.sidecar.program import Program, sidecar, word
 from tests.support.absent import Absent
@@ -55,7 +55,7 @@ async def test_a_publisher_that_is_not_back_yet_is_named_for_a_while(
     assert [len(uris) for _, _, uris in told() if isinstance(uris, list)][-1] == 1
     await source.send(word("still"))
     assert await heard(stream, len(word("still"))) == word("still")
-    monkeypatch.setattr("rossec.node.named.GRACE", 0.0)
+    monkeypatch.setattr("rossec.participant.publisher_grace.GRACE", 0.0)
     named = pair.far._agent_for("/listener").tenant.named
     monkeypatch.setattr(named, "_until", 0.0)
     await until(lambda: told()[-1][2] == [], within=30)

@@ -7,14 +7,7 @@ from pathlib import Path
 import pytest
 
 from rossec.sidecar import processes
-from rossec.sidecar.processes import (
-    descendants,
-    descends,
-    descriptors,
-    parents,
-    process,
-    socket_at,
-)
+from rossec.sidecar.processes import descendants, descends, descriptors, parents, process, socket_at
 
 NONE = 1 << 30
 

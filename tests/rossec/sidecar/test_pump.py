@@ -14,10 +14,10 @@ from grants.memory import Memory
 from grants.model import Restriction, Right
 from rossec.errors import ChannelClosed, HeaderRefused
 from rossec.ros import header
-from rossec.sidecar.copies import Copies
-from rossec.sidecar.plain import PlainStream
+from rossec.sidecar.core.copies import Copies
+from rossec.sidecar.plain_stream import PlainStream
 from rossec.sidecar.pump import guarded, outgoing, split_header
-from tests.rossec.sidecar.test_plain import pair
+from tests.rossec.sidecar.test_plain_stream import pair
 from tests.support.witness import until
 
 

@@ -1,0 +1,161 @@
+"""Private keys on disk: born 0600 with O_EXCL, never overwritten, never printed.
+
+This is a shell: it touches files and takes randomness from the system. A key that others on the
+machine can read is refused, as ssh does: it must be assumed to be copied. A key at rest is PKCS#8
+in PEM, encrypted with scrypt (`ca.keys.pbes2`) when there is a passphrase.
+"""
+
+import base64
+import os
+import secrets
+import stat
+from pathlib import Path
+from typing import Final
+
+from cryptography.exceptions import UnsupportedAlgorithm
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.hazmat.primitives.serialization import (
+    Encoding,
+    NoEncryption,
+    PrivateFormat,
+    load_pem_private_key,
+)
+
+from ca.errors import KeyRefused, PassphraseRefused
+from ca.keys import ownership, pbes2
+from ca.keys.publickey import thumbprint
+
+__all__ = ["generate", "load_private", "thumbprint", "write_private"]
+
+_MAX_FILE: Final = 8 * 1024
+_ENCRYPTED: Final = b"-----BEGIN ENCRYPTED PRIVATE KEY-----"
+# O_NONBLOCK: opening a FIFO must not hang; it is refused as no regular file right after.
+_READ: Final = os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NONBLOCK
+_CREATE: Final = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
+
+
+def generate() -> ec.EllipticCurvePrivateKey:
+    """Return a new P-256 key."""
+    return ec.generate_private_key(ec.SECP256R1())
+
+
+def write_private(
+    path: Path, key: ec.EllipticCurvePrivateKey, passphrase: str | None = None
+) -> None:
+    """Write `key` to the new file `path`, readable by its owner only, durable on return.
+
+    Raises:
+        PassphraseRefused: the passphrase is empty.
+        KeyRefused: the file exists, or cannot be written; nothing half-written is left.
+    """
+    pem = _to_pem(key, passphrase)
+    try:
+        descriptor = os.open(path, _CREATE, 0o600)
+    except FileExistsError:
+        raise KeyRefused(
+            f"{path} exists and is not overwritten", "move the old key away if it is not needed"
+        ) from None
+    except OSError as error:
+        raise KeyRefused(f"cannot create {path}: {error.strerror}") from error
+    try:
+        _write_durably(descriptor, pem, path.parent)
+    except OSError as error:
+        path.unlink(missing_ok=True)
+        raise KeyRefused(
+            f"cannot write {path}: {error.strerror}", "no key was made: make room, then do it again"
+        ) from error
+
+
+def load_private(path: Path, passphrase: str | None = None) -> ec.EllipticCurvePrivateKey:
+    """Return the P-256 key in the file `path`.
+
+    Raises:
+        PassphraseRefused: the passphrase is missing, wrong, or given for a key without one.
+        PlaceRefused: another user owns it, or can put another in its place.
+        KeyRefused: no readable regular file, open to group or others, or not a P-256 key.
+    """
+    pem = _read(path)
+    _check_passphrase(path, passphrase, encrypted=_ENCRYPTED in pem)
+    try:
+        key = load_pem_private_key(pem, None if passphrase is None else passphrase.encode())
+    except (ValueError, TypeError, UnsupportedAlgorithm) as error:
+        if passphrase is not None:
+            raise PassphraseRefused(
+                f"the passphrase does not open {path}",
+                "try again; if it is certainly right, the file is damaged: restore the backup",
+            ) from error
+        raise KeyRefused(
+            f"{path} holds no private key", "restore the file from a backup"
+        ) from error
+    if not isinstance(key, ec.EllipticCurvePrivateKey) or not isinstance(key.curve, ec.SECP256R1):
+        raise KeyRefused(f"{path} holds a key that is not P-256", "create a new key with rossec")
+    return key
+
+
+def _to_pem(key: ec.EllipticCurvePrivateKey, passphrase: str | None) -> bytes:
+    if passphrase is None:
+        return key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
+    if not passphrase:
+        raise PassphraseRefused("the passphrase is empty", "choose one, or ask for none explicitly")
+    plain = key.private_bytes(Encoding.DER, PrivateFormat.PKCS8, NoEncryption())
+    salt, iv = secrets.token_bytes(pbes2.SALT_SIZE), secrets.token_bytes(pbes2.IV_SIZE)
+    text = base64.b64encode(pbes2.encrypt(plain, passphrase.encode(), salt=salt, iv=iv))
+    lines = [text[start : start + 64] for start in range(0, len(text), 64)]
+    return b"\n".join([_ENCRYPTED, *lines, _ENCRYPTED.replace(b"BEGIN", b"END"), b""])
+
+
+def _write_durably(descriptor: int, data: bytes, directory: Path) -> None:
+    with os.fdopen(descriptor, "wb") as file:
+        file.write(data)
+        file.flush()
+        os.fsync(file.fileno())
+    _sync_directory(directory)
+
+
+def _sync_directory(directory: Path) -> None:
+    """Make a new directory entry survive a power cut."""
+    descriptor = os.open(directory, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def _read(path: Path) -> bytes:
+    ownership.check_directory(path.parent)
+    try:
+        descriptor = os.open(path, _READ)
+    except FileNotFoundError:
+        raise KeyRefused(f"there is no key at {path}", "create one with rossec") from None
+    except OSError as error:
+        raise KeyRefused(
+            f"cannot open {path}: {error.strerror}",
+            "a key file must be a plain file of the user rossec runs as, no symbolic link",
+        ) from error
+    with os.fdopen(descriptor, "rb") as file:
+        _check_file(path, os.fstat(file.fileno()))
+        return file.read(_MAX_FILE)
+
+
+def _check_file(path: Path, status: os.stat_result) -> None:
+    """Judge the file that was opened, not the path: the path may point elsewhere by now."""
+    if not stat.S_ISREG(status.st_mode):
+        raise KeyRefused(f"{path} is not a plain file", "a key lives in a file of its own")
+    if status.st_mode & 0o077:
+        raise KeyRefused(
+            f"{path} can be read or written by others",
+            f"if nobody used that: chmod 600 {path}; otherwise make a new key",
+        )
+    ownership.check_file(path, status)
+    if status.st_size > _MAX_FILE:
+        raise KeyRefused(f"{path} is too large for a key", "name the file of the private key")
+
+
+def _check_passphrase(path: Path, passphrase: str | None, *, encrypted: bool) -> None:
+    if encrypted and passphrase is None:
+        raise PassphraseRefused(f"{path} is encrypted", "give its passphrase")
+    if passphrase is not None and not encrypted:
+        raise PassphraseRefused(
+            f"{path} is not encrypted although a passphrase was given",
+            "find out who replaced the file, or leave the passphrase out",
+        )

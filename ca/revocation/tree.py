@@ -1,0 +1,211 @@
+"""Revocations that are too many to send: the authority signs a tree, the master shows its branches.
+
+The tree is RFC 6962's over the sorted entries (`ca.revocation.merkle`); the authority signs its
+root and size under the same numbers as a list. Whoever has all entries can prove of any one that it
+is among them, or that it is not: then it would stand between two neighbours, or beyond an end. So a
+master can hide nothing, and a node asks only about what concerns it.
+"""
+
+from bisect import bisect_left
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from cryptography.hazmat.primitives.asymmetric import ec
+
+from ca.cose import Profile
+from ca.encoding import Value, decode, encode
+from ca.errors import EncodingError, ProofRefused, RevocationRefused, SignatureError
+from ca.keys.signer import Signer
+from ca.revocation.lists import check_entry
+from ca.revocation.merkle import HASH_SIZE, Tree, verify_inclusion
+
+TREE: Final = Profile("rossec-revocation-tree+cwt")
+MAX_TREE: Final = 512  # bytes of the statement
+MAX_LEAVES: Final = 32 * 1024  # what one call carries to the master
+MAX_LISTING: Final = MAX_LEAVES * 34 + 16
+MAX_PROOF: Final = 4096
+
+_EXP, _IAT = 4, 6
+_EPOCH, _SEQ, _SIZE, _ROOT = -70001, -70002, -70006, -70007
+_INT_LIMIT: Final = 1 << 53
+
+
+@dataclass(frozen=True)
+class RevocationTree:
+    """Everything revoked, by the size and the root of its tree; numbered as a list is."""
+
+    epoch: int
+    seq: int
+    issued: int
+    expires: int
+    size: int
+    root: bytes
+
+    def __post_init__(self) -> None:
+        numbers = (self.epoch, self.seq, self.issued, self.expires, self.size)
+        if not all(type(number) is int and 0 <= number < _INT_LIMIT for number in numbers):
+            raise RevocationRefused("a number of the revocation tree is out of range")
+        if self.expires <= self.issued or not 0 < self.size <= MAX_LEAVES:
+            raise RevocationRefused("a revocation tree that is empty, too large, or never valid")
+        if len(self.root) != HASH_SIZE:
+            raise RevocationRefused(f"the root of the revocation tree has not {HASH_SIZE} bytes")
+
+    @property
+    def number(self) -> tuple[int, int]:
+        """The order of lists and trees: (epoch, seq)."""
+        return self.epoch, self.seq
+
+
+def is_tree(data: bytes) -> bool:
+    """Whether `data` says of itself that it is a tree, not a list; nothing is verified."""
+    return data.startswith(_FRAME)
+
+
+_FRAME: Final = b"\xd2\x84" + encode(TREE.protected)
+
+
+def sign_tree(signer: Signer, tree: RevocationTree) -> bytes:
+    """Sign `tree` with the authority's key."""
+    return TREE.sign(
+        signer,
+        {
+            _EXP: tree.expires,
+            _IAT: tree.issued,
+            _EPOCH: tree.epoch,
+            _SEQ: tree.seq,
+            _SIZE: tree.size,
+            _ROOT: tree.root,
+        },
+    )
+
+
+def open_tree(data: bytes, ca_key: ec.EllipticCurvePublicKey) -> RevocationTree:
+    """Verify and read a tree; its age is not judged here.
+
+    Raises:
+        RevocationRefused: not signed by the authority, malformed, or not a valid tree.
+    """
+    try:
+        value = TREE.open(data, ca_key, limit=MAX_TREE)
+    except (SignatureError, EncodingError) as error:
+        raise RevocationRefused(
+            f"the revocation tree is refused: {error}", "take it from the authority or the master"
+        ) from error
+    match value:
+        case {4: int() as exp, 6: int() as iat, -70001: int() as epoch, -70002: int() as seq,
+              -70006: int() as size, -70007: bytes() as root, **rest} if not rest:  # fmt: skip
+            return RevocationTree(epoch, seq, iat, exp, size, root)
+        case _:
+            raise RevocationRefused("the revocation tree has missing or unknown fields")
+
+
+class Listing:
+    """All entries of a tree, from which proofs are made.
+
+    Raises:
+        RevocationRefused: an entry that is none.
+    """
+
+    def __init__(self, entries: Collection[bytes]) -> None:
+        self._entries = sorted({check_entry(entry) for entry in entries})
+        self._tree = Tree(self._entries)
+
+    @classmethod
+    def read(cls, data: bytes) -> "Listing":
+        """Read what `encoded` wrote.
+
+        Raises:
+            RevocationRefused: it is not that.
+        """
+        try:
+            value = decode(data, limit=MAX_LISTING)
+        except EncodingError as error:
+            raise RevocationRefused(f"not a listing of revocations: {error}") from error
+        if not isinstance(value, list):
+            raise RevocationRefused("not a listing of revocations")
+        return cls([check_entry(item) for item in value])
+
+    def encoded(self) -> bytes:
+        """The entries, to be carried to the master."""
+        entries: list[Value] = [*self._entries]
+        return encode(entries)
+
+    @property
+    def entries(self) -> frozenset[bytes]:
+        """All of them."""
+        return frozenset(self._entries)
+
+    @property
+    def size_and_root(self) -> tuple[int, bytes]:
+        """What the authority signs."""
+        return len(self._entries), self._tree.root()
+
+    def check(self, tree: RevocationTree) -> None:
+        """Return if these are the entries `tree` was made of.
+
+        Raises:
+            RevocationRefused: otherwise.
+        """
+        if self.size_and_root != (tree.size, tree.root):
+            raise RevocationRefused(
+                "the entries are not those of the signed tree",
+                "deliver it again: rossec ca publish",
+            )
+
+    def prove(self, entry: bytes) -> bytes:
+        """The proof that `entry` is in the tree, or that it is not."""
+        at = bisect_left(self._entries, entry)
+        if at < len(self._entries) and self._entries[at] == entry:
+            places = [at]
+        else:
+            places = [place for place in (at - 1, at) if 0 <= place < len(self._entries)]
+        proof: list[Value] = [
+            [place, self._entries[place], [*self._tree.inclusion(place)]] for place in places
+        ]
+        return encode(proof)
+
+
+def is_revoked(tree: RevocationTree, entry: bytes, proof: bytes) -> bool:
+    """What `proof` shows of `entry`: that it is in `tree`, or that it is not.
+
+    Raises:
+        RevocationRefused: it shows neither.
+    """
+    leaves = [_leaf(tree, part) for part in _parts(proof)]
+    match leaves:
+        case [(_, leaf)] if leaf == entry:
+            return True
+        case [(0, first)] if entry < first:
+            return False
+        case [(place, last)] if place == tree.size - 1 and last < entry:
+            return False
+        case [(left, below), (right, above)] if right == left + 1 and below < entry < above:
+            return False
+        case _:
+            raise RevocationRefused("a proof that shows nothing of what was asked")
+
+
+def _parts(proof: bytes) -> Sequence[Value]:
+    try:
+        value = decode(proof, limit=MAX_PROOF)
+    except EncodingError as error:
+        raise RevocationRefused(f"not a proof: {error}") from error
+    if not isinstance(value, list):
+        raise RevocationRefused("a proof is a list of leaves")
+    return value
+
+
+def _leaf(tree: RevocationTree, part: Value) -> tuple[int, bytes]:
+    match part:
+        case [int() as place, bytes() as leaf, list() as hashes] if type(place) is int:
+            path = [item for item in hashes if isinstance(item, bytes)]
+        case _:
+            raise RevocationRefused("a leaf of a proof is [place, entry, hashes]")
+    if len(path) != len(hashes):
+        raise RevocationRefused("the hashes of a proof are bytes")
+    try:
+        verify_inclusion(leaf, place, tree.size, path, tree.root)
+    except ProofRefused as error:
+        raise RevocationRefused(f"a proof is wrong: {error}") from error
+    return place, leaf

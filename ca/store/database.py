@@ -1,0 +1,205 @@
+"""The file of the authority's record: an SQLite database of its owner alone, durable and whole.
+
+A shell. What the tables are, `ca.store.schema` knows; this module opens them, so that a foreign,
+damaged or vanished file is refused and left as it is, and runs transactions: all of it on the disk
+when the call returns, or nothing. What is read to decide a change is read inside `changing`, which
+keeps every other command out until the change is made.
+"""
+
+import os
+import sqlite3
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any, Final, Self
+
+from ca.errors import StoreError
+from ca.keys import ownership
+from ca.store import schema
+from ca.store.faults import fault
+
+_PATIENCE: Final = 30.0  # seconds for other commands, which take the lock for milliseconds
+# How a transaction begins, is kept and is undone: a whole one, and one inside another.
+_WHOLE: Final = ("BEGIN IMMEDIATE", "COMMIT", ("ROLLBACK",))
+_PART: Final = ("SAVEPOINT part", "RELEASE part", ("ROLLBACK TO part", "RELEASE part"))
+
+
+class Database:
+    """An open record. Make one with `create` or `open`."""
+
+    def __init__(self, connection: sqlite3.Connection, path: Path) -> None:
+        self.connection = connection
+        self._path = path.absolute()
+        found = path.stat()
+        self._file = found.st_dev, found.st_ino
+
+    @classmethod
+    def create(cls, path: Path) -> Self:
+        """Make a new, empty record, readable by its owner alone.
+
+        Raises:
+            StoreError: the file exists, or its directory does not.
+        """
+        try:
+            os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_RDWR | os.O_CLOEXEC, 0o600))
+        except OSError as error:
+            raise StoreError(f"cannot create {path}: {error.strerror}") from error
+        database = cls(_connect(path), path)
+        try:
+            _configure(database.connection)
+        except sqlite3.Error as error:
+            raise fault(path, error) from error
+        with database.changing() as db:
+            schema.create(db)
+        return database
+
+    @classmethod
+    def open(cls, path: Path) -> Self:
+        """Open an existing record; one of an older version is brought up first.
+
+        Raises:
+            StoreError: no file, not a record of rossec, damaged, or of a newer version; or it
+                cannot be used now.
+            PlaceRefused: another user owns it, or could have written it.
+        """
+        _check_file(path)
+        database = cls(_connect(path), path)
+        try:
+            _check_kind(database.connection, path)
+            _configure(database.connection)
+            database._bring_up()
+        except (sqlite3.Error, StoreError) as error:
+            database.close()
+            if isinstance(error, StoreError):
+                raise
+            raise fault(path, error) from error
+        return database
+
+    def close(self) -> None:
+        """Close the file."""
+        self.connection.close()
+
+    def snapshot(self) -> bytes:
+        """The whole file as of this moment, whatever others are writing.
+
+        Raises:
+            StoreError: the file is damaged or closed.
+        """
+        try:
+            return self.connection.serialize()
+        except sqlite3.Error as error:
+            raise fault(self._path, error) from error
+
+    def rows(self, query: str, *values: object) -> list[Any]:
+        """What `query` finds.
+
+        Raises:
+            StoreError: the file is damaged or closed.
+        """
+        try:
+            return self.connection.execute(query, values).fetchall()
+        except sqlite3.Error as error:
+            raise fault(self._path, error) from error
+
+    def check(self) -> None:
+        """Return if the file is whole, and nothing in it runs or answers but what rossec made.
+
+        Raises:
+            StoreError: see `ca.store.schema.check_alone`; or the file is damaged.
+        """
+        try:
+            schema.check_alone(self.connection)
+            found = self.connection.execute("PRAGMA quick_check").fetchall()
+        except sqlite3.Error as error:
+            raise fault(self._path, error) from error
+        if found != [("ok",)]:
+            raise StoreError(f"{self._path} is damaged: {found[0][0]}", "restore another backup")
+
+    @contextmanager
+    def changing(self) -> Iterator[sqlite3.Connection]:
+        """One transaction, alone: all of it, durably, or nothing.
+
+        Inside another one it is a part of that: undone alone if it fails, kept when that is.
+
+        Raises:
+            StoreError: an entry is refused, the file cannot be written, or it was replaced.
+        """
+        try:
+            begin, keep, undo = _PART if self.connection.in_transaction else _WHOLE
+            self.connection.execute(begin)
+            try:
+                self._check_in_place()
+                yield self.connection
+                self.connection.execute(keep)
+            except BaseException:
+                if self.connection.in_transaction:  # a full disk ends it by itself
+                    for statement in undo:
+                        self.connection.execute(statement)
+                raise
+        except sqlite3.Error as error:
+            raise fault(self._path, error) from error
+
+    @contextmanager
+    def reading(self) -> Iterator[None]:
+        """What is read inside is of one moment, whatever others write meanwhile."""
+        if self.connection.in_transaction:
+            yield
+            return
+        self.rows("BEGIN")
+        try:
+            yield
+        finally:
+            self.connection.execute("ROLLBACK")
+
+    def _check_in_place(self) -> None:
+        """A record that was moved aside while this command waited must not take anything in."""
+        try:
+            found = self._path.stat()
+        except OSError:
+            found = None
+        if found is None or (found.st_dev, found.st_ino) != self._file:
+            raise StoreError(
+                f"{self._path} was replaced by another command, nothing was changed",
+                "run the command again: it then works on what is there now",
+            )
+
+    def _bring_up(self) -> None:
+        if schema.version(self.connection) != schema.VERSION:
+            with self.changing() as db:
+                schema.migrate(db)
+        schema.check(self.connection)
+
+
+def _check_file(path: Path) -> None:
+    if not path.is_file():
+        raise StoreError(f"there is no record at {path}", "restore it from a backup")
+    if path.stat().st_mode & 0o077:
+        raise StoreError(
+            f"{path} can be read or written by others",
+            f"it tells who may see what: chmod 600 {path}",
+        )
+    with suppress(FileNotFoundError):  # SQLite will say so
+        ownership.check_own(path)
+
+
+def _connect(path: Path) -> sqlite3.Connection:
+    try:
+        return sqlite3.connect(
+            f"{path.absolute().as_uri()}?mode=rw", timeout=_PATIENCE, isolation_level=None, uri=True
+        )
+    except sqlite3.Error as error:
+        raise fault(path, error) from error
+
+
+def _check_kind(db: sqlite3.Connection, path: Path) -> None:
+    """Before anything is set: another program's database must be left as it is."""
+    (application,) = db.execute("PRAGMA application_id").fetchone()
+    if application != schema.APPLICATION_ID or not 1 <= schema.version(db) <= schema.VERSION:
+        raise StoreError(
+            f"{path} is not a record of this version of rossec", "restore it, or update rossec"
+        )
+
+
+def _configure(db: sqlite3.Connection) -> None:
+    for pragma in ("journal_mode = WAL", "synchronous = FULL", "trusted_schema = OFF"):
+        db.execute(f"PRAGMA {pragma}")

@@ -1,0 +1,170 @@
+"""The identities in the authority's record: which were signed, and which key a name may have.
+
+A shell. A name keeps its key. Another one is taken in three cases only: no key of the name is
+alive; the operator speaks the name again (`replace_key`); or the newest living key itself proves
+the renewal (`renews`). An older key that renews once more is a thief's, or a restored disk's: it
+is refused.
+"""
+
+import sqlite3
+from collections.abc import Callable
+
+from ca.errors import KeyChanged, NameCovered, RenewalRefused, StoreError
+from ca.store.database import Database
+from ca.store.log import record
+from ca.store.log_entries import digest_of
+from ca.store.rows import INTERMEDIATE, CertificateRow
+
+_COLUMNS = "serial, name, thumbprint, der, not_before, not_after"
+
+
+class IdentityBook:
+    """The certificates of one record."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+
+    def all(self) -> list[CertificateRow]:
+        """Every identity signed, oldest first."""
+        return self._find("ORDER BY rowid")
+
+    def of(self, name: str) -> list[CertificateRow]:
+        """Every identity of `name`, oldest first."""
+        return self._find("WHERE name = ? ORDER BY rowid", name)
+
+    def alive(self, name: str, now: int) -> list[CertificateRow]:
+        """Those with which `name` can still prove itself: no key of the chain is revoked."""
+        return self.in_force(self.unrevoked(name, now))
+
+    def unrevoked(self, name: str, now: int) -> list[CertificateRow]:
+        """Those not expired whose own key is not revoked: more than these no revocation can end."""
+        return self._find(
+            "WHERE name = ? AND not_after >= ?"
+            " AND thumbprint NOT IN (SELECT entry FROM revocation) ORDER BY rowid",
+            name, now,
+        )  # fmt: skip
+
+    def in_force(self, rows: list[CertificateRow]) -> list[CertificateRow]:
+        """Those of `rows` that no revoked intermediate signed."""
+        ended = self._find(
+            "WHERE substr(name, 1, ?) = ? AND thumbprint IN (SELECT entry FROM revocation)",
+            len(INTERMEDIATE), INTERMEDIATE,
+        )  # fmt: skip
+        return [row for row in rows if _signer(row, ended) is None]
+
+    def signer(self, row: CertificateRow) -> CertificateRow | None:
+        """The intermediate of this record that signed `row`, newest first; None: the authority."""
+        clause = "WHERE substr(name, 1, ?) = ? ORDER BY rowid DESC"
+        return _signer(row, self._find(clause, len(INTERMEDIATE), INTERMEDIATE))
+
+    def certified(self, name: str, now: int) -> str:
+        """The name under which grants, rules and revocations are for the node called `name`.
+
+        Its own, unless it is an anonymous one: then that of the living identity that covers it.
+        """
+        covering = (row.name for row in self._related(name, now) if row.covers(name))
+        return max(covering, key=len, default=name)
+
+    def check_names(
+        self, name: str, thumbprint: bytes, now: int, covers: Callable[[str], bool]
+    ) -> None:
+        """Return if no two keys would go by one name, also not through a wildcard tail.
+
+        `covers(other)`: whether the identity to be would stand for `other`.
+
+        Raises:
+            NameCovered: they would.
+        """
+        for known in self._related(name, now):
+            one = known.covers(name) or covers(known.name)
+            if known.thumbprint != thumbprint and known.name != name and one:
+                raise NameCovered(
+                    f"{name} and {known.name}: one is for anonymous nodes and covers the other",
+                    f"choose another name, or revoke {known.name} first",
+                )
+
+    def answer(self, request: bytes) -> CertificateRow | None:
+        """The certificate that was issued for the request with this digest."""
+        found = self._find("WHERE serial = (SELECT serial FROM answer WHERE request = ?)", request)
+        return found[0] if found else None
+
+    def add(
+        self, db: sqlite3.Connection, row: CertificateRow, now: int, request: bytes | None
+    ) -> None:
+        """Record an identity, inside the caller's transaction."""
+        values = (row.serial.to_bytes(20), *row[1:])
+        db.execute("INSERT INTO certificate VALUES (?, ?, ?, ?, ?, ?, ?)", (*values, now))
+        if request is not None:
+            db.execute("INSERT INTO answer VALUES (?, ?, ?)", (request, values[0], now))
+        record(db, now, "certificate", row.name, row.thumbprint.hex(), digest_of(values))
+
+    def check_key(
+        self,
+        name: str,
+        thumbprint: bytes,
+        now: int,
+        *,
+        replace_key: str | None = None,
+        renews: bytes | None = None,
+    ) -> None:
+        """Return if `name` may be certified with the key `thumbprint`.
+
+        Raises:
+            KeyChanged: it lives with another key, and nobody said that this one replaces it.
+            RenewalRefused: `renews` is not its newest key.
+            StoreError: the key is revoked, or `replace_key` is another name.
+        """
+        self.check_not_revoked(name, thumbprint)
+        if replace_key is not None and replace_key != name:
+            raise StoreError(
+                f"the key of {replace_key} was to be replaced, but {name} asks",
+                "give the name exactly, once for each request",
+            )
+        known = [row.thumbprint for row in self.alive(name, now)]
+        if renews is not None:
+            self.check_not_revoked(name, renews)
+            _check_newest(name, known, renews)
+        elif replace_key is None and set(known) - {thumbprint}:
+            raise KeyChanged(
+                f"{name} has an identity with another key until it expires",
+                f"was the node set up anew? then say so with --replace-key {name}; if not, refuse",
+            )
+
+    def check_not_revoked(self, name: str, thumbprint: bytes) -> None:
+        """Return if the key that asks for `name` is not revoked.
+
+        Raises:
+            StoreError: it is.
+        """
+        if self._database.rows("SELECT 1 FROM revocation WHERE entry = ?", thumbprint):
+            raise StoreError(
+                f"the key of {name} is revoked", "have the node make a new key and request"
+            )
+
+    def _related(self, name: str, now: int) -> list[CertificateRow]:
+        """Living identities whose name begins with `name`, or the other way round."""
+        found = self._find(
+            "WHERE (substr(?, 1, length(name)) = name OR substr(name, 1, length(?)) = ?)"
+            " AND not_after >= ? AND thumbprint NOT IN (SELECT entry FROM revocation)",
+            name, name, name, now,
+        )  # fmt: skip
+        return self.in_force(found)
+
+    def _find(self, clause: str, *values: object) -> list[CertificateRow]:
+        rows = self._database.rows(f"SELECT {_COLUMNS} FROM certificate {clause}", *values)  # noqa: S608  (constants)
+        return [CertificateRow(int.from_bytes(serial), *rest) for serial, *rest in rows]
+
+
+def _signer(row: CertificateRow, made: list[CertificateRow]) -> CertificateRow | None:
+    if row.name.startswith(INTERMEDIATE):  # which only the root signs
+        return None
+    return next((issuer for issuer in made if row.is_signed_by(issuer)), None)
+
+
+def _check_newest(name: str, known: list[bytes], renews: bytes) -> None:
+    """An authority that never saw the name (an intermediate) has only the proof to go by."""
+    if known and known[-1] != renews:
+        raise RenewalRefused(
+            f"{name} was renewed already, by another key than the one that asks now",
+            "a copy of the node is at work: revoke the name, and enroll the right one anew",
+        )

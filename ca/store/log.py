@@ -1,0 +1,139 @@
+"""The log in the authority's record: written with every change, read and recomputed as a whole.
+
+A shell around `ca.store.log_entries`. `audit` trusts nothing that is stored: it computes the tree
+from the entries, compares every row of the record with the entry that announced it, replays the
+life of every request, and checks each signed head.
+"""
+
+import sqlite3
+from itertools import zip_longest
+
+from cryptography.hazmat.primitives.asymmetric import ec
+
+from ca.errors import LogDamaged
+from ca.revocation.merkle import Tree, root_of
+from ca.store import schema
+from ca.store.database import Database
+from ca.store.lifecycle import TRANSITIONS, State
+from ca.store.log_entries import (
+    Entry,
+    Head,
+    check_entries,
+    check_head,
+    digest_of,
+    leaf,
+    open_head,
+    split,
+)
+
+COLLECTED = "collected"
+_HINT = "somebody changed the record: restore a backup, and find out who"
+
+
+class Journal:
+    """The log of one record."""
+
+    def __init__(self, database: Database) -> None:
+        self._database = database
+
+    def entries(self) -> list[Entry]:
+        """Everything that was done, oldest first."""
+        rows = self._database.rows(
+            "SELECT number, at, what, subject, detail, digest FROM log ORDER BY number"
+        )
+        return [Entry(*row) for row in rows]
+
+    def head(self, now: int) -> Head:
+        """The state of the log now, to be signed."""
+        rows = self._database.rows("SELECT number, peaks FROM log ORDER BY number DESC LIMIT 1")
+        size, peaks = (rows[0][0] + 1, rows[0][1]) if rows else (0, b"")
+        return Head(size, root_of(split(peaks)), now)
+
+    def add_head(self, data: bytes, now: int) -> None:
+        """Keep a signed head."""
+        with self._database.changing() as db:
+            db.execute("INSERT INTO head VALUES (?, ?) ON CONFLICT DO NOTHING", (data, now))
+
+    def heads(self) -> list[bytes]:
+        """Every head signed, oldest first."""
+        rows = self._database.rows("SELECT data FROM head ORDER BY rowid")
+        return [bytes(data) for (data,) in rows]
+
+    def tree(self) -> Tree:
+        """The tree of all entries, for proofs."""
+        return Tree(map(leaf, self.entries()))
+
+    def audit(self, key: ec.EllipticCurvePublicKey, *more: bytes) -> Head:
+        """Recompute everything; returns the newest head signed, which covers what was checked.
+
+        `key` is the authority's; `more` are heads kept elsewhere.
+
+        Raises:
+            LogDamaged: the first thing found that is not what was written.
+        """
+        with self._database.reading():  # another command may be writing
+            return self._audit(key, more)
+
+    def _audit(self, key: ec.EllipticCurvePublicKey, more: tuple[bytes, ...]) -> Head:
+        tree = check_entries(self._recorded())
+        entries = self.entries()
+        for what in schema.RECORDED:
+            self._check_rows(what, [entry for entry in entries if entry.what == what])
+        self._check_requests(entries)
+        newest = Head(0, root_of(()), 0)
+        for data in (*self.heads(), *more):
+            head = open_head(data, key)
+            check_head(tree, head)
+            newest = max(newest, head, key=lambda each: each.size)
+        return newest
+
+    def _recorded(self) -> list[tuple[Entry, bytes]]:
+        rows = self._database.rows(
+            "SELECT number, at, what, subject, detail, digest, peaks FROM log ORDER BY number"
+        )
+        return [(Entry(*row[:-1]), row[-1]) for row in rows]
+
+    def _check_rows(self, what: str, entries: list[Entry]) -> None:
+        """The rows of a table are those the log announced, in the same order."""
+        table, columns = schema.RECORDED[what]
+        rows = self._database.rows(f"SELECT {columns} FROM {table} ORDER BY rowid")  # noqa: S608  (constants)
+        for row, entry in zip_longest(rows, entries):
+            if entry is None:
+                raise LogDamaged(f"a {what} is recorded that is not in the log", _HINT)
+            if row is None or digest_of(row) != entry.digest:
+                raise LogDamaged(
+                    f"the {what} of log entry {entry.number} is missing or was changed", _HINT
+                )
+
+    def _check_requests(self, entries: list[Entry]) -> None:
+        """Every request went the way the table allows, and is where the log says."""
+        states = _replay(entries)
+        rows = self._database.rows("SELECT digest, state, der FROM csr")
+        found = {bytes(digest): State(state) for digest, state, _ in rows}
+        if found != states:
+            raise LogDamaged("the requests are not where the log says", _HINT)
+
+
+def _replay(entries: list[Entry]) -> dict[bytes, State]:
+    """Where every request must be that is not collected."""
+    states: dict[bytes, State] = {}
+    for entry in entries:
+        held = states.get(entry.digest)
+        if entry.what == COLLECTED and held is not None:
+            del states[entry.digest]
+        elif entry.what in _STATES:
+            state = State(entry.what)
+            if not (state is State.PENDING if held is None else state in TRANSITIONS[held]):
+                raise LogDamaged(f"log entry {entry.number} is no way a request can go", _HINT)
+            states[entry.digest] = state
+    return states
+
+
+_STATES = frozenset(State)
+
+
+def record(
+    db: sqlite3.Connection, now: int, what: str, subject: str, detail: str, digest: bytes
+) -> None:
+    """Add an entry, inside the transaction of the change it tells of."""
+    schema.append(db, now, what, subject, detail, digest)

@@ -1,0 +1,238 @@
+"""The authority's record: what was asked, signed and taken back. SQLite, append-only.
+
+A shell, and the one door to it. What was handed out exists and a revocation cannot be undone:
+nothing is ever changed or deleted (triggers refuse it) but requests, which end. Every change
+appends its entry to the log in the same transaction, and is on the disk when the call returns.
+Whoever decides by what is recorded, and then records, does both inside `changing`.
+"""
+
+import sqlite3
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import Any, Self
+
+from ca.errors import RequestClosed, StoreError
+from ca.store.database import Database
+from ca.store.identities import IdentityBook
+from ca.store.log import Journal, record
+from ca.store.log_entries import digest_of
+from ca.store.requests import RequestBook
+from ca.store.rows import CertificateRow, GrantRow, RevocationRow
+
+__all__ = ["CertificateRow", "GrantRow", "RevocationRow", "Store"]
+
+
+class Store:
+    """An open record. Make one with `create` or `open`.
+
+    `requests` are those for identities, `identities` what came of them, `journal` is the log.
+    """
+
+    def __init__(self, database: Database) -> None:
+        self.database = database
+        self.identities = IdentityBook(database)
+        self.requests = RequestBook(database, self.identities)
+        self.journal = Journal(database)
+
+    @classmethod
+    def create(cls, path: Path) -> Self:
+        """Make a new, empty record, readable by its owner alone.
+
+        Raises:
+            StoreError: the file exists, or its directory does not.
+        """
+        return cls(Database.create(path))
+
+    @classmethod
+    def open(cls, path: Path) -> Self:
+        """Open an existing record; one of an older version is brought up first.
+
+        Raises:
+            StoreError: no file, not a record of rossec, damaged, or of a newer version.
+        """
+        return cls(Database.open(path))
+
+    def close(self) -> None:
+        """Close the file."""
+        self.database.close()
+
+    def check(self) -> None:
+        """Return if the file is rossec's own, through and through: one from elsewhere is asked.
+
+        Raises:
+            StoreError: it is damaged, or holds a trigger or view that is not rossec's.
+        """
+        self.database.check()
+
+    def changing(self) -> AbstractContextManager[sqlite3.Connection]:
+        """Several steps as one: all or none of them, and no other command in between.
+
+        Raises:
+            StoreError: as `ca.store.database.Database.changing`.
+        """
+        return self.database.changing()
+
+    def reading(self) -> AbstractContextManager[None]:
+        """What is read inside is of one moment."""
+        return self.database.reading()
+
+    def snapshot(self) -> bytes:
+        """The whole record at this moment, as the content of a file."""
+        return self.database.snapshot()
+
+    def add_certificate(
+        self,
+        row: CertificateRow,
+        now: int,
+        *,
+        request: bytes | None = None,
+        replace_key: str | None = None,
+        renews: bytes | None = None,
+    ) -> None:
+        """Record an identity before it is handed out.
+
+        `request` is the digest of the approved request it answers, or of the renewal; `replace_key`
+        and `renews` allow another key (`ca.store.identities`). What `replace_key` replaces is
+        revoked in the same step: no crash leaves two keys to one name.
+
+        Raises:
+            KeyChanged, RenewalRefused: the name lives with another key.
+            NameCovered: another living identity has a wildcard tail that covers the name, or the
+                other way round.
+            RequestClosed: the request is not approved, or has its certificate already.
+            StoreError: the key is revoked, or the serial is taken.
+        """
+        with self.database.changing() as db:
+            self.identities.check_names(row.name, row.thumbprint, now, row.covers)
+            self.identities.check_key(
+                row.name, row.thumbprint, now, replace_key=replace_key, renews=renews
+            )
+            if request is not None and self.identities.answer(request) is not None:
+                raise RequestClosed(
+                    f"this request of {row.name} has its certificate already",
+                    f"see: rossec ca show {row.name}",
+                )
+            if request is not None and renews is None:
+                self.requests.settle(db, request, now)
+            self.identities.add(db, row, now, request)
+            if replace_key is not None:
+                for key in sorted(self.live_keys(row.name, now) - {row.thumbprint}):
+                    _revoke(db, key, f"{row.name} has a new key", now)
+
+    def certificates(self) -> list[CertificateRow]:
+        """Every identity signed, oldest first."""
+        return self.identities.all()
+
+    def live_keys(self, name: str, now: int) -> frozenset[bytes]:
+        """Thumbprints of the keys of `name` that are not revoked: those that a revocation ends.
+
+        Also keys that only a revoked intermediate vouches for: they may be certified anew.
+        """
+        return frozenset(row.thumbprint for row in self.identities.unrevoked(name, now))
+
+    def certified(self, name: str, now: int) -> str:
+        """The name under which grants, rules and revocations are for the node called `name`.
+
+        Its own, unless it is an anonymous one: then that of the living identity that covers it.
+        """
+        return self.identities.certified(name, now)
+
+    def live_certificate(self, name: str, now: int) -> CertificateRow:
+        """The newest identity of `name` that is still valid and not revoked.
+
+        Raises:
+            StoreError: there is none.
+        """
+        alive = self.identities.alive(name, now)
+        if not alive:
+            if self.identities.unrevoked(name, now):
+                raise StoreError(
+                    f"the intermediate that signed the identity of {name} is revoked",
+                    f"enroll it anew: rossec node request {name}, then rossec ca sign",
+                )
+            certified = self.certified(name, now)
+            raise StoreError(
+                f"{name} has no valid identity here",
+                f"first enroll it: rossec node request {name}, then rossec ca sign;"
+                " where an intermediate enrolled or renewed it: rossec ca import NODE.pem"
+                if certified == name
+                else f"it is one of the anonymous nodes of {certified}: name that",
+            )
+        return alive[-1]
+
+    def add_grant(self, row: GrantRow, now: int) -> None:
+        """Record a grant before it is handed out.
+
+        Raises:
+            StoreError: the id is taken.
+        """
+        with self.database.changing() as db:
+            db.execute("INSERT INTO grant_ VALUES (?, ?, ?, ?, ?, ?)", (*row, now))
+            record(db, now, "grant", row.name, row.id.hex(), digest_of(row))
+
+    def grants(self) -> list[GrantRow]:
+        """Every grant signed, oldest first."""
+        return self._grants("")
+
+    def revoked_grants(self) -> list[GrantRow]:
+        """The grants among what was revoked, oldest first."""
+        return self._grants("WHERE id IN (SELECT entry FROM revocation)")
+
+    def _grants(self, clause: str) -> list[GrantRow]:
+        rows = self.database.rows(
+            f"SELECT id, name, data, not_before, expires FROM grant_ {clause} ORDER BY rowid"  # noqa: S608  (constants)
+        )
+        return [GrantRow(*row) for row in rows]
+
+    def revoke(self, entry: bytes, reason: str, now: int) -> None:
+        """Record that a grant id or key thumbprint is revoked; twice is once."""
+        with self.database.changing() as db:
+            _revoke(db, entry, reason, now)
+
+    def revocations(self) -> list[RevocationRow]:
+        """Everything revoked, oldest first."""
+        rows = self.database.rows("SELECT entry, reason, at FROM revocation ORDER BY rowid")
+        return [RevocationRow(*row) for row in rows]
+
+    def revoked_entries(self) -> frozenset[bytes]:
+        """Everything revoked."""
+        return frozenset(row.entry for row in self.revocations())
+
+    def next_number(self) -> tuple[int, int]:
+        """Epoch and sequence number for the next revocation list."""
+        number = self._newest("epoch, seq")
+        return (1, 1) if number is None else (number[0], number[1] + 1)
+
+    def save_list(self, number: tuple[int, int], data: bytes, now: int) -> None:
+        """Record a signed revocation list.
+
+        Raises:
+            StoreError: its number is taken.
+        """
+        with self.database.changing() as db:
+            db.execute("INSERT INTO list VALUES (?, ?, ?, ?)", (*number, data, now))
+            record(db, now, "list", f"{number[0]}.{number[1]}", "", digest_of((*number, data)))
+
+    def newest_list(self) -> bytes | None:
+        """The signed revocation list with the highest number, if there is one."""
+        found = self._newest("data")
+        return None if found is None else bytes(found[0])
+
+    def note(self, what: str, subject: str, detail: str, now: int) -> None:
+        """Write into the log what changes nothing else in the record, such as a restoration."""
+        with self.database.changing() as db:
+            record(db, now, what, subject, detail, b"")
+
+    def _newest(self, columns: str) -> tuple[Any, ...] | None:
+        rows = self.database.rows(
+            f"SELECT {columns} FROM list ORDER BY epoch DESC, seq DESC LIMIT 1"  # noqa: S608  (constants)
+        )
+        return rows[0] if rows else None
+
+
+def _revoke(db: sqlite3.Connection, entry: bytes, reason: str, now: int) -> None:
+    done = db.execute(
+        "INSERT INTO revocation VALUES (?, ?, ?) ON CONFLICT DO NOTHING", (entry, reason, now)
+    )
+    if done.rowcount:
+        record(db, now, "revocation", entry.hex(), reason, digest_of((entry, reason)))

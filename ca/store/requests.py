@@ -1,0 +1,192 @@
+"""The requests for identities in the authority's record: who asked, and who said yes or no.
+
+A shell around `ca.store.lifecycle`. A name has one owner: approving a key for a name that lives
+with another one needs the name spoken again (`replace_key`), and of two keys that ask for one name
+at once neither is approved until the other is denied.
+"""
+
+import sqlite3
+
+from ca.errors import NameContested, RequestClosed, StoreError
+from ca.names import covers
+from ca.requests import Request
+from ca.store.database import Database
+from ca.store.identities import IdentityBook
+from ca.store.lifecycle import KEEP, MAX_OPEN, OPEN, RequestRow, State, advance
+from ca.store.log import COLLECTED, record
+
+_COLUMNS = (
+    "digest, name, thumbprint, der, source, arrived, state, reason, changed, replaces, wildcard"
+)
+
+_OPEN = ", ".join(f"'{state}'" for state in sorted(OPEN))
+_KEPT = " ".join(f"WHEN '{state}' THEN {kept}" for state, kept in KEEP.items())
+
+
+class RequestBook:
+    """The requests of one record."""
+
+    def __init__(self, database: Database, identities: IdentityBook) -> None:
+        self._database = database
+        self._identities = identities
+
+    def add(self, request: Request, der: bytes, source: str, now: int) -> RequestRow:
+        """Record a checked request as pending; one that is recorded already is returned as it is.
+
+        `source` is where it came from, for the person who decides.
+
+        Raises:
+            RequestClosed: too many are open, or it got its certificate so long ago that the
+                request itself is forgotten.
+        """
+        self.collect(now)
+        with self._database.changing() as db:
+            held = self._find(request.digest)
+            if held is not None:
+                return held
+            self._check_new(request)
+            row = RequestRow(
+                request.digest, request.name, request.thumbprint, der, source, now,
+                State.PENDING, "", now,
+            )  # fmt: skip
+            db.execute("INSERT INTO csr VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)", row)
+            record(db, now, State.PENDING, row.name, source, row.digest)
+        return row
+
+    def all(self) -> list[RequestRow]:
+        """Every request that is not collected, oldest first."""
+        return self._rows("ORDER BY arrived, rowid")
+
+    def get(self, digest: bytes) -> RequestRow:
+        """One request, by the whole digest or the beginning of it.
+
+        Raises:
+            StoreError: there is none, or more than one.
+        """
+        found = self._rows("WHERE substr(digest, 1, ?) = ?", len(digest), digest)
+        if len(found) != 1 or not digest:
+            raise StoreError(
+                f"{len(found)} requests begin with {digest.hex()}", "see: rossec ca requests"
+            )
+        return found[0]
+
+    def approve(
+        self,
+        digest: bytes,
+        now: int,
+        reason: str = "",
+        *,
+        replace_key: str | None = None,
+        wildcard: bool = False,
+    ) -> RequestRow:
+        """Say yes. `replace_key` is the name again, when it lives with another key.
+
+        `wildcard`: the identity is to stand for anonymous nodes too, whatever the request asks.
+
+        Raises:
+            RequestClosed: it is not pending, or its time is over.
+            NameCovered: no two keys may go by one name.
+            KeyChanged, NameContested: the name has another key, or somebody else asks for it.
+        """
+        with self._database.changing():
+            row = self.get(digest)
+            self._check_name(row, now, replace_key, wildcard=wildcard)
+            said = row._replace(replaces=replace_key is not None, wildcard=wildcard)
+            return self._advance(said, State.APPROVED, now, reason)
+
+    def deny(self, digest: bytes, now: int, reason: str = "") -> RequestRow:
+        """Say no, also to what was approved and not yet issued.
+
+        Raises:
+            RequestClosed: it was issued, or denied before.
+        """
+        with self._database.changing():
+            return self._advance(self.get(digest), State.DENIED, now, reason)
+
+    def collect(self, now: int) -> list[RequestRow]:
+        """Forget every request whose time is over; returns what was forgotten."""
+        if not self._over(now):  # who only looks takes no lock
+            return []
+        with self._database.changing() as db:
+            over = self._over(now)
+            for row in over:
+                db.execute("DELETE FROM csr WHERE digest = ?", (row.digest,))
+                record(db, now, COLLECTED, row.name, row.state, row.digest)
+        return over
+
+    def settle(self, db: sqlite3.Connection, digest: bytes, now: int) -> None:
+        """Mark as issued, inside the transaction that records the certificate.
+
+        Raises:
+            RequestClosed: it was not approved.
+        """
+        held = self._find(digest)
+        if held is None:
+            raise RequestClosed("the request is not recorded", "first: rossec ca approve")
+        _move(db, advance(held, State.ISSUED, now))
+
+    def _over(self, now: int) -> list[RequestRow]:
+        return self._rows(f"WHERE changed + CASE state {_KEPT} END < ?", now)
+
+    def _check_name(
+        self, row: RequestRow, now: int, replace_key: str | None, *, wildcard: bool
+    ) -> None:
+        """Return if the key that asks may have the name, as `approve` says."""
+        for other in self._open():
+            if other.name == row.name and other.thumbprint != row.thumbprint:
+                raise NameContested(
+                    f"two different keys ask for the name {row.name}",
+                    f"compare fingerprints, then deny the other: rossec ca deny {_short(other)}",
+                )
+        self._identities.check_names(
+            row.name, row.thumbprint, now, lambda other: covers(row.name, other, wildcard=wildcard)
+        )
+        self._identities.check_key(row.name, row.thumbprint, now, replace_key=replace_key)
+
+    def _check_new(self, request: Request) -> None:
+        if self._identities.answer(request.digest) is not None:
+            raise RequestClosed(
+                f"this request of {request.name} has its certificate already",
+                f"see: rossec ca show {request.name}; for another: rossec ca renew {request.name}",
+            )
+        if len(self._open()) >= MAX_OPEN:
+            raise RequestClosed(
+                f"{MAX_OPEN} requests wait for an answer and no more are taken",
+                "look at them with: rossec ca requests, and deny what nobody knows",
+            )
+
+    def _advance(self, row: RequestRow, state: State, now: int, reason: str) -> RequestRow:
+        moved = advance(row, state, now, reason)
+        with self._database.changing() as db:
+            _move(db, moved)
+        return moved
+
+    def _find(self, digest: bytes) -> RequestRow | None:
+        return next(iter(self._rows("WHERE digest = ?", digest)), None)
+
+    def _open(self) -> list[RequestRow]:
+        return self._rows(f"WHERE state IN ({_OPEN})")
+
+    def _rows(self, clause: str, *values: object) -> list[RequestRow]:
+        rows = self._database.rows(f"SELECT {_COLUMNS} FROM csr {clause}", *values)  # noqa: S608  (constants)
+        return [
+            RequestRow(*row)._replace(
+                state=State(row[6]), replaces=row[9] != 0, wildcard=row[10] != 0
+            )
+            for row in rows
+        ]
+
+
+def _move(db: sqlite3.Connection, row: RequestRow) -> None:
+    """The triggers of the record refuse a way that is not in the table, whoever was faster."""
+    db.execute(
+        "UPDATE csr SET state = ?, reason = ?, changed = ?, replaces = ?, wildcard = ?"
+        " WHERE digest = ?",
+        (row.state, row.reason, row.changed, row.replaces, row.wildcard, row.digest),
+    )
+    said = [row.reason, *["replaces the key"] * row.replaces, *["anonymous nodes"] * row.wildcard]
+    record(db, row.changed, row.state, row.name, "; ".join(filter(None, said)), row.digest)
+
+
+def _short(row: RequestRow) -> str:
+    return row.digest.hex()[:8]

@@ -1,0 +1,217 @@
+"""The tables of the authority's record, what may happen to their rows, and older versions of them.
+
+Certificates, grants, revocations, lists, heads and the log are append-only: triggers refuse every
+change. A request moves along `ca.store.lifecycle.TRANSITIONS` and is deleted at its end; triggers
+made from that table refuse every other way. Everything here runs inside the caller's transaction.
+"""
+
+import re
+import sqlite3
+from collections.abc import Iterator
+from typing import Final
+
+from ca.errors import LogDamaged, StoreError
+from ca.store.lifecycle import TRANSITIONS, State
+from ca.store.log_entries import Entry, digest_of, grow
+
+APPLICATION_ID: Final = 0x524F5343  # "ROSC"
+VERSION: Final = 2
+_OWN: Final = "restore a backup of your own, and find out who made this one"
+APPEND_ONLY: Final = ("certificate", "grant_", "revocation", "list", "head", "log")
+_OURS: Final = (*APPEND_ONLY, "answer", "csr")
+# What the log says of a table, and the columns its digest is over, in this order.
+RECORDED: Final = {
+    "certificate": ("certificate", "serial, name, thumbprint, der, not_before, not_after"),
+    "grant": ("grant_", "id, name, data, not_before, expires"),
+    "revocation": ("revocation", "entry, reason"),
+    "list": ("list", "epoch, seq, data"),
+}
+
+_KEPT: Final = (  # unchanged since version 1
+    """CREATE TABLE certificate (
+        serial BLOB PRIMARY KEY, name TEXT NOT NULL, thumbprint BLOB NOT NULL, der BLOB NOT NULL,
+        not_before INTEGER NOT NULL, not_after INTEGER NOT NULL, at INTEGER NOT NULL
+    ) STRICT""",
+    "CREATE INDEX certificate_name ON certificate (name, not_after)",
+    """CREATE TABLE grant_ (
+        id BLOB PRIMARY KEY, name TEXT NOT NULL, data BLOB NOT NULL,
+        not_before INTEGER NOT NULL, expires INTEGER NOT NULL, at INTEGER NOT NULL
+    ) STRICT""",
+    """CREATE TABLE revocation (entry BLOB PRIMARY KEY, reason TEXT NOT NULL, at INTEGER NOT NULL)
+        STRICT""",
+    """CREATE TABLE list (
+        epoch INTEGER NOT NULL, seq INTEGER NOT NULL, data BLOB NOT NULL, at INTEGER NOT NULL,
+        PRIMARY KEY (epoch, seq)
+    ) STRICT""",
+)
+_SINCE_2: Final = (
+    """CREATE TABLE log (
+        number INTEGER PRIMARY KEY, at INTEGER NOT NULL, what TEXT NOT NULL, subject TEXT NOT NULL,
+        detail TEXT NOT NULL, digest BLOB NOT NULL, peaks BLOB NOT NULL
+    ) STRICT""",
+    "CREATE TABLE head (data BLOB PRIMARY KEY, at INTEGER NOT NULL) STRICT",
+    """CREATE TABLE csr (
+        digest BLOB PRIMARY KEY, name TEXT NOT NULL, thumbprint BLOB NOT NULL, der BLOB NOT NULL,
+        source TEXT NOT NULL, arrived INTEGER NOT NULL,
+        state TEXT NOT NULL, reason TEXT NOT NULL, changed INTEGER NOT NULL,
+        replaces INTEGER NOT NULL, wildcard INTEGER NOT NULL
+    ) STRICT""",
+    # One request, one certificate: also when two commands run at once, or one was killed.
+    """CREATE TABLE answer (
+        request BLOB PRIMARY KEY, serial BLOB NOT NULL UNIQUE, at INTEGER NOT NULL
+    ) STRICT""",
+)
+_NO_CHANGE: Final = """
+CREATE TRIGGER {table}_no_{verb} BEFORE {verb} ON {table}
+BEGIN SELECT RAISE(ABORT, 'the record is append-only'); END;
+"""
+_NEW_REQUEST: Final = f"""
+CREATE TRIGGER csr_begins BEFORE INSERT ON csr WHEN NEW.state <> '{State.PENDING}'
+BEGIN SELECT RAISE(ABORT, 'a request begins pending'); END;
+"""
+_REQUEST_FIXED: Final = """
+CREATE TRIGGER csr_fixed
+BEFORE UPDATE OF digest, name, thumbprint, der, source, arrived ON csr
+BEGIN SELECT RAISE(ABORT, 'a request does not change'); END;
+"""
+_REQUEST_MOVES: Final = """
+CREATE TRIGGER csr_moves BEFORE UPDATE OF state, reason, changed, replaces, wildcard ON csr
+WHEN (OLD.state || '>' || NEW.state) NOT IN ({allowed})
+BEGIN SELECT RAISE(ABORT, 'a request does not go this way'); END;
+"""
+_SET: Final = re.compile(r"in \(([^()]*)\)")
+
+
+def create(db: sqlite3.Connection) -> None:
+    """Make the tables of a new record."""
+    for statement in (*_KEPT, *_SINCE_2, *_triggers((*APPEND_ONLY, "answer"))):
+        db.execute(statement)
+    db.execute(f"PRAGMA application_id = {APPLICATION_ID}")
+    db.execute(f"PRAGMA user_version = {VERSION}")
+
+
+def check_alone(db: sqlite3.Connection) -> None:
+    """Return if nothing runs or answers in this file but what is made here.
+
+    A trigger could let an entry vanish that it was told to keep, a view or a virtual table could
+    answer for a table. Plain tables may stand beside these, with triggers that make them
+    append-only in this module's form and no others: the inbox for grants has some.
+
+    Raises:
+        StoreError: with the name of the first that is foreign, missing or changed.
+    """
+    ours = sqlite3.connect(":memory:")
+    create(ours)
+    wanted, found = _made(ours), _made(db)
+    ours.close()
+    for name, made in found.items():
+        if name in wanted and wanted[name] == made:
+            continue
+        if name in wanted or not _is_beside(*made):
+            raise StoreError(f"the record holds a {made[0]} that is not rossec's: {name!a}", _OWN)
+    if missing := wanted.keys() - found.keys():
+        raise StoreError(f"the record lacks {min(missing)}", _OWN)
+
+
+def _is_beside(kind: str, table: str, text: str) -> bool:
+    """Whether it is a plain table beside ours, or what keeps that append-only."""
+    if kind == "trigger":
+        body = text.split()[3:]  # a table that was renamed left its trigger the old name
+        return table not in _OURS and body in [
+            _plain(_NO_CHANGE.format(table=table, verb=verb)).split()[3:]
+            for verb in ("UPDATE", "DELETE")
+        ]
+    return kind == "table" and text.startswith("create table ")
+
+
+def _made(db: sqlite3.Connection) -> dict[str, tuple[str, str, str]]:
+    """What is in a file: kind, table and text of each by its name, but for SQLite's own indexes."""
+    rows = db.execute("SELECT name, type, tbl_name, sql FROM sqlite_master WHERE sql IS NOT NULL")
+    return {name: (kind, table, _plain(text)) for name, kind, table, text in rows}
+
+
+def _plain(text: str) -> str:
+    """A statement without what does not matter: blanks, case, quotes, IF NOT EXISTS, its end.
+
+    Nor does the order of a set: until 0.1.0 that of `csr_moves` was another in each process.
+    """
+    words = text.lower().replace('"', "").replace("if not exists ", "").replace(";", " ").split()
+    return _SET.sub(lambda found: str(sorted(found[1].split(", "))), " ".join(words))
+
+
+def version(db: sqlite3.Connection) -> int:
+    """The version of the tables in this file; 0 in a file that is no record."""
+    (number,) = db.execute("PRAGMA user_version").fetchone()
+    return int(number)
+
+
+def check(db: sqlite3.Connection) -> None:
+    """Return if the tables are those made here, which hold values of their types alone.
+
+    Raises:
+        StoreError: one is missing, or of another form: then nothing in it can be relied on.
+    """
+    rows = db.execute("SELECT name, sql FROM sqlite_master WHERE type = 'table'")
+    found = {name: _normal(sql) for name, sql in rows}
+    for statement in (*_KEPT, *_SINCE_2):
+        kind, name = statement.split()[1:3]
+        if kind == "TABLE" and found.get(name) != _normal(statement):
+            raise StoreError(
+                f"the table {name} of the record is not as rossec makes it",
+                "restore it from a backup of your own, and find out who changed it",
+            )
+
+
+def _normal(statement: str) -> str:
+    return " ".join(statement.split())
+
+
+def migrate(db: sqlite3.Connection) -> None:
+    """Bring a record of version 1 up: its log becomes a tree, and nothing is lost."""
+    if version(db) == VERSION:  # another command was faster
+        return
+    old = db.execute("SELECT at, what, subject, detail FROM log ORDER BY number").fetchall()
+    db.execute("DROP TABLE log")  # and its triggers with it
+    if db.execute("SELECT 1 FROM sqlite_master WHERE name = 'request'").fetchone():
+        # What the inbox for grants called its table in version 1; see rossec.authority.requests.
+        db.execute("ALTER TABLE request RENAME TO grant_request")
+    for statement in (*_SINCE_2, *_triggers(("log", "head", "answer"))):
+        db.execute(statement)
+    rows = {what: _rows_of(db, what) for what in RECORDED}
+    for number, (at, what, subject, detail) in enumerate(old):
+        row = next(rows.get(what, iter(())), None)
+        if row is None:
+            raise LogDamaged(
+                f"line {number} of the log tells of a {what} that is not recorded",
+                "restore a backup, and find out who changed the record",
+            )
+        append(db, at, what, subject, detail, digest_of(row))
+    (at,) = db.execute("SELECT coalesce(max(at), 0) FROM log").fetchone()
+    append(db, at, "migrated", "record", f"1 to {VERSION}", b"")
+    db.execute(f"PRAGMA user_version = {VERSION}")
+
+
+def append(
+    db: sqlite3.Connection, at: int, what: str, subject: str, detail: str, digest: bytes
+) -> None:
+    """Add an entry to the log."""
+    last = db.execute("SELECT number, peaks FROM log ORDER BY number DESC LIMIT 1").fetchone()
+    number, peaks = (0, b"") if last is None else (last[0] + 1, last[1])
+    entry = Entry(number, at, what, subject, detail, digest)
+    db.execute("INSERT INTO log VALUES (?, ?, ?, ?, ?, ?, ?)", (*entry, grow(peaks, entry)))
+
+
+def _rows_of(db: sqlite3.Connection, what: str) -> Iterator[tuple[int | str | bytes, ...]]:
+    """The rows the log calls `what`, oldest first."""
+    table, columns = RECORDED[what]
+    return iter(db.execute(f"SELECT {columns} FROM {table} ORDER BY rowid").fetchall())  # noqa: S608  (constants)
+
+
+def _triggers(tables: tuple[str, ...]) -> Iterator[str]:
+    for table in tables:
+        for verb in ("UPDATE", "DELETE"):
+            yield _NO_CHANGE.format(table=table, verb=verb)
+    ways = ", ".join(
+        f"'{old}>{new}'" for old, following in TRANSITIONS.items() for new in sorted(following)
+    )
+    yield from (_NEW_REQUEST, _REQUEST_FIXED, _REQUEST_MOVES.format(allowed=ways))

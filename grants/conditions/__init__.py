@@ -1,0 +1,1 @@
+"""Conditions on time and content: a small language, read and compiled. Pure."""

@@ -1,0 +1,281 @@
+"""Conditions on messages and time: typed against the layout, compiled to read only what they name.
+
+A condition admits a message when its value is exactly True. An error denies, and so does a NaN in
+any field it names: implementations of CEL disagree on `!(x > 0.0)` for NaN, and ROS messages
+contain NaN routinely. Deviations from CEL: `false && error` and `true || error` deny when a named
+field cannot be read, because all named fields are read first; integers of all sizes are `int`;
+`int` and `double` may be compared, not added. `now` is the host's clock. Time stamps of messages
+cannot be read: the publisher sets them.
+"""
+
+import math
+import operator
+import struct
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+from grants.conditions.calendar import FIELDS, clock_field, read_moment
+from grants.conditions.syntax import (
+    COMPARISONS,
+    Among,
+    Binary,
+    Expression,
+    Literal,
+    Now,
+    Path,
+    Unary,
+    parse_expression,
+)
+from grants.errors import ConditionRefused
+from grants.filters.codegen import MISFIT, Buffer, Cursor, Source, expression
+from grants.filters.layout import Layout, Primitive, Struct, Text, Type
+
+_METHODS: Final[dict[str, Callable[[str, str], bool]]] = {
+    "startsWith": str.startswith,
+    "endsWith": str.endswith,
+    "contains": operator.contains,
+}
+_NUMBERS: Final = ("int", "double")
+_ERRORS: Final = (*MISFIT, ArithmeticError, OSError)  # OSError: a moment beyond the calendar
+
+
+@dataclass(frozen=True)
+class Condition:
+    """A compiled condition. It is an answer, so it does not raise: an error is False."""
+
+    text: str
+    reads_message: bool
+    _evaluate: Callable[[Buffer, int], object]
+
+    def __call__(self, message: Buffer, now: int) -> bool:
+        """Whether `message` (serialized) is admitted at `now` (seconds since the epoch)."""
+        try:
+            return self._evaluate(message, now) is True
+        except _ERRORS:
+            return False
+
+
+def check_syntax(text: str) -> None:
+    """Return if `text` is in the language, whatever fields it names.
+
+    Raises:
+        ConditionRefused: it is not.
+    """
+    parse_expression(text)
+
+
+def compile_condition(layout: Layout | None, text: str) -> Condition:
+    """Compile `text` for messages of `layout`; None where there is no message to look at.
+
+    Raises:
+        ConditionRefused: outside the language, unknown field, or types that do not fit.
+    """
+    compiler = _Compiler(layout)
+    kind, code = compiler.compile(parse_expression(text))
+    if kind != "bool":
+        raise ConditionRefused(f"a condition must be true or false, this is a {kind}: {text}")
+    return Condition(text, bool(compiler.fields), compiler.finish(code))
+
+
+class _Compiler:
+    """Turns the tree into one Python expression over variables; fields are read before it."""
+
+    def __init__(self, layout: Layout | None) -> None:
+        self._layout = layout
+        self._source = Source("b,now")
+        self.fields: dict[tuple[str, ...], str] = {}
+
+    def finish(self, code: str) -> Callable[[Buffer, int], object]:
+        if self._layout is not None and self.fields:
+            _Reader(self._source, self.fields).read(self._layout.root)
+        self._source.line(f"return {code}")
+        return self._source.compile()
+
+    def compile(self, node: Expression) -> tuple[str, str]:  # noqa: PLR0911 - one per node
+        """The CEL type of `node` and its Python source, in parentheses where needed."""
+        match node:
+            case Literal(value):
+                return _type_of(value), self._source.bind(value)
+            case Path(names):
+                return self._path(names)
+            case Now():
+                return "timestamp", "now"
+            case Unary():
+                return self._unary(node)
+            case Among():
+                return self._among(node)
+            case Binary():
+                return self._binary(node)
+            case _ if node.target is None:
+                return self._timestamp(node.name, node.arguments)
+            case _:
+                return self._method(node.target, node.name, node.arguments)
+
+    def _path(self, names: tuple[str, ...]) -> tuple[str, str]:
+        if self._layout is None:
+            raise ConditionRefused("there is no message to look at here", "name its type")
+        kind = _field_type(self._layout.root, names)
+        variable = self.fields.setdefault(names, f"v{len(self.fields)}")
+        return kind, variable
+
+    def _unary(self, node: Unary) -> tuple[str, str]:
+        kind, code = self.compile(node.operand)
+        if node.sign == "!" and kind == "bool":
+            return "bool", f"(not {code})"
+        if node.sign == "-" and kind in _NUMBERS:
+            return kind, self._checked(kind, f"-{code}")
+        raise ConditionRefused(f"{node.sign} does not go with a {kind}")
+
+    def _binary(self, node: Binary) -> tuple[str, str]:
+        sign = node.sign
+        left_kind, left = self.compile(node.left)
+        right_kind, right = self.compile(node.right)
+        if sign in ("&&", "||") and left_kind == right_kind == "bool":
+            return "bool", f"({left} {'and' if sign == '&&' else 'or'} {right})"
+        if sign in COMPARISONS and _comparable(left_kind, right_kind):
+            return "bool", f"({left}{sign}{right})"
+        if sign in "+-*" and left_kind == right_kind and left_kind in _NUMBERS:
+            return left_kind, self._checked(left_kind, f"{left}{sign}{right}")
+        mixed = {left_kind, right_kind} == set(_NUMBERS)
+        raise ConditionRefused(
+            f"{sign} does not go with {left_kind} and {right_kind}",
+            "write whole numbers as 2.0 beside a double" if mixed else "",
+        )
+
+    def _checked(self, kind: str, code: str) -> str:
+        check = _in_64_bits if kind == "int" else _finite
+        return f"{self._source.bind(check)}({code})"
+
+    def _among(self, node: Among) -> tuple[str, str]:
+        kind, code = self.compile(node.operand)
+        compiled = [self.compile(item) for item in node.items]
+        for other, _ in compiled:
+            if not _comparable(kind, other):
+                raise ConditionRefused(f"in compares {kind} with {other}")
+        return "bool", f"({code} in ({''.join(f'{item},' for _, item in compiled)}))"
+
+    def _timestamp(self, name: str, arguments: tuple[Expression, ...]) -> tuple[str, str]:
+        match arguments:
+            case (Literal(str() as text),) if name == "timestamp":
+                return "timestamp", self._source.bind(read_moment(text))
+        raise ConditionRefused(
+            f"unknown function {name}()", 'there is timestamp("2026-11-20T18:00:00Z")'
+        )
+
+    def _method(
+        self, target: Expression, name: str, arguments: tuple[Expression, ...]
+    ) -> tuple[str, str]:
+        kind, code = self.compile(target)
+        if kind == "timestamp" and name in FIELDS:
+            return "int", f"{self._source.bind(clock_field(name, _zone(arguments)))}({code})"
+        if kind == "string" and name in _METHODS and len(arguments) == 1:
+            argument_kind, argument = self.compile(arguments[0])
+            if argument_kind == "string":
+                return "bool", f"{self._source.bind(_METHODS[name])}({code},{argument})"
+        known = list(FIELDS if kind == "timestamp" else _METHODS if kind == "string" else ())
+        raise ConditionRefused(
+            f"a {kind} has no such .{name}()", f"there are {', '.join(known)}" if known else ""
+        )
+
+
+class _Reader(Cursor):
+    """Reads the named fields into their variables and moves over the rest, up to the last one."""
+
+    def __init__(self, source: Source, fields: dict[tuple[str, ...], str]) -> None:
+        super().__init__(source)
+        self._fields = fields
+        self._left = len(fields)
+
+    def read(self, root: Struct) -> None:
+        self._struct(root, ())
+        # A text may end behind the message; numbers cannot, `unpack_from` looks.
+        self.source.line(f"if len(b)<{self.at()}: raise ValueError")
+
+    def _struct(self, kind: Struct, path: tuple[str, ...]) -> None:
+        for name, member in kind.fields:
+            if self._left == 0:
+                return
+            here = (*path, name)
+            if here in self._fields:
+                self._value(member, self._fields[here])
+                self._left -= 1
+            elif isinstance(member, Struct) and self._inside(here):
+                self._struct(member, here)
+            else:
+                self.skip(member)
+
+    def _inside(self, path: tuple[str, ...]) -> bool:
+        return any(field[: len(path)] == path for field in self._fields)
+
+    def _value(self, kind: Type, variable: str) -> None:
+        start = self.position
+        self.skip(kind)
+        if not isinstance(kind, Primitive):
+            content = f"b[{expression(start, 4)}:{self.at()}]"
+            self.source.line(f"{variable}=str({content},'utf-8')")
+            return
+        read = self.source.bind(struct.Struct(f"<{kind.code}").unpack_from)
+        self.source.line(f"{variable},={read}(b,{expression(start)})")
+        if kind.name == "bool":
+            self.source.line(f"{variable}={variable}!=0")
+        elif kind.code in "fd":
+            self.source.line(f"if {variable}!={variable}: raise ValueError")
+
+
+def _field_type(root: Struct, names: tuple[str, ...]) -> str:
+    """The CEL type of the field at `names`."""
+    kind: Type = root
+    for n, name in enumerate(names):
+        members = dict(kind.fields) if isinstance(kind, Struct) else {}
+        if name not in members:
+            raise ConditionRefused(_missing(kind, names[:n], name))
+        kind = members[name]
+    if isinstance(kind, Text):
+        return "string"
+    if not isinstance(kind, Primitive) or len(kind.code) > 1:
+        raise ConditionRefused(
+            f"msg.{'.'.join(names)} is a {kind.name}; only numbers, truth values and strings count",
+            "name a field inside it" if isinstance(kind, Struct) else "",
+        )
+    return "bool" if kind.name == "bool" else "double" if kind.code in "fd" else "int"
+
+
+def _missing(kind: Type, above: tuple[str, ...], name: str) -> str:
+    where = ".".join(("msg", *above))
+    if isinstance(kind, Struct):
+        return f"{where}.{name}: {kind.explain_missing(name)}"
+    return f"{where} is a {kind.name} and has no fields"
+
+
+def _type_of(value: bool | float | str) -> str:
+    return {bool: "bool", int: "int", float: "double", str: "string"}[type(value)]
+
+
+def _comparable(left: str, right: str) -> bool:
+    return left == right or (left in _NUMBERS and right in _NUMBERS)
+
+
+def _zone(arguments: tuple[Expression, ...]) -> str:
+    match arguments:
+        case ():
+            return "UTC"
+        case (Literal(str() as zone),):
+            return zone
+        case _:
+            pass
+    raise ConditionRefused(
+        "a time zone must be a text", 'for example now.getHours("Europe/Zurich")'
+    )
+
+
+def _in_64_bits(value: int) -> int:
+    if not -(1 << 63) <= value < 1 << 63:
+        raise OverflowError
+    return value
+
+
+def _finite(value: float) -> float:
+    if not math.isfinite(value):
+        raise OverflowError
+    return value

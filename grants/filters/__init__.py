@@ -1,0 +1,1 @@
+"""What a restriction does to a message: layouts, operators, generated code. Pure."""

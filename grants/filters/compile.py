@@ -1,0 +1,202 @@
+"""Field filters: rules and a layout in, a function on serialized messages out.
+
+The rules are matched against the layout here; what they do is in `grants.filters.operators`, how
+the bytes are rewritten in `grants.filters.message_rewriter`. A message is filtered without ever
+being deserialized, so no message classes are needed, and types never seen before can be filtered.
+"""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from typing import Final, TypeAlias
+
+from grants.errors import FilterRefused
+from grants.filters.codegen import MISFIT, Buffer, misfit
+from grants.filters.hashing import Keys
+from grants.filters.layout import Array, Layout, Struct, Type
+from grants.filters.message_rewriter import generate
+from grants.filters.operators import Treat, treatment
+from grants.filters.treatments import (
+    DESCEND,
+    Each,
+    Inside,
+    Keep,
+    Node,
+    Numbers,
+    Parts,
+    Remembering,
+    Treated,
+    remembers,
+)
+from grants.memory import Cell, CellName, Memory
+from grants.model import FilterRule
+
+_SMALL: Final = 2048  # bytes; below it a copy is cheaper than a view
+
+
+@dataclass(frozen=True)
+class Filter:
+    """A compiled filter for messages of one type."""
+
+    type_name: str
+    _rewrite: Callable[[Buffer], list[Buffer]]
+
+    def __call__(self, message: Buffer) -> list[Buffer]:
+        """Return the filtered message in pieces; kept parts of a large one are views into it.
+
+        Raises:
+            MessageRefused: the message does not have the layout of the type.
+        """
+        try:
+            return self._rewrite(message if len(message) < _SMALL else memoryview(message))
+        except MISFIT:
+            raise misfit(self.type_name) from None
+
+
+def compile_filter(
+    layout: Layout,
+    rules: Iterable[FilterRule],
+    keys: Keys | None = None,
+    cells: Callable[[CellName], Cell] | None = None,
+) -> Filter:
+    """Compile `rules` (see `model.filter_rules`) for messages of `layout`.
+
+    `keys` by name are for `hash`; without them the rules are only checked, and what is hashed is
+    refused. `cells` finds what a field with hysteresis remembers; without it nothing was before.
+
+    Raises:
+        FilterRefused: an unknown field or operator, a treatment that does not fit the field's
+            type, a key that is missing, or two rules for one field.
+    """
+    branch = _Branch({})
+    for rule in rules:
+        _plant(branch, rule, treatment(rule, keys))
+    node = _bound(_resolve(layout.root, branch, ""), cells or Memory().cell, ())
+    return Filter(layout.type_name, generate(node))
+
+
+@dataclass(frozen=True)
+class _Branch:
+    """Rules by field; a field written `name[*]` has its own entry."""
+
+    children: dict[str, "_Branch | Treat"]
+
+
+def _plant(branch: _Branch, rule: FilterRule, treat: Treat) -> None:
+    *above, last = rule.path.split(".")
+    for step in above:
+        below = branch.children.setdefault(step, _Branch({}))
+        if not isinstance(below, _Branch):
+            raise _overlap(rule.path)
+        branch = below
+    if last in branch.children or last.endswith("[*]"):
+        raise _overlap(rule.path) if last in branch.children else _no_element(rule.path)
+    branch.children[last] = treat
+
+
+def _overlap(path: str) -> FilterRefused:
+    return FilterRefused(
+        f"{path} lies inside a field that has a filter, or the other way round",
+        "the order would decide: keep one of them",
+    )
+
+
+def _no_element(path: str) -> FilterRefused:
+    return FilterRefused(
+        f"{path}: [*] must be followed by a field", f"{path[:-3]} filters all of the elements"
+    )
+
+
+def _resolve(kind: Struct, branch: _Branch, path: str) -> Node:
+    """The treatment of a message, field by field."""
+    fields = dict(kind.fields)
+    for step in branch.children:
+        if step.removesuffix("[*]") not in fields:
+            raise FilterRefused(f"{path}{step}: {kind.explain_missing(step.removesuffix('[*]'))}")
+        if step.endswith("[*]") and step[:-3] in branch.children:
+            raise _overlap(path + step)
+    parts = [_field(name, member, branch, path) for name, member in kind.fields]
+    for (name, _), part in zip(kind.fields, parts, strict=True):
+        if isinstance(part, Treated) and isinstance(part.treatment, Inside):
+            _check_beside(kind, name, part.treatment, path)
+    return _parts(kind, parts)
+
+
+def _check_beside(kind: Struct, name: str, treatment: Inside, path: str) -> None:
+    """The field needs others of its message: they must be there, before it, of their types."""
+    before = [(field, member.name) for field, member in kind.fields]
+    before = before[: before.index((name, dict(kind.fields)[name].name))]
+    if kind.name != treatment.message or not set(treatment.beside) <= set(before):
+        raise FilterRefused(
+            f"{path}{name} of a {kind.name}: this needs the data of a {treatment.message}"
+        )
+
+
+def _bound(node: Node, cells: Callable[[CellName], Cell], path: CellName) -> Node:
+    """Every field that remembers, with its cell; a field of another type has another."""
+    match node:
+        case Treated(kind, Numbers(remembering=Remembering(name, bind)) as numbers):
+            cell = cells((*path, kind.name, *name))
+            return Treated(kind, replace(numbers, scalar=bind(cell)))
+        case Parts(kind, parts):
+            fields = zip(kind.fields, parts, strict=True)
+            return Parts(
+                kind, tuple(_bound(part, cells, (*path, name)) for (name, _), part in fields)
+            )
+        case _:
+            return node
+
+
+def _field(name: str, kind: Type, branch: _Branch, path: str) -> Node:
+    inside = branch.children.get(f"{name}[*]")
+    if isinstance(inside, _Branch):
+        if not isinstance(kind, Array) or not isinstance(kind.element, Struct):
+            raise FilterRefused(f"{path}{name} is a {kind.name}, not an array of messages")
+        return _each(kind, _resolve(kind.element, inside, f"{path}{name}[*]."))
+    below = branch.children.get(name)
+    if below is None:
+        return Keep(kind)
+    if not isinstance(below, _Branch):
+        return _apply(below, kind, path + name, {})
+    if not isinstance(kind, Struct):
+        hint = f"write {path}{name}[*] for its elements" if isinstance(kind, Array) else ""
+        raise FilterRefused(f"{path}{name} is a {kind.name} and has no fields", hint)
+    return _resolve(kind, below, f"{path}{name}.")
+
+
+_Memo: TypeAlias = dict[Type, Node]
+
+
+def _apply(treat: Treat, kind: Type, path: str, memo: _Memo) -> Node:
+    """One treatment for everything in `kind`; equal types share it, so arrays can merge them."""
+    if kind not in memo:
+        try:
+            found = treat(kind)
+        except FilterRefused as error:
+            raise FilterRefused(f"{path}: {error}", error.hint) from None
+        if found == DESCEND:
+            memo[kind] = _descend(treat, kind, path, memo)
+        else:
+            memo[kind] = Treated(kind, found)
+    return memo[kind]
+
+
+def _descend(treat: Treat, kind: Type, path: str, memo: _Memo) -> Node:
+    if isinstance(kind, Array):
+        return _each(kind, _apply(treat, kind.element, path, memo))
+    if isinstance(kind, Struct):
+        parts = [_apply(treat, member, f"{path}.{name}", memo) for name, member in kind.fields]
+        return _parts(kind, parts)
+    raise FilterRefused(f"{path}: no treatment for {kind.name}")
+
+
+def _parts(kind: Struct, parts: list[Node]) -> Node:
+    kept = all(isinstance(part, Keep) for part in parts)
+    return Keep(kind) if kept else Parts(kind, tuple(parts))
+
+
+def _each(kind: Array, element: Node) -> Node:
+    if remembers(element):
+        raise FilterRefused(
+            f"hysteresis does not go with {kind.name}", "elements of an array come and go"
+        )
+    return Keep(kind) if isinstance(element, Keep) or kind.size == 0 else Each(kind, element)

@@ -1,0 +1,72 @@
+"""Pseudonyms: HMAC-SHA-256 of a text under a named key, shortened.
+
+The same text under the same key has the same pseudonym, so whoever gets two topics hashed with
+one key can link them; another key name breaks the link. Without the key a pseudonym can be
+neither undone nor tried out on guesses. Keys stay with the publisher.
+"""
+
+import hmac
+import re
+from collections.abc import Callable, Iterable, Mapping
+from typing import TYPE_CHECKING, Final, TypeAlias
+
+from grants.errors import FilterRefused
+from grants.model import FilterRule
+
+if TYPE_CHECKING:  # a node's home needs no compiler
+    from grants.filters.codegen import Buffer
+
+Keys: TypeAlias = Mapping[str, bytes]
+
+FILTER_KEY_SIZE: Final = 32
+DEFAULT_LENGTH: Final = 16  # hexadecimal digits: 2^32 texts until two are likely to collide
+_KEY_NAME: Final = re.compile(r"[a-z][a-z0-9_-]{0,31}", re.ASCII)
+
+
+def check_key_name(name: object) -> str:
+    """Return `name` if it is one of a filter key: it may become the name of a file.
+
+    Raises:
+        FilterRefused: not 1 to 32 lower case letters, digits, `-` and `_`, a letter first.
+    """
+    if not isinstance(name, str) or _KEY_NAME.fullmatch(name) is None:
+        raise FilterRefused(
+            f"not the name of a key: {str(name)[:40]!r}", "for example {hash: {key: ward}}"
+        )
+    return name
+
+
+def key_names(rules: Iterable[FilterRule]) -> frozenset[str]:
+    """The keys that `rules` need."""
+    return frozenset(
+        check_key_name(value)
+        for rule in rules
+        if rule.operator == "hash"
+        for name, value in rule.parameters
+        if name == "key"
+    )
+
+
+def pseudonyms(
+    name: object, length: int, keys: Keys | None
+) -> "Callable[[Buffer], tuple[Buffer, int]]":
+    """The function from a text to the first `length` hexadecimal digits of its HMAC.
+
+    Raises:
+        FilterRefused: the key is not among `keys`, or too short.
+    """
+    name = check_key_name(name)
+    if keys is None:
+        return _no_key
+    key = keys.get(name)
+    if key is None or len(key) != FILTER_KEY_SIZE:
+        raise FilterRefused(f"the publisher has no key {name!r} of {FILTER_KEY_SIZE} bytes")
+
+    def rewrite(content: "Buffer") -> "tuple[Buffer, int]":
+        return hmac.digest(key, bytes(content), "sha256").hex()[:length].encode(), length
+
+    return rewrite
+
+
+def _no_key(_: "Buffer") -> "tuple[Buffer, int]":
+    raise ValueError  # of `codegen.MISFIT`: the message is refused

@@ -1,0 +1,322 @@
+"""What a filter can do to a field: one entry in `OPERATORS` each.
+
+An operator reads its named parameters and returns a function from the type of a field to a
+treatment: a constant in its place, a function of its numbers, or a function of its bytes. An
+operator that does not know a type passes the treatment down (`DESCEND`): a message's fields, an
+array's elements. None of this is source text: generated code only *calls* what is here.
+"""
+
+import difflib
+import math
+import struct
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Final, TypeAlias
+
+from grants.errors import FilterRefused
+from grants.filters.codegen import Buffer
+from grants.filters.hashing import DEFAULT_LENGTH, Keys, pseudonyms
+from grants.filters.layout import PRIMITIVES, Array, Primitive, Struct, Text, Type
+from grants.filters.lazy_numpy import Vector, np
+from grants.filters.pictures import BESIDE, MAX_SIDE, pixelation
+from grants.filters.rounding import hold, round_floats, round_integers, round_times
+from grants.filters.treatments import (
+    DESCEND,
+    Body,
+    Constant,
+    Inside,
+    Numbers,
+    Remembering,
+    Treatment,
+)
+from grants.model import FilterRule, Scalar
+
+Treat: TypeAlias = Callable[[Type], Treatment]
+Parameters: TypeAlias = dict[str, Scalar]
+
+_EMPTY: Final = Constant(bytes(4))
+_INTEGERS: Final = frozenset("bBhHiIqQ")
+
+
+def _clear(parameters: Parameters) -> Treat:
+    """The zero value: 0, false, "", no elements; a fixed array keeps its length."""
+    _expect(parameters)
+    return _zero_value
+
+
+def _zero_value(kind: Type) -> Treatment:
+    if kind.size is not None:
+        return Constant(bytes(kind.size))
+    variable = isinstance(kind, Text) or (isinstance(kind, Array) and kind.length is None)
+    return _EMPTY if variable else DESCEND
+
+
+def _drop(parameters: Parameters) -> Treat:
+    """No elements."""
+    _expect(parameters)
+
+    def treat(kind: Type) -> Treatment:
+        if isinstance(kind, Array) and kind.length is None:
+            return _EMPTY
+        raise FilterRefused(f"drop needs an array of variable length, not {kind.name}")
+
+    return treat
+
+
+def _zero(parameters: Parameters) -> Treat:
+    """Zeros in place of the elements; the length stays, so images remain consistent."""
+    _expect(parameters)
+
+    def treat(kind: Type) -> Treatment:
+        if not isinstance(kind, Array) or kind.element.size is None:
+            raise FilterRefused(f"zero needs an array of fixed-size elements, not {kind.name}")
+        if kind.size is not None:
+            return Constant(bytes(kind.size))
+        size = kind.element.size
+        return Body(lambda content: (bytes(len(content)), len(content) // size if size else 0))
+
+    return treat
+
+
+def _round(parameters: Parameters) -> Treat:
+    """To multiples of `step` (seconds for times): floor(x / step + 1/2) * step; NaN, inf pass.
+
+    With `hysteresis` a value stays in its cell until it is that far beyond the border.
+    """
+    step = _number(parameters, "step")
+    hysteresis = _number(parameters, "hysteresis") if "hysteresis" in parameters else None
+    _expect(parameters, "step", *(["hysteresis"] if hysteresis is not None else []))
+    if not 0 < step < math.inf:
+        raise FilterRefused("round needs a step above zero", "for example {round: {step: 0.5}}")
+    if hysteresis is not None and not 0 < hysteresis <= step:
+        raise FilterRefused("hysteresis must be above zero and at most the step")
+
+    def treat(kind: Type) -> Treatment:
+        if isinstance(kind, Array | Struct):
+            return DESCEND
+        found = _rounding(kind, step)
+        if hysteresis is None:
+            return found
+        if len(kind.code if isinstance(kind, Primitive) else "") > 1:
+            raise FilterRefused(f"hysteresis needs numbers, not {kind.name}")
+        holding = hold(found.scalar, step, hysteresis)
+        return replace(found, remembering=Remembering((step, hysteresis), holding))
+
+    return treat
+
+
+def _rounding(kind: Primitive | Text, step: float) -> Numbers:
+    if isinstance(kind, Text) or kind.name == "bool":
+        raise FilterRefused(f"round needs numbers, not {kind.name}")
+    if kind.name in ("time", "duration"):
+        return Numbers(*round_times(kind, step))
+    if kind.code in _INTEGERS:
+        return Numbers(*round_integers(kind, step))
+    return Numbers(*round_floats(kind, step))
+
+
+def _clamp(parameters: Parameters) -> Treat:
+    """Into [low, high]; NaN becomes low."""
+    low, high = _number(parameters, "low"), _number(parameters, "high")
+    _expect(parameters, "low", "high")
+    if not low <= high:
+        raise FilterRefused("clamp needs low <= high")
+
+    def treat(kind: Type) -> Treatment:
+        if isinstance(kind, Array | Struct):
+            return DESCEND
+        if isinstance(kind, Text) or kind.name in ("bool", "time", "duration"):
+            raise FilterRefused(f"clamp needs numbers, not {kind.name}")
+        _pack(kind, low, "clamp")
+        _pack(kind, high, "clamp")
+        return _clamping(low, high)
+
+    return treat
+
+
+def _clamping(low: float, high: float) -> Numbers:
+    def scalar(value: float) -> float:
+        # Asked this way round NaN becomes `low`.
+        return min(value, high) if value >= low else low
+
+    def vector(values: Vector) -> Vector:
+        return np.where(values >= low, np.where(values > high, high, values), low)
+
+    return Numbers(scalar, vector)
+
+
+def _set(parameters: Parameters) -> Treat:
+    """This value instead."""
+    value = parameters.get("value")
+    _expect(parameters, "value")
+
+    def treat(kind: Type) -> Treatment:
+        if isinstance(kind, Text) and isinstance(value, str):
+            return Constant(_text(value))
+        if isinstance(kind, Primitive) and len(kind.code) == 1:
+            return Constant(_pack(kind, value, "set"))
+        raise FilterRefused(f"set cannot put {value!r} into {kind.name}")
+
+    return treat
+
+
+def _redact(parameters: Parameters) -> Treat:
+    """This text instead of any text."""
+    text = parameters.get("text")
+    _expect(parameters, "text")
+    if not isinstance(text, str):
+        raise FilterRefused("redact needs a text", 'for example {redact: {text: "***"}}')
+
+    def treat(kind: Type) -> Treatment:
+        if isinstance(kind, Text):
+            return Constant(_text(text))
+        raise FilterRefused(f"redact needs a string, not {kind.name}")
+
+    return treat
+
+
+def _truncate(parameters: Parameters) -> Treat:
+    """At most `length` characters of a string or elements of an array."""
+    length = _number(parameters, "length")
+    _expect(parameters, "length")
+    if not isinstance(length, int) or not 0 <= length < 1 << 32:
+        raise FilterRefused("truncate needs a whole, not negative length")
+
+    def treat(kind: Type) -> Treatment:
+        if isinstance(kind, Text):
+            return Body(lambda content: _first_characters(content, length))
+        if isinstance(kind, Array) and kind.length is None and kind.element.size:
+            size = kind.element.size
+            return Body(lambda content: _first_elements(content, length, size))
+        raise FilterRefused(f"truncate needs a string or an array, not {kind.name}")
+
+    return treat
+
+
+def _first_characters(content: Buffer, length: int) -> tuple[bytes, int]:
+    text = str(content, "utf-8")[:length].encode()
+    return text, len(text)
+
+
+def _first_elements(content: Buffer, length: int, size: int) -> tuple[Buffer, int]:
+    kept = content[: length * size]
+    return kept, len(kept) // size
+
+
+_Operator: TypeAlias = Callable[[Parameters, Keys | None], Treat]
+
+
+def _keyless(operator: Callable[[Parameters], Treat]) -> _Operator:
+    return lambda parameters, _: operator(parameters)
+
+
+def _hash(parameters: Parameters, keys: Keys | None) -> Treat:
+    """A pseudonym instead of a text: the same for the same text and key (`filters.hashing`)."""
+    length = _whole(parameters, "length", 64) if "length" in parameters else DEFAULT_LENGTH
+    _expect(parameters, "key", *(["length"] if "length" in parameters else []))
+    pseudonym = Body(pseudonyms(parameters["key"], length, keys))
+
+    def treat(kind: Type) -> Treatment:
+        if isinstance(kind, Text):
+            return pseudonym
+        if isinstance(kind, Array):
+            return DESCEND
+        raise FilterRefused(f"hash needs a string, not {kind.name}")
+
+    return treat
+
+
+_REGION: Final = ("x", "y", "width", "height")
+
+
+def _pixelate(parameters: Parameters) -> Treat:
+    """Squares of `block` pixels instead of a picture, or of a region of it; see `pictures`."""
+    names = _REGION if parameters.keys() & set(_REGION) else ()
+    block = _whole(parameters, "block", MAX_SIDE)
+    region = tuple(_whole(parameters, name, MAX_SIDE, least=0) for name in names)
+    _expect(parameters, "block", *names)
+    if block < 2:
+        raise FilterRefused("pixelate needs a block of at least 2 pixels")
+    rewrite = pixelation(block, region or None)
+
+    def treat(kind: Type) -> Treatment:
+        if isinstance(kind, Array) and kind.name == "uint8[]":
+            return Inside("sensor_msgs/Image", BESIDE, rewrite)
+        raise FilterRefused(f"pixelate needs the data of a sensor_msgs/Image, not {kind.name}")
+
+    return treat
+
+
+OPERATORS: Final[dict[str, _Operator]] = {
+    "clear": _keyless(_clear),
+    "round": _keyless(_round),
+    "clamp": _keyless(_clamp),
+    "set": _keyless(_set),
+    "redact": _keyless(_redact),
+    "truncate": _keyless(_truncate),
+    "drop": _keyless(_drop),
+    "zero": _keyless(_zero),
+    "hash": _hash,
+    "pixelate": _keyless(_pixelate),
+}
+
+
+def treatment(rule: FilterRule, keys: Keys | None = None) -> Treat:
+    """The function from field type to treatment that `rule` names.
+
+    Args:
+        rule: the rule.
+        keys: by name, for `hash`. None only checks the rule: what is hashed is then refused.
+
+    Raises:
+        FilterRefused: unknown operator, parameters that are not exactly the operator's, or a
+            key that is not among `keys`. The returned function raises it for a type the
+            operator cannot treat.
+    """
+    if rule.operator not in OPERATORS:
+        near = difflib.get_close_matches(rule.operator, OPERATORS, 1)
+        hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(OPERATORS)}"
+        raise FilterRefused(f"{rule.path}: unknown operator {rule.operator[:40]!r}", hint)
+    try:
+        return OPERATORS[rule.operator](dict(rule.parameters), keys)
+    except FilterRefused as error:
+        raise FilterRefused(f"{rule.path}: {error}", error.hint) from None
+
+
+def _expect(parameters: Parameters, *names: str) -> None:
+    if parameters.keys() != set(names):
+        wanted = ", ".join(names) or "no parameters"
+        raise FilterRefused(f"expected {wanted}, found {', '.join(sorted(parameters)) or 'none'}")
+
+
+def _number(parameters: Parameters, name: str) -> float:
+    value = parameters.get(name)
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise FilterRefused(f"{name} must be a number")
+    if isinstance(value, int) and abs(value) >= 1 << 64:
+        raise FilterRefused(f"{name} is beyond 64 bits")
+    if math.isnan(value):
+        raise FilterRefused(f"{name} must be a number")
+    return value
+
+
+def _whole(parameters: Parameters, name: str, most: int, least: int = 1) -> int:
+    value = parameters.get(name)
+    if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= most:
+        raise FilterRefused(f"{name} must be a whole number from {least} to {most}")
+    return value
+
+
+def _pack(kind: Primitive, value: Scalar | None, operator: str) -> bytes:
+    whole = isinstance(value, bool) if kind is PRIMITIVES["bool"] else not isinstance(value, bool)
+    try:
+        if whole and (kind.code not in _INTEGERS or isinstance(value, int)):
+            return struct.pack(f"<{kind.code}", value)
+    except (struct.error, OverflowError):
+        pass
+    raise FilterRefused(f"{operator} cannot put {value!r} into {kind.name}")
+
+
+def _text(text: str) -> bytes:
+    data = text.encode()
+    return len(data).to_bytes(4, "little") + data

@@ -1,0 +1,1 @@
+"""The authority at work: its home, signing, approvals, renewals, backups."""

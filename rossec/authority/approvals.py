@@ -1,0 +1,170 @@
+"""Where requests are decided: by the policy, or by a person where the policy wants one asked.
+
+A shell around the authority, its policy and its inbox. Only `sign` needs the key. A person who
+does not answer in time has said no; so does the desk when a node asks for too much at once. Two
+people may sit at it: an answer is recorded together with the grants it gives, or not at all.
+"""
+
+import secrets
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Final
+
+from cryptography import x509
+from cryptography.hazmat.primitives.asymmetric import ec
+
+from ca.errors import HintedError, RecordUnusable
+from grants.model import Draft
+from grants.policy.decision import Verdict
+from grants.policy.drafts import approve, drafts
+from grants.policy.model import Effect, Subject
+from grants.request import GrantRequest, open_request, peek_request
+from rossec.authority import requests
+from rossec.authority.home import AuthorityHome
+from rossec.authority.policyfile import PolicyFile
+from rossec.authority.requests import Asked, Inbox
+from rossec.authority.signing import OpenAuthority
+
+MAX_ASKED: Final = 16  # prompts one node may have waiting
+GRANTED, DENIED, LATE, TOO_MANY = "granted", "denied", "no answer", "too many"
+
+Change = Callable[[Verdict], Verdict]
+
+
+@dataclass(frozen=True)
+class Question:
+    """A wish that waits for a person, or only for the key: see `verdict`."""
+
+    asked: Asked
+    verdict: Verdict
+
+
+class Desk:
+    """The authority's desk at `now`, deciding by `policy`.
+
+    `denied` counts what the last `questions` answered with a no by itself.
+    """
+
+    def __init__(self, home: AuthorityHome, policy: PolicyFile, now: int) -> None:
+        self._home = home
+        self._policy = policy
+        self._decider = policy.decider
+        self._now = now
+        self._store = home.store()
+        self._inbox = Inbox(self._store.database)
+        self.denied = 0
+
+    def close(self) -> None:
+        """Close the record."""
+        self._store.close()
+
+    def take(self, data: bytes) -> GrantRequest:
+        """Record one request, verified with the key its node was enrolled with.
+
+        Raises:
+            HintedError: not a request of an enrolled node, or known already.
+        """
+        named = peek_request(data).node
+        row = self._store.live_certificate(named, self._now)
+        key = x509.load_der_x509_certificate(row.der).public_key()
+        assert isinstance(key, ec.EllipticCurvePublicKey)  # noqa: S101 - we signed it
+        request = open_request(data, key, domain=self._home.domain, now=self._now)
+        self._inbox.add(request, data, self._now)
+        return request
+
+    def collect(self) -> list[str]:
+        """Take what lies in the inbox directory; returns what was wrong, a line each.
+
+        Raises:
+            RecordUnusable: what could not be recorded stays in the inbox.
+        """
+        trouble: list[str] = []
+        with self._store.changing():  # another desk takes what this one has not
+            paths = requests.waiting(self._home.path)
+            for path in paths:
+                try:
+                    self.take(requests.read(path))
+                except RecordUnusable:
+                    raise
+                except HintedError as error:
+                    trouble.append(f"{path.name}: {error}")
+        for path in paths:
+            path.unlink(missing_ok=True)
+        return trouble
+
+    def questions(self) -> list[Question]:
+        """What is not answered; what the policy denies, or nobody answered, is answered here."""
+        with self._store.changing():
+            return self._questions()
+
+    def _questions(self) -> list[Question]:
+        open_: list[Question] = []
+        waiting: dict[str, int] = {}
+        unanswered = self._inbox.unanswered()
+        for asked in unanswered:
+            try:
+                verdict = self._verdict(asked)
+            except HintedError as error:  # its identity has expired since
+                self._inbox.answer(asked, DENIED, str(error), self._now)
+                continue
+            if verdict.effect is Effect.DENY:
+                self._inbox.answer(asked, DENIED, _by(verdict), self._now)
+                continue
+            if verdict.effect is Effect.PROMPT and (why := self._refusal(asked, waiting)):
+                self._inbox.answer(asked, DENIED, why, self._now)
+                continue
+            open_.append(Question(asked, verdict))
+        self.denied = len(unanswered) - len(open_)
+        return open_
+
+    def deny(self, question: Question, reason: str) -> None:
+        """A person said no."""
+        self._inbox.answer(question.asked, DENIED, reason, self._now)
+
+    def sign(
+        self, authority: OpenAuthority, questions: Iterable[Question], change: Change, reason: str
+    ) -> list[tuple[Draft, bytes]]:
+        """Sign what was decided, as `change` makes it; returns the grants with what they say.
+
+        Raises:
+            PolicyRefused: one of them is denied, or cannot be expressed; nothing is signed then.
+            StoreError: one was answered meanwhile, or its key revoked; nothing is signed then.
+            ConfigurationError: the policy is another one by now; nothing is signed then.
+        """
+        chosen = list(questions)
+        verdicts = [change(approve(question.verdict)) for question in chosen]
+        made = drafts(
+            verdicts,
+            domain=authority.domain,
+            now=self._now,
+            serial=lambda: secrets.token_bytes(16),
+        )
+        answers = Inbox(authority.store.database)
+        with authority.store.changing():
+            self._policy.check_unchanged()
+            for question in chosen:
+                answers.answer(question.asked, GRANTED, reason, self._now)
+            return [(draft, authority.grant(draft, self._now)) for draft in made]
+
+    def _verdict(self, asked: Asked) -> Verdict:
+        row = self._store.live_certificate(asked.request.node, self._now)
+        subject = Subject(row.name, row.thumbprint)
+        return self._decider.decide(subject, asked.wish.right, asked.wish.pattern)
+
+    def _refusal(self, asked: Asked, waiting: dict[str, int]) -> str:
+        if self._now > asked.at + self._decider.policy.defaults.prompt_timeout:
+            return LATE
+        node = asked.request.node
+        waiting[node] = waiting.get(node, 0) + 1
+        return TOO_MANY if waiting[node] > MAX_ASKED else ""
+
+
+def _by(verdict: Verdict) -> str:
+    return f"rule {verdict.rules[0].id}" if verdict.rules else "by default"
+
+
+def today(now: int) -> int:
+    """Seconds left of this day, where this machine is."""
+    local = time.localtime(now)
+    return max(60, 86400 - (local.tm_hour * 3600 + local.tm_min * 60 + local.tm_sec))

@@ -1,0 +1,204 @@
+"""The directory of an authority: its key, its certificate, its record; `unlocked` signs."""
+
+import contextlib
+import secrets
+import shutil
+from pathlib import Path
+from typing import Final, Self
+
+from cryptography.hazmat.primitives.asymmetric import ec
+
+from ca.authority import Authority, create_root
+from ca.certificates import TrustAnchor, from_pem, to_pem
+from ca.errors import RevocationRefused
+from ca.keys import key_files
+from ca.keys.hsm import KeyUri, TokenSigner
+from ca.keys.signer import KeySigner, Signer
+from ca.names import check_domain
+from ca.revocation.tree import MAX_LISTING, Listing, is_tree, open_tree
+from ca.store.record import Store
+from rossec import files
+from rossec.authority import list_contents
+from rossec.authority.signing import OWN_NODE, OpenAuthority
+from rossec.errors import ConfigurationError
+from rossec.home import NodeHome
+
+ENTRIES: Final = "revocations.entries"  # of a tree, beside the statement in a master's home
+KEY_URI: Final = "ca.uri"  # names the key of an authority that has it in a token
+_MAX_URI: Final = 4096
+_SIZE_LIMIT: Final = 256 * 1024
+OWN_LIFETIME: Final = 366 * 86400
+
+
+class AuthorityHome:
+    """The directory of the authority: its key, its certificate, its record of what it signed."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    @classmethod
+    def at(cls, home: Path) -> Self:
+        """The authority below ROSSEC_HOME.
+
+        Raises:
+            ConfigurationError: there is none.
+        """
+        path = home / "ca"
+        if not (path / "ca.pem").exists():
+            raise ConfigurationError(
+                f"there is no authority in {home}", "next: rossec ca init DOMAIN"
+            )
+        return cls(path)
+
+    @classmethod
+    def create(
+        cls, home: Path, domain: str, passphrase: str, now: int, uri: KeyUri | None = None
+    ) -> Self:
+        """Make a new authority with its own node `/ca` and an empty revocation list.
+
+        Its key is in a file encrypted under `passphrase`; with `uri` it is made in that token, and
+        `passphrase` is the PIN.
+
+        Raises:
+            TokenRefused: the token does not make the key.
+            ConfigurationError: there is one already; it is not touched.
+        """
+        path = home / "ca"
+        if path.exists():
+            raise ConfigurationError(
+                f"there is an authority in {path}", "give another ROSSEC_HOME for a second one"
+            )
+        check_domain(domain)
+        key = key_files.generate()
+        signer = KeySigner(key) if uri is None else TokenSigner.create(uri, passphrase)
+        root = create_root(signer, domain, now=now, serial=secrets.randbits(127) + 1)
+        # Beside its place: an interrupted beginning is no authority, and is not in the way of one.
+        begun = path.with_name(f".{path.name}.{secrets.token_hex(8)}")
+        try:
+            _build(begun, signer, root, now)
+            if uri is None:
+                key_files.write_private(begun / "ca.key", key, passphrase)
+            else:
+                files.create(begun / KEY_URI, f"{uri}\n".encode())
+            files.settle(begun, path)
+        except BaseException:
+            shutil.rmtree(begun, ignore_errors=True)
+            raise
+        return cls(path)
+
+    @property
+    def domain(self) -> str:
+        """Its trust domain."""
+        return self.anchor().domain
+
+    def anchor(self) -> TrustAnchor:
+        """Its certificate, as nodes trust it."""
+        data = files.read_own(self.path / "ca.pem", _SIZE_LIMIT, ConfigurationError("no ca.pem"))
+        (der,) = from_pem(data)
+        return TrustAnchor.load(der)
+
+    def store(self) -> Store:
+        """Its record."""
+        return Store.open(self.path / "ca.db")
+
+    def node(self) -> NodeHome:
+        """The node as which its tools speak to the master."""
+        return NodeHome(self.path / "node", OWN_NODE)
+
+    def unlock(self, passphrase: str) -> OpenAuthority:
+        """Load the key.
+
+        Raises:
+            PassphraseRefused: the passphrase is wrong.
+        """
+        authority = Authority(
+            self._signer(passphrase), self.anchor().certificate, self.intermediate()
+        )
+        return OpenAuthority(authority, self.store(), self.path)
+
+    def _signer(self, secret: str) -> Signer:
+        """The key: in a file that `secret` decrypts, or in the token for which it is the PIN."""
+        path = self.path / KEY_URI
+        if not path.exists():
+            return KeySigner(key_files.load_private(self.path / "ca.key", secret))
+        data = files.read_own(path, _MAX_URI, ConfigurationError(f"no {KEY_URI}"))
+        return TokenSigner.open(KeyUri.parse(data.decode(errors="replace").strip()), secret)
+
+    @property
+    def is_intermediate(self) -> bool:
+        """Whether it signs below a root that is elsewhere."""
+        return self.intermediate() is not None
+
+    def own_key(self) -> ec.EllipticCurvePublicKey:
+        """The key it signs with itself: the root's, or its own as an intermediate."""
+        anchor, der = self.anchor(), self.intermediate()
+        return anchor.public_key if der is None else anchor.read_intermediate(der).public_key
+
+    def intermediate(self) -> bytes | None:
+        """Its own certificate, if it is an intermediate below the root in ca.pem."""
+        path = self.path / "intermediate.pem"
+        if not path.exists():
+            return None
+        (der,) = from_pem(files.read_own(path, _SIZE_LIMIT, ConfigurationError(f"no {path.name}")))
+        return der
+
+    def revocation_list(self) -> bytes:
+        """The newest signed list.
+
+        Raises:
+            ConfigurationError: none was signed yet.
+        """
+        data = self.store().newest_list()
+        if data is None:
+            raise ConfigurationError("no revocation list was signed yet", "next: rossec ca refresh")
+        return data
+
+    def entries(self) -> bytes:
+        """The entries of the newest tree.
+
+        Raises:
+            ConfigurationError: there is no tree, or they are missing.
+        """
+        data = self.revocation_list()
+        if not is_tree(data):
+            raise ConfigurationError("the newest revocations are no tree", "see: rossec ca publish")
+        tree = open_tree(data, self.anchor().public_key)
+        with contextlib.suppress(RevocationRefused):
+            return list_contents.entries_of(self.store(), tree).encoded()
+        # Of an older version, which kept them beside the record and could lose one of the two.
+        missing = ConfigurationError("the entries of the tree are missing", "rossec ca refresh")
+        kept = files.read_own(self.path / ENTRIES, MAX_LISTING, missing)
+        Listing.read(kept).check(tree)
+        return kept
+
+    def unlisted(self, now: int) -> int:
+        """How many revocations are recorded and in no signed list; an intermediate has none."""
+        if self.is_intermediate:
+            return 0
+        return len(list_contents.missing(self.store(), self.anchor().public_key, now))
+
+
+def _build(path: Path, signer: Signer, root: bytes, now: int) -> None:
+    """Everything of a new authority but its key."""
+    files.make_private_directory(path)
+    with contextlib.closing(Store.create(path / "ca.db")) as store:
+        unlocked = OpenAuthority(Authority(signer, root), store, path)
+        unlocked.sign_list(now)
+        own = NodeHome(path / "node", OWN_NODE)
+        own.create_request(unlocked.domain)
+        own.install(unlocked.issue(own.request(), now, OWN_LIFETIME), now)
+    files.create(path / "ca.pem", to_pem(root), 0o644)
+
+
+def fingerprint(anchor: TrustAnchor) -> str:
+    """What two people compare to be sure of an authority."""
+    return grouped(anchor.thumbprint)
+
+
+def grouped(thumbprint: bytes) -> str:
+    """The fingerprint of a key, for reading aloud: half its thumbprint, in fours.
+
+    128 bits: enough, as a forger needs a second key with the same half, not just any two.
+    """
+    digits = thumbprint.hex()
+    return " ".join(digits[start : start + 4] for start in range(0, 32, 4))

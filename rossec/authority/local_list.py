@@ -1,0 +1,59 @@
+"""What the authority has signed that lives on this host, if one does: its master need not be told.
+
+The authority's own modules are imported only where there is one: a master elsewhere carries neither
+a database nor the policy's reader.
+"""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from ca.revocation.tree import is_tree
+
+if TYPE_CHECKING:
+    from rossec.authority.home import AuthorityHome
+
+_RECORD: Final = ("ca.db", "ca.db-wal")
+
+_Stamp = tuple[tuple[int, int, int], ...]
+
+
+class NearAuthority:
+    """The authority in the ROSSEC_HOME `home`; an intermediate signs no lists."""
+
+    def __init__(self, home: Path) -> None:
+        self._home = home
+        self._seen: _Stamp = ()
+
+    def newest(self) -> tuple[bytes, bytes] | None:
+        """The newest list or tree, with the entries of a tree; None: no authority is here.
+
+        Raises:
+            ConfigurationError: nothing was signed yet, or the entries are missing.
+        """
+        authority = self._authority()
+        if authority is None:
+            return None
+        stamp = self._stamp()  # before it is read: what is written meanwhile is news again
+        data = authority.revocation_list()
+        found = data, authority.entries() if is_tree(data) else b""
+        self._seen = stamp  # and what could not be read is read again
+        return found
+
+    def news(self) -> tuple[bytes, bytes] | None:
+        """As `newest`, if the record was written since it was last looked at."""
+        return self.newest() if self._stamp() != self._seen else None
+
+    def _authority(self) -> "AuthorityHome | None":
+        if not (self._home / "ca" / "ca.pem").exists():
+            return None
+        from rossec.authority.home import AuthorityHome  # noqa: PLC0415 - as above
+
+        found = AuthorityHome.at(self._home)
+        return None if found.is_intermediate else found
+
+    def _stamp(self) -> _Stamp:
+        files = (self._home / "ca" / name for name in _RECORD)
+        found = (file.stat() for file in files if file.exists())
+        return tuple(
+            (stat.st_ino, stat.st_size, stat.st_mtime_ns) for stat in found if stat.st_size
+        )

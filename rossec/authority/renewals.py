@@ -1,0 +1,192 @@
+"""Successors, signed and recorded: of identities, of the authority's own node, and intermediates.
+
+A shell on top of an open authority. A node asks with its old key (`ca.renewal`) and is answered
+once per request; an operator renews by name, for the key the name has. Who it is is looked up in
+the transaction that records the successor: a key that is revoked meanwhile gets none.
+"""
+
+import secrets
+from collections.abc import Callable, Collection
+from typing import Final
+
+from ca.authority import DAY, LIFETIME
+from ca.certificates import Identity, from_pem
+from ca.errors import Revoked, StoreError
+from ca.keys import key_files
+from ca.keys.signer import KeySigner
+from ca.renewal import open_renewal, renew_at
+from ca.requests import build_request
+from ca.store.record import CertificateRow, Store
+from ca.store.rows import INTERMEDIATE
+from rossec.authority.home import OWN_LIFETIME
+from rossec.authority.signing import OWN_NODE, OpenAuthority, certificate_row
+from rossec.errors import ConfigurationError
+from rossec.home import NodeHome
+
+SEASON: Final = 90 * DAY
+
+
+def renew(
+    authority: OpenAuthority,
+    data: bytes,
+    now: int,
+    check: Callable[[bytes, int], None] | None = None,
+    lifetime: int = LIFETIME,
+) -> bytes:
+    """Answer a node's renewal (`ca.renewal.sign_renewal`) with its new bundle (PEM).
+
+    `check(entry, now)` raises for what is revoked; by default the authority's record says it, which
+    a host that only holds an intermediate cannot know: it passes `Revocations.check`.
+
+    Raises:
+        RenewalRefused: not in order, not due, or the identity was renewed by another key before.
+        CertificateRefused, RequestRefused, Revoked: as `ca.renewal.open_renewal`.
+    """
+    with authority.store.changing():
+        return _renew(authority, data, now, check or _recorded(authority), lifetime)
+
+
+def _renew(
+    authority: OpenAuthority,
+    data: bytes,
+    now: int,
+    check: Callable[[bytes, int], None],
+    lifetime: int,
+) -> bytes:
+    renewal = open_renewal(data, authority.authority.anchor, now, check)
+    answered = authority.store.identities.answer(renewal.request.digest)
+    if answered is not None:
+        return authority.again(answered, now, wildcard=renewal.identity.wildcard)
+    der = authority.authority.renew(renewal, now=now, serial=_serial(), lifetime=lifetime)
+    authority.store.add_certificate(
+        certificate_row(authority.verify(der, now)),
+        now,
+        request=renewal.request.digest,
+        renews=renewal.identity.thumbprint,
+    )
+    return authority.bundle(der)
+
+
+def renew_by_name(authority: OpenAuthority, name: str, now: int, lifetime: int = LIFETIME) -> bytes:
+    """Certify the key that `name` has once more; returns the node's new bundle (PEM).
+
+    What an intermediate enrolled hangs on this authority itself from then on, and keeps its key.
+
+    Raises:
+        StoreError: the name has no valid identity.
+    """
+    authority.refresh_list(now)
+    with authority.store.changing():
+        held = authority.store.live_certificate(name, now)
+        identity = _identity(authority, held, now)
+        der = authority.authority.certify_again(
+            identity, identity.public_key, now=now, serial=_serial(), lifetime=lifetime
+        )
+        row = certificate_row(authority.verify(der, now))
+        authority.store.add_certificate(row, now, renews=held.thumbprint)
+    return authority.bundle(der)
+
+
+def _identity(authority: OpenAuthority, row: CertificateRow, now: int) -> Identity:
+    """The identity of a row; it is verified through the intermediate that signed it, if one did."""
+    signer = authority.store.identities.signer(row)
+    if signer is None:
+        return authority.verify(row.der, now)
+    return authority.authority.anchor.verify([row.der, signer.der], now)
+
+
+def renew_own(authority: OpenAuthority, now: int) -> int:
+    """Renew the authority's own node, also one that has expired; returns until when it is good."""
+    own = NodeHome(authority.path / "node", OWN_NODE)
+    key = KeySigner(key_files.load_private(own.path / "node.key"))
+    request = build_request(key, authority.domain, OWN_NODE)
+    return own.install(authority.issue(request, now, OWN_LIFETIME), now).not_after
+
+
+def own_is_due(authority: OpenAuthority, now: int) -> bool:
+    """Whether two thirds of the own node's life are over; an intermediate's host has none."""
+    certificates = authority.store.identities.of(OWN_NODE)
+    return bool(certificates) and now >= _renew_at(certificates[-1])
+
+
+def sign_intermediate(
+    authority: OpenAuthority, csr: bytes, now: int, *, may_enroll: bool, lifetime: int = SEASON
+) -> tuple[str, bytes]:
+    """Sign and record an intermediate; returns the name it is revoked by, and its bundle (PEM).
+
+    Raises:
+        RequestRefused, IssueRefused: as `ca.authority.Authority.issue_intermediate`.
+    """
+    authority.refresh_list(now)
+    root = authority.authority
+    der = root.issue_intermediate(
+        csr, now=now, serial=_serial(), may_enroll=may_enroll, lifetime=lifetime
+    )
+    made = root.anchor.read_intermediate(der)
+    name = f"{INTERMEDIATE}{made.thumbprint.hex()[:16]}"
+    row = CertificateRow(made.serial, name, made.thumbprint, der, made.not_before, made.not_after)
+    authority.store.add_certificate(row, now, renews=made.thumbprint)
+    return name, authority.bundle(der)
+
+
+def adopt(
+    authority: OpenAuthority, bundle: bytes, now: int, replaced: Collection[str] = ()
+) -> tuple[Identity, bool]:
+    """Record an identity that an intermediate of this root signed; whether it was not known yet.
+
+    `replaced` are names that may come with another key than they have here; that one is revoked.
+
+    Raises:
+        CertificateRefused: not a valid identity of this root.
+        StoreError: its key, or the intermediate's, is revoked or unknown here.
+        KeyChanged, NameCovered: the name is somebody else's.
+        ConfigurationError: this is no root, or the name is the authority's own.
+    """
+    identity = authority.authority.anchor.verify(from_pem(bundle)[:-1], now)
+    if identity.name == OWN_NODE or not authority.authority.is_root:
+        raise ConfigurationError(
+            f"{identity.name} is not taken over here", "only a root imports, and never its own node"
+        )
+    store, row = authority.store, certificate_row(identity)
+    with store.changing():
+        _check_issuers(store, identity)
+        if any(
+            known.thumbprint == row.thumbprint and known.not_after >= row.not_after
+            for known in store.identities.alive(row.name, now)
+        ):
+            return identity, False
+        replace_key = row.name if row.name in replaced else None
+        store.add_certificate(row, now, replace_key=replace_key)
+        store.note("imported", row.name, f"{row.serial:x}", now)
+        authority.refresh_list(now)
+    return identity, True
+
+
+def _check_issuers(store: Store, identity: Identity) -> None:
+    """Its intermediate is one that this root made, and has not taken back."""
+    made = {row.thumbprint for row in store.certificates() if row.name.startswith(INTERMEDIATE)}
+    for issuer in identity.issuers:
+        store.identities.check_not_revoked(f"the intermediate of {identity.name}", issuer)
+        if issuer not in made:
+            raise StoreError(
+                f"the intermediate of {identity.name} is not in this record",
+                "was the record restored from an older backup? make the intermediate anew",
+            )
+
+
+def _renew_at(row: CertificateRow) -> int:
+    return renew_at(row.not_before, row.not_after)
+
+
+def _recorded(authority: OpenAuthority) -> Callable[[bytes, int], None]:
+    revoked = authority.store.revoked_entries()
+
+    def check(entry: bytes, now: int) -> None:  # noqa: ARG001  (the record is always of now)
+        if entry in revoked:
+            raise Revoked(f"{entry.hex()} is revoked", "enroll the node with a new key")
+
+    return check
+
+
+def _serial() -> int:
+    return secrets.randbits(127) + 1

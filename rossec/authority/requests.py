@@ -1,0 +1,133 @@
+"""Requests for grants in the authority's record: what was asked, and what was answered.
+
+A shell. Two more tables in the record, append-only like the rest: an answer is a new row, given
+once. Requests arrive as files: carried by anybody, or laid into the inbox by a node of the same
+ROSSEC_HOME.
+"""
+
+import sqlite3
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Final, NamedTuple, Self
+
+from ca.errors import RecordUnusable, StoreError
+from ca.store.database import Database
+from grants.request import GrantRequest, Wish, peek_request
+from rossec import files
+from rossec.errors import ConfigurationError
+
+MAX_FILE: Final = 16 * 1024
+MAX_INBOX: Final = 256  # files looked at in one go
+_SCHEMA: Final = (
+    """CREATE TABLE IF NOT EXISTS grant_request (
+        id BLOB PRIMARY KEY, name TEXT NOT NULL, data BLOB NOT NULL, at INTEGER NOT NULL
+    ) STRICT""",
+    """CREATE TABLE IF NOT EXISTS decision (
+        request BLOB NOT NULL, right INTEGER NOT NULL, pattern TEXT NOT NULL,
+        answer TEXT NOT NULL, reason TEXT NOT NULL, at INTEGER NOT NULL,
+        PRIMARY KEY (request, right, pattern)
+    ) STRICT""",
+    *(
+        f"""CREATE TRIGGER IF NOT EXISTS {table}_no_{verb} BEFORE {verb} ON {table}
+        BEGIN SELECT RAISE(ABORT, 'the record is append-only'); END"""
+        for table in ("grant_request", "decision")
+        for verb in ("UPDATE", "DELETE")
+    ),
+)
+
+
+class Asked(NamedTuple):
+    """One wish that is in the record and not answered."""
+
+    request: GrantRequest
+    at: int
+    wish: Wish
+
+    @property
+    def short_id(self) -> str:
+        """The first 8 hexadecimal digits of the request's id, for people."""
+        return self.request.id.hex()[:8]
+
+
+class Inbox:
+    """The requests in one record."""
+
+    def __init__(self, database: Database) -> None:
+        """In the record that `database` is, so that an answer can be one step with its grants."""
+        self._database = database
+        with self._changing() as db:
+            for statement in _SCHEMA:
+                db.execute(statement)
+
+    @classmethod
+    def of(cls, authority: Path) -> Self:
+        """The inbox of the authority in this directory."""
+        return cls(Database.open(authority / "ca.db"))
+
+    def close(self) -> None:
+        """Close the record."""
+        self._database.close()
+
+    def add(self, request: GrantRequest, data: bytes, now: int) -> None:
+        """Record a verified request.
+
+        Raises:
+            StoreError: it is there already.
+        """
+        with self._changing() as db:
+            row = (request.id, request.node, data, now)
+            db.execute("INSERT INTO grant_request VALUES (?, ?, ?, ?)", row)
+
+    def answer(self, asked: Asked, answer: str, reason: str, now: int) -> None:
+        """Record the answer to one wish.
+
+        Raises:
+            StoreError: it was answered already.
+        """
+        with self._changing() as db:
+            wish = asked.wish
+            row = (asked.request.id, int(wish.right), wish.pattern, answer, reason, now)
+            db.execute("INSERT INTO decision VALUES (?, ?, ?, ?, ?, ?)", row)
+
+    def unanswered(self) -> list[Asked]:
+        """Every wish without an answer, oldest first."""
+        answered = set(self._database.rows("SELECT request, right, pattern FROM decision"))
+        rows = self._database.rows("SELECT data, at FROM grant_request ORDER BY rowid")
+        requests = [(peek_request(data), at) for data, at in rows]
+        return [
+            Asked(request, at, wish)
+            for request, at in requests
+            for wish in request.wishes
+            if (request.id, int(wish.right), wish.pattern) not in answered
+        ]
+
+    @contextmanager
+    def _changing(self) -> Iterator[sqlite3.Connection]:
+        try:
+            with self._database.changing() as db:
+                yield db
+        except RecordUnusable:
+            raise
+        except StoreError as error:
+            raise StoreError(
+                "that was asked or answered before", "see: rossec grant pending"
+            ) from error
+
+
+def lay(authority: Path, request: GrantRequest, data: bytes) -> Path:
+    """Put a request where the authority of the same ROSSEC_HOME looks."""
+    files.make_private_directory(authority / "inbox")
+    path = authority / "inbox" / f"{request.id.hex()}.request"
+    files.replace(path, data)
+    return path
+
+
+def waiting(authority: Path) -> list[Path]:
+    """The files in the inbox, oldest name first; at most `MAX_INBOX`."""
+    return sorted((authority / "inbox").glob("*.request"))[:MAX_INBOX]
+
+
+def read(path: Path) -> bytes:
+    """A request file, bounded."""
+    return files.read(path, MAX_FILE, ConfigurationError(f"there is no {path}"))

@@ -1,0 +1,283 @@
+"""The authority with its key unlocked: what it signs, and the record of it.
+
+Nothing is handed out that is not recorded first. Two commands may be at work at once: whatever is
+decided by the record (a number, who is alive, what is to be listed) is decided, signed and recorded
+in one transaction, and so is a revocation with the list that says it.
+"""
+
+import secrets
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from ca.authority import LIFETIME, Authority
+from ca.certificates import Identity, check_request, to_pem
+from ca.errors import ForeignCertificate, RequestClosed
+from ca.keys.signer import Signer
+from ca.names import check_name
+from ca.revocation.state import MAX_ENTRIES, RevocationList, open_statement, sign_list
+from ca.revocation.tree import Listing, RevocationTree, sign_tree
+from ca.store.lifecycle import RequestRow, State
+from ca.store.log_entries import sign_head
+from ca.store.record import CertificateRow, GrantRow, Store
+from ca.store.rows import INTERMEDIATE
+from grants import document
+from grants.model import Draft
+from grants.renewal import Delegation, open_delegation, sign_delegation
+from rossec import files
+from rossec.authority import list_contents
+from rossec.errors import ConfigurationError
+
+SKEW: Final = list_contents.SKEW  # what is signed holds at once, on a host whose clock is behind
+_DELEGATIONS: Final = "delegations"
+OWN_NODE: Final = "/ca"  # as which the authority's tools speak to the master
+_SIZE_LIMIT: Final = 256 * 1024
+_LIST_LIFETIME: Final = 90 * 86400
+_LIST_REFRESH: Final = 7 * 86400
+
+
+@dataclass
+class OpenAuthority:
+    """The authority with its key unlocked: it can sign."""
+
+    authority: Authority
+    store: Store
+    path: Path
+
+    @property
+    def domain(self) -> str:
+        """Its trust domain."""
+        return self.authority.anchor.domain
+
+    @property
+    def signer(self) -> Signer:
+        """Its key."""
+        return self.authority.signer
+
+    def issue(
+        self,
+        request: bytes,
+        now: int,
+        lifetime: int = LIFETIME,
+        *,
+        replace_key: str | None = None,
+        wildcard: bool = False,
+        source: str = "file",
+    ) -> bytes:
+        """Approve a request, sign and record its identity; returns the node's bundle (PEM).
+
+        One request has one answer: asked again, it gets the same. With `wildcard` the identity is
+        for anonymous nodes as well. `replace_key` is the request's name once more, if it may take
+        over from another key; that one is revoked, and the list is to be delivered.
+
+        Raises:
+            KeyChanged, NameContested, NameCovered: the name is somebody else's.
+            RequestClosed: it was denied, or its identity is not valid any more.
+        """
+        asked = check_request(request, self.domain, wildcard=wildcard)
+        if replace_key is not None:
+            self._check_root()
+        self.refresh_list(now)
+        answered = self.store.identities.answer(asked.digest)
+        if answered is not None:
+            self.store.identities.check_not_revoked(asked.name, asked.thumbprint)
+            return self.again(answered, now, wildcard=wildcard)
+        row = self.store.requests.add(asked, request, source, now)
+        if row.state is State.PENDING:
+            row = self.store.requests.approve(
+                row.digest, now, replace_key=replace_key, wildcard=wildcard
+            )
+        return self.answer(row, now, lifetime)
+
+    def answer(self, row: RequestRow, now: int, lifetime: int = LIFETIME) -> bytes:
+        """Sign and record the identity an approved request asks for; returns the node's bundle.
+
+        Raises:
+            RequestClosed: it is not approved.
+        """
+        serial = secrets.randbits(127) + 1
+        der = self.authority.issue(
+            row.der, now=now, serial=serial, lifetime=lifetime, wildcard=row.wildcard
+        )
+        identity = self.verify(der, now)
+        replace_key = row.name if row.replaces else None
+        with self.store.changing():
+            self.store.add_certificate(
+                certificate_row(identity), now, request=row.digest, replace_key=replace_key
+            )
+            self.refresh_list(now)
+        return self.bundle(der)
+
+    def verify(self, der: bytes, now: int) -> Identity:
+        """The identity in a leaf that this authority signed, now or as the root before."""
+        try:
+            return self.authority.anchor.verify([der, *self.authority.chain], now)
+        except ForeignCertificate:
+            return self.authority.anchor.verify([der], now)
+
+    def bundle(self, der: bytes) -> bytes:
+        """What a node installs: its leaf, the intermediate if there is one, the root (PEM)."""
+        return to_pem(der, *self.authority.chain, self.authority.anchor.certificate)
+
+    def again(self, row: CertificateRow, now: int, *, wildcard: bool) -> bytes:
+        """Hand out once more what was issued for a request: the first answer may be lost."""
+        if row not in self.store.identities.alive(row.name, now) or row.wildcard is not wildcard:
+            raise RequestClosed(
+                f"this request of {row.name} was answered, and that is not valid or meant any more",
+                "have the node make a new request",
+            )
+        return self.bundle(row.der)
+
+    def grant(self, draft: Draft, now: int) -> bytes:
+        """Sign and record a grant.
+
+        Raises:
+            ConfigurationError: this is an intermediate; nobody would take a grant from it.
+            StoreError: its key was revoked since the draft was made.
+        """
+        self._check_root("sign grants")
+        data = document.sign(self.signer, draft)
+        row = GrantRow(
+            document.grant_id(data), draft.subject, data, draft.not_before, draft.expires
+        )
+        with self.store.changing():
+            self.store.identities.check_not_revoked(draft.subject, draft.holder)
+            self.refresh_list(now)
+            self.store.add_grant(row, now)
+        return data
+
+    def delegate(self, holder: bytes, lifetime: int, max_ttl: int, now: int) -> bytes:
+        """Let the master with the key `holder` renew grants; recorded before it is handed out.
+
+        Raises:
+            RenewalMalformed: for too long.
+        """
+        self.refresh_list(now)
+        begin = now - SKEW
+        draft = Delegation(
+            self.domain, holder, begin, begin + lifetime, max_ttl, secrets.token_bytes(16)
+        )
+        data = sign_delegation(self.signer, draft)
+        files.make_private_directory(self.path / _DELEGATIONS)
+        name = open_delegation(data, self.signer.public_key).id.hex()
+        files.create(self.path / _DELEGATIONS / f"{name}.cose", data)
+        return data
+
+    def withdraw(self, reason: str, now: int) -> tuple[RevocationList, int]:
+        """Revoke every delegation that has not expired; returns the list, and how many.
+
+        Raises:
+            ConfigurationError: there is none.
+        """
+        missing = ConfigurationError("no delegation")
+        found = [
+            open_delegation(files.read_own(path, _SIZE_LIMIT, missing), self.signer.public_key)
+            for path in sorted((self.path / _DELEGATIONS).glob("*.cose"))
+        ]
+        living = frozenset(item.id for item in found if now < item.expires)
+        with self.store.changing():
+            living -= self.store.revoked_entries()
+            if not living:
+                raise ConfigurationError("no delegation is in force", "see: rossec master delegate")
+            return self._revoke(living, reason, now), len(living)
+
+    def revoke(self, entry: bytes, reason: str, now: int) -> RevocationList:
+        """Add a grant id or key thumbprint to the list of revocations, and sign that anew."""
+        self._check_root()
+        return self._revoke(frozenset({entry}), reason, now)
+
+    def revoke_identity(self, name: str, reason: str, now: int) -> tuple[RevocationList, int]:
+        """Revoke every living key of `name`; returns the list, signed anew, and how many keys.
+
+        Raises:
+            ConfigurationError: there is none, or it is the authority's own.
+        """
+        if name == OWN_NODE:
+            raise ConfigurationError(
+                f"{name} is the authority's own node: without it no list reaches the master",
+                "a stolen authority must be made anew, in another ROSSEC_HOME",
+            )
+        sought = name if name.startswith(INTERMEDIATE) else check_name(name)
+        with self.store.changing():
+            found = self.store.live_keys(sought, now)
+            if found:
+                self._check_root()
+                return self._revoke(found, reason, now), len(found)
+            self.refresh_list(now)
+        certified = self.store.certified(name, now)
+        raise ConfigurationError(
+            f"{name} has no living identity to revoke",
+            "see: rossec ca show; to deliver the list again: rossec ca publish"
+            if certified == name
+            else f"it is one of the anonymous nodes of {certified}: revoking that ends all",
+        )
+
+    def _revoke(self, entries: frozenset[bytes], reason: str, now: int) -> RevocationList:
+        """Record what is revoked and sign the list that says so: both, or neither."""
+        with self.store.changing():
+            for entry in sorted(entries):
+                self.store.revoke(entry, reason, now)
+            return self.sign_list(now)
+
+    def _signed(self, listed: RevocationList) -> bytes:
+        """The list, or where it has grown too long a tree of it."""
+        if len(listed.entries) <= MAX_ENTRIES:
+            return sign_list(self.signer, listed)
+        size, root = Listing(listed.entries).size_and_root
+        tree = RevocationTree(listed.epoch, listed.seq, listed.issued, listed.expires, size, root)
+        return sign_tree(self.signer, tree)
+
+    def refresh_list(self, now: int) -> None:
+        """Sign the list anew when it lacks something that is revoked, and long before it expires.
+
+        Every command that has the key does this: what another one left behind is made good.
+        """
+        if not self.authority.is_root:
+            return
+        with self.store.changing():
+            held = self.store.newest_list()
+            issued = 0 if held is None else open_statement(held, self.signer.public_key).issued
+            late = now - issued > _LIST_REFRESH
+            if late or list_contents.missing(self.store, self.signer.public_key, now):
+                self.sign_list(now)
+
+    def sign_list(self, now: int, *, new_epoch: bool = False) -> RevocationList:
+        """Sign the list of everything revoked that could still hold, with the next number.
+
+        With `new_epoch` it beats every list of before, also those this record does not know: the
+        epoch is the time, so that one backup restored twice does not number two lists alike.
+
+        Raises:
+            ConfigurationError: this is an intermediate.
+        """
+        self._check_root()
+        with self.store.changing():
+            epoch, seq = self.store.next_number()
+            if new_epoch:
+                epoch, seq = max(epoch + 1, now), 1
+            entries = list_contents.due(self.store, now)
+            listed = RevocationList(epoch, seq, now, now + _LIST_LIFETIME, entries)
+            self.store.save_list(listed.number, self._signed(listed), now)
+            self.sign_head(now)
+        return listed
+
+    def _check_root(self, act: str = "revoke") -> None:
+        if not self.authority.is_root:
+            raise ConfigurationError(
+                f"an intermediate cannot {act}", "that is for the root: do it there"
+            )
+
+    def sign_head(self, now: int) -> bytes:
+        """Sign the state of the log: whoever keeps it can tell whether the past was rewritten."""
+        with self.store.changing():
+            head = sign_head(self.signer, self.store.journal.head(now))
+            self.store.journal.add_head(head, now)
+        return head
+
+
+def certificate_row(identity: Identity) -> CertificateRow:
+    """How an identity is recorded."""
+    return CertificateRow(
+        identity.serial, identity.name, identity.thumbprint, identity.certificate,
+        identity.not_before, identity.not_after,
+    )  # fmt: skip

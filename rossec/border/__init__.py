@@ -1,0 +1,1 @@
+"""The border router of constrained things. Reserved: nothing is here yet."""

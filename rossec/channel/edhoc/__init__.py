@@ -1,0 +1,1 @@
+"""EDHOC, RFC 9528: messages, key schedule, suites, credentials. Pure."""

@@ -1,0 +1,192 @@
+"""What both sides of an EDHOC handshake share: statements made and checked, the AEAD of messages.
+
+A side keeps the running transcript hash and secret; `handshake` says in which order what happens.
+Hashes and MACs are over the bytes that travel. Every check raises.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final, Generic, NamedTuple
+
+from cryptography.exceptions import InvalidTag
+
+from ca.encoding import Value, encode
+from ca.errors import HintedError
+from rossec.channel.edhoc.credentials import (
+    FindChain,
+    OwnCredential,
+    PeerT,
+    Verify,
+    encode_id_cred,
+    x5chain,
+)
+from rossec.channel.edhoc.keyschedule import (
+    GONE,
+    Exporter,
+    Label,
+    Secret,
+    bstr,
+    extract,
+    kdf,
+    transcript_2,
+    transcript_next,
+)
+from rossec.channel.edhoc.known import KnownCertificates, reference
+from rossec.channel.edhoc.messages import Plaintext, decode_plaintext, encode_identifier
+from rossec.channel.edhoc.own_dials import Dial, OwnDials
+from rossec.channel.edhoc.suites import HASH_LENGTH, PRODUCTION, SUITES, Random, Suite
+from rossec.errors import HandshakeFailed, IdentityRefused
+
+# Correlation is TCP's; the identifiers only have to be there (RFC 9528 section 3.3).
+C_I: Final = b"\x00"
+C_I_BRIEF: Final = b"\x01"  # "I may know your certificate: name it by its hash" (spec section 4)
+C_R: Final = b"\x01"
+# The beginnings of Sig_structure and Enc_structure (RFC 9052 sections 4.4 and 5.3).
+_SIGNATURE1: Final = b"\x84" + encode("Signature1")
+_ENCRYPT0: Final = b"\x83" + encode("Encrypt0") + encode(b"")
+_HINT_REFLECTED: Final = "another process has this identity, or something redirects connections"
+_HINT_ADDRESS: Final = "do two hosts go by one address? see ROS_IP and ROS_HOSTNAME"
+
+
+@dataclass(frozen=True)
+class Party(Generic[PeerT]):
+    """One side's inputs: its credential, whom it trusts, its dice, its policy."""
+
+    credential: OwnCredential
+    verify: Verify[PeerT]
+    random: Random
+    suites: tuple[int, ...] = PRODUCTION
+    find_chain: FindChain = x5chain
+    known: KnownCertificates | None = None  # with it, references to certificates are spoken
+    own_dials: OwnDials | None = None  # with it, an initiator means to reach this node itself
+    brief: bool = False  # an initiator's: ask the responder for a reference
+    ead: bytes = b""
+    c_i: bytes = C_I
+    c_r: bytes = C_R
+
+
+class _Statement(NamedTuple):
+    """What one side claims in message_2 or message_3, in the form that is MACed and signed."""
+
+    label: Label
+    prefix: bytes  # C_R in message_2, nothing in message_3
+    id_cred: bytes
+    th: bytes
+    cred: bytes
+    ead: bytes
+
+    def to_be_signed(self, prk: Secret) -> bytes:
+        external = bstr(self.th) + self.cred + self.ead
+        mac = kdf(prk, self.label, self.prefix + self.id_cred + external, HASH_LENGTH)
+        return _SIGNATURE1 + bstr(self.id_cred) + bstr(external) + bstr(mac)
+
+
+class Side(Generic[PeerT]):
+    """What both sides share: own statement, peer's statement, the AEAD of messages 3 and 4."""
+
+    def __init__(self, party: Party[PeerT]) -> None:
+        self._party = party
+        self._suite = SUITES[party.suites[0]]
+        self._prk = GONE
+        self._th = b""
+        self._exporter: Exporter | None = None
+        self._chain: tuple[bytes, ...] = ()
+        self._by_reference = False  # how the peer named its certificate
+        self._g_x = self._g_y = b""
+        self._dial: Dial | None = None  # this side is an initiator that means to reach itself
+        self.brief = False  # this side names its certificate by a hash
+
+    @property
+    def suite(self) -> Suite:
+        """The suite both sides agreed on."""
+        return self._suite
+
+    @property
+    def exporter(self) -> Exporter:
+        """The secret for the records, once there is one."""
+        if self._exporter is None:
+            raise HandshakeFailed("the handshake is not finished")
+        return self._exporter
+
+    def forget(self) -> None:
+        """Drop the secrets; Python cannot wipe them."""
+        self._prk = GONE
+        self._exporter = None
+
+    def _agree(self, shared: bytes, g_y: bytes, message_1: bytes) -> None:
+        self._th = transcript_2(g_y, message_1)
+        self._prk = extract(self._th, shared)
+
+    def _state(self, label: Label, c_r: bytes | None) -> bytes:
+        """Sign this side's statement, advance the transcript, return the plaintext."""
+        own = self._party.credential
+        prefix = b"" if c_r is None else encode_identifier(c_r)
+        cred, ead = bstr(own.certificate), self._party.ead
+        named = reference(own.certificate) if self.brief else own.id_cred
+        id_cred = encode_id_cred(named)
+        statement = _Statement(label, prefix, id_cred, self._th, cred, ead)
+        signature = own.sign(statement.to_be_signed(self._prk))
+        plaintext = Plaintext(c_r, named, signature, ead).encode()
+        self._th = transcript_next(self._th, plaintext, cred)
+        return plaintext
+
+    def _check(self, label: Label, plaintext: bytes, now: int) -> PeerT:
+        """Verify the peer's statement, advance the transcript, return who it is."""
+        parsed = decode_plaintext(plaintext, with_c_r=label is Label.MAC_2)
+        certificate, peer = self._identify(parsed.id_cred, now)
+        prefix = b"" if parsed.c_r is None else encode_identifier(parsed.c_r)
+        id_cred, cred = encode_id_cred(parsed.id_cred), bstr(certificate)
+        statement = _Statement(label, prefix, id_cred, self._th, cred, parsed.ead)
+        message = statement.to_be_signed(self._prk)
+        self._suite.verify(peer.public_key, parsed.signature, message)
+        self._th = transcript_next(self._th, plaintext, cred)
+        return peer
+
+    def _identify(self, id_cred: Value, now: int) -> tuple[bytes, PeerT]:
+        known = self._party.known
+        chain = self._party.find_chain(id_cred) if known is None else known.find(id_cred)
+        self._chain = chain
+        self._by_reference = known is not None and id_cred == reference(chain[0])
+        try:
+            peer = self._party.verify(chain, now)
+        except HintedError as error:
+            text = f"the peer's certificate is refused: {error}"
+            raise IdentityRefused(text, error.hint) from error
+        self._check_meant(peer)
+        return chain[0], peer
+
+    def _check_meant(self, peer: PeerT) -> None:
+        """Refuse this node where another one is meant, and another one where this node is.
+
+        The key is compared: a certificate that was renewed meanwhile has the same.
+        """
+        own, dials = self._party.credential, self._party.own_dials
+        shows_own = peer.public_key == own.public_key
+        is_itself = shows_own and dials is not None and dials.is_own(self._g_x, self._g_y)
+        if shows_own and not (is_itself or own.shared):
+            raise IdentityRefused("the peer shows this node's own certificate", _HINT_REFLECTED)
+        if self._dial is not None and not is_itself:
+            raise IdentityRefused("another one answers at this node's own address", _HINT_ADDRESS)
+
+    def _seal(self, key: Label, iv: Label, plaintext: bytes) -> bytes:
+        return bstr(self._aead(key, iv, lambda aead: aead.encrypt, plaintext))
+
+    def _open(self, key: Label, iv: Label, ciphertext: bytes) -> bytes:
+        try:
+            return self._aead(key, iv, lambda aead: aead.decrypt, ciphertext)
+        except InvalidTag:
+            raise HandshakeFailed("a handshake message does not decrypt") from None
+
+    def _aead(
+        self, key: Label, iv: Label, operation: Callable[..., Callable[..., bytes]], data: bytes
+    ) -> bytes:
+        suite = self._suite
+        aead = suite.aead(kdf(self._prk, key, self._th, suite.key_length))
+        nonce = kdf(self._prk, iv, self._th, suite.nonce_length)
+        # external_aad is TH_3 or TH_4
+        return operation(aead)(nonce, data, _ENCRYPT0 + bstr(self._th))
+
+    def _finish(self) -> None:
+        self._exporter = Exporter.derive(self._prk, self._th)
+        if self._party.known is not None:
+            self._party.known.remember(self._chain)

@@ -1,0 +1,92 @@
+"""`rossec ca backup | restore`: the whole authority in one encrypted file, and back."""
+
+from pathlib import Path
+
+import click
+
+from ca.revocation.lists import MAX_LIST
+from ca.revocation.tree import MAX_LISTING
+from ca.store.backup import MAX_BACKUP
+from rossec import files
+from rossec.authority import backup as backups
+from rossec.authority.home import ENTRIES, AuthorityHome, fingerprint
+from rossec.cli.shared import passphrase
+from rossec.cli.shared.context import Environment, now, pass_environment
+from rossec.errors import ConfigurationError
+from rossec.terminal import note, say
+
+_FILE = click.Path(path_type=Path, exists=True, dir_okay=False)
+
+
+@click.command()
+@click.argument("file", type=click.Path(path_type=Path, dir_okay=False))
+@passphrase.option
+@pass_environment
+def backup(environment: Environment, file: Path, passphrase_file: Path | None) -> None:
+    """Write the authority into the new file FILE, encrypted under its passphrase.
+
+    A key in a token stays there: its backup is the token's business, and the PIN seals this file.
+    """
+    home = AuthorityHome.at(environment.home)
+    secret = passphrase.read(passphrase_file, environment.variables)
+    home.unlock(secret).store.close()  # a backup that the key does not fit is none
+    files.create(file, backups.back_up(home, secret))
+    say(f"backup of {home.domain}: {file}")
+    say(f"fingerprint {fingerprint(home.anchor())}")
+
+
+@click.command()
+@click.argument("file", type=_FILE)
+@click.option("--over", metavar="DOMAIN", help="replace the authority of DOMAIN that is here")
+@click.option(
+    "--forget", type=click.IntRange(0), default=0, metavar="N",
+    help="lose the N newest log entries, which the backup does not have",
+)  # fmt: skip
+@click.option(
+    "--list", "newest", type=_FILE,
+    help="a newer revocation list, for example a node's revocations.cose",
+)  # fmt: skip
+@click.option(
+    "--entries", type=_FILE,
+    help="of that list where it is a tree; by default revocations.entries beside it",
+)  # fmt: skip
+@passphrase.option
+@pass_environment
+def restore(
+    environment: Environment,
+    file: Path,
+    over: str | None,
+    forget: int,
+    newest: Path | None,
+    entries: Path | None,
+    passphrase_file: Path | None,
+) -> None:
+    """Prove the backup FILE and put its authority back.
+
+    Nothing is overwritten, and nothing newer is lost, unless it is said: --over, --forget.
+    """
+    data = files.read(file, MAX_BACKUP, ConfigurationError(f"there is no {file}"))
+    listed = None if newest is None else _read(newest, MAX_LIST)
+    if entries is None and newest is not None and newest.with_name(ENTRIES).exists():
+        entries = newest.with_name(ENTRIES)
+    secret = passphrase.read(passphrase_file, environment.variables)
+    found = backups.restore(
+        environment.home, data, secret, now(), over=over, forget=forget, newest_list=listed,
+        entries=None if entries is None else _read(entries, MAX_LISTING),
+    )  # fmt: skip
+    say(f"restored {found.home.domain} in {found.home.path}, {found.entries} log entries")
+    say(f"fingerprint {fingerprint(found.home.anchor())}")
+    if found.home.is_intermediate:  # it signs no lists
+        return
+    if newest is None:
+        note("what was revoked after the backup is valid again: restore with --list if you can")
+    elif found.revived:
+        say(f"{found.revived} revocations are newer than the backup and were taken over")
+    note("a new revocation list was signed; deliver it with: rossec ca publish")
+
+
+def _read(path: Path, limit: int) -> bytes:
+    return files.read(path, limit, ConfigurationError(f"there is no {path}"))
+
+
+COMMANDS = (backup, restore)

@@ -1,0 +1,207 @@
+"""`rossec ca enroll`: read a node's code, see who asks, and give it an identity."""
+
+import asyncio
+import secrets
+import sys
+from hashlib import sha256
+from pathlib import Path
+from typing import Final
+
+import click
+
+from ca.certificates import from_pem
+from ca.enrollment import NONCE_SIZE, qr
+from ca.enrollment.authority import AuthorityEnrollment
+from ca.enrollment.messages import Delivery, write
+from ca.enrollment.transcript import grouped as spaced
+from ca.errors import HintedError
+from ca.requests import MAX_REQUEST
+from ca.store.lifecycle import RequestRow, State
+from rossec import files
+from rossec.authority.home import AuthorityHome
+from rossec.cli.ca.requests import introduce, tell_of_replaced
+from rossec.cli.shared import options, passphrase
+from rossec.cli.shared.context import Environment, agrees, now, pass_environment, reraise_interrupt
+from rossec.cli.shared.delivery import remind
+from rossec.enrollment import address
+from rossec.enrollment.authority import deliver, fetch
+from rossec.enrollment.scan import code_in_file
+from rossec.errors import ConfigurationError
+from rossec.terminal import say
+
+Where = tuple[str, int]
+_DENIED: Final = "no, at the authority"
+
+
+@click.command()
+@click.argument("code", required=False)
+@click.option(
+    "--image",
+    type=click.Path(path_type=Path, exists=True, dir_okay=False, allow_dash=True),
+    help="read the code from this picture; - is standard input",
+)
+@click.option(
+    "--csr",
+    "csr_file",
+    type=click.Path(path_type=Path, exists=True, dir_okay=False),
+    help="no code: this request, whose fingerprint you have compared",
+)
+@click.option("--address", "told", help="where the node waits, for a label: host, or host:port")
+@options.identity_lifetime
+@options.replace_key()
+@options.anonymous
+@click.option("--later", is_flag=True, help="only record who asks; decide with: rossec ca approve")
+@options.master_to_tell
+@click.option("--yes", is_flag=True, help="do not ask")
+@passphrase.option
+@pass_environment
+def enroll(
+    environment: Environment,
+    code: str | None,
+    image: Path | None,
+    csr_file: Path | None,
+    told: str | None,
+    lifetime: int,
+    replaced: str | None,
+    anonymous: bool,
+    later: bool,
+    master_uri: str | None,
+    yes: bool,
+    passphrase_file: Path | None,
+) -> None:
+    """Enroll the node that shows CODE: scanned from a picture, or pasted (in single quotes).
+
+    Without any of them you are asked for the text.
+
+    Shows who asks and what the policy holds ready for that name, asks you, signs, and hands over
+    the identity. Then both sides show six digits: go to the node and confirm there if they are the
+    same. With --csr and no --address the identity is written beside the request, to be carried.
+
+    Exit codes: 0 enrolled, 1 refused, 2 wrong usage, 3 signed here but the node did not say that it
+    is enrolled, or the master was out of reach; 130 interrupted.
+    """
+    home = AuthorityHome.at(environment.home)
+    found = _code(code, image, csr_file)
+    where = _where(found, told, csr_file)
+    core = AuthorityEnrollment(found, home.domain, wildcard=anonymous)
+    _compare(core, csr_file, where)
+    row = _recorded(home, core, _source(found, csr_file, where))
+    introduce(environment, row, home, wildcard=core.request.wildcard)
+    if later:
+        say(f"recorded; decide with: rossec ca approve {row.digest.hex()[:8]}, or deny")
+        return
+    if row.state is State.PENDING and not agrees("give this name to this key?", yes=yes):
+        home.store().requests.deny(row.digest, now(), _DENIED)
+        raise ConfigurationError("denied", "to ask again the node needs a new request")
+    core.approve(now())
+    authority = home.unlock(passphrase.read(passphrase_file, environment.variables))
+    revoked, number = authority.store.revoked_entries(), authority.store.next_number()
+    bundle = authority.issue(
+        row.der, now(), lifetime,
+        replace_key=replaced, wildcard=core.request.wildcard, source=row.source,
+    )  # fmt: skip
+    if where is None:
+        _write(csr_file, bundle)
+    else:
+        try:
+            _hand_over(core, bundle, where)
+        except HintedError:
+            remind(authority.store, number)
+            raise
+        say(f"enrolled {row.name}")
+    tell_of_replaced(environment, authority, revoked, number, master_uri)
+
+
+def _code(code: str | None, image: Path | None, csr_file: Path | None) -> qr.Code:
+    """Exactly one source; with none, a person at a terminal is asked."""
+    if sys.stdin.isatty() and (code, image, csr_file) == (None, None, None):
+        code = _ask()
+    match (code, image, csr_file):
+        case (str(), None, None):
+            found = qr.parse(code)
+        case (None, Path(), None):
+            found = qr.parse(code_in_file(image, sys.stdin.buffer))
+        case (None, None, Path()):
+            return qr.Code(sha256(_read(csr_file)).digest())
+        case _:
+            raise click.UsageError("give a code, or --image, or --csr: one of them")
+    found.check_time(now())
+    return found
+
+
+def _ask() -> str:
+    """Pasted here, the text needs no quotes; a shell would take its blanks and dollars apart."""
+    try:
+        typed: str = click.prompt("the text below the code", err=True)
+    except click.Abort as abort:
+        reraise_interrupt(abort)
+        raise ConfigurationError("no code was given", "paste the line with ROSSEC:") from None
+    return typed
+
+
+def _where(code: qr.Code, told: str | None, csr_file: Path | None) -> Where | None:
+    """Where the node waits; None: it does not, files are carried."""
+    if told is not None or code.address:
+        return address.split(told or code.address)
+    if csr_file is not None:
+        return None
+    raise ConfigurationError(
+        "a label does not say where its node is", "add --address HOST, as the node shows it"
+    )
+
+
+def _compare(core: AuthorityEnrollment, csr_file: Path | None, where: Where | None) -> None:
+    if csr_file is not None:
+        core.receive(write(Delivery(_read(csr_file))), now())
+        return
+    assert where is not None  # noqa: S101 - a code without an address was refused
+    asyncio.run(fetch(core, *where, now))
+
+
+def _recorded(home: AuthorityHome, core: AuthorityEnrollment, source: str) -> RequestRow:
+    """The request in the record: pending, or what was said about it before."""
+    store = home.store()
+    try:
+        answered = store.identities.answer(core.request.digest)
+        if answered is not None:
+            request = core.request
+            return RequestRow(
+                request.digest, request.name, request.thumbprint, core.csr, source, now(),
+                State.ISSUED, "", now(),
+            )  # fmt: skip
+        return store.requests.add(core.request, core.csr, source, now())
+    finally:
+        store.close()
+
+
+def _source(code: qr.Code, csr_file: Path | None, where: Where | None) -> str:
+    kind = "a screen code" if code.secret else "a label" if csr_file is None else "a file"
+    return kind if where is None else f"{kind} at {address.join(*where)}"
+
+
+def _hand_over(core: AuthorityEnrollment, bundle: bytes, where: Where) -> None:
+    """Offer the identity, and wait for the person at the node."""
+    *chain, root = from_pem(bundle)
+    offer = core.offer(chain, root, secrets.token_bytes(NONCE_SIZE), now())
+
+    def show(digits: str) -> None:
+        say(f"digits {spaced(digits)}")
+        say("the same at the node? then confirm there; if not, stop here and there")
+
+    asyncio.run(deliver(core, offer, *where, now, show))
+
+
+def _write(csr_file: Path | None, bundle: bytes) -> None:
+    assert csr_file is not None  # noqa: S101 - nowhere to call means that there is a file
+    name = "node.pem" if csr_file.name == "node.csr" else f"{csr_file.stem}.pem"
+    target = csr_file.with_name(name)
+    files.replace(target, bundle, 0o644)
+    say(f"signed: {target}; at the node: rossec node install {target.name}")
+
+
+def _read(path: Path) -> bytes:
+    with path.open("rb") as stream:
+        return stream.read(MAX_REQUEST + 1)
+
+
+COMMANDS = (enroll,)

@@ -1,0 +1,136 @@
+"""`rossec ca list | show | renew`: the identities of the authority, and their successors."""
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from ca.authority import DAY, MAX_LIFETIME
+from ca.store.record import Store
+from ca.store.rows import INTERMEDIATE, CertificateRow
+from rossec import files
+from rossec.authority.home import AuthorityHome, fingerprint, grouped
+from rossec.authority.renewals import renew_by_name, renew_own
+from rossec.authority.signing import OWN_NODE
+from rossec.cli.shared import passphrase
+from rossec.cli.shared.context import Duration, Environment, moment, now, pass_environment
+from rossec.cli.shared.delivery import remind
+from rossec.errors import ConfigurationError
+from rossec.terminal import say, say_json
+
+
+def states(store: Store, at: int) -> list[tuple[CertificateRow, str]]:
+    """Every identity with what it is now: valid, replaced by a newer one, expired, or revoked."""
+    with store.reading():
+        rows, revoked = store.certificates(), store.revoked_entries()
+        in_force = store.identities.in_force(rows)
+    alive = {row.serial for row in in_force if row.thumbprint not in revoked}
+    newest = {row.name: row.serial for row in rows if row.serial in alive}
+    return [(row, _state(row, at, newest, row.serial not in alive)) for row in rows]
+
+
+def _state(row: CertificateRow, at: int, newest: dict[str, int], revoked: bool) -> str:
+    if revoked:
+        return "revoked"
+    if at > row.not_after:
+        return "expired"
+    return "valid" if newest[row.name] == row.serial else "replaced"
+
+
+def as_json(row: CertificateRow, state: str) -> dict[str, Any]:
+    """One identity for programs."""
+    return {
+        "name": row.name,
+        "state": state,
+        "anonymous": row.wildcard,
+        "not_before": row.not_before,
+        "expires": row.not_after,
+        "key": row.thumbprint.hex(),
+        "serial": f"{row.serial:x}",
+    }
+
+
+def line(row: CertificateRow, state: str) -> str:
+    """One identity for people."""
+    name = f"{row.name} and {row.name}_*" if row.wildcard else row.name
+    until, key = f"until {moment(row.not_after)}", f"fingerprint {grouped(row.thumbprint)}"
+    return "  ".join([name, until, key, *[state] * (state != "valid")])
+
+
+@click.command("list")
+@click.option("--all", "everything", is_flag=True, help="also what is replaced, expired or revoked")
+@click.option("--json", "in_json", is_flag=True, help="one line of JSON")
+@pass_environment
+def list_(environment: Environment, everything: bool, in_json: bool) -> None:
+    """List the identities that are valid now."""
+    found = states(AuthorityHome.at(environment.home).store(), now())
+    chosen = [(row, state) for row, state in found if everything or state == "valid"]
+    if in_json:
+        say_json([as_json(row, state) for row, state in chosen])
+        return
+    for row, state in chosen:
+        say(line(row, state))
+
+
+@click.command()
+@click.argument("name", required=False)
+@click.option("--json", "in_json", is_flag=True, help="one line of JSON")
+@pass_environment
+def show(environment: Environment, name: str | None, in_json: bool) -> None:
+    """Show the authority, or everything about the node NAME."""
+    home = AuthorityHome.at(environment.home)
+    with_states = [
+        (row, state) for row, state in states(home.store(), now()) if name in {None, row.name}
+    ]
+    if name is not None and not with_states:
+        raise ConfigurationError(f"{name} never had an identity here", "see: rossec ca list --all")
+    if in_json:
+        identities = [as_json(row, state) for row, state in with_states]
+        about = {"domain": home.domain, "fingerprint": fingerprint(home.anchor())}
+        say_json({**about, "intermediate": home.is_intermediate, "identities": identities})
+        return
+    say(f"authority of {home.domain} in {home.path}")
+    say(f"fingerprint {fingerprint(home.anchor())}")
+    for row, state in with_states:
+        say(line(row, state))
+
+
+@click.command()
+@click.argument("name")
+@click.option(
+    "--for", "lifetime", type=Duration(MAX_LIFETIME // DAY), default="30d", show_default=True,
+    help="how long the new identity lasts",
+)  # fmt: skip
+@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="where to write it")
+@passphrase.option
+@pass_environment
+def renew(
+    environment: Environment,
+    name: str,
+    lifetime: int,
+    out: Path | None,
+    passphrase_file: Path | None,
+) -> None:
+    """Renew the identity of NAME for the key it has; /ca is the authority's own node.
+
+    The new one is written to a file to install on the node, but for /ca, where it is installed.
+    """
+    home = AuthorityHome.at(environment.home)
+    if name.startswith(INTERMEDIATE):
+        raise ConfigurationError(
+            f"{name} is an intermediate", "sign its request again: rossec ca intermediate sign"
+        )
+    authority = home.unlock(passphrase.read(passphrase_file, environment.variables))
+    number = authority.store.next_number()
+    if name == OWN_NODE:
+        say(f"renewed {name} until {moment(renew_own(authority, now()))}")
+    else:
+        bundle = renew_by_name(authority, name, now(), lifetime)
+        target = out or Path(f"{name.lstrip('/').replace('/', '.')}.pem")
+        files.replace(target, bundle, 0o644)
+        say(f"renewed {name}: {target}")
+        say(f"next, on its machine: rossec node install {target}")
+    remind(authority.store, number)
+
+
+COMMANDS = (list_, show, renew)

@@ -1,0 +1,89 @@
+"""`rossec ca import`: the root learns of the identities that its intermediates have signed."""
+
+import asyncio
+from pathlib import Path
+
+import click
+
+from ca.certificates import Identity, from_pem
+from rossec import files
+from rossec.authority.home import AuthorityHome, grouped
+from rossec.authority.renewals import adopt
+from rossec.cli.shared import options, passphrase
+from rossec.cli.shared.batch import Batch
+from rossec.cli.shared.context import Environment, confirm, moment, now, pass_environment
+from rossec.cli.shared.delivery import deliver, remind
+from rossec.errors import ConfigurationError
+from rossec.terminal import say
+
+_MAX_BUNDLE = 64 * 1024
+
+
+@click.command("import")
+@click.argument(
+    "bundles",
+    nargs=-1,
+    required=True,
+    type=click.Path(path_type=Path, exists=True, dir_okay=False),
+)
+@options.replace_key(multiple=True)
+@options.master_to_tell
+@click.option("--yes", is_flag=True, help="do not ask")
+@passphrase.option
+@pass_environment
+def import_(
+    environment: Environment,
+    bundles: tuple[Path, ...],
+    replaced: tuple[str, ...],
+    master_uri: str | None,
+    yes: bool,
+    passphrase_file: Path | None,
+) -> None:
+    """Record the identities in BUNDLES (node.pem), which an intermediate enrolled or renewed.
+
+    Only then can the root sign grants for these nodes, or revoke them by their names.
+    """
+    home, batch = AuthorityHome.at(environment.home), Batch(len(bundles))
+    found: list[tuple[Path, bytes]] = []
+    for path in bundles:
+        with batch.one(path):
+            data = files.read(path, _MAX_BUNDLE, ConfigurationError(f"there is no {path}"))
+            _introduce(home, path, home.anchor().verify(from_pem(data)[:-1], now()))
+            found.append((path, data))
+    if found:
+        confirm(f"take over {len(found)} of them?", yes=yes)
+        _adopt(environment, home, batch, found, replaced, master_uri, passphrase_file)
+    batch.end()
+
+
+def _adopt(
+    environment: Environment,
+    home: AuthorityHome,
+    batch: Batch,
+    found: list[tuple[Path, bytes]],
+    replaced: tuple[str, ...],
+    master_uri: str | None,
+    passphrase_file: Path | None,
+) -> None:
+    authority = home.unlock(passphrase.read(passphrase_file, environment.variables))
+    number, revoked = authority.store.next_number(), authority.store.revoked_entries()
+    for path, data in found:
+        with batch.one(path):
+            identity, new = adopt(authority, data, now(), replaced)
+            say(f"{'imported' if new else 'known already:'} {identity.name}")
+    if authority.store.revoked_entries() == revoked:
+        remind(authority.store, number)
+        return
+    say("the replaced key is revoked")
+    asyncio.run(deliver(environment, master_uri))
+    say("the master has the new list")
+
+
+def _introduce(home: AuthorityHome, path: Path, identity: Identity) -> None:
+    say(f"{identity.name} of {home.domain} until {moment(identity.not_after)} ({path})")
+    say(f"  fingerprint {grouped(identity.thumbprint)}")
+    for issuer in identity.issuers:
+        say(f"  signed by intermediate/{issuer.hex()[:16]}")
+
+
+COMMANDS = (import_,)

@@ -1,0 +1,127 @@
+"""`rossec ca log`: what the authority did, whether that is all of it, and proofs for others."""
+
+import base64
+from pathlib import Path
+from typing import Any
+
+import click
+
+from ca.store.log_entries import Entry, leaf, open_head
+from rossec import files
+from rossec.authority.home import AuthorityHome
+from rossec.cli.shared import passphrase
+from rossec.cli.shared.context import Environment, moment, now, pass_environment
+from rossec.cli.shared.delivery import remind
+from rossec.errors import ConfigurationError
+from rossec.terminal import note, printable, say, say_json
+
+_MAX_HEAD = 4096
+
+
+@click.group(invoke_without_command=True)
+@click.option("--last", type=click.IntRange(1), help="only the newest so many entries")
+@click.option("--json", "in_json", is_flag=True, help="one line of JSON")
+@click.pass_context
+def log(context: click.Context, last: int | None, in_json: bool) -> None:
+    """Show everything the authority did, oldest first."""
+    if context.invoked_subcommand is not None:
+        return
+    home = AuthorityHome.at(context.find_object(Environment).home)  # type: ignore[union-attr]
+    entries = home.store().journal.entries()[-(last or 0) :]
+    if in_json:
+        say_json([_as_json(entry) for entry in entries])
+        return
+    for entry in entries:
+        words = [str(entry.number), moment(entry.at), entry.what, entry.subject, entry.detail]
+        say(printable("  ".join(filter(None, words))))
+
+
+@log.command()
+@click.option(
+    "--head", "heads", multiple=True, type=click.Path(path_type=Path, exists=True, dir_okay=False),
+    help="a signed head kept elsewhere (rossec ca log head)",
+)  # fmt: skip
+@click.option("--json", "in_json", is_flag=True, help="one line of JSON")
+@pass_environment
+def verify(environment: Environment, heads: tuple[Path, ...], in_json: bool) -> None:
+    """Recompute the whole log and compare it with the record and with every signed head.
+
+    Exit code 1 and the number of the first wrong entry, if anything is not as it was written.
+    """
+    home = AuthorityHome.at(environment.home)
+    store = home.store()
+    newest = store.journal.audit(home.own_key(), *(_read(path) for path in heads))
+    size = store.journal.head(now()).size
+    if in_json:
+        say_json({"entries": size, "signed": newest.size, "at": newest.issued})
+        return
+    say(f"{size} entries, all as they were written")
+    if newest.size:
+        say(f"the first {newest.size} are signed, {moment(newest.issued)}")
+    else:
+        say("none of them is signed: next, rossec ca log head")
+    if not heads:
+        note("a head kept elsewhere shows more: this file's owner could have rewritten all of it")
+
+
+@log.command()
+@click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="write it here")
+@passphrase.option
+@pass_environment
+def head(environment: Environment, out: Path | None, passphrase_file: Path | None) -> None:
+    """Sign the state of the log, to be kept elsewhere."""
+    home = AuthorityHome.at(environment.home)
+    authority = home.unlock(passphrase.read(passphrase_file, environment.variables))
+    number = authority.store.next_number()
+    authority.refresh_list(now())
+    data = authority.sign_head(now())
+    remind(authority.store, number)
+    size = open_head(data, home.own_key()).size
+    if out is None:
+        say(base64.b64encode(data).decode())
+        return
+    files.replace(out, data, 0o644)
+    say(f"head of {size} entries: {out}")
+
+
+@log.command()
+@click.option("--entry", type=click.IntRange(0), help="prove that this entry is in the log")
+@click.option(
+    "--since", type=click.Path(path_type=Path, exists=True, dir_okay=False),
+    help="prove that the log continues this signed head",
+)  # fmt: skip
+@pass_environment
+def prove(environment: Environment, entry: int | None, since: Path | None) -> None:
+    """Print a proof, as JSON, against the newest signed head (RFC 6962)."""
+    home = AuthorityHome.at(environment.home)
+    if (entry is None) == (since is None):
+        raise ConfigurationError("there is nothing to prove, or too much", "--entry N or --since F")
+    journal = home.store().journal
+    heads = journal.heads()
+    if not heads:
+        raise ConfigurationError("no state of the log was signed yet", "next: rossec ca log head")
+    signed = heads[-1]
+    newest, tree = open_head(signed, home.own_key()), journal.tree()
+    shown: dict[str, Any] = {"size": newest.size, "root": newest.root.hex()}
+    if entry is not None:
+        content = leaf(journal.entries()[entry]) if entry < len(tree) else b""
+        shown |= {"entry": entry, "leaf": content.hex()}
+        proof = tree.inclusion(entry, newest.size)
+    else:
+        old = open_head(_read(since or Path()), home.own_key())
+        shown |= {"first": old.size, "first_root": old.root.hex()}
+        proof = tree.consistency(old.size, newest.size)
+    head_text = base64.b64encode(signed).decode()
+    say_json({**shown, "proof": [digest.hex() for digest in proof], "head": head_text})
+
+
+def _as_json(entry: Entry) -> dict[str, Any]:
+    return {**entry._asdict(), "digest": entry.digest.hex()}
+
+
+def _read(path: Path) -> bytes:
+    missing = ConfigurationError(f"there is no {path}")
+    return files.read(path, _MAX_HEAD, missing)
+
+
+COMMANDS = (log,)

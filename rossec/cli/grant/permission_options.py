@@ -1,0 +1,145 @@
+"""What `rossec grant sign` is asked to give, as permissions: rights, conditions and filters."""
+
+from collections.abc import Callable, Mapping
+from typing import Any, Final
+
+import click
+
+from grants.conditions.compile import compile_condition
+from grants.errors import ConditionRefused, FilterRefused
+from grants.filters.compile import compile_filter
+from grants.filters.layout import parse
+from grants.filters.presets import preset
+from grants.model import Permission, Restriction, Right, filter_rules
+from rossec.errors import ConfigurationError
+from rossec.participant.service_types import part_type
+
+_EXAMPLES: Final = (
+    "for example --clear header.frame_id, --round pose.position=2.0,"
+    " --when 'msg.header.frame_id == \"map\"'"
+)
+
+_RIGHTS: Final = {
+    Right.PUBLISH: "may publish these topics",
+    Right.SUBSCRIBE: "may subscribe to these topics",
+    Right.CALL: "may call these services",
+    Right.PROVIDE: "may provide these services",
+    Right.PARAM_GET: "may read these parameters and all below",
+    Right.PARAM_SET: "may set these parameters and all below",
+    Right.ADMIN: "may end these nodes and clean up after them",
+}
+_RESTRICTED: Final = Right.SUBSCRIBE | Right.CALL  # by conditions and filters given here
+
+
+def rights(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add an option for every right over names: `--publish`, `--param-get` and so on."""
+    for right, says in reversed(_RIGHTS.items()):
+        command = click.option(f"--{right.label}", multiple=True, metavar="PATTERN", help=says)(
+            command
+        )
+    return command
+
+
+def asked(options: Mapping[str, Any]) -> dict[Right, tuple[str, ...]]:
+    """The patterns given with these options, by right."""
+    return {right: options[str(right.name).lower()] for right in _RIGHTS}
+
+
+def rules(
+    clear: tuple[str, ...], rounds: tuple[str, ...], clamps: tuple[str, ...]
+) -> dict[str, dict[str, object]]:
+    """The filters, by field.
+
+    Raises:
+        ConfigurationError: a parameter that cannot be read.
+    """
+    rules: dict[str, dict[str, object]] = {path: {"clear": True} for path in clear}
+    rules |= {path: {"round": {"step": step}} for path, step in map(_rounding, rounds)}
+    return rules | {
+        path: {"clamp": {"low": low, "high": high}} for path, low, high in map(_clamping, clamps)
+    }
+
+
+def restrictions(
+    type_name: str | None,
+    filters: dict[str, dict[str, object]],
+    when: tuple[str, ...],
+    rate: float | None,
+    preset_name: str | None,
+) -> list[Restriction]:
+    """Build the restrictions and try them on the message type: mistakes show here, not later."""
+    if not filters and not when and rate is None and preset_name is None:
+        return []
+    if type_name is None:
+        raise ConfigurationError(
+            "restrictions need the message type they are for", "add --type PKG/TYPE"
+        )
+    shape = parse(type_name, part_type(type_name).definition)
+    try:
+        made = [preset(preset_name).restriction(shape)] if preset_name is not None else []
+        if filters or when or rate is not None:
+            made.append(Restriction(type_name, when, filter_rules(filters), rate))
+        for restriction in made:
+            compile_filter(shape, restriction.filters)
+            for text in restriction.conditions:
+                compile_condition(shape, text)
+    except (ConditionRefused, FilterRefused) as error:
+        error.hint = error.hint or _EXAMPLES
+        raise
+    return made
+
+
+def permissions(
+    wanted: Mapping[Right, tuple[str, ...]], *, graph: bool, restricted: list[Restriction]
+) -> tuple[Permission, ...]:
+    """The permissions of the grant.
+
+    Raises:
+        ConfigurationError: none, or restrictions of nothing.
+    """
+    made: list[Permission] = []
+    for right, patterns in wanted.items():
+        inside = restricted if right in _RESTRICTED and restricted else [None]
+        # all restrictions that cover a name hold together
+        made += [Permission(pattern, right, item) for pattern in patterns for item in inside]
+    if graph:
+        made.append(Permission("/**", Right.GRAPH))
+    if not made:
+        raise ConfigurationError(
+            "a grant that allows nothing", "add --publish, --subscribe, --call or another right"
+        )
+    if restricted and not any(item.restriction for item in made):
+        raise ConfigurationError(
+            "conditions and filters restrict what a subscriber sees and what a caller may ask",
+            "add --subscribe or --call",
+        )
+    return tuple(made)
+
+
+def _clamping(text: str) -> tuple[str, float, float]:
+    path, _, limits = text.partition("=")
+    low, _, high = limits.partition(":")
+    try:
+        return path, _number(low), _number(high)
+    except ValueError:
+        raise ConfigurationError(
+            f"--clamp {text} has no range", "for example --clamp ranges=0.5:10"
+        ) from None
+
+
+def _number(text: str) -> float:
+    """Whole where it is written so: fields of whole numbers take no other."""
+    try:
+        return int(text)
+    except ValueError:
+        return float(text)
+
+
+def _rounding(text: str) -> tuple[str, float]:
+    path, _, step = text.partition("=")
+    try:
+        return path, float(step)
+    except ValueError:
+        raise ConfigurationError(
+            f"--round {text} has no step", "for example --round pose.position=2.0"
+        ) from None

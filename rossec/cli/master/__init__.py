@@ -1,0 +1,1 @@
+"""`rossec master`, and what an operator asks about a running one."""

@@ -1,0 +1,100 @@
+"""`rossec audit`: what the master denied, and what was administered."""
+
+from pathlib import Path
+
+import click
+
+from ca.keys.publickey import thumbprint
+from rossec.cli.shared.context import Environment, moment, pass_environment
+from rossec.errors import ConfigurationError
+from rossec.files import lines, open_text
+from rossec.home import NodeHome
+from rossec.master.operation import audit as audits
+from rossec.master.operation.audit_mark import check_beginning
+from rossec.ros.names import MASTER
+from rossec.terminal import note, printable, say
+
+AUDIT = "audit.log"
+_MOST_DAMAGED = 10_000  # lines; what has more is no audit
+_MOST_SHOWN = 20
+
+
+@click.command()
+@click.option("--json", "as_json", is_flag=True, help="the lines as they are")
+@click.option("--since", type=click.IntRange(0), help="seconds since the epoch")
+@click.option("--verify", "verified", is_flag=True, help="check that nothing was changed")
+@click.option("--after", metavar="HASH", help="the last hash of the parts before, which are gone")
+@click.option("--key", metavar="HEX", help="thumbprint of the key the master had then")
+@click.argument("files", nargs=-1, type=click.Path(path_type=Path, dir_okay=False))
+@pass_environment
+def audit(
+    environment: Environment,
+    as_json: bool,
+    since: int | None,
+    verified: bool,
+    after: str | None,
+    key: str | None,
+    files: tuple[Path, ...],
+) -> None:
+    """Show the master's audit: what was denied, and what was administered.
+
+    FILES are the audit in the order of its parts, by default the one the master writes now.
+    """
+    paths = files or (NodeHome.of(environment.home, MASTER).path / AUDIT,)
+    entries: list[audits.Entry] = []
+    for path in paths:
+        found, damaged = _of(path, 1 if verified else _MOST_DAMAGED)
+        if damaged and verified:
+            raise ConfigurationError(f"line {damaged[0]} of {path} is damaged", "compare a backup")
+        _tell(path, damaged)
+        entries += found
+    last = audits.verify(entries, after) if verified else ""
+    if verified and entries:
+        known = _key(environment) if key is None else _hex(key)
+        if remark := check_beginning(entries[0], known, after):
+            note(remark)
+    for entry in entries:
+        if since is None or entry["at"] >= since:
+            say(audits.encode(entry) if as_json else _for_people(entry))
+    if verified:
+        note(f"nothing was changed in {len(entries)} lines; the last is {last}")
+
+
+def _key(environment: Environment) -> bytes | None:
+    """The thumbprint of the master's own key, where this is its host."""
+    home = NodeHome.of(environment.home, MASTER)
+    return thumbprint(home.signer().public_key) if (home.path / "node.key").exists() else None
+
+
+def _hex(text: str) -> bytes:
+    try:
+        return bytes.fromhex(text)
+    except ValueError:
+        raise ConfigurationError(f"{text!a} is no thumbprint", "64 hexadecimal digits") from None
+
+
+def _of(path: Path, most: int) -> tuple[list[audits.Entry], list[int]]:
+    missing = ConfigurationError(f"there is no {path}", "has the master run here?")
+    with open_text(path, missing) as file:
+        return audits.salvage(lines(file, audits.LINE_LIMIT + 2), most)
+
+
+def _tell(path: Path, damaged: list[int]) -> None:
+    if len(damaged) == _MOST_DAMAGED:
+        raise ConfigurationError(
+            f"{len(damaged)} of the first {damaged[-1]} lines of {path} are damaged",
+            "is it the right file? if so, compare a backup",
+        )
+    for number in damaged[:_MOST_SHOWN]:
+        note(f"line {number} of {path} is damaged and not shown")
+    if more := len(damaged[_MOST_SHOWN:]):
+        note(f"{more} more lines of {path} are damaged and not shown")
+
+
+def _for_people(entry: audits.Entry) -> str:
+    notes = (
+        ("left_out", "lines like it before it were left out"),
+        ("cut_short", "bytes before it were cut short"),
+    )
+    more = "".join(f" ({entry[key]} {text})" for key, text in notes if key in entry)
+    return printable(f"{moment(int(entry['at']))}  {entry['text']}{more}")

@@ -1,0 +1,83 @@
+"""`rossec master delegate`: what the authority lets the master do in its stead: renew grants."""
+
+import asyncio
+from pathlib import Path
+from typing import Final
+
+import click
+
+from grants.renewal import MAX_DELEGATION, MAX_TICKET, MIN_TICKET, open_delegation
+from rossec.cli.shared import passphrase
+from rossec.cli.shared.context import Duration, Environment, moment, now, pass_environment
+from rossec.errors import ConfigurationError
+from rossec.ros.names import MASTER
+from rossec.terminal import say
+
+DAY: Final = 86400
+_HINT: Final = "it is signed and kept in {}; start the master and run this again"
+
+
+@click.command()
+@click.option(
+    "--for",
+    "lifetime",
+    type=Duration(MAX_DELEGATION // DAY),
+    default="90d",
+    show_default=True,
+    help="how long the master may renew grants",
+)
+@click.option(
+    "--ticket",
+    type=Duration(MAX_TICKET // DAY),
+    default="8h",
+    show_default=True,
+    help="how long a renewed grant holds before it is renewed again; at least a minute",
+)
+@click.option("--withdraw", is_flag=True, help="revoke what was delegated before instead")
+@click.option("--master", "master_uri", help="master to tell, instead of ROS_MASTER_URI")
+@passphrase.option
+@pass_environment
+def delegate(
+    environment: Environment,
+    lifetime: int,
+    ticket: int,
+    withdraw: bool,
+    master_uri: str | None,
+    passphrase_file: Path | None,
+) -> None:
+    """Let the master renew grants, unchanged and up to their caps, while the authority is away.
+
+    A revoked grant is not renewed. With --withdraw, what the master has renewed ends at once.
+    """
+    if ticket < MIN_TICKET:
+        raise ConfigurationError(
+            f"a ticket of {ticket} s ends before a node can be sure to have the next one",
+            f"give {MIN_TICKET}s or more: it asks after two thirds, the rest is for asking again",
+        )
+    # Not carried by a running master, which has this command beside it.
+    from rossec.authority.home import AuthorityHome  # noqa: PLC0415 - not carried by a running master
+    from rossec.cli.shared.delivery import carry, deliver, remind  # noqa: PLC0415 - not carried by a running master
+
+    home = AuthorityHome.at(environment.home)
+    store = home.store()
+    authority = home.unlock(passphrase.read(passphrase_file, environment.variables))
+    if withdraw:
+        listed, count = authority.withdraw("withdrawn", now())
+        say(f"withdrew {count} delegation{'s' * (count != 1)} (list {listed.seq})")
+        asyncio.run(deliver(environment, master_uri))
+        say("the master has the new list")
+        return
+    number = authority.store.next_number()
+    data = authority.delegate(
+        store.live_certificate(MASTER, now()).thumbprint, lifetime, ticket, now()
+    )
+    opened = open_delegation(data, authority.signer.public_key)
+    say(f"{MASTER} may renew grants until {moment(opened.expires)} (delegation {opened.id.hex()})")
+    hint = _HINT.format(home.path / "delegations")
+    given = carry(environment, master_uri, "rossec.updateDelegation", (data,), "it", hint)
+    asyncio.run(given)
+    say("the master has the delegation")
+    remind(authority.store, number)
+
+
+COMMANDS: Final = (delegate,)

@@ -1,0 +1,139 @@
+"""`rossec doctor`: is a node set up so that it will work, and what of it is still open?
+
+Each check is one line, `ok` or `not ok` with what to do; the command fails when one is not ok. What
+is revoked is not ok, wherever on this machine that is known: a master need not run for it. What may
+stay plain is said loudly, and does not count as a failure: somebody wanted it so.
+"""
+
+import asyncio
+from collections.abc import Iterator, Mapping
+
+import click
+
+from ca.errors import HintedError
+from ca.renewal import signed_at
+from ca.revocation.state import Revocations, open_timestamp
+from grants import document
+from grants.model import Grant
+from rossec import files
+from rossec.cli.node.known_revocations import known_revocations
+from rossec.cli.shared.context import Environment, moment, now, pass_environment
+from rossec.errors import ConfigurationError
+from rossec.home import NodeHome
+from rossec.inprocess.options import file_of, read
+from rossec.net.aio import Flavour, connect
+from rossec.net.rpc.client import RpcClient
+from rossec.participant.slave_api import MASTER
+from rossec.ros import settings
+from rossec.terminal import printable, say
+
+_SOON = 1 / 3  # of an identity's life: by then it should have been renewed
+_MAX_FILE = 64 * 1024
+
+
+@click.command()
+@click.argument("name", metavar="NODE")
+@click.option("--offline", is_flag=True, help="do not ask the master")
+@pass_environment
+def doctor(environment: Environment, name: str, offline: bool) -> None:
+    """Check the set-up of NODE on this machine: identity, grants, master, what is plain."""
+    home = NodeHome.find(environment.home, name)
+    checks = [_identity, _grants] if offline else [_identity, _grants, _master]
+    bad = 0
+    for check in checks:
+        try:
+            for line in check(environment, home):
+                say(f"ok      {printable(line)}")
+        except HintedError as error:
+            bad += 1
+            say(f"not ok  {printable(str(error))}")
+            say(f"        {printable(error.hint)}")
+    for entry in _plain(environment):
+        say(f"PLAIN   {printable(entry)} is neither encrypted nor checked: allow_plain names it")
+    if bad:
+        raise ConfigurationError(f"{bad} of {len(checks)} checks failed", "see above")
+
+
+def _identity(environment: Environment, home: NodeHome) -> Iterator[str]:
+    identity = home.identity(now())
+    revoked = known_revocations(environment.home, home)
+    for key in identity.keys:
+        if key in revoked:
+            which = "" if key == identity.thumbprint else "intermediate's "
+            raise ConfigurationError(
+                f"the {which}key of {identity.name} is revoked, says {revoked[key]}",
+                f"move {home.path} away and enroll it anew: rossec node request {identity.name}",
+            )
+    yield f"{identity.name} of {identity.domain} until {moment(identity.not_after)}"
+    life = identity.not_after - signed_at(identity.not_before, identity.not_after)
+    if identity.not_after - now() < life * _SOON:
+        raise ConfigurationError("the identity ends soon, and was not renewed", "renew it in time")
+
+
+def _grants(environment: Environment, home: NodeHome) -> Iterator[str]:
+    anchor, held = home.anchor(), home.grants()
+    revoked, refused = known_revocations(environment.home, home), list[HintedError]()
+    for data in held:
+        try:
+            grant = document.open_grant(data, anchor.public_key, now(), domain=anchor.domain)
+            _check_grant(grant, revoked)
+        except HintedError as error:
+            refused.append(error)
+            continue
+        for permission in grant.permissions:
+            until = moment(grant.expires)
+            yield f"may {permission.rights.label} {permission.pattern} until {until}"
+    if not held:
+        raise ConfigurationError("no grants: it may do nothing", f"rossec grant sign {home.name}")
+    if refused:
+        others = f" (and {len(refused) - 1} more)" if refused[1:] else ""
+        raise ConfigurationError(f"{refused[0]}{others}", refused[0].hint)
+
+
+def _check_grant(grant: Grant, revoked: Mapping[bytes, str]) -> None:
+    for entry in (grant.id, grant.holder):
+        if entry in revoked:
+            raise ConfigurationError(
+                f"grant {grant.short_id} is revoked, says {revoked[entry]}",
+                f"ask for another; it does no harm in {grant.subject}'s directory",
+            )
+
+
+def _master(environment: Environment, home: NodeHome) -> Iterator[str]:
+    own = settings.read((), environment.variables, default_name=home.name)
+    yield asyncio.run(_ask_master(home, own))
+
+
+async def _ask_master(home: NodeHome, own: settings.Settings) -> str:
+    anchor = home.anchor()
+    stream = await connect(
+        own.master_host, own.master_port, home.credentials(), anchor.verify, opening=Flavour.HTTP
+    )
+    try:
+        if stream.peer.name != MASTER:
+            raise ConfigurationError(f"{stream.peer.name} answers there", "check ROS_MASTER_URI")
+        answer = await RpcClient(stream).ask("rossec.revocations", home.name)
+    finally:
+        await stream.close()
+    match answer:
+        case [bytes() as data, b""] if data:
+            raise ConfigurationError(
+                "the master says that this identity is revoked", "enroll the node with a new key"
+            )
+        case [bytes() as data, bytes() as timestamp] if data:
+            revocations = Revocations(anchor.public_key)
+            revocations.update(data, now())
+            revocations.confirm(open_timestamp(timestamp, stream.peer.public_key), now())
+            revocations.check(stream.peer.thumbprint, now())
+            return f"the master at {own.master_uri} has a fresh revocation list"
+        case _:
+            raise ConfigurationError("the master has no revocation list", "next: rossec ca publish")
+
+
+def _plain(environment: Environment) -> tuple[str, ...]:
+    path = file_of(environment.variables)
+    missing = ConfigurationError(f"{path} cannot be read")
+    text = None
+    if path.exists():  # as `rossec.secure` reads it
+        text = files.read(path, _MAX_FILE, missing).decode(errors="replace")
+    return read(environment.variables, text).allow_plain

@@ -1,0 +1,170 @@
+"""What a person sees and says while `rossec node enroll` runs."""
+
+import asyncio
+import os
+import signal
+import sys
+import termios
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Final
+
+from ca.certificates import to_pem
+from ca.enrollment import qr
+from ca.enrollment.node import NodeEnrollment, Pending, State
+from ca.enrollment.transcript import grouped as spaced
+from ca.errors import EnrollmentOver, HintedError
+from rossec import files
+from rossec.authority.home import fingerprint
+from rossec.cli.shared.context import now
+from rossec.enrollment import address, control
+from rossec.enrollment.node import WaitingNode
+from rossec.home import NodeHome
+from rossec.ros.settings import is_loopback
+from rossec.terminal import note, printable, say
+
+_CLEAR: Final = "\r\x1b[K"
+_MAX_LINE: Final = 256
+_MAX_COMPLAINTS: Final = 10  # whoever reaches the port could fill the screen
+
+
+class Session:
+    """One run of `rossec node enroll`: the waiting node, its screen and its person."""
+
+    def __init__(
+        self,
+        home: NodeHome,
+        core: NodeEnrollment,
+        *,
+        label: bool,
+        png: Path | None,
+        svg: Path | None,
+    ) -> None:
+        self._home = home
+        self._core = core
+        self._label = label
+        self._png, self._svg = png, svg
+        self._complaints = 0
+        self._node = WaitingNode(core, now, self._complain)
+
+    async def run(self, host: str, port: int) -> None:
+        """Show the code, and return when the node is enrolled.
+
+        Raises:
+            EnrollmentRefused: it is not; the reason.
+        """
+        stopped = EnrollmentOver("the enrollment was stopped")
+        asyncio.get_running_loop().add_signal_handler(signal.SIGTERM, self._node.stop, stopped)
+        listener = await control.serve(self._home.path, self._answer)
+        try:
+            async with self._node:
+                await self._node.listen(host if is_loopback(host) else None, port)
+                self._show(host)
+                await self._wait()
+        finally:
+            listener.close()
+            control.remove(self._home.path)
+
+    async def _wait(self) -> None:
+        try:
+            await self._node.until(State.PENDING, State.ENROLLED, every=self._countdown)
+            self._line()
+            with self._person():
+                await self._node.until(State.ENROLLED, every=lambda _: None)
+        finally:
+            self._node.stop(EnrollmentOver("the node has stopped waiting"))
+            self._line()
+        say(f"{self._home.name} is enrolled in {self._core.request.domain}")
+
+    def _show(self, host: str) -> None:
+        where = address.join(host, self._node.port)
+        text = self._core.code(where)
+        for path, picture in ((self._png, qr.png), (self._svg, qr.svg)):
+            if path is not None:
+                files.replace(path, picture(text), 0o644 if self._label else 0o600)
+        if not self._label:
+            say(qr.terminal(text))
+        say(text)
+        # Without the code: an argument is seen by every user of that host.
+        command = "rossec ca enroll" + f" --address {where}" * self._label
+        say(f"{self._home.name} waits at {where}; at the authority, which asks for it: {command}")
+
+    def _countdown(self, left: int) -> None:
+        if is_live():
+            minutes, seconds = divmod(max(0, left), 60)
+            sys.stderr.write(f"{_CLEAR}{minutes}:{seconds:02} left ")
+            sys.stderr.flush()
+
+    def _line(self) -> None:
+        if is_live():
+            sys.stderr.write(_CLEAR)
+
+    def _complain(self, what: str) -> None:
+        self._complaints += 1
+        if self._complaints <= _MAX_COMPLAINTS:
+            self._line()
+            note(f"refused {what}")
+        if self._complaints == _MAX_COMPLAINTS:
+            note("further callers are refused without a word")
+
+    @contextmanager
+    def _person(self) -> Iterator[None]:
+        """An offer waits: say whose, and hear the answer, if there is somebody at this terminal."""
+        for line in authority_lines(self._pending()):
+            say(line)
+        if not sys.stdin.isatty():
+            say(f"the same at the authority? then: rossec node confirm {self._home.name} DIGITS")
+            yield
+            return
+        # What was typed before the digits were there is no answer to them.
+        termios.tcflush(sys.stdin, termios.TCIFLUSH)
+        sys.stderr.write("does the authority show the same digits? [y/N]: ")
+        sys.stderr.flush()
+        loop, stdin = asyncio.get_running_loop(), sys.stdin.fileno()
+        loop.add_reader(stdin, self._typed, stdin)
+        try:
+            yield
+        finally:
+            loop.remove_reader(stdin)
+
+    def _typed(self, stdin: int) -> None:
+        answer = os.read(stdin, _MAX_LINE).decode(errors="replace").strip().lower()
+        if answer not in {"y", "yes"}:
+            self._node.stop(EnrollmentOver("the digits were not confirmed", "nothing was accepted"))
+            return
+        with suppress(HintedError):  # the session hears it from the node
+            self._node.confirm(self._core.pending.digits, self._activate)
+
+    def _pending(self) -> control.Answer:
+        pending = self._core.pending
+        anchor = pending.anchor
+        return {
+            "digits": pending.digits,
+            "domain": anchor.domain,
+            "authority": fingerprint(anchor),
+        }
+
+    def _answer(self, request: control.Answer) -> control.Answer:
+        """To `rossec node confirm`."""
+        if request.get("do") == "confirm":
+            self._node.confirm(str(request.get("digits")), self._activate)
+            return {}
+        return self._pending()
+
+    def _activate(self, pending: Pending) -> None:
+        """From here on the node trusts the authority."""
+        self._home.install(to_pem(*pending.chain, pending.root), now())
+
+
+def is_live() -> bool:
+    """Whether somebody sees a line that changes."""
+    return sys.stderr.isatty()
+
+
+def authority_lines(pending: control.Answer) -> list[str]:
+    """Who offers an identity, and what to compare."""
+    return [
+        f"authority of {printable(pending['domain'])}, fingerprint {pending['authority']}",
+        f"digits {spaced(pending['digits'])}",
+    ]

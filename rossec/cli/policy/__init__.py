@@ -1,0 +1,1 @@
+"""`rossec policy`, `explain`, `simulate` and `privacy`."""

@@ -1,0 +1,139 @@
+"""`rossec explain`: may this node do that, by which rule, and what would change the answer."""
+
+from pathlib import Path
+
+import click
+
+from ca.names import check_name
+from grants.errors import PolicyRefused
+from grants.model import Right
+from grants.policy.mistakes import nearest
+from grants.policy.model import Subject
+from grants.policy.rules import RIGHTS
+from grants.policy.trial import Trial
+from rossec import files
+from rossec.authority.home import AuthorityHome
+from rossec.authority.policyfile import layout_of
+from rossec.cli.shared import options
+from rossec.cli.shared.context import Environment, now, pass_environment
+from rossec.cli.shared.message_text import fill, parse_message, render
+from rossec.errors import ConfigurationError
+from rossec.participant.message_types import MessageType, message_type
+from rossec.terminal import note, say, say_json
+
+_MAX_MESSAGE = 64 * 1024 * 1024
+
+
+@click.command()
+@click.argument("node")
+@click.argument("right")
+@click.argument("name")
+@click.option(
+    "--message",
+    "message_file",
+    type=click.Path(path_type=Path, exists=True, dir_okay=False),
+    help="try it on this message: YAML as in rostopic (.yaml), or its serialized bytes",
+)
+@click.option("--json", "as_json", is_flag=True, help="one line of JSON")
+@options.policy
+@pass_environment
+def explain(
+    environment: Environment,
+    node: str,
+    right: str,
+    name: str,
+    message_file: Path | None,
+    as_json: bool,
+    policy_path: Path | None,
+) -> None:
+    """Say whether NODE may use RIGHT (subscribe, publish, call, ...) on NAME, and why."""
+    read = options.read_policy(environment, policy_path)
+    decider = read.decider
+    asked = _right(right)
+    verdict = decider.decide(subject_of(environment, node), asked, name)
+    tried: dict[str, object] = {}
+    if message_file is not None:
+        kind = read.policy.type_of(name)
+        if kind is None:
+            raise ConfigurationError(
+                f"{read.path} does not say the type of {name}", "add it to types"
+            )
+        message = _message(message_file, message_type(kind))
+        outcome = Trial(layout_of(kind), verdict)(message, now())
+        sent = outcome.message
+        tried = {"sent": sent is not None, "reason": outcome.reason,
+                 "changed": changes(kind, message, sent) if sent is not None else []}  # fmt: skip
+    if as_json:
+        say_json({
+            "decision": str(verdict.effect),
+            "rules": [rule.id for rule in verdict.rules],
+            "explanation": decider.explain(verdict),
+            **({"message": tried} if tried else {}),
+        })  # fmt: skip
+        return
+    for line in decider.explain(verdict):
+        say(line)
+    if tried:
+        say("this message would be sent" if tried["sent"] else f"withheld: {tried['reason']}")
+        for line in tried["changed"] if isinstance(tried["changed"], list) else []:
+            say(f"  {line}")
+
+
+def subject_of(environment: Environment, node: str) -> Subject:
+    """The node with the key it is enrolled with; with no key where it is not."""
+    check_name(node)
+    if (environment.home / "ca" / "ca.pem").exists():
+        store = AuthorityHome.at(environment.home).store()
+        try:
+            name = store.certified(node, now())
+            rows = [row for row in store.certificates() if row.name == name]
+        finally:
+            store.close()
+        if rows:
+            return Subject(name, rows[-1].thumbprint)
+    note(f"{node} is not enrolled here: rules that pin its key do not count")
+    return Subject(node, bytes(32))
+
+
+def changes(kind: str, before: bytes, after: bytes) -> list[str]:
+    """What is different for the receiver, `field: before -> after`."""
+    shown = [_fields(message_type(kind), data) for data in (before, after)]
+    return [
+        f"{path}: {_short(value)} -> {_short(shown[1].get(path, '(gone)'))}"
+        for path, value in shown[0].items()
+        if shown[1].get(path) != value
+    ]
+
+
+def _fields(kind: MessageType, data: bytes) -> dict[str, str]:
+    """Field paths and values, read off the lines `rossec topic echo` prints."""
+    found: dict[str, str] = {}
+    path: list[str] = []
+    for line in render(kind.deserialize(data)).splitlines():
+        field, colon, value = line.strip().partition(":")
+        depth = (len(line) - len(line.lstrip())) // 2
+        if not colon or depth > len(path):
+            continue
+        path = [*path[:depth], field]
+        if not line.endswith(":"):
+            found[".".join(path)] = value.strip()
+    return found
+
+
+def _short(value: str) -> str:
+    return value if len(value) <= 60 else f"{value[:57]}..."
+
+
+def _right(label: str) -> Right:
+    if label not in RIGHTS:
+        raise PolicyRefused(f"unknown right {label!r}", nearest(label, RIGHTS))
+    return RIGHTS[label]
+
+
+def _message(file: Path, kind: MessageType) -> bytes:
+    data = files.read(file, _MAX_MESSAGE, ConfigurationError(f"there is no {file}"))
+    if file.suffix not in (".yaml", ".yml", ".json"):
+        return data
+    message = kind.create()
+    fill(message, parse_message(data.decode(errors="replace")))
+    return bytes(kind.serialize(message))

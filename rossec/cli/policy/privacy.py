@@ -1,0 +1,201 @@
+"""`rossec privacy`: which data is collected, who has access and why; and the way out of it."""
+
+import asyncio
+import secrets
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import click
+
+from ca.names import check_name
+from grants import document
+from grants.model import Draft, Grant, Permission, Right
+from grants.names import check_pattern
+from grants.policy import privacy as report
+from grants.policy.decision import Decider
+from grants.policy.editing import NewRule, add_rules, free_id
+from grants.policy.model import Subject
+from grants.policy.patterns import meets
+from grants.policy.privacy import Access, Row
+from rossec import files
+from rossec.authority.home import AuthorityHome
+from rossec.authority.policyfile import layout_of
+from rossec.authority.signing import OpenAuthority
+from rossec.cli.shared import options, passphrase
+from rossec.cli.shared.context import Environment, moment, now, pass_environment
+from rossec.cli.shared.delivery import deliver
+from rossec.cli.shared.handing_over import hand_over
+from rossec.terminal import say, say_json
+
+
+@click.group(invoke_without_command=True)
+@click.option("--node", help="only what this node sees")
+@click.option("--field", help="only fields with this in their path")
+@click.option("--held", is_flag=True, help="what is granted now, instead of what the policy allows")
+@click.option("--html", type=click.Path(path_type=Path), help="write a page to this file")
+@click.option("--json", "as_json", is_flag=True, help="one line of JSON")
+@options.policy
+@click.pass_context
+def privacy(
+    context: click.Context,
+    node: str | None,
+    field: str | None,
+    held: bool,
+    html: Path | None,
+    as_json: bool,
+    policy_path: Path | None,
+) -> None:
+    """Show every field of every topic: who sees it, how, why and until when."""
+    if context.invoked_subcommand is not None:
+        return
+    environment = context.find_object(Environment)
+    assert environment is not None  # noqa: S101 - main() gives it
+    read = options.read_policy(environment, policy_path)
+    accesses = report.from_policy(read.decider)
+    if held:
+        accesses = _held(AuthorityHome.at(environment.home), read.decider)
+    rows = [row for row in report.rows(accesses, layout_of) if _wanted(row, node, field)]
+    if html is not None:
+        page = report.html(rows, f"What {read.policy.robot} shows to whom")
+        files.replace(html, page.encode(), 0o644)
+        say(f"written to {html}")
+    elif as_json:
+        say_json(report.as_json(rows))
+    else:
+        for line in report.lines(rows):
+            say(line)
+
+
+@privacy.command("opt-out")
+@click.argument("name")
+@click.option("--node", "is_node", is_flag=True, help="NAME is a node, enrolled or not")
+@options.master_to_tell
+@options.policy
+@passphrase.option
+@pass_environment
+def opt_out(
+    environment: Environment,
+    name: str,
+    is_node: bool,
+    master_uri: str | None,
+    policy_path: Path | None,
+    passphrase_file: Path | None,
+) -> None:
+    """Show nobody the topic NAME any more; or, when NAME is a node, show that node nothing.
+
+    Adds a denial to the policy and revokes what was granted. Running connections end at once.
+    What else the revoked grants allowed is granted anew.
+    """
+    check_pattern(name)
+    read = options.read_policy(environment, policy_path)
+    home = AuthorityHome.at(environment.home)
+    store = home.store()
+    known = name in {row.name for row in store.certificates()}
+    store.close()
+    node = name if is_node or known else None
+    authority = home.unlock(passphrase.read(passphrase_file, environment.variables))
+    rule = _denial(name, node, [item.id for item in read.policy.rules])
+    read = read.replace(add_rules(read.text, [rule]))
+    say(f"rule {rule.id} in {read.path} denies it from now on")
+    # With the record locked: who decides by the policy of before has signed already, or cannot.
+    with authority.store.changing():
+        concerned = [grant for grant in _live(authority) if _shows(grant, name, node)]
+        given = [(grant.subject, _instead(authority, grant, name, node)) for grant in concerned]
+    for subject, data in given:
+        if data is not None:
+            say(f"its other rights are grant {document.grant_id(data).hex()}")
+            hand_over(environment, subject, data, None)
+    if concerned:
+        asyncio.run(deliver(environment, master_uri))
+        say("the master has the new list")
+
+
+def _instead(authority: OpenAuthority, grant: Grant, name: str, node: str | None) -> bytes | None:
+    """Revoke `grant`; returns what gives its holder the other rights, signed, if there are any."""
+    authority.revoke(grant.id, f"opted out of {name}", now())
+    say(f"revoked grant {grant.id.hex()} of {grant.subject}")
+    rest = _rest(grant, name, node)
+    return None if rest is None else authority.grant(rest, now())
+
+
+def _denial(name: str, node: str | None, taken: list[str]) -> NewRule:
+    day = time.strftime("%Y-%m-%d", time.gmtime(now()))
+    wish = "opt-out" + name.replace("/", "-").replace("*", "any")[:60]
+    rights = {"subscribe": ["/**" if node is not None else name]}
+    return NewRule(free_id(taken, wish), f"opted out {day}", node or "*", "deny", rights)
+
+
+def _live(authority: OpenAuthority) -> list[Grant]:
+    """Every grant that holds, or will."""
+    revoked = authority.store.revoked_entries()
+    grants = [document.peek(row.data) for row in authority.store.grants()]
+    return [
+        grant
+        for grant in grants
+        if revoked.isdisjoint((grant.id, grant.holder)) and now() < grant.cap
+    ]
+
+
+def _shows(grant: Grant, name: str, node: str | None) -> bool:
+    if node is not None and grant.subject != node:
+        return False
+    return any(_permits(permission, name, node) for permission in grant.permissions)
+
+
+def _permits(permission: Permission, name: str, node: str | None) -> bool:
+    seen = Right.SUBSCRIBE in permission.rights
+    return seen and (node is not None or meets(permission.pattern, name))
+
+
+def _rest(grant: Grant, name: str, node: str | None) -> Draft | None:
+    """What `grant` allows besides, as a new draft; None when that is nothing or over."""
+    kept: list[Permission] = []
+    for item in grant.permissions:
+        rights = item.rights & ~Right.SUBSCRIBE if _permits(item, name, node) else item.rights
+        if rights:
+            kept.append(replace(item, rights=rights))
+    if not kept or grant.expires <= now():
+        return None
+    return Draft(
+        grant.domain, grant.subject, grant.holder, grant.not_before, grant.expires, grant.cap,
+        secrets.token_bytes(16), tuple(kept),
+    )  # fmt: skip
+
+
+def _held(home: AuthorityHome, decider: Decider) -> list[Access]:
+    """What is granted now, with the reason the policy gives for it today."""
+    store = home.store()
+    try:
+        revoked = store.revoked_entries()
+        grants = [document.peek(row.data) for row in store.grants() if row.id not in revoked]
+    finally:
+        store.close()
+    return [
+        _access(grant, permission, decider)
+        for grant in grants
+        if grant.not_before <= now() < grant.expires
+        for permission in grant.permissions
+        if Right.SUBSCRIBE in permission.rights
+    ]
+
+
+def _access(grant: Grant, permission: Permission, decider: Decider) -> Access:
+    subject = Subject(check_name(grant.subject), grant.holder)
+    verdict = decider.decide(subject, Right.SUBSCRIBE, permission.pattern)
+    restriction = permission.restriction
+    kind = decider.policy.type_of(permission.pattern)
+    return Access(
+        permission.pattern,
+        kind if restriction is None or restriction.type is None else restriction.type,
+        grant.subject,
+        "; ".join(rule.why for rule in verdict.rules if rule.why and verdict),
+        moment(grant.expires),
+        f"grant {grant.short_id}",
+        () if restriction is None else (restriction,),
+        getattr(restriction, "rate", None),
+    )
+
+
+def _wanted(row: Row, node: str | None, field: str | None) -> bool:
+    return (node is None or row.receiver == node) and (field is None or field in row.field)

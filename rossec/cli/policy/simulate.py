@@ -1,0 +1,191 @@
+"""`rossec simulate`: what another policy would change, tried on a recorded bag."""
+
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import click
+from rosbags.rosbag1 import Reader, ReaderError
+
+from ca.errors import HintedError
+from ca.names import check_name
+from grants.errors import GrantError
+from grants.filters.layout import Layout, parse
+from grants.model import Right
+from grants.policy.decision import Decider
+from grants.policy.editing import empty
+from grants.policy.lint import someone
+from grants.policy.model import Policy, Subject
+from grants.policy.trial import Outcome, Trial
+from rossec.authority.policyfile import PolicyFile, parse_policy, place
+from rossec.cli.policy.explain import changes, subject_of
+from rossec.cli.shared import options
+from rossec.cli.shared.context import Environment, pass_environment
+from rossec.errors import ConfigurationError, MessageError
+from rossec.terminal import note, printable, say, say_json
+
+_FILE = click.Path(path_type=Path, exists=True, dir_okay=False)
+# What the reader of bags raises when a byte is wrong; it looks at few of them beforehand.
+_BROKEN = (
+    ReaderError, OSError, EOFError, ValueError, LookupError, struct.error, TypeError,
+    AttributeError, AssertionError, RuntimeError, ArithmeticError, MemoryError,
+)  # fmt: skip
+MAX_MESSAGES = 100_000  # per bag; the rest is said to be left out
+
+
+@dataclass
+class Tally:
+    """One topic and one receiver under one policy."""
+
+    admitted: int = 0
+    withheld: int = 0
+    reason: str = ""
+    example: list[str] = field(default_factory=list)
+
+    def count(self, kind: str, message: bytes, outcome: Outcome) -> None:
+        """Count one message."""
+        if outcome.message is None:
+            self.withheld += 1
+            self.reason = self.reason or outcome.reason
+            return
+        self.admitted += 1
+        if self.admitted == 1 and outcome.message != message:
+            self.example = _example(kind, message, outcome.message)
+
+
+@click.command()
+@click.option("--policy", "new", type=_FILE, required=True, help="the policy to try")
+@click.option("--old", type=_FILE, help="compare with this; by default the one in force, if any")
+@click.option("--bag", type=_FILE, required=True, help="a bag of ROS 1")
+@click.option("--node", "nodes", multiple=True, help="only as this receiver sees it")
+@click.option("--json", "as_json", is_flag=True, help="one line of JSON")
+@pass_environment
+def simulate(
+    environment: Environment,
+    new: Path,
+    old: Path | None,
+    bag: Path,
+    nodes: tuple[str, ...],
+    as_json: bool,
+) -> None:
+    """Show per topic and receiver how many messages of a bag pass, before and after.
+
+    Conditions and rates see each message at the time it was recorded.
+    """
+    read = PolicyFile.read(new)
+    before = PolicyFile.read(old) if old is not None else _in_force(environment)
+    receivers = _receivers(environment, nodes, before.policy, read.policy)
+    found = run(bag, receivers, (before.decider, read.decider))
+    if as_json:
+        say_json([_row(key, tallies) for key, tallies in found.items()])
+        return
+    for (topic, receiver), tallies in found.items():
+        _say(topic, receiver, *tallies)
+    if not found:
+        say("the bag holds nothing these receivers are concerned with")
+
+
+def _in_force(environment: Environment) -> PolicyFile:
+    """The policy in force; where there is none nobody gets anything by one."""
+    path = place(environment.home, None)
+    if path.exists():
+        return options.read_policy(environment, None)
+    note("no policy is in force here: compared with one that denies everything")
+    return PolicyFile(path, empty(), parse_policy(empty(), str(path)))
+
+
+def run(
+    bag: Path, receivers: list[Subject], deciders: tuple[Decider, Decider]
+) -> dict[tuple[str, str], tuple[Tally, Tally]]:
+    """Try every message of `bag`, for every receiver, under both policies."""
+    found: dict[tuple[str, str], tuple[Tally, Tally]] = {}
+    trials: dict[tuple[str, int, str], tuple[Trial, Trial]] = {}
+    for topic, layout, number, now, message in _messages(bag):
+        for receiver in receivers:
+            key = (topic, number, receiver.name)
+            if key not in trials:
+                trials[key] = _trials(deciders, receiver, topic, layout)
+            tallies = found.setdefault((topic, receiver.name), (Tally(), Tally()))
+            for trial, tally in zip(trials[key], tallies, strict=True):
+                tally.count(layout.type_name, message, trial(message, now))
+    return found
+
+
+def _trials(
+    deciders: tuple[Decider, Decider], receiver: Subject, topic: str, layout: Layout
+) -> tuple[Trial, Trial]:
+    old, new = (decider.decide(receiver, Right.SUBSCRIBE, topic) for decider in deciders)
+    return Trial(layout, old), Trial(layout, new)
+
+
+def _messages(bag: Path) -> Iterator[tuple[str, Layout, int, int, bytes]]:
+    layouts: dict[int, Layout | None] = {}
+    try:
+        with Reader(bag) as reader:
+            for number, (connection, at, data) in enumerate(reader.messages()):
+                if number >= MAX_MESSAGES:
+                    note(f"only the first {MAX_MESSAGES} messages of {bag} were tried")
+                    return
+                if connection.id not in layouts:
+                    layouts[connection.id] = _layout(connection)
+                layout = layouts[connection.id]
+                if layout is not None:
+                    yield connection.topic, layout, connection.id, at // 10**9, bytes(data)
+    except _BROKEN as error:
+        what = printable(str(error)) or type(error).__name__
+        hint = "see: rosbag record, rosbag reindex, rosbag check"
+        raise ConfigurationError(f"{bag} is no whole ROS 1 bag: {what}", hint) from error
+
+
+def _layout(connection: Any) -> Layout | None:
+    """Of the definition in the bag itself; a connection without a good one is left out."""
+    name = connection.msgtype.replace("/msg/", "/")
+    try:
+        check_name(connection.topic)
+        layout = parse(name, getattr(connection.msgdef, "data", connection.msgdef))
+    except HintedError as error:
+        note(f"{connection.topic} ({name}) is left out: {error}")
+        return None
+    return layout
+
+
+def _receivers(
+    environment: Environment, nodes: tuple[str, ...], *policies: Policy
+) -> list[Subject]:
+    """The given nodes, else one of everybody the two policies speak about."""
+    if nodes:
+        return [subject_of(environment, node) for node in nodes]
+    found = {
+        someone(who)
+        for policy in policies
+        for rule in policy.rules
+        for who in (*rule.who, *rule.spared)
+        if any(clause.right is Right.SUBSCRIBE for clause in rule.clauses)
+    }
+    return sorted(found, key=lambda subject: (subject.name, subject.key))
+
+
+def _example(kind: str, before: bytes, after: bytes) -> list[str]:
+    try:
+        return changes(kind, before, after)[:8]
+    except (MessageError, GrantError):
+        return ["a type not known here: changed, but not shown"]
+
+
+def _say(topic: str, receiver: str, old: Tally, new: Tally) -> None:
+    total = old.admitted + old.withheld
+    say(f"{topic} -> {receiver}: {old.admitted} of {total} admitted before, {new.admitted} after")
+    for when, tally in (("before", old), ("after", new)):
+        if tally.reason:
+            say(f"  withheld {when}: {tally.reason}")
+    if new.example and new.example != old.example:
+        say("  a message after:")
+    for line in new.example if new.example != old.example else []:
+        say(f"    {line}")
+
+
+def _row(key: tuple[str, str], tallies: tuple[Tally, Tally]) -> dict[str, object]:
+    old, new = (vars(tally) for tally in tallies)
+    return {"topic": key[0], "receiver": key[1], "old": old, "new": new}

@@ -1,0 +1,1 @@
+"""The ROS graph from the command line: topics, services, parameters."""

@@ -1,0 +1,152 @@
+"""`rossec graph`: who publishes, subscribes and provides, now or as it changes."""
+
+import asyncio
+from collections import defaultdict
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from typing import Final
+
+import click
+
+from ca.errors import CertificateExpired, HintedError
+from rossec.channel.edhoc.credentials import Credentials, LiveCredentials
+from rossec.cli.shared.context import Environment, now, pass_environment
+from rossec.cli.shared.master import master_as, master_at
+from rossec.errors import ConfigurationError
+from rossec.home import NodeHome
+from rossec.participant.grant_renewal import Call
+from rossec.participant.graph_view import METHOD, Change, Fact, GraphView
+from rossec.participant.identity_renewal import IdentityRenewal, renew_identity
+from rossec.terminal import note, printable, say, say_json
+
+_PAUSE: Final = 1.0  # seconds until a master that is gone is looked for again
+_LONGEST: Final = 30.0  # the same, when it has been looked for often
+_HEADINGS: Final = {"publisher": "published by", "subscriber": "subscribed by"}
+
+
+@click.command()
+@click.option("--as", "node", required=True, metavar="NODE", help="identity to use")
+@click.option("--watch", is_flag=True, help="go on, and say what changes; ends with Ctrl-C")
+@click.option("--json", "as_json", is_flag=True, help="a line of JSON for each answer")
+@pass_environment
+def graph(environment: Environment, node: str, watch: bool, as_json: bool) -> None:
+    """Show the graph, as far as NODE may see it.
+
+    NODE needs the right graph on /master: rossec grant sign NODE --graph
+    """
+    home = NodeHome.of(environment.home, node)
+    uri = master_at(environment)
+    asyncio.run(
+        _follow(environment, home, uri, as_json)
+        if watch
+        else _look(environment, home, uri, as_json)
+    )
+
+
+async def _look(environment: Environment, home: NodeHome, uri: str, as_json: bool) -> None:
+    view = GraphView()
+    async with _watching(environment, home, home.credentials(), uri) as call:
+        while view.take(await call(METHOD, *view.question)).more:
+            pass
+    if as_json:
+        say_json(_json(view, Change(tuple(sorted(view.facts)), (), False, False)))
+        return
+    for line in describe(view.facts):
+        say(line)
+
+
+async def _follow(environment: Environment, home: NodeHome, uri: str, as_json: bool) -> None:
+    """Ask for news for ever, over as many connections as it takes.
+
+    Raises:
+        ConfigurationError: the identity has expired, and nobody has renewed it.
+        HintedError, OSError: there never was an answer.
+    """
+    view, pause, trouble = GraphView(), _PAUSE, ""
+    own = LiveCredentials(home.credentials())
+    renewal = IdentityRenewal(home, own, now())
+    while True:
+        before = view.version
+        try:
+            async with _watching(environment, home, own.current, uri) as call:
+                while not await renew_identity(call, renewal, now()):
+                    _say(view, view.take(await call(METHOD, *view.question)), as_json)
+        except (HintedError, OSError, TimeoutError) as error:
+            if view.version < 0:
+                raise
+            _check_identity(home)
+            if before != view.version:
+                pause, trouble = _PAUSE, ""
+            if str(error) != trouble:
+                trouble = str(error)
+                note(f"no news of the graph: {printable(trouble)}")
+            await asyncio.sleep(pause)
+            pause = min(2 * pause, _LONGEST)
+
+
+@asynccontextmanager
+async def _watching(
+    environment: Environment, home: NodeHome, own: Credentials, uri: str
+) -> AsyncIterator[Call]:
+    """A connection on which the master has seen the grants of the watcher; calls over it."""
+    async with master_as(environment, home, uri, own) as client:
+
+        async def call(method: str, *parameters: object) -> object:
+            return await client.ask(method, home.name, *parameters)
+
+        await call("rossec.presentGrants", home.grants())
+        yield call
+
+
+def _check_identity(home: NodeHome) -> None:
+    """With an identity that is over, no master is going to answer again."""
+    try:
+        home.identity(now())
+    except CertificateExpired as error:
+        raise ConfigurationError(
+            f"the identity of {home.name} has expired, and the master did not renew it",
+            f"rossec ca renew {home.name}, then here: rossec node install FILE, and start again",
+        ) from error
+
+
+def _say(view: GraphView, change: Change, as_json: bool) -> None:
+    if change.restarted and not as_json:
+        note("the master has begun anew")
+    if not (change.added or change.removed or change.restarted):
+        return
+    if as_json:
+        say_json(_json(view, change))
+        return
+    for sign, facts in (("-", change.removed), ("+", change.added)):
+        for fact in facts:
+            say(f"{sign} {printable(' '.join(fact))}")
+
+
+def _json(view: GraphView, change: Change) -> dict[str, object]:
+    return {
+        "instance": view.instance,
+        "version": view.version,
+        "restarted": change.restarted,
+        "added": change.added,
+        "removed": change.removed,
+    }
+
+
+def describe(facts: frozenset[Fact]) -> list[str]:
+    """The graph for people: topics with their types and nodes, then services."""
+    types = {name: value for kind, name, value in facts if kind == "type"}
+    people: defaultdict[tuple[str, str], list[str]] = defaultdict(list)
+    for kind, name, value in sorted(facts):
+        people[kind, name].append(value)
+    lines: list[str] = []
+    for topic in sorted({name for kind, name, _ in facts if kind in _HEADINGS}):
+        lines.append(f"{topic} ({types[topic]})" if topic in types else topic)
+        lines += [
+            f"  {heading} {', '.join(people[kind, topic])}"
+            for kind, heading in _HEADINGS.items()
+            if people[kind, topic]
+        ]
+    for kind, name in sorted(people):
+        if kind == "service":
+            lines.append(f"{name} provided by {', '.join(people[kind, name])}")
+    return [printable(line) for line in lines]

@@ -1,0 +1,146 @@
+"""`rossec service`: see and call services from the command line, with an identity."""
+
+import asyncio
+from pathlib import Path
+
+import click
+
+from rossec.cli.shared.context import Environment, pass_environment
+from rossec.cli.shared.message_text import fill, parse_message, plain, render
+from rossec.cli.shared.running import until
+from rossec.errors import ConfigurationError
+from rossec.node import Node, ServiceClient, register_service_type, service_type
+from rossec.participant.header_fields import text
+from rossec.participant.message_types import Message
+from rossec.terminal import printable, say, say_json
+
+_AS = click.option("--as", "node", required=True, metavar="NODE", help="identity to use")
+_JSON = click.option("--json", "as_json", is_flag=True, help="one line of JSON")
+
+
+@click.group()
+def service() -> None:
+    """List, ask and call services."""
+
+
+@service.command("list")
+@_AS
+@_JSON
+@pass_environment
+def list_(environment: Environment, node: str, as_json: bool) -> None:
+    """List the services that NODE may see."""
+    asyncio.run(_list(environment, node, as_json))
+
+
+@service.command()
+@click.argument("name")
+@_AS
+@_JSON
+@pass_environment
+def info(environment: Environment, name: str, node: str, as_json: bool) -> None:
+    """Say who provides the service NAME, where, and of which type it is."""
+    asyncio.run(_info(environment, name, node, as_json))
+
+
+@service.command()
+@click.argument("name")
+@click.argument("content", default="{}")
+@_AS
+@click.option("--type", "type_name", metavar="PKG/TYPE", help="instead of asking the provider")
+@click.option(
+    "--definition",
+    type=click.Path(path_type=Path, exists=True, dir_okay=False),
+    help="the .srv file of that type, unless it is a standard one",
+)
+@click.option(
+    "--timeout",
+    type=click.FloatRange(min=0, min_open=True),
+    default=60.0,
+    show_default=True,
+    help="seconds to wait for the answer",
+)
+@_JSON
+@pass_environment
+def call(
+    environment: Environment,
+    name: str,
+    content: str,
+    node: str,
+    type_name: str | None,
+    definition: Path | None,
+    timeout: float,
+    as_json: bool,
+) -> None:
+    """Call the service NAME with CONTENT (YAML, as in rosservice) and print the answer."""
+    asked = parse_message(content)
+    if definition is not None:
+        _learn(type_name, definition)
+    asyncio.run(_call(environment, name, asked, node, type_name, timeout, as_json))
+
+
+def _learn(type_name: str | None, definition: Path) -> None:
+    if type_name is None:
+        raise ConfigurationError("a definition without its name", "give --type PKG/TYPE as well")
+    try:
+        content = definition.read_text()
+    except UnicodeDecodeError:
+        raise ConfigurationError(f"{definition} is no text", "give a .srv file") from None
+    register_service_type(type_name, content)
+
+
+async def _list(environment: Environment, node: str, as_json: bool) -> None:
+    async with Node(node, environ=environment.variables) as running:
+        known = await running.services.known()
+    if as_json:
+        say_json(known)
+        return
+    for name in sorted(known):
+        say(printable(name))
+
+
+async def _info(environment: Environment, name: str, node: str, as_json: bool) -> None:
+    async with Node(node, environ=environment.variables) as running:
+        name = running.settings.resolve(name)
+        uri = await running.services.lookup(name)
+        fields, provider = await running.services.probe(name)
+    found = {
+        "node": text(fields, "callerid"),
+        "uri": uri,
+        "type": text(fields, "type"),
+        "md5sum": text(fields, "md5sum"),
+    }
+    if text(fields, "callerid") != provider.name:
+        found["identity"] = provider.name
+    if as_json:
+        say_json(found)
+        return
+    for key, value in found.items():
+        say(f"{key}: {printable(value)}")
+
+
+async def _call(
+    environment: Environment,
+    name: str,
+    asked: object,
+    node: str,
+    type_name: str | None,
+    timeout: float,  # noqa: ASYNC109 - as the option
+    as_json: bool,
+) -> None:
+    async with Node(node, environ=environment.variables) as running:
+        if type_name is None:
+            fields, _ = await running.services.probe(running.settings.resolve(name))
+            type_name = text(fields, "type")
+        service_type(type_name)
+        client = running.client(name, type_name, deadline=timeout)
+        request = client.create()
+        fill(request, asked)
+        await until(running, _answer(client, request, as_json))
+
+
+async def _answer(client: ServiceClient, request: Message, as_json: bool) -> None:
+    response = await client(request)
+    if as_json:
+        say_json(plain(response))
+    elif (said := render(response)) != "":
+        say(said)

@@ -1,0 +1,1 @@
+"""What commands share: environment, options, passphrases, reaching the master."""

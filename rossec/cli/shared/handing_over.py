@@ -1,0 +1,24 @@
+"""A grant on its way to the node it is for, where that lives on this host."""
+
+from pathlib import Path
+
+from grants import document
+from rossec import files
+from rossec.cli.shared.context import Environment
+from rossec.home import NodeHome
+from rossec.terminal import note, say
+
+
+def hand_over(environment: Environment, node: str, data: bytes, out: Path | None) -> None:
+    """Give a grant to its node: into its directory when it lives here, and into a file."""
+    if out is not None:
+        files.create(out, data, 0o644)
+        say(f"written to {out}")
+    home = NodeHome.of(environment.home, node)
+    if home.path.is_dir():
+        home.add_grant(document.grant_id(data), data)
+        say(f"given to {node} in {home.path}")
+    elif out is None:
+        note(
+            f"{node} lives elsewhere: sign with --out FILE, then `rossec grant install FILE` there"
+        )

@@ -1,0 +1,50 @@
+"""One command line, from arguments to exit code: a refusal leaves as error and hint."""
+
+from collections.abc import Mapping, Sequence
+
+import click
+
+from ca.errors import HintedError
+from rossec.cli.shared.context import Environment
+from rossec.errors import NotDelivered
+from rossec.terminal import INTERRUPTED, REFUSED, UNDELIVERED, USAGE, fail
+
+
+def run(program: click.Command, arguments: Sequence[str], environ: Mapping[str, str]) -> int:
+    """Run one command line and return its exit code (see `rossec.terminal`)."""
+    try:
+        program.main(
+            list(arguments), prog_name="rossec", standalone_mode=False, obj=Environment(environ)
+        )
+    except HintedError as error:
+        fail(str(error), error.hint)
+        return UNDELIVERED if isinstance(error, NotDelivered) else REFUSED
+    except click.ClickException as error:
+        return _complain(error)
+    except (KeyboardInterrupt, click.Abort, EOFError):
+        return INTERRUPTED
+    except OSError as error:
+        fail(f"{error.filename or 'the system'}: {(error.strerror or str(error)).lower()}")
+        return REFUSED
+    return 0
+
+
+def _complain(error: click.ClickException) -> int:
+    """What click found wrong with the command line, in our voice."""
+    if isinstance(error, click.exceptions.NoArgsIsHelpError):
+        click.echo(error.format_message())
+        return USAGE
+    usage = isinstance(error, click.UsageError)
+    fail(_plain(error.format_message()), _usage_hint(error) if usage else "")
+    return USAGE if usage else REFUSED
+
+
+def _plain(message: str) -> str:
+    line = " ".join(message.split())
+    return (line[:1].lower() + line[1:]).rstrip(".")
+
+
+def _usage_hint(error: click.ClickException) -> str:
+    context = getattr(error, "ctx", None)
+    path = context.command_path if context is not None else "rossec"
+    return f"see: {path} --help"

@@ -1,1 +1,0 @@
-"""Enrollment on real sockets: thin shells around the state machines of `ca.enrollment`."""

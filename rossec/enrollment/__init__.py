@@ -1,0 +1,1 @@
+"""Enrollment over the network and from pictures: both sides of `docs/spec/enrollment.md`."""

@@ -1,0 +1,214 @@
+"""A node that waits to be enrolled: its listening port, open to everybody, and its person.
+
+Whoever calls is a stranger: at most so many at a time, each with a deadline; a message that is
+refused ends its connection, and what is refused is told to the person in one line. The callers
+whose offer was answered stay connected, to hear how it ends.
+"""
+
+import asyncio
+from collections.abc import Callable
+from contextlib import suppress
+from types import TracebackType
+from typing import Final, Self
+
+from ca.enrollment.messages import MAX_MESSAGE, Abort, Delivery, Reason, read, write
+from ca.enrollment.node import NodeEnrollment, Pending, State
+from ca.errors import (
+    EnrollmentExpired,
+    EnrollmentLocked,
+    EnrollmentOver,
+    EnrollmentRefused,
+    RivalOffer,
+)
+from rossec.enrollment import wire
+from rossec.net.aio.server import bind
+from rossec.net.aio.tasks import TaskSet
+from rossec.net.halfopen import HalfOpen, HalfOpenCount, Place
+from rossec.ros.text import printable
+
+PATIENCE: Final = 10.0  # seconds a caller may be silent
+_FAREWELL: Final = 5.0
+_CAPS: Final = HalfOpen(per_address=4, total=16)
+_REASONS: Final[dict[type[EnrollmentRefused], Reason]] = {
+    RivalOffer: Reason.RIVAL,
+    EnrollmentOver: Reason.OVER,
+    EnrollmentExpired: Reason.OVER,
+    EnrollmentLocked: Reason.OVER,
+}
+
+
+class WaitingNode:
+    """One enrollment of one node, on the network."""
+
+    def __init__(
+        self,
+        core: NodeEnrollment,
+        clock: Callable[[], int],
+        complain: Callable[[str], None],
+        patience: float = PATIENCE,
+    ) -> None:
+        """`complain` is given what was refused, one printable line each."""
+        self.core = core
+        self.port = 0
+        self._clock = clock
+        self._complain = complain
+        self._patience = patience
+        self._servers: list[asyncio.Server] = []
+        self._callers = HalfOpenCount(_CAPS)
+        self._answered: set[asyncio.StreamWriter] = set()
+        self._tasks = TaskSet()
+        self._changed = asyncio.Event()
+
+    async def listen(self, host: str | None, port: int) -> None:
+        """Serve on `host` (None: every address) and `port` (0: any free one).
+
+        Raises:
+            OSError: the address is not ours or the port is taken.
+        """
+        for sock in bind(host, port):
+            server = await asyncio.start_server(self._accept, sock=sock, limit=MAX_MESSAGE)
+            self._servers.append(server)
+            self.port = sock.getsockname()[1]
+
+    async def until(self, *states: State, every: Callable[[int], None]) -> None:
+        """Wait for one of `states`; `every` second is told how many of them are left.
+
+        Raises:
+            EnrollmentRefused: it ended otherwise; the reason.
+        """
+        while self.core.state not in states:
+            if self.core.why_over is not None:
+                raise self.core.why_over
+            every(self.core.expires - self._clock())
+            with suppress(TimeoutError):
+                async with asyncio.timeout(1):
+                    await self._changed.wait()
+            self._changed.clear()
+            self.core.tick(self._clock())
+
+    def confirm(self, digits: str, activate: Callable[[Pending], None]) -> None:
+        """A person confirmed: `activate` writes the identity, then the authority is told.
+
+        Raises:
+            EnrollmentRefused: the digits are not ours, or there is nothing to confirm.
+        """
+        try:
+            pending = self.core.confirm(digits, self._clock())
+            activate(pending)
+        except BaseException as error:
+            if self.core.state is State.CONFIRMED:
+                self.core.stop(EnrollmentOver(f"the identity could not be written: {error}"))
+            self._settle()
+            raise
+        self._tell(self.core.activated())
+        self._changed.set()
+
+    def stop(self, why: EnrollmentRefused) -> None:
+        """End it without an identity, and tell the authority."""
+        self.core.stop(why)
+        self._settle()
+
+    async def close(self) -> None:
+        """Stop to listen; who was answered hears the end."""
+        for server in self._servers:
+            server.close()
+        leaving = [*self._answered]
+        for writer in leaving:
+            writer.close()
+        for writer in leaving:
+            with suppress(OSError, TimeoutError):
+                async with asyncio.timeout(_FAREWELL):
+                    await writer.wait_closed()
+        await self._tasks.close()
+
+    async def __aenter__(self) -> Self:
+        return self
+
+    async def __aexit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        await self.close()
+
+    def _accept(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        peer = writer.get_extra_info("peername")  # None: gone already
+        address = "" if peer is None else str(peer[0])
+        place = None if peer is None else self._callers.admit(address)
+        if place is None:
+            writer.transport.abort()
+            return
+        self._tasks.spawn(self._count(reader, writer, address, place), name=f"caller {address}")
+
+    async def _count(
+        self,
+        reader: asyncio.StreamReader,
+        writer: asyncio.StreamWriter,
+        address: str,
+        place: Place,
+    ) -> None:
+        """A caller counts until its socket is closed; who does not read its end makes room."""
+        place.close = writer.transport.abort
+        try:
+            await self._call(reader, writer, address)
+            place.linger()
+            with suppress(OSError, TimeoutError):
+                async with asyncio.timeout(_FAREWELL):
+                    await writer.wait_closed()
+        finally:
+            writer.transport.abort()
+            place.settle()
+
+    async def _call(
+        self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, address: str
+    ) -> None:
+        try:
+            while True:
+                async with asyncio.timeout(self._wait_for(writer)):
+                    data = await wire.receive(reader)
+                self._answer(writer, data)
+                async with asyncio.timeout(self._patience):  # who does not read is not written to
+                    await writer.drain()
+        except EnrollmentRefused as error:
+            self._complain(printable(f"{address}: {error}"))
+            wire.send(writer, _abort(error))
+        except TimeoutError:
+            writer.transport.abort()  # to close would wait for who does not read
+        except (OSError, EOFError):
+            pass  # whoever hangs up may call again
+        finally:
+            self._answered.discard(writer)
+            writer.close()
+
+    def _wait_for(self, writer: asyncio.StreamWriter) -> float:
+        if writer in self._answered:
+            return max(1, self.core.expires - self._clock() + 1)
+        return self._patience
+
+    def _answer(self, writer: asyncio.StreamWriter, data: bytes) -> None:
+        before = self.core.state
+        try:
+            answers = self.core.receive(data, self._clock())
+        finally:
+            if self.core.state is not before:
+                self._settle()
+        for answer in answers:
+            wire.send(writer, answer)
+        if not isinstance(read(answers[0]), Delivery):
+            self._answered.add(writer)
+
+    def _settle(self) -> None:
+        """The state has changed: whoever waits for it is told."""
+        self._changed.set()
+        if self.core.state is State.OVER and self.core.why_over is not None:
+            self._tell([_abort(self.core.why_over)])
+
+    def _tell(self, messages: list[bytes]) -> None:
+        for writer in self._answered:
+            for message in messages:
+                wire.send(writer, message)
+
+
+def _abort(error: EnrollmentRefused) -> bytes:
+    return write(Abort(_REASONS.get(type(error), Reason.REFUSED)))

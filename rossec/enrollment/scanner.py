@@ -1,0 +1,96 @@
+"""The process that looks at a picture (`python -I -m rossec.enrollment.scanner`).
+
+Bytes in, one line out.
+
+Pictures come from anybody, and what a decoder makes of one cannot be bounded by its size: a few
+kilobytes full of finder patterns keep it busy for a minute. So it runs apart
+(`rossec.enrollment.scan` starts it and waits only so long), with limits on memory and processor
+time that the kernel keeps.
+"""
+
+import io
+import json
+import resource
+import sys
+from typing import Any, Final
+
+from ca.enrollment.qr import PREFIX
+from rossec.errors import ConfigurationError
+
+MAX_FILE: Final = 32 * 1024 * 1024
+MAX_PIXELS: Final = 64 * 1000 * 1000
+MEMORY: Final = 1536 * 1024 * 1024  # a picture of so many pixels in colour, and some copies
+SECONDS: Final = 10
+MAX_CODES: Final = 100
+CLOSER: Final = "hold the camera so that the code fills the picture, or paste the text below it"
+_FORMATS: Final = ("PNG", "JPEG", "WEBP", "BMP", "PPM")
+
+
+def texts(data: bytes) -> list[str]:
+    """What the rossec codes in a picture say, each once.
+
+    Raises:
+        ConfigurationError: no picture, too large, or the extra `scan` is missing.
+    """
+    zxingcpp, image = _library(), _open(data)
+    found = zxingcpp.read_barcodes(image, formats=zxingcpp.BarcodeFormat.QRCode)
+    return sorted({code.text for code in found if code.text.startswith(PREFIX)})[:MAX_CODES]
+
+
+def main() -> int:
+    """Answer one picture on standard input; returns the exit code."""
+    _limit(resource.RLIMIT_AS, MEMORY)
+    _limit(resource.RLIMIT_CPU, SECONDS)
+    _limit(resource.RLIMIT_CORE, 0)
+    try:
+        answer: dict[str, Any] = {"texts": texts(sys.stdin.buffer.read(MAX_FILE + 1))}
+    except ConfigurationError as error:
+        answer = {"error": str(error), "hint": error.hint}
+    except MemoryError:
+        answer = {"error": "the picture takes more memory than it may", "hint": CLOSER}
+    sys.stdout.write(json.dumps(answer) + "\n")
+    return 0
+
+
+def _limit(what: int, most: int) -> None:
+    """For good, and never more than is left of what this process was given."""
+    _, hard = resource.getrlimit(what)
+    bound = most if hard == resource.RLIM_INFINITY else min(most, hard)
+    resource.setrlimit(what, (bound, bound))
+
+
+def _library() -> Any:
+    try:
+        import zxingcpp  # noqa: PLC0415 - an extra
+    except ImportError as error:
+        raise _missing() from error
+    return zxingcpp
+
+
+def _open(data: bytes) -> Any:
+    try:
+        from PIL import Image, UnidentifiedImageError  # noqa: PLC0415 - an extra
+    except ImportError as error:
+        raise _missing() from error
+    if len(data) > MAX_FILE:
+        raise ConfigurationError(f"the picture has more than {MAX_FILE} bytes", CLOSER)
+    try:
+        image = Image.open(io.BytesIO(data), formats=_FORMATS)
+        if image.width * image.height > MAX_PIXELS:
+            raise ConfigurationError("the picture has too many pixels", "make it smaller")
+        return image.convert("L")
+    except (UnidentifiedImageError, Image.DecompressionBombError, OSError, ValueError) as error:
+        raise ConfigurationError(
+            "this is no picture that can be read", f"take one of {', '.join(_FORMATS)}"
+        ) from error
+
+
+def _missing() -> ConfigurationError:
+    return ConfigurationError(
+        "reading pictures needs pillow and zxing-cpp",
+        "pip install 'rossec[scan]', or paste the text below the code",
+    )
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

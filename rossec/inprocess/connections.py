@@ -1,0 +1,242 @@
+"""TCPROS in rospy: connection headers of both sides, and whom they let in.
+
+The header hooks serve services as well: which right a side proves, and which it wants to see of
+the other, follows from rospy's protocol class.
+"""
+
+from functools import partial
+from typing import Any, Final
+
+import rospy
+from rospy.exceptions import TransportInitError
+from rospy.impl.registration import get_topic_manager
+from rospy.impl.tcpros_pubsub import TCPROSPub, TCPROSSub
+from rospy.impl.tcpros_service import TCPROSServiceClient, TCPService
+
+from ca.errors import HintedError
+from grants.decision import Decision
+from grants.errors import DefinitionRefused
+from grants.guard import Guard
+from grants.model import Right
+from rossec.errors import PlainPeer, TopicRefused
+from rossec.inprocess import headers
+from rossec.inprocess.genpy_types import described, installed, longest, room
+from rossec.inprocess.identity import Member, now
+from rossec.inprocess.live_connections import Link, PlainLink
+from rossec.inprocess.plain_stream import plain_fields
+from rossec.inprocess.process import Process
+from rossec.inprocess.service_filter import ClientExchange, ServerExchange
+from rossec.inprocess.sockets import RosSocket
+from rossec.participant.access import FIELD
+from rossec.participant.definitions import Definition, as_received, from_header, told
+from rossec.participant.limit_memory import recall
+from rossec.participant.message_types import MessageType
+from rossec.participant.service_guard import ServiceGuard
+from rossec.participant.service_handshake import admit_caller, admit_provider, requested_service
+from rossec.participant.service_types import ServiceType
+from rossec.participant.topic_guard import guard_for
+from rossec.participant.topic_handshake import (
+    Expected,
+    admit_publisher,
+    admit_subscriber,
+    requested_topic,
+)
+from rossec.ros import header
+
+_PROVES: Final[dict[type, Right]] = {
+    TCPROSSub: Right.SUBSCRIBE,
+    TCPROSPub: Right.PUBLISH,
+    TCPROSServiceClient: Right.CALL,
+    TCPService: Right.PROVIDE,
+}
+_HINT_PLAIN: Final = "secure it, or name what it offers in allow_plain while you migrate"
+
+
+class Connections:
+    """The hooks of one process. Their arguments are those of the functions they stand for."""
+
+    def __init__(self, process: Process) -> None:
+        self._process = process
+
+    @property
+    def _member(self) -> Member:
+        return self._process.member
+
+    # -- headers
+
+    def write_header(self, transport: Any) -> None:
+        """`TCPROSTransport.write_header`."""
+        sock, protocol = transport.socket, transport.protocol
+        if sock is None or protocol is None:
+            return
+        try:
+            data = header.encode(self._fields(protocol, sock))
+            sock.send_unit(data)
+        except HintedError as error:
+            raise self._refused(protocol, error, sock) from error
+        transport.stat_bytes += len(data)
+
+    def _fields(self, protocol: Any, sock: RosSocket) -> dict[str, str | bytes]:
+        if sock.is_plain:
+            self._check_plain(protocol.resolved_name, sock)
+            return dict(protocol.get_header_fields())
+        self._member.access.check_peer(sock.peer, now())
+        right = _PROVES[type(protocol)]
+        proof = self._member.access.present(right, protocol.resolved_name, now())
+        return {**protocol.get_header_fields(), "callerid": self._member.name, FIELD: proof}
+
+    def _check_plain(self, name: str, sock: RosSocket) -> None:
+        """Before a byte is said in clear."""
+        if not self._process.may_be_plain(name, sock.getpeername()[0]):
+            raise PlainPeer("the peer is a plain ROS node", _HINT_PLAIN)
+
+    def read_header(self, transport: Any) -> None:
+        """`TCPROSTransport.read_header`: the answer of a publisher or a service."""
+        sock, protocol = transport.socket, transport.protocol
+        if sock is None or protocol is None:
+            return
+        try:
+            fields = headers.receive(sock)
+            link = None if sock.is_plain else self._admit_server(protocol, fields, sock)
+        except HintedError as error:
+            raise self._refused(protocol, error, sock) from error
+        transport._validate_header(headers.for_rospy(fields))  # noqa: SLF001 - rospy's own
+        if link is not None:
+            self._process.watch(sock, link)
+        self._process.reporter.forget(_what(protocol))
+
+    def _admit_server(self, protocol: Any, fields: dict[str, bytes], sock: RosSocket) -> Link:
+        access, peer, name = self._member.access, sock.peer, protocol.resolved_name
+        if isinstance(protocol, TCPROSServiceClient):
+            decision = admit_provider(fields, peer, name, access, now())
+            if decision.restrictions:
+                guard = self._service_guard(protocol.service_class, decision)
+                sock.exchange = ClientExchange(guard, now)
+            sock.welcome(room(protocol.service_class._response_class))  # noqa: SLF001 - rospy's
+            return Link(sock, decision)
+        own = described(protocol.recv_data_class)
+        expected = Expected(name, own.name, own.md5sum)
+        decision = admit_publisher(fields, peer, expected, access, now())
+        kind = as_received(own, from_header(fields), decision, installed)
+        fields |= told(kind, decision)
+        sock.welcome(room(protocol.recv_data_class))
+        return Link(sock, decision, self._guard_for(kind, decision))
+
+    def _guard_for(self, kind: Definition, decision: Decision) -> Guard | None:
+        member = self._member
+        return guard_for(kind, decision, member.home.filter_key, recall(member.name))
+
+    def _refused(self, protocol: Any, error: HintedError, sock: RosSocket) -> TransportInitError:
+        if not sock.left:
+            self._process.reporter.warn(_what(protocol), error)
+        return TransportInitError(f"rossec: {error}")
+
+    # -- callers
+
+    def serve(self, server: Any, sock: RosSocket, where: Any) -> None:
+        """`TCPROSServer._tcp_server_callback`, in a thread of its own: one caller."""
+        caller = f"the caller from {where[0]}"
+        try:
+            if self._process.plain and self._serve_plain(server, sock, where):
+                return
+            peer = sock.handshake()
+            caller = peer.name
+            self._process.links.admit(sock, peer, sock.abort)
+            self._member.access.check_peer(peer, now())
+            fields = headers.receive(sock)
+            self._introduce(server, sock, where, fields)
+        except HintedError as error:
+            self._process.reporter.warn(f"refused {caller}", error)
+            if sock.is_plain or sock.stream.peer is not None:
+                headers.refuse(sock, error)
+            sock.close()
+        except (OSError, TransportInitError) as error:
+            self._process.reporter.warn(f"lost {caller}", error)
+            sock.close()
+        except BaseException:
+            sock.close()  # a guard that crashes lets nobody through
+            raise
+
+    def _serve_plain(self, server: Any, sock: RosSocket, where: Any) -> bool:
+        """Serve a plain caller of what `allow_plain` names; others go on into the channel."""
+        fields = plain_fields(sock.peek())
+        kind = "service" if "service" in fields else "topic"
+        name = fields.get(kind, b"").decode(errors="replace")
+        if not name or not self._process.may_be_plain(name, where[0]):
+            return False
+        sock.go_plain()
+        self._process.links.admit_plain(sock, where[0])
+        headers.receive(sock)
+        sock.link = PlainLink()
+        handler = getattr(server, f"{kind}_connection_handler")
+        refusal = handler(sock, where, headers.for_rospy(fields))
+        if refusal:
+            raise TopicRefused(f"no such {kind}, or of another type")
+        return True
+
+    def _introduce(
+        self, server: Any, sock: RosSocket, where: Any, fields: dict[str, bytes]
+    ) -> None:
+        access = self._member.access
+        if "service" in fields:
+            decision = admit_caller(fields, sock.peer, access, now())
+            sock.link = Link(sock, decision)
+            sock.exchange = self._server_exchange(requested_service(fields), sock, sock.link)
+            handler = server.service_connection_handler
+        else:
+            decision = admit_subscriber(fields, sock.peer, access, now())
+            sock.link = Link(sock, decision, self._guard(requested_topic(fields), decision))
+            handler = server.topic_connection_handler
+        self._process.watch(sock, sock.link)
+        refusal = handler(sock, where, headers.for_rospy(fields))
+        if refusal:
+            raise TopicRefused(str(refusal), "both sides need the same version of the package")
+
+    def _server_exchange(self, service: str, sock: RosSocket, link: Link) -> ServerExchange:
+        """What the calls of this caller pass through.
+
+        Raises:
+            TopicRefused: the service is not provided here.
+            GrantError: the restrictions do not fit its type.
+        """
+        provided = rospy.impl.registration.get_service_manager().get_service(service)
+        if provided is None:
+            raise TopicRefused(f"{self._member.name} does not provide {service}")
+        guard = None
+        if link.decision.restrictions:
+            guard = self._service_guard(provided.service_class, link.decision)
+
+        def refused(error: HintedError) -> None:
+            self._process.reporter.warn(f"{service}: refused {sock.peer.name}", error)
+
+        asked = provided.service_class._request_class  # noqa: SLF001 - rospy's
+        sock.welcome(room(asked))
+        why_cut = partial(self._member.why_cut, link)
+        return ServerExchange(why_cut, guard, refused, now, longest(asked))
+
+    def _service_guard(self, kind: Any, decision: Decision) -> ServiceGuard:
+        request, response = (
+            MessageType(part._type, part._md5sum, part._full_text)  # noqa: SLF001 - rospy's
+            for part in (kind._request_class, kind._response_class)  # noqa: SLF001 - rospy's
+        )
+        both = ServiceType(kind._type, request, response)  # noqa: SLF001 - rospy's
+        if both.md5sum != kind._md5sum:  # noqa: SLF001 - rospy's
+            raise DefinitionRefused(f"the definition of {kind._type} is not that of its messages")  # noqa: SLF001 - rospy's
+        member = self._member
+        return ServiceGuard(both, decision, member.home.filter_key, recall(member.name))
+
+    def _guard(self, topic: str, decision: Decision) -> Guard | None:
+        """What `decision` means for the messages of this topic; None: they pass as they are.
+
+        Raises:
+            TopicRefused: the topic is not published here.
+            GrantError: the restrictions do not fit its messages.
+        """
+        published = get_topic_manager().get_publisher_impl(topic)
+        if published is None or published.closed:
+            raise TopicRefused(f"{self._member.name} does not publish {topic}")
+        return self._guard_for(described(published.data_class), decision)
+
+
+def _what(protocol: Any) -> str:
+    return f"cannot {_PROVES[type(protocol)].label} {protocol.resolved_name}"

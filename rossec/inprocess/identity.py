@@ -1,0 +1,134 @@
+"""The node this process is: its identity, its grants, what it knows of revocations; for threads.
+
+One lock makes a list and its confirmation one step: between the two nothing would be fresh, and
+every peer that asks in that moment would be refused.
+"""
+
+from threading import RLock
+
+from ca.certificates import Identity, TrustAnchor
+from ca.revocation.state import Revocations
+from grants.decision import Decision
+from grants.model import Right
+from rossec import clock
+from rossec.channel.edhoc.suites import PRODUCTION
+from rossec.home import NodeHome
+from rossec.participant.access import Access, Holding
+from rossec.participant.connections import Judged, why_cut
+from rossec.saved_revocations import saved_revocations
+
+
+class SharedAccess(Access):
+    """`Access`, one thread at a time."""
+
+    def __init__(self, anchor: TrustAnchor, revocations: Revocations) -> None:
+        super().__init__(anchor, revocations)
+        self.lock = RLock()
+
+    def hold(self, data: bytes) -> None:
+        """As of `Access`."""
+        with self.lock:
+            super().hold(data)
+
+    def hold_renewed(self, token: bytes, now: int) -> None:
+        """As of `Access`."""
+        with self.lock:
+            super().hold_renewed(token, now)
+
+    def holdings(self) -> list[Holding]:
+        """As of `Access`."""
+        with self.lock:
+            return super().holdings()
+
+    def present(self, right: Right, name: str, now: int) -> bytes:
+        """As of `Access`."""
+        with self.lock:
+            return super().present(right, name, now)
+
+    def check_peer(self, peer: Identity, now: int) -> None:
+        """As of `Access`."""
+        with self.lock:
+            super().check_peer(peer, now)
+
+    def authorize(
+        self, peer: Identity, presented: bytes | None, right: Right, name: str, now: int
+    ) -> Decision:
+        """As of `Access`."""
+        with self.lock:
+            return super().authorize(peer, presented, right, name, now)
+
+
+class Member:
+    """One enrolled node, as which this process speaks.
+
+    Args:
+        home: its directory.
+        name: the name it runs under, which its identity covers.
+        suites: of its channels, by the post-quantum policy.
+
+    Raises:
+        ConfigurationError: no identity, or another node's.
+        CertificateRefused, KeyRefused: an identity or a key that does not hold.
+    """
+
+    def __init__(self, home: NodeHome, name: str, suites: tuple[int, ...] = PRODUCTION) -> None:
+        self.name = name
+        self.suites = suites
+        self.home = home
+        self.anchor = home.anchor()
+        self.credentials = home.credentials()
+        self.identity = home.identity(now())
+        self.revocations = saved_revocations(home, self.anchor, now())
+        self.access = SharedAccess(self.anchor, self.revocations)
+
+    def take_revocations(self, data: bytes, timestamp: bytes, master: Identity) -> None:
+        """Take over a list (empty: the one held) and the master's word that it is the newest.
+
+        Raises:
+            CAError: either does not hold. A list that does counts nevertheless.
+        """
+        with self.access.lock:
+            self.access.take_news(data, timestamp, master, now(), self.home.save_revocations)
+
+    def doubt(self) -> None:
+        """Rely on what the master said no longer: the clock it was heard by went back."""
+        with self.access.lock:
+            self.revocations.doubt(now() - 1)
+
+    @property
+    def wanted(self) -> list[bytes]:
+        """Entries of a tree of revocations that wait for a proof."""
+        with self.access.lock:
+            return self.revocations.wanted
+
+    def prove(self, entry: bytes, proof: bytes) -> None:
+        """As of `Revocations`."""
+        with self.access.lock:
+            self.revocations.prove(entry, proof)
+
+    def refresh_identity(self) -> bool:
+        """Speak with the certificate that is in the directory now; whether it is another one.
+
+        Raises:
+            HintedError: it does not hold; the one before stays.
+        """
+        credentials = self.home.credentials()
+        if credentials.chain == self.credentials.chain:
+            return False
+        self.identity, self.credentials = self.home.identity(now()), credentials
+        return True
+
+    def why_cut(self, link: Judged) -> str | None:
+        """Why a live connection must end now, if it must."""
+        with self.access.lock:
+            return why_cut(link, self.revocations, now())
+
+    def is_revoked(self, peer: Identity) -> bool:
+        """Whether the key of `peer`, or one that vouches for it, is on the list."""
+        with self.access.lock:
+            return not self.revocations.entries.isdisjoint(peer.keys)
+
+
+def now() -> int:
+    """The host's clock, in seconds; never ROS time (attack M7)."""
+    return clock.now()

@@ -1,0 +1,55 @@
+"""`wait_for_service` in rospy: its probe is a client like any other, and waits for the answer.
+
+Calls and providers go through the header hooks in `topics`; the probe has a socket of its own and
+writes its header itself. `rosservice` probes in the same way, and reads the answer.
+"""
+
+import socket
+
+from ca.errors import HintedError
+from rossec.channel.records import Bytes
+from rossec.inprocess import headers
+from rossec.inprocess.identity import now
+from rossec.inprocess.process import Process
+from rossec.inprocess.sockets import RosSocket
+from rossec.participant.service_handshake import admit_provider, caller_proof, requested_service
+from rossec.ros import header
+
+
+class Probe(RosSocket):
+    """A socket whose one message is the header of a probe."""
+
+    def __init__(self, process: Process, sock: socket.socket) -> None:
+        super().__init__(process, sock)
+        self._process = process
+        self._answer = b""
+
+    def recv(self, size: int) -> bytes:
+        """The answer, which was judged already."""
+        if self.is_plain:
+            return super().recv(size)
+        part, self._answer = self._answer[:size], self._answer[size:]
+        return part
+
+    def sendall(self, data: Bytes) -> None:
+        """Add the proof to the header, send it, and judge the answer.
+
+        Raises:
+            HintedError, OSError: the service is not there for this node.
+        """
+        member = self._process.member
+        fields = header.decode(bytes(data)[4:])
+        service = requested_service(fields)
+        if self.is_plain and self._process.may_be_plain(service, self.getpeername()[0]):
+            super().sendall(data)
+            return
+        try:
+            member.access.check_peer(self.peer, now())
+            proof = caller_proof(service, member.access, now())
+            self.send_unit(header.encode({**fields, "callerid": member.name, **proof}))
+            answer = headers.receive(self)
+            admit_provider(answer, self.peer, service, member.access, now())
+            self._answer = header.encode(headers.for_rospy(answer))
+        except HintedError as error:
+            self._process.reporter.warn(f"cannot call {service}", error)
+            raise

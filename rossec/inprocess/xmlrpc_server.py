@@ -1,0 +1,186 @@
+"""This node's own XML-RPC API; who may call what is a rule of `rossec.participant.slave_api`.
+
+Calls are parsed by `rossec.ros`, within its limits, never by the standard library's server.
+"""
+
+import logging
+import socket
+import time
+from contextlib import suppress
+from typing import Any, Final
+
+from rospy.impl.tcpros_base import get_tcpros_server_address, start_tcpros_server
+
+from ca.certificates import Identity
+from ca.errors import HintedError, RevocationsStale
+from rossec.channel.opening import REFUSAL, Flavour
+from rossec.errors import ChannelClosed, ChannelError, HttpRefused, XmlRpcRefused
+from rossec.inprocess.connector import Stream
+from rossec.inprocess.identity import now
+from rossec.inprocess.plain_stream import PlainStream, peek
+from rossec.inprocess.process import Process
+from rossec.net.rpc.client import REQUEST_DEADLINE
+from rossec.participant import slave_api
+from rossec.participant.slave_api import MASTER, REVOCATION_UPDATE, refusal, topic_offer
+from rossec.participant.slave_rights import QUESTIONS, check_question
+from rossec.ros.http import HttpServer
+from rossec.ros.xmlrpc import Fault, dump_response, load_call
+
+_FAULT_CODE: Final = 1
+_READ: Final = 64 * 1024
+_log = logging.getLogger("rossec.rospy")
+
+Params = tuple[Any, ...]
+
+
+class Shown:
+    """The grants that the peer of one connection has shown."""
+
+    grants: bytes | None = None
+
+
+class Server:
+    """This node's API: who may call what is `rossec.participant.slave_api`'s."""
+
+    def __init__(self, process: Process) -> None:
+        self._process = process
+
+    def verify_request(self, _server: Any, request: socket.socket, where: Any) -> bool:
+        """`ThreadingXMLRPCServer.verify_request`, before a thread is spent on a caller."""
+        return self._process.doors.admit(request, where[0])
+
+    def finish_request(self, server: Any, request: socket.socket, where: Any) -> None:
+        """`ThreadingXMLRPCServer.finish_request`, in a thread of its own: one caller."""
+        if self._process.plain and peek(request) == b"POST":
+            try:
+                self._answer_plain(request, where[0])
+            finally:
+                self._process.doors.settle(request)
+            return
+        stream = self._process.doors.answer(request, Flavour.HTTP)
+        caller = f"the caller from {where[0]}"
+        try:
+            peer = stream.do_handshake()
+            caller = peer.name
+            self._process.links.admit(stream, peer, stream.shutdown)
+            self._serve(server, stream, peer)
+        except ChannelClosed:
+            pass
+        except (HintedError, TimeoutError) as error:
+            self._process.reporter.warn(f"refused {caller}", error)
+        finally:
+            self._process.links.forget(stream)
+            stream.close()
+
+    def _serve(self, server: Any, stream: Stream, peer: Identity) -> None:
+        """The master's connection stays; another node asks where a topic is, and goes."""
+        http, shown = HttpServer(), Shown()
+        end = None if peer.name == MASTER else time.monotonic() + slave_api.DEADLINE
+        try:
+            while not http.closing:
+                body = _next_request(http, stream, end)
+                stream.settimeout(REQUEST_DEADLINE)
+                stream.sendall(http.respond(self._answer(server, body, peer, shown)))
+        except HttpRefused as error:
+            with suppress(ChannelError, OSError):
+                stream.sendall(http.refuse(error.status))
+
+    def _answer_plain(self, request: socket.socket, address: str) -> None:
+        """A plain caller may ask where a topic is that `allow_plain` names, and nothing else."""
+        stream, http = PlainStream(request), HttpServer()
+        with suppress(HintedError, OSError):
+            call = load_call(_next_request(http, stream, time.monotonic() + REQUEST_DEADLINE))
+            match call.method, call.params:
+                case "requestTopic", (_, str() as topic, list() as protocols) if (
+                    self._process.may_be_plain(topic, address)
+                ):
+                    start_tcpros_server()
+                    answer = topic_offer(protocols, *get_tcpros_server_address())
+                case _:
+                    answer = [-1, REFUSAL, 0]
+            stream.sendall(http.respond(dump_response(answer)))
+
+    def _answer(self, server: Any, body: bytes, peer: Identity, shown: "Shown") -> bytes:
+        try:
+            call = load_call(body)
+            return dump_response(self._value(server, call.method, call.params, peer, shown))
+        except XmlRpcRefused as error:
+            return dump_response(Fault(_FAULT_CODE, str(error)))
+
+    def _value(
+        self, server: Any, method: str, params: Params, peer: Identity, shown: "Shown"
+    ) -> object:
+        try:
+            self._check(method, peer)
+            match method, params:
+                case "rossec.presentGrants", (_, bytes() as grants):
+                    shown.grants = grants
+                    return [1, "", 0]
+                case _:
+                    pass
+            entitled = self._is_entitled(method, peer, shown)
+            refused = refusal(method, params, peer, entitled=entitled)
+            if refused is not None:
+                self._process.reporter.warn(f"refused {peer.name}: {method}: {refused[1]}")
+                return refused
+            return self._run(server, method, params, peer)
+        except HintedError as error:
+            self._process.reporter.warn(f"refused {peer.name}: {method}", error)
+            return [-1, f"rossec: {error}", 0]
+        except Exception:  # noqa: BLE001 - nothing of our inside to a peer
+            _log.exception("a call failed inside")
+            return Fault(_FAULT_CODE, "rossec: internal error")
+
+    def _check(self, method: str, peer: Identity) -> None:
+        """Ask at every call: a peer, also the master, may be revoked while it is connected."""
+        try:
+            self._process.member.access.check_peer(peer, now())
+        except RevocationsStale:
+            if method != REVOCATION_UPDATE:  # what ends the staleness must get through
+                raise
+
+    def _is_entitled(self, method: str, peer: Identity, shown: "Shown") -> bool:
+        """Whether grants that `peer` has shown on this connection entitle it to the question.
+
+        Raises:
+            HintedError: those it has shown do not.
+        """
+        if shown.grants is None or method not in QUESTIONS or peer.name == MASTER:
+            return False
+        member = self._process.member
+        check_question(method, peer, member.name, shown.grants, member.access, now())
+        return True
+
+    def _run(self, server: Any, method: str, params: Params, peer: Identity) -> object:
+        if method == REVOCATION_UPDATE:
+            self._process.take_revocations(params[1], params[2], peer)
+            return [1, "", 0]
+        if method == "requestTopic":
+            start_tcpros_server()
+            return topic_offer(params[2], *get_tcpros_server_address())
+        if method == "publisherUpdate":
+            self._process.registrations.publishers_are(params[1], params[2])
+        return list(server._dispatch(method, params))  # noqa: SLF001 - stock's own handler
+
+
+def _next_request(http: HttpServer, stream: Stream | PlainStream, end: float | None) -> bytes:
+    while (body := http.next_request()) is None:
+        waiting = end
+        if http.pending:
+            begun = time.monotonic() + REQUEST_DEADLINE
+            waiting = begun if end is None else min(begun, end)
+        http.feed(receive_some(stream, waiting))
+    return body
+
+
+def receive_some(stream: Stream | PlainStream, end: float | None) -> bytes:
+    """What arrives next, until `end` at the latest.
+
+    Raises:
+        ChannelClosed, TimeoutError: nothing does.
+    """
+    stream.settimeout(None if end is None else max(0.001, end - time.monotonic()))
+    data = stream.recv(_READ)
+    if not data:
+        raise ChannelClosed("the peer closed the connection")
+    return data

@@ -1,0 +1,1 @@
+"""Calls at the master: methods, arguments, rights asked, answers. Pure."""

@@ -1,0 +1,200 @@
+"""The Master API as one pure dispatch: arguments in, answer and events out.
+
+The order of every call: arity, caller_id, identity, arguments (names resolved), right, handler.
+Texts and defaults for what stock rosmaster refuses are stock's; what only rossec refuses answers
+`[-1, "rossec: ...", <the method's default>]`, which rospy and roscpp log.
+"""
+
+import xmlrpc.client
+from collections.abc import Callable, Sequence
+
+from rossec.master.api import arguments as arg
+from rossec.master.api.arguments import ArgumentRefused
+from rossec.master.api.graph_calls import GraphCalls
+from rossec.master.api.methods import (
+    Administered,
+    CallRefused,
+    Denied,
+    MasterEvent,
+    Method,
+    Methods,
+    Reply,
+    Request,
+    Steps,
+    StopMaster,
+)
+from rossec.master.api.multicall import MULTICALL, Multicall
+from rossec.master.api.parameter_calls import ParameterCalls
+from rossec.master.api.statement_calls import StatementCalls
+from rossec.master.api.turns import Outcome, Work, finished, never
+from rossec.master.api.watch_calls import WatchCalls
+from rossec.master.rights.access_rules import AddressTaken, Caller, Gatekeeper, Refused
+from rossec.master.rights.interfaces import Statements
+from rossec.master.state.parameters import SIZE_LIMIT, Parameters
+from rossec.master.state.registry import Registry
+
+Fault = xmlrpc.client.Fault
+
+
+class MasterApi:
+    """Every method of the master.
+
+    Args:
+        name: the master's own certified name.
+        uri, pid: what `getUri` and `getPid` answer.
+        instance: names this run of the master.
+        started: when it began, seconds since the epoch.
+        parameters: what is set already.
+        parameter_bytes: how much room all parameters together may take.
+    """
+
+    def __init__(
+        self,
+        registry: Registry,
+        statements: Statements,
+        *,
+        name: str,
+        uri: str,
+        pid: int,
+        instance: str = "",
+        started: int = 0,
+        parameters: Parameters | None = None,
+        parameter_bytes: int = SIZE_LIMIT,
+    ) -> None:
+        self._uri = uri
+        self._pid = pid
+        self._gatekeeper = Gatekeeper(registry, name)
+        self.watching = WatchCalls(registry, self._gatekeeper, instance)
+        tree = Parameters() if parameters is None else parameters
+        self.parameters = ParameterCalls(tree, registry, statements.caller_of, parameter_bytes)
+        self.methods: Methods = {
+            **GraphCalls(registry, self._gatekeeper).methods(),
+            **self.parameters.methods(),
+            **self.watching.methods(),
+            **StatementCalls(statements, registry, name, started).methods(),
+            **self._own_methods(),
+        }
+
+    def call(
+        self,
+        method: str,
+        params: Sequence[object],
+        caller: Caller,
+        now: int,
+        *,
+        near: bool = True,
+    ) -> Outcome:
+        """Answer one call, all of it at once; arguments and errors as of `begin`."""
+        if method == MULTICALL:
+            return self._multicall(params, caller, now, near=near)
+        begun = self.begin(method, params, caller, now, near=near)
+        return begun if isinstance(begun, Outcome) else finished(begun)
+
+    def begin(
+        self,
+        method: str,
+        params: Sequence[object],
+        caller: Caller,
+        now: int,
+        *,
+        near: bool = True,
+    ) -> Outcome | Work:
+        """Answer one call, or begin to; `near`: it comes from the master's own host.
+
+        Raises:
+            Fault: no such method.
+        """
+        row = self.methods.get(method)
+        if row is None:
+            raise Fault(1, f"<class 'Exception'>:method \"{method}\" is not supported")
+        try:
+            request = self._request(method, row, params, caller, now, near=near)
+            reply = row.handler(request)
+        except ArgumentRefused as refused:
+            return Outcome([-1, str(refused), row.default])
+        except Refused as refused:
+            return _refused(refused, method, row, caller)
+        if isinstance(reply, Reply):
+            return _answered(reply, method, request, caller)
+        return _in_steps(reply, method, row, request, caller)
+
+    def make(
+        self,
+        multicall: Multicall,
+        caller: Caller,
+        now: int,
+        *,
+        near: bool = True,
+        over: Callable[[], bool] = never,
+    ) -> tuple[MasterEvent, ...]:
+        """Some more of the elements of a multicall; returns what to deliver for them."""
+        return multicall.step(
+            lambda method, params: self.begin(method, params, caller, now, near=near), over
+        )
+
+    def _multicall(
+        self, params: Sequence[object], caller: Caller, now: int, *, near: bool
+    ) -> Outcome:
+        """All of a multicall at once."""
+        multicall, events = Multicall(params), list[MasterEvent]()
+        while not multicall.done:
+            events += self.make(multicall, caller, now, near=near)
+        return Outcome(multicall.answer, tuple(events))
+
+    def _request(
+        self,
+        method: str,
+        row: Method,
+        params: Sequence[object],
+        caller: Caller,
+        now: int,
+        *,
+        near: bool,
+    ) -> Request:
+        if not params:
+            raise ArgumentRefused("missing required caller_id parameter")
+        if len(params) != 1 + len(row.checks):
+            raise ArgumentRefused("Error: bad call arity")
+        caller_id = params[0]
+        if not isinstance(caller_id, str):
+            raise ArgumentRefused("caller_id must be a string")
+        acting = self._gatekeeper.acting(method, caller, caller_id)
+        checked = [check(params[at], caller_id) for at, check in enumerate(row.checks, 1)]
+        request = Request(acting, (caller_id, *checked), now, near)
+        self._gatekeeper.check(method, acting, request.arguments, near=near)
+        return request
+
+    def _own_methods(self) -> Methods:
+        return {
+            "getUri": Method((), "", lambda _: Reply(self._uri)),
+            "getPid": Method((), -1, lambda _: Reply(self._pid)),
+            "shutdown": Method((arg.anything,), 0, self._shutdown),
+        }
+
+    def _shutdown(self, request: Request) -> Reply:
+        reason = f"{request.caller.name}: {request.arguments[1]}"
+        return Reply(0, "shutdown", events=(StopMaster(reason),))
+
+
+def _in_steps(steps: Steps, method: str, row: Method, request: Request, caller: Caller) -> Work:
+    try:
+        reply = yield from steps
+    except Refused as refused:
+        return _refused(refused, method, row, caller)
+    return _answered(reply, method, request, caller)
+
+
+def _answered(reply: Reply, method: str, request: Request, caller: Caller) -> Outcome:
+    events = reply.events
+    if request.caller.thumbprint != caller.thumbprint:  # only an administrator gets so far
+        what = f"calls {method} for {request.caller.name}: {reply.status}"
+        events = (*events, Administered(caller.title, what))
+    return Outcome([reply.code, reply.status, reply.value], events)
+
+
+def _refused(refused: Refused, method: str, row: Method, caller: Caller) -> Outcome:
+    status = f"rossec: {refused}"
+    denied = () if refused.wanted is None else (Denied(caller.name, *refused.wanted),)
+    taken_by = refused.owner if isinstance(refused, AddressTaken) else None
+    refusal = CallRefused(caller.title, method, status, taken_by)
+    return Outcome([-1, status, row.default], (refusal, *denied))

@@ -1,0 +1,171 @@
+"""The calls about the graph: registering, looking up, listing. Pure; texts are stock's.
+
+State queries are filtered by the gatekeeper: a caller sees its own entries and the names its
+grants cover.
+"""
+
+from collections.abc import Generator, Iterable
+from typing import Final
+
+from rossec.master.api import arguments as arg
+from rossec.master.api.methods import Method, Methods, Reply, Request, Steps
+from rossec.master.rights.access_rules import Caller, Gatekeeper, require_room
+from rossec.master.state.registry import Kind, Registry
+from rossec.ros.xmlwrite import Written
+
+_STATES_KEPT: Final = 16
+_ENTRIES_KEPT: Final = 8192
+
+
+class GraphCalls:
+    """Handlers over one registry."""
+
+    def __init__(self, registry: Registry, gatekeeper: Gatekeeper) -> None:
+        self._registry = registry
+        self._gatekeeper = gatekeeper
+        self._entries: dict[tuple[str, tuple[str, ...]], Written] = {}
+        self._states: dict[int, tuple[Caller, Written]] = {}  # by identity of the caller
+        self._version = -1
+
+    def methods(self) -> Methods:
+        """The rows of the method table."""
+        topic, type_name = arg.topic("topic"), arg.type_name("topic_type")
+        service, api = arg.topic("service"), arg.uri("caller_api", "http")
+        service_api = arg.uri("service_api", "rosrpc")
+        return {
+            "registerPublisher": Method((topic, type_name, api), [], self._register_publisher),
+            "registerSubscriber": Method((topic, type_name, api), [], self._register_subscriber),
+            "registerService": Method((service, service_api, api), 0, self._register_service),
+            "unregisterPublisher": Method((topic, api), 0, self._unregister_publisher),
+            "unregisterSubscriber": Method((topic, api), 0, self._unregister_subscriber),
+            "unregisterService": Method((service, service_api), 0, self._unregister_service),
+            "lookupNode": Method((arg.node("node"),), "", self._lookup_node),
+            "lookupService": Method((service,), "", self._lookup_service),
+            "getSystemState": Method((), [[], [], []], self._system_state),
+            "getTopicTypes": Method((), [], self._topic_types),
+            "getPublishedTopics": Method((arg.subgraph("subgraph"),), 0, self._published_topics),
+        }
+
+    def _register_publisher(self, request: Request) -> Reply:
+        name, topic, type_name = (request.text(i) for i in range(3))
+        require_room(self._registry, Kind.PUBLISHER, topic, request.node(3))
+        events = self._registry.register_publisher(topic, type_name, request.node(3))
+        status = f"Registered [{name}] as publisher of [{topic}]"
+        return Reply(self._registry.uris(Kind.SUBSCRIBER, topic), status, events=tuple(events))
+
+    def _register_subscriber(self, request: Request) -> Reply:
+        topic, type_name = request.text(1), request.text(2)
+        require_room(self._registry, Kind.SUBSCRIBER, topic, request.node(3))
+        events = self._registry.register_subscriber(topic, type_name, request.node(3))
+        publishers = self._registry.uris(Kind.PUBLISHER, topic)
+        return Reply(publishers, f"Subscribed to [{topic}]", events=tuple(events))
+
+    def _register_service(self, request: Request) -> Reply:
+        name, service, service_uri = (request.text(i) for i in range(3))
+        require_room(self._registry, Kind.SERVICE, service, request.node(3))
+        events = self._registry.register_service(service, service_uri, request.node(3))
+        return Reply(1, f"Registered [{name}] as provider of [{service}]", events=tuple(events))
+
+    def _unregister_publisher(self, request: Request) -> Reply:
+        return self._unregister(Kind.PUBLISHER, request)
+
+    def _unregister_subscriber(self, request: Request) -> Reply:
+        return self._unregister(Kind.SUBSCRIBER, request)
+
+    def _unregister(self, kind: Kind, request: Request) -> Reply:
+        done, events = self._registry.unregister(kind, request.text(1), request.node(2))
+        return Reply(done.removed, done.status, events=tuple(events))
+
+    def _unregister_service(self, request: Request) -> Reply:
+        name, service, service_uri = (request.text(i) for i in range(3))
+        done = self._registry.unregister_service(
+            service, name, service_uri, request.caller.thumbprint
+        )
+        return Reply(done.removed, done.status)
+
+    def _lookup_node(self, request: Request) -> Reply:
+        name = request.text(1)
+        uri = self._registry.node_uri(name)
+        if uri is None or not self._gatekeeper.node_shown(request.caller, name):
+            return Reply("", f"unknown node [{name}]", -1)
+        return Reply(uri, "node api")
+
+    def _lookup_service(self, request: Request) -> Reply:
+        uri = self._registry.service_uri(request.text(1))
+        if uri is None:
+            return Reply("", "no provider", -1)
+        return Reply(uri, f"rosrpc URI: [{uri}]")
+
+    def _system_state(self, request: Request) -> Steps:
+        return Reply((yield from self._state(request.caller)), "current system state")
+
+    def _state(self, caller: Caller) -> Generator[None, None, Written]:
+        """What the caller is shown; the same while neither the registry nor the caller changed."""
+        version = self._registry.version
+        if self._version != version:
+            self._version = version
+            self._states.clear()
+        known = self._states.get(id(caller))
+        if known is not None and known[0] is caller:
+            return known[1]
+        state = Written(
+            [
+                (yield from self._shown(Kind.PUBLISHER, caller)),
+                (yield from self._shown(Kind.SUBSCRIBER, caller)),
+                (yield from self._shown(Kind.SERVICE, caller)),
+            ]
+        )
+        if self._registry.version == self._version == version:
+            if len(self._states) >= _STATES_KEPT:
+                self._states.clear()
+            self._states[id(caller)] = caller, state
+        return state
+
+    def _shown(self, kind: Kind, caller: Caller) -> Generator[None, None, list[object]]:
+        found, at_once = list[object](), caller.looks_at_once
+        for count, (key, nodes) in enumerate(self._registry.entries(kind), 1):
+            if names := self._gatekeeper.nodes_shown(caller, key, nodes):
+                found.append(self._entry(key, names))
+            if not count % at_once:
+                yield
+        return found
+
+    def _entry(self, key: str, names: tuple[str, ...]) -> Written:
+        """One name with its nodes, written once for all who are shown it."""
+        entry = self._entries.get((key, names))
+        if entry is None:
+            if len(self._entries) >= _ENTRIES_KEPT:
+                self._entries.clear()
+            entry = self._entries[key, names] = Written([key, list(names)])
+        return entry
+
+    def _topic_types(self, request: Request) -> Steps:
+        types = self._registry.topic_types()
+        return Reply((yield from self._typed(request.caller, types)), "current system state")
+
+    def _published_topics(self, request: Request) -> Steps:
+        space = request.text(1)
+        if space and not space.endswith("/"):
+            space += "/"
+        entries = self._registry.entries(Kind.PUBLISHER)
+        topics = ((key, self._registry.topic_type(key)) for key, _ in entries)
+        within = ((key, name) if key.startswith(space) else None for key, name in topics)
+        return Reply((yield from self._typed(request.caller, within)), "current topics")
+
+    def _typed(
+        self, caller: Caller, topics: Iterable[tuple[str, str] | None]
+    ) -> Generator[None, None, list[list[str]]]:
+        """Those of `topics`, with their types, that the caller is shown."""
+        shown, at_once = list[list[str]](), caller.looks_at_once
+        for count, topic in enumerate(topics, 1):
+            if topic is not None and self._topic_shown(caller, topic[0]):
+                shown.append([*topic])
+            if not count % at_once:
+                yield
+        return shown
+
+    def _topic_shown(self, caller: Caller, topic: str) -> bool:
+        own = (Kind.PUBLISHER, Kind.SUBSCRIBER)
+        if any(self._registry.is_registered(kind, topic, caller.name) for kind in own):
+            return True
+        return caller.may_see(topic)

@@ -1,0 +1,132 @@
+"""`system.multicall`: each element is a call of its own, with its own rights. Pure.
+
+It is made in turns, so that one node with four thousand elements does not keep the others waiting;
+what the caller may do is asked anew each time. What is bounded: the elements, those that cost much,
+and how long all answers are together. Nesting is refused.
+"""
+
+import xmlrpc.client
+from collections.abc import Callable, Sequence
+from typing import Final
+
+from rossec.master.api.methods import GrantsPresented, MasterEvent, RevocationsChanged
+from rossec.master.api.turns import Outcome, Over, Work, advance
+from rossec.master.rights.access_rules import RULES, Scope
+from rossec.master.state.parameter_values import weight
+from rossec.ros.xmlrpc import BODY_LIMIT
+
+Fault = xmlrpc.client.Fault
+MULTICALL: Final = "system.multicall"
+MULTICALL_LIMIT: Final = 4096  # roslaunch sets every parameter of a launch file in one
+MULTICALL_QUERIES: Final = 16  # answers over the whole graph; more in one call only amplifies
+MULTICALL_ANSWER: Final = BODY_LIMIT  # bytes, about; else 4096 questions for one large parameter
+MULTICALL_ONCE: Final = frozenset(  # each of these costs signatures or carries a whole list
+    {
+        "rossec.presentGrants", "rossec.renewGrants", "rossec.updateDelegation",
+        "rossec.revocations", "rossec.revocationsSince", "rossec.updateRevocations", "rossec.trl",
+        "rossec.updateRevocationTree", "rossec.revocationProofs", "rossec.renewIdentity",
+        "rossec.watchGraph",
+    }
+)  # fmt: skip
+
+
+_RIGHTS: Final = (RevocationsChanged, GrantsPresented)
+Make = Callable[[str, Sequence[object]], Outcome | Work]
+"""Makes one call, or begins to, or raises `Fault`."""
+
+
+class Multicall:
+    """One multicall: `step` until `done`, then `answer` is what to answer.
+
+    Raises:
+        Fault: it is none, or asks for too much.
+    """
+
+    def __init__(self, params: Sequence[object]) -> None:
+        calls = params[0] if len(params) == 1 else None
+        if not isinstance(calls, list) or len(calls) > MULTICALL_LIMIT:
+            raise Fault(1, f"rossec: a multicall is one list of at most {MULTICALL_LIMIT} calls")
+        if sum(map(_is_query, calls)) > MULTICALL_QUERIES:
+            raise Fault(1, f"rossec: more than {MULTICALL_QUERIES} state queries in a multicall")
+        self._calls: list[object] = calls
+        self._answers: list[object] = []
+        self._once: dict[str, int] = {}  # where the first of each is
+        self._room = MULTICALL_ANSWER
+        self._work: Work | None = None  # the element that is being made
+
+    @property
+    def done(self) -> bool:
+        """Whether nothing is left to be made."""
+        return self._room < 0 or len(self._answers) == len(self._calls)
+
+    @property
+    def answer(self) -> object:
+        """The answers made so far; a fault when they are too long, though what was made is made."""
+        if self._room >= 0:
+            return self._answers
+        made = f"{len(self._answers)} of its {len(self._calls)} calls were made"
+        text = "the answers of this multicall are too long"
+        return Fault(1, f"rossec: {text}: {made}, ask for less at a time")
+
+    def step(self, make: Make, over: Over) -> tuple[MasterEvent, ...]:
+        """Make calls until the turn is `over`; returns what is to be delivered for them."""
+        events: list[MasterEvent] = []
+        while not self.done:
+            outcome = self._next(make, over)
+            if outcome is None:
+                break
+            self._answers.append(outcome.answer)
+            self._room -= weight(outcome.answer)
+            events += outcome.events
+            if over() or (events and isinstance(events[-1], _RIGHTS)):
+                break  # what follows from it must have followed before the next one is made
+        return tuple(events)
+
+    def begin_again(self) -> None:
+        """What the element that is being made has found so far does not count any more."""
+        self._work = None
+
+    def _next(self, make: Make, over: Over) -> Outcome | None:
+        """Make one element; None: there is more to do."""
+        try:
+            begun = self._begun(make) if self._work is None else self._work
+            made = begun if isinstance(begun, Outcome) else advance(begun, over)
+        except Fault as fault:
+            made = Outcome({"faultCode": fault.faultCode, "faultString": fault.faultString})
+        else:
+            if made is None:
+                self._work = None if isinstance(begun, Outcome) else begun
+                return None
+            made = Outcome([made.answer], made.events)
+        self._work = None
+        return made
+
+    def _begun(self, make: Make) -> Outcome | Work:
+        element = self._calls[len(self._answers)]
+        self._check_once(element)
+        return _made(element, make)
+
+    def _check_once(self, element: object) -> None:
+        method, at = _method_of(element), len(self._answers)
+        if method in MULTICALL_ONCE and self._once.setdefault(method, at) != at:
+            raise Fault(1, f"rossec: more than one {method} in a multicall")
+
+
+def _made(element: object, make: Make) -> Outcome | Work:
+    method = element.get("methodName") if isinstance(element, dict) else None
+    params = element.get("params") if isinstance(element, dict) else None
+    if not isinstance(method, str) or not isinstance(params, list):
+        raise Fault(1, "rossec: a multicall element needs methodName and params")
+    if method == MULTICALL:
+        raise Fault(1, "rossec: a multicall inside a multicall")
+    return make(method, params)
+
+
+def _method_of(element: object) -> str:
+    method = element.get("methodName") if isinstance(element, dict) else None
+    return method if isinstance(method, str) else ""
+
+
+def _is_query(element: object) -> bool:
+    rule = RULES.get(_method_of(element))
+    return rule is not None and rule.scope is Scope.FILTERED

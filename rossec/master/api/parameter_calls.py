@@ -1,0 +1,234 @@
+"""The Parameter Server's calls. Pure; texts are stock's.
+
+A right must cover what a call reaches: for a tree every parameter in it, before and after. So
+`setParam("/", ...)` or `getParam("/ns")` is no way around a missing right on one of them.
+"""
+
+import xmlrpc.client
+from collections import Counter
+from collections.abc import Callable, Generator, Iterator
+from typing import Final
+
+from grants.model import Right
+from rossec.master.api import arguments as arg
+from rossec.master.api.methods import (
+    Method,
+    Methods,
+    ParameterChanged,
+    ParameterKept,
+    Reply,
+    Request,
+    Steps,
+)
+from rossec.master.rights.access_rules import Caller, require_address, require_room
+from rossec.master.rights.parameter_trees import (
+    Place,
+    looked_in_turns,
+    may_all,
+    named,
+    require_tree,
+)
+from rossec.master.state import parameter_values
+from rossec.master.state import parameters as parameter_state
+from rossec.master.state.parameter_journal import Change
+from rossec.master.state.parameters import SIZE_LIMIT, ParameterMissing, Parameters, TooLarge
+from rossec.master.state.registry import Kind, NodeRef, Registry
+from rossec.ros.xmlrpc import BODY_LIMIT
+
+_TOO_LONG: Final = 2 * BODY_LIMIT  # in `values.weight`, which is about the length of an answer
+_LONGER: Final = f"rossec: an answer of more than {BODY_LIMIT} bytes: ask for less at a time"
+
+Fault = xmlrpc.client.Fault
+
+
+class ParameterCalls:
+    """Handlers over one parameter tree.
+
+    Args:
+        caller_of: what a subscriber may read when an update goes out; None: nothing any more.
+        limit: bytes of all parameters together.
+    """
+
+    def __init__(
+        self,
+        parameters: Parameters,
+        registry: Registry,
+        caller_of: Callable[[NodeRef, int], Caller | None],
+        limit: int = SIZE_LIMIT,
+    ) -> None:
+        self._parameters = parameters
+        self._limit = limit
+        self._registry = registry
+        self._caller_of = caller_of
+        self._grown: Counter[bytes] = Counter()  # by key, bytes that it added
+
+    def methods(self) -> Methods:
+        """The rows of the method table."""
+        key, api = arg.key("key"), arg.uri("caller_api", "http")
+        return {
+            "getParam": Method((key,), 0, self._get),
+            "hasParam": Method((key,), False, self._has),
+            "setParam": Method((key, arg.not_none("value")), 0, self._set),
+            "deleteParam": Method((key,), 0, self._delete),
+            "searchParam": Method((arg.search_key("key"),), 0, self._search),
+            "getParamNames": Method((), [], self._names),
+            "subscribeParam": Method((api, key), 0, self._subscribe),
+            "unsubscribeParam": Method((api, key), 0, self._unsubscribe),
+        }
+
+    def _get(self, request: Request) -> Reply:
+        key = request.text(1)
+        place = self._parameters.place(key)
+        require_tree(request.caller, Right.PARAM_GET, key, place)
+        if place[1] is None:  # which no parameter can be
+            return Reply(0, f"Parameter [{key}] is not set", -1)
+        return Reply(_carried(place[1]), f"Parameter [{key}]")
+
+    def _has(self, request: Request) -> Reply:
+        key = request.text(1)
+        require_tree(request.caller, Right.PARAM_GET, key, self._parameters.place(key))
+        return Reply(self._parameters.has(key), key)
+
+    def _set(self, request: Request) -> Reply:
+        key, value = request.text(1), request.arguments[2]
+        try:
+            parameter_state.check_names(key, value)
+            require_tree(request.caller, Right.PARAM_SET, key, *self._places(key, value))
+            self._set_within_share(request.caller, key, value)
+        except (TypeError, ValueError) as error:
+            return Reply(0, f"Error: invalid arguments: {error}", -1)
+        kept = ParameterKept(Change(key, value))
+        events = self._updates(key, value, request, setter=request.caller.name)
+        return Reply(0, f"parameter {key} set", events=(kept, *events))
+
+    def _places(self, key: str, value: object) -> list[Place]:
+        """What is there before and after `key` is set to `value`."""
+        before = self._parameters.reach(key)  # the last of them is `key` itself
+        has_tree = isinstance(value, dict) or isinstance(before[-1][1], dict)
+        return [*before, (key, value)] if has_tree else before
+
+    def _set_within_share(self, caller: Caller, key: str, value: object) -> None:
+        """Nobody fills the room that is for all: one key has half of it, so long as it lives.
+
+        What was set before the master was started is nobody's.
+        """
+        before, share = self._parameters.size, self._limit // 2
+        own = min(self._grown[caller.thumbprint], before)  # others may have deleted it
+        try:
+            self._parameters.set(key, value, min(self._limit, before + max(0, share - own)))
+        except TooLarge as error:
+            if error.size > self._limit:
+                raise TooLarge(error.size, self._limit) from error
+            raise ValueError(
+                f"the parameters that {caller.identity} has set would take more than {share} bytes"
+            ) from error
+        self._account(caller, before)
+
+    def _account(self, caller: Caller, before: int) -> None:
+        """Count what a caller added since the size was `before`; less than nothing is nothing."""
+        key = caller.thumbprint
+        self._grown[key] = min(self._grown[key], before) + self._parameters.size - before
+        if self._grown[key] <= 0:
+            del self._grown[key]
+
+    def _delete(self, request: Request) -> Reply:
+        key = request.text(1)
+        require_tree(request.caller, Right.PARAM_SET, key, self._parameters.place(key))
+        before = self._parameters.size
+        try:
+            self._parameters.delete(key)
+        except ParameterMissing:
+            return Reply(0, f"parameter [{key}] is not set", -1)
+        self._account(request.caller, before)
+        kept = ParameterKept(Change(key, deleted=True))
+        events = self._updates(key, {}, request, setter=None)
+        return Reply(0, f"parameter {key} deleted", events=(kept, *events))
+
+    def _search(self, request: Request) -> Steps:
+        key = request.text(1)
+        try:
+            places = parameter_state.places_to_search(request.caller.name, key)
+        except ValueError as error:
+            return Reply(0, f"Internal failure: {error}", 0)
+        for place, found in places:
+            if self._parameters.has(place) and (yield from self._is_shown(request.caller, place)):
+                return Reply(found, f"Found [{found}]")
+        return Reply("", f"Cannot find parameter [{key}] in an upwards search", -1)
+
+    def _is_shown(self, caller: Caller, key: str) -> Generator[None, None, bool]:
+        """Whether the caller may read anything there."""
+        looks = looked_in_turns(caller, Right.PARAM_GET, self._parameters.place(key))
+        at_once = caller.looks_at_once
+        for count, look in enumerate(looks, 1):
+            if look.covered:
+                return True
+            if not count % at_once:
+                yield
+        return False
+
+    def _names(self, request: Request) -> Steps:
+        shown, room, at_once = list[str](), _TOO_LONG, request.caller.looks_at_once
+        for count, name in enumerate(self._listed(request.caller), 1):
+            if name is not None:
+                shown.append(name)
+                room -= parameter_values.weight(name)
+            if room < 0:
+                raise Fault(1, _LONGER)
+            if not count % at_once:
+                yield
+        return Reply(shown, "Parameter names")
+
+    def _listed(self, caller: Caller) -> Iterator[str | None]:
+        """Every parameter the caller may read, and None where it was looked for one in vain."""
+        for look in looked_in_turns(caller, Right.PARAM_GET, self._parameters.place("/")):
+            if look.covered:
+                yield from named(look.place)
+            else:
+                yield None
+
+    def _subscribe(self, request: Request) -> Reply:
+        node, key = request.node(1), request.text(2)
+        require_tree(request.caller, Right.PARAM_GET, key, self._parameters.place(key))
+        require_address(self._registry, request.caller, node.uri, near=request.near)
+        subscription = parameter_state.subscription_key(key)
+        require_room(self._registry, Kind.PARAMETER, subscription, node)
+        value = _carried(self._parameters.get(key)) if self._parameters.has(key) else {}
+        events = self._registry.register_parameter(subscription, node)
+        return Reply(value, f"Subscribed to parameter [{key}]", events=tuple(events))
+
+    def _unsubscribe(self, request: Request) -> Reply:
+        node, key = request.node(1), request.text(2)
+        self._registry.unregister(Kind.PARAMETER, parameter_state.subscription_key(key), node)
+        return Reply(1, f"Unsubscribe to parameter [{key}]")
+
+    def _updates(
+        self, key: str, value: object, request: Request, setter: str | None
+    ) -> tuple[ParameterChanged, ...]:
+        subscriptions = self._registry.keys(Kind.PARAMETER)
+        heard: dict[tuple[bytes, str], bool] = {}  # a key that is many nodes is judged once
+
+        def may_hear(node: NodeRef, update: parameter_state.Update) -> bool:
+            about = node.thumbprint, update.key
+            if about not in heard:
+                heard[about] = self._may_hear(node, update.key, update.value, request.now)
+            return heard[about]
+
+        return tuple(
+            ParameterChanged(node, update.key, update.value)
+            for update in parameter_state.updates(subscriptions, key, value)
+            for node in self._registry.members(Kind.PARAMETER, update.subscription)
+            if (update.to_setter or node.name != setter) and may_hear(node, update)
+        )
+
+    def _may_hear(self, node: NodeRef, key: str, value: object, now: int) -> bool:
+        caller = self._caller_of(node, now)
+        if caller is None:
+            return False
+        return may_all(caller, Right.PARAM_GET, [(key.removesuffix("/") or key, value)])
+
+
+def _carried(value: object) -> object:
+    """The value, unless it is far too long to be sent: to write it out would take long as well."""
+    if isinstance(value, dict) and parameter_values.exceeds(value, _TOO_LONG):
+        raise Fault(1, _LONGER)
+    return value

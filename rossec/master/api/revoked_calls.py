@@ -1,0 +1,80 @@
+"""What the master still says to an identity that is revoked: the list, and nothing else. Pure.
+
+Both ends of a connection may be revoked at once, as below a revoked intermediate; nobody would then
+be left to cut it but the two themselves, and they learn of it here alone. They are told what is
+revoked, and never that nothing else is: without a confirmation a node ends all it has, also one
+that cannot find itself in a tree (`ca.revocation.tree`).
+"""
+
+from collections import Counter
+from collections.abc import Callable
+from typing import Final
+
+from rossec.errors import HangUp
+from rossec.master.api.statement_calls import PROOF_LIMIT
+from rossec.master.rights.interfaces import Statements
+
+MOMENT: Final = 5.0  # seconds that a connection of a revoked identity may last
+MOST: Final = 4  # such connections of one identity
+MOST_BELOW: Final = 32  # of all below one intermediate, whose holder makes as many as he likes
+CALLS: Final = 16  # on one connection; a node makes two or three
+_ANSWERED: Final = frozenset({"rossec.revocations", "rossec.revocationsSince"})
+_UNCONFIRMED: Final = b""
+
+
+class Hearers:
+    """How many connections each revoked key has."""
+
+    def __init__(self) -> None:
+        self._held: Counter[bytes] = Counter()
+
+    def admit(self, keys: tuple[bytes, ...]) -> bool:
+        """Count one more of the identity with these keys, its own first; False: no room."""
+        own, *above = keys
+        full = self._held[own] >= MOST or any(self._held[key] >= MOST_BELOW for key in above)
+        if not full:
+            self._held.update(keys)
+        return not full
+
+    def leave(self, keys: tuple[bytes, ...]) -> None:
+        """One that was admitted has ended."""
+        self._held -= Counter(keys)  # which keeps no zeros
+
+
+class RevokedCalls:
+    """Answers the calls of a revoked identity on one connection; few, for each brings a whole list.
+
+    Args:
+        now: seconds since the epoch.
+    """
+
+    def __init__(self, statements: Statements, now: Callable[[], int]) -> None:
+        self._statements = statements
+        self._now = now
+        self._left = CALLS
+
+    def answer(self, method: str, params: tuple[object, ...], _: object) -> list[object]:
+        """As `answer_revoked`, for a while."""
+        self._left -= 1
+        if self._left < 0:
+            raise HangUp("the identity is revoked, and has heard it")
+        return answer_revoked(self._statements, self._now(), method, params)
+
+
+def answer_revoked(
+    statements: Statements, now: int, method: str, params: tuple[object, ...]
+) -> list[object]:
+    """Answer a call of a revoked identity.
+
+    Raises:
+        HangUp: it is none of those by which a node hears that it is revoked.
+    """
+    match params:
+        case (str(), *_) if method in _ANSWERED:
+            # Whole, also if it is held: an empty list says that there is none.
+            return [1, "revocations", [statements.current(now)[0], _UNCONFIRMED]]
+        case (str(), list() as entries) if method == "rossec.revocationProofs":
+            known = [entry for entry in entries[:PROOF_LIMIT] if isinstance(entry, bytes)]
+            return [1, "proofs", statements.proofs(known)]
+        case _:
+            raise HangUp("the identity is revoked")

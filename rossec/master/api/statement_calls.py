@@ -1,0 +1,166 @@
+"""The calls about what the authority has said: grants, delegations, revocations. Pure.
+
+Lists and delegations carry the authority's signature, so any authenticated node may bring one.
+Answers to RFC 9770 queries show a node what concerns it, an administrator everything.
+"""
+
+from collections.abc import Sequence
+from typing import Final
+
+from ca.errors import HintedError
+from grants.model import Right
+from rossec.master.api import arguments as arg
+from rossec.master.api.methods import (
+    Administered,
+    GrantsPresented,
+    Method,
+    Methods,
+    Reply,
+    Request,
+    RevocationsChanged,
+    Steps,
+)
+from rossec.master.rights.access_rules import Refused
+from rossec.master.rights.interfaces import Statements
+from rossec.master.rights.trl import RevocationQueries
+from rossec.master.state.registry import Kind, Registry
+
+PRESENT_LIMIT: Final = 64
+RENEW_LIMIT: Final = 16
+PROOF_LIMIT: Final = 64
+
+
+class StatementCalls:
+    """Handlers over one `Statements`.
+
+    Args:
+        registry: to know what a caller has to do with.
+        master: the master's own certified name; ADMIN is a right on this name.
+        started: when this run of the master began, seconds since the epoch.
+    """
+
+    def __init__(
+        self, statements: Statements, registry: Registry, master: str, started: int
+    ) -> None:
+        self._statements = statements
+        self._registry = registry
+        self._master = master
+        self._queries = RevocationQueries(started)
+
+    def methods(self) -> Methods:
+        """The rows of the method table."""
+        grants = arg.binaries("grants", PRESENT_LIMIT)
+        renewed = arg.binaries("grants", RENEW_LIMIT)
+        return {
+            "rossec.presentGrants": Method((grants,), 0, self._present),
+            "rossec.renewGrants": Method((renewed,), [], self._renew),
+            "rossec.renewIdentity": Method((arg.binary("request"),), b"", self._renew_identity),
+            "rossec.updateDelegation": Method((arg.binary("delegation"),), 0, self._delegated),
+            "rossec.revocations": Method((), [], self._revocations),
+            "rossec.revocationsSince": Method((arg.binary("digest"),), [], self._since),
+            "rossec.updateRevocations": Method((arg.binary("list"),), 0, self._update),
+            "rossec.updateRevocationTree": Method(
+                (arg.binary("tree"), arg.binary("entries")), 0, self._update_tree
+            ),
+            "rossec.revocationProofs": Method(
+                (arg.binaries("entries", PROOF_LIMIT),), [], self._proofs
+            ),
+            "rossec.trl": Method((arg.binary("query"),), b"", self._query),
+        }
+
+    def _present(self, request: Request) -> Reply:
+        presented = self._statements.present(
+            request.caller, _binaries(request.arguments[1]), request.now
+        )
+        refused = "; ".join(presented.refused)
+        # No error even if all are refused: a node whose grants have expired keeps its session, in
+        # which it will present new ones.
+        status = f"grants presented, but refused: {refused}" if refused else "grants accepted"
+        event = GrantsPresented(request.caller.identity, presented.refused)
+        return Reply(presented.held, status, events=(event,))
+
+    def _renew(self, request: Request) -> Reply:
+        renewed = self._statements.renew(
+            request.caller, _binaries(request.arguments[1]), request.now
+        )
+        refused = "; ".join(renewed.refused)
+        status = f"grants renewed, but refused: {refused}" if refused else "grants renewed"
+        event = GrantsPresented(request.caller.identity, renewed.refused)
+        return Reply(list(renewed.tokens), status, events=(event,))
+
+    def _renew_identity(self, request: Request) -> Reply:
+        asked = request.binary(1)
+        try:
+            bundle = self._statements.renew_identity(request.caller, asked, request.now)
+        except HintedError as error:
+            raise _refusal(error) from error
+        return Reply(bundle, "identity renewed")
+
+    def _delegated(self, request: Request) -> Reply:
+        try:
+            newer = self._statements.delegated(request.binary(1))
+        except HintedError as error:
+            raise _refusal(error) from error
+        if not newer:
+            return Reply(0, "not newer than the delegation held")
+        brought = Administered(request.caller.identity, "brought a delegation to renew grants")
+        return Reply(1, "delegated", events=(brought,))
+
+    def _revocations(self, request: Request) -> Reply:
+        return Reply(list(self._statements.current(request.now)), "revocations")
+
+    def _since(self, request: Request) -> Reply:
+        """The list only if it is not the one the caller says it holds."""
+        self._statements.held_by(request.caller, request.binary(1))
+        return Reply(list(self._statements.news_for(request.caller, request.now)), "revocations")
+
+    def _update(self, request: Request) -> Reply:
+        try:
+            newer = self._statements.update(request.binary(1), request.now)
+        except HintedError as error:
+            raise _refusal(error) from error
+        return _taken(newer, request)
+
+    def _update_tree(self, request: Request) -> Reply:
+        tree, entries = request.binary(1), request.binary(2)
+        try:
+            newer = self._statements.update_tree(tree, entries, request.now)
+        except HintedError as error:
+            raise _refusal(error) from error
+        return _taken(newer, request)
+
+    def _proofs(self, request: Request) -> Reply:
+        return Reply(self._statements.proofs(_binaries(request.arguments[1])), "proofs")
+
+    def _query(self, request: Request) -> Steps:
+        caller = request.caller
+        if caller.may(Right.ADMIN, self._master):
+            entries = self._statements.revoked()
+        else:
+            names = self._names_of(caller.name)
+            entries = yield from self._statements.pertaining(caller, names)
+        requester = caller.thumbprint + caller.name.encode()
+        try:
+            return Reply(self._queries.answer(requester, entries, request.binary(1)), "revocations")
+        except HintedError as error:
+            raise _refusal(error) from error
+
+    def _names_of(self, node: str) -> list[str]:
+        """What a node is registered for; whoever subscribes to all parameters names none."""
+        keys = (key for kind in Kind for key in self._registry.keys_of(node, kind))
+        return [name for key in keys if (name := key.removesuffix("/"))]
+
+
+def _taken(newer: bool, request: Request) -> Reply:
+    if not newer:
+        return Reply(0, "not newer than the list in force")
+    changed = RevocationsChanged(request.caller.identity)
+    return Reply(1, "revocations updated", events=(changed,))
+
+
+def _refusal(error: HintedError) -> Refused:
+    return Refused(f"{error} ({error.hint})" if error.hint else str(error))
+
+
+def _binaries(value: object) -> Sequence[bytes]:
+    return [item for item in value if isinstance(item, bytes)] if isinstance(value, list) else []

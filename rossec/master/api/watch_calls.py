@@ -1,0 +1,116 @@
+"""The master's state for those who follow it: whole at first, then only what changed. Pure.
+
+The state is a set of facts, so a difference is two sets, and whatever happened between two looks
+of a watcher is told as one. What a watcher was told is remembered here; what it may not see is no
+fact for it. Nothing is queued: a slow watcher is told less often, one that is not known (any more)
+is told everything. An answer is bounded; `more` says that the rest follows at once.
+"""
+
+from collections import OrderedDict
+from collections.abc import Iterator
+from itertools import count
+from typing import Final, TypeAlias
+
+from rossec.master.api import arguments as arg
+from rossec.master.api.methods import Method, Methods, Reply, Request, Steps
+from rossec.master.rights.access_rules import Caller, Gatekeeper
+from rossec.master.state.registry import ANY_TYPE, Kind, Registry
+
+WATCH: Final = "rossec.watchGraph"
+BATCH: Final = 1024  # facts in one answer
+VIEWS: Final = 4  # watchers of one identity
+_START: Final = 0  # the cursor of a watcher that knows nothing
+
+Fact: TypeAlias = tuple[str, str, str]
+"""Kind, name and value: `("publisher", "/scan", "/laser")`, `("type", "/scan", "pkg/Type")`,
+`("provider", "/reset", "rosrpc://...")`, `("node", "/laser", "http://...")`."""
+
+View: TypeAlias = frozenset[Fact]
+
+
+def facts(registry: Registry, gatekeeper: Gatekeeper, caller: Caller) -> Iterator[Fact | None]:
+    """What `caller` may see of the graph: as `getSystemState` and its like show it.
+
+    None for each name and node that was looked at in vain.
+    """
+    for kind in (Kind.PUBLISHER, Kind.SUBSCRIBER, Kind.SERVICE):
+        for key, names in registry.entries(kind):
+            shown = gatekeeper.nodes_shown(caller, key, names)
+            yield from ((kind.value, key, name) for name in shown)
+            if shown and kind is Kind.SERVICE:
+                yield "provider", key, registry.service_uri(key) or ""
+            elif shown and registry.topic_type(key) != ANY_TYPE:
+                yield "type", key, registry.topic_type(key)
+            elif not shown:
+                yield None
+    for node in tuple(registry.nodes()):
+        yield ("node", node.name, node.uri) if gatekeeper.node_shown(caller, node.name) else None
+
+
+class WatchCalls:
+    """The call by which a node follows the graph.
+
+    Args:
+        instance: names this run of the master: a restarted one counts from zero again.
+    """
+
+    def __init__(self, registry: Registry, gatekeeper: Gatekeeper, instance: str) -> None:
+        self._registry = registry
+        self._gatekeeper = gatekeeper
+        self._instance = instance
+        self._cursors = count(_START + 1)
+        self._views: OrderedDict[bytes, OrderedDict[int, View]] = OrderedDict()
+
+    def methods(self) -> Methods:
+        """The row of the method table."""
+        checks = (arg.text("instance"), arg.number("cursor"))
+        return {WATCH: Method(checks, {}, self._watch)}
+
+    def keep_only(self, thumbprints: frozenset[bytes]) -> None:
+        """Forget the watchers of all other keys."""
+        for key in self._views.keys() - thumbprints:
+            del self._views[key]
+
+    def _watch(self, request: Request) -> Steps:
+        seen, at_once = set[Fact](), request.caller.looks_at_once
+        found = facts(self._registry, self._gatekeeper, request.caller)
+        for looks, fact in enumerate(found, 1):
+            if fact is not None:
+                seen.add(fact)
+            if not looks % at_once:
+                yield
+        return self._news(request, frozenset(seen))
+
+    def _news(self, request: Request, now: View) -> Reply:
+        instance, cursor = request.arguments[1:3]
+        views = self._views.setdefault(request.caller.thumbprint, OrderedDict())
+        cursor = cursor if isinstance(cursor, int) and instance == self._instance else _START
+        known = views.get(cursor)
+        old = frozenset() if known is None else known
+        added, removed = sorted(now - old), sorted(old - now)
+        told_added, told_removed = added[:BATCH], removed[:BATCH]
+        if known is None or added or removed:
+            views.pop(cursor, None)
+            cursor = next(self._cursors)
+            views[cursor] = (old | frozenset(told_added)) - frozenset(told_removed)
+            if len(views) > VIEWS:
+                views.popitem(last=False)
+        answer: dict[str, object] = {
+            "instance": self._instance,
+            "version": self._registry.version % (1 << 31),  # XML-RPC's integers end there
+            "cursor": cursor,
+            "whole": known is None,
+            "more": len(added) > BATCH or len(removed) > BATCH,
+            "added": [list(fact) for fact in told_added],
+            "removed": [list(fact) for fact in told_removed],
+        }
+        return Reply(answer, "state of the graph")
+
+
+def no_news(answer: object) -> bool:
+    """Whether an answer to the call says that nothing changed."""
+    match answer:
+        case [1, _, {"whole": False, "added": [], "removed": []}]:
+            return True
+        case _:
+            return False

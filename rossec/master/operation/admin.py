@@ -1,0 +1,121 @@
+"""The local port of an administrator: a unix socket, off unless asked for.
+
+A shell. The socket lies in the master's own directory (0600), and the kernel says who is at the
+other end: only the user who runs the master, and root, are heard. One line of JSON asks, one line
+answers, then the connection ends. What can be asked changes no right.
+"""
+
+import asyncio
+import json
+import logging
+import os
+import socket
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, Final
+
+from rossec.errors import ConfigurationError, PeerUserRefused
+from rossec.master.operation.denial_limit import DENIALS
+from rossec.net.host.peeruid import require_user
+
+DEADLINE: Final = 5.0
+_LINE: Final = 1024
+_PATH: Final = 107  # bytes, unix(7)
+_audit = logging.getLogger("rossec.audit")
+_denials = logging.getLogger(DENIALS)
+
+Commands = Mapping[str, Callable[[], Mapping[str, Any]]]
+
+
+class AdminPort:
+    """Listens at `path`; `commands` are what can be asked."""
+
+    def __init__(self, path: Path, commands: Commands) -> None:
+        self._path = path
+        self._commands = commands
+        self._server: asyncio.Server | None = None
+
+    async def start(self) -> None:
+        """Listen; a socket that a killed master left behind is replaced.
+
+        Raises:
+            ConfigurationError: another master listens there, or the path is too long.
+        """
+        if len(os.fsencode(self._path)) > _PATH:
+            raise ConfigurationError(
+                f"{self._path} is too long a name for a socket, which has at most {_PATH} bytes",
+                "choose a shorter ROSSEC_HOME, or do without --admin",
+            )
+        if self._path.exists():
+            with socket.socket(socket.AF_UNIX) as probe:
+                if probe.connect_ex(str(self._path)) == 0:
+                    raise ConfigurationError(f"another master listens at {self._path}")
+            self._path.unlink()
+        before = os.umask(0o177)
+        try:
+            self._server = await asyncio.start_unix_server(self._handle, self._path, limit=_LINE)
+        finally:
+            os.umask(before)
+
+    async def close(self) -> None:
+        """Stop listening."""
+        if self._server is not None:
+            self._server.close()
+            self._path.unlink(missing_ok=True)
+
+    async def _handle(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        try:
+            with suppress(
+                TimeoutError, OSError, ValueError, RecursionError, asyncio.IncompleteReadError
+            ):
+                async with asyncio.timeout(DEADLINE):
+                    await self._answer(reader, writer)
+        finally:
+            writer.close()
+
+    async def _answer(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        sock = writer.get_extra_info("socket")
+        try:
+            user = require_user(_plain(sock), {os.geteuid(), 0})
+        except (PeerUserRefused, OSError) as error:
+            _denials.warning("refused at the administrator's port: %s", error)
+            return
+        command = json.loads(await reader.readuntil(b"\n"))
+        action = self._commands.get(command) if isinstance(command, str) else None
+        if action is None:
+            answer: Mapping[str, Any] = {"error": "there is no such command"}
+        else:
+            _audit.info("user %d asks for %s", user, command)
+            answer = action()
+        writer.write(json.dumps(answer).encode() + b"\n")
+        await writer.drain()
+
+
+def _plain(sock: Any) -> socket.socket:
+    """asyncio hands out a stand-in; the real socket's methods are behind it."""
+    found = getattr(sock, "_sock", sock)
+    if not isinstance(found, socket.socket):
+        raise PeerUserRefused("a connection that is no socket")
+    return found
+
+
+def ask(path: Path, command: str) -> dict[str, Any]:
+    """Ask the master that listens at `path`.
+
+    Raises:
+        ConfigurationError: nobody listens there, or the answer is an error.
+    """
+    hint = "is it running, with --admin or `admin: true` in its configuration?"
+    try:
+        with socket.socket(socket.AF_UNIX) as sock:
+            sock.settimeout(DEADLINE)
+            sock.connect(str(path))
+            sock.sendall(json.dumps(command).encode() + b"\n")
+            with sock.makefile("rb") as file:
+                answer = json.loads(file.readline(1 << 20) or b"null")
+    except (OSError, ValueError) as error:
+        raise ConfigurationError(f"the master does not answer at {path}: {error}", hint) from error
+    if not isinstance(answer, dict) or "error" in answer:
+        raise ConfigurationError("the master refused", hint)
+    return answer

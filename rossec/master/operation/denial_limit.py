@@ -1,0 +1,89 @@
+"""How many lines of the log nodes can cause. Pure but for the clock it is given.
+
+Whoever is denied a thousand times a second must fill neither the disk nor the audit, and must not
+drown what others do: lines are counted for each node, and for all. Some nodes together could use up
+what all have, so each also has a little that is its own. What an administrator does is never left
+out; so what nodes cause at will has a logger of its own, below that of the audit. How many lines of
+a node were left out stands in the next one of it that is not.
+"""
+
+import logging
+import time
+from collections import OrderedDict
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+from rossec.master.operation.audit import LEFT_OUT
+
+DENIALS: Final = "rossec.audit.denials"
+MOST_NODES: Final = 4096
+
+
+@dataclass
+class Bucket:
+    """Room for `burst` lines, filled again at `rate` a second."""
+
+    burst: float
+    rate: float
+    room: float
+    at: float
+
+    @classmethod
+    def full(cls, burst: float, rate: float, now: float) -> "Bucket":
+        """One that nothing was taken from."""
+        return cls(burst, rate, burst, now)
+
+    def fill(self, now: float) -> bool:
+        """Whether there is room for a line now."""
+        self.room = min(self.burst, self.room + max(0.0, now - self.at) * self.rate)
+        self.at = now
+        return self.room >= 1
+
+
+@dataclass
+class Share:
+    """What one node may cause, what of it does not depend on others, and what it did in vain."""
+
+    most: Bucket
+    own: Bucket
+    left_out: int = 0
+
+
+class Throttle(logging.Filter):
+    """Lets a line through while its node, the first argument of the line, and all have room."""
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        super().__init__()
+        self._clock = clock
+        self._all = Bucket.full(1000, 50, clock())
+        self._nodes: OrderedDict[str, Share] = OrderedDict()
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        """Whether the line is written; it says then how many before it were not."""
+        now = self._clock()
+        share = self._of(_node_of(record), now)
+        common = self._all if self._all.fill(now) else share.own
+        if not (share.most.fill(now) and common.fill(now)):
+            share.left_out += 1
+            return False
+        share.most.room -= 1
+        common.room -= 1
+        if share.left_out:
+            setattr(record, LEFT_OUT, share.left_out)
+            share.left_out = 0
+        return True
+
+    def _of(self, node: str, now: float) -> Share:
+        share = self._nodes.get(node)
+        if share is None:
+            most, own = Bucket.full(200, 10, now), Bucket.full(10, 0.1, now)
+            share = self._nodes[node] = Share(most, own)
+            if len(self._nodes) > MOST_NODES:
+                self._nodes.popitem(last=False)
+        self._nodes.move_to_end(node)
+        return share
+
+
+def _node_of(record: logging.LogRecord) -> str:
+    return str(record.args[0]) if isinstance(record.args, tuple) and record.args else ""

@@ -1,0 +1,33 @@
+"""How much one peer may cost the master. Every limit counts before what it bounds is kept."""
+
+from dataclasses import dataclass
+
+from rossec.master.state.parameters import SIZE_LIMIT
+from rossec.master.state.registry import NODES_LIMIT
+from rossec.ros.xmlrpc import BODY_LIMIT
+
+
+@dataclass(frozen=True)
+class Limits:
+    """The defaults fit a site of a thousand nodes.
+
+    Args:
+        body: bytes of one call, and of one answer.
+        parameters: bytes of all parameters together.
+        connections_per_identity: open at a time.
+        nodes_per_identity: registered at a time; only a wildcard identity can be several.
+        handshake_seconds: from the first byte of a connection to an authenticated peer.
+        request_seconds: from the first byte of a call to its last.
+        idle_seconds: between two calls on one connection; nodes call every ten seconds.
+        unfinished_per_address, unfinished: handshakes at a time.
+    """
+
+    body: int = BODY_LIMIT
+    parameters: int = SIZE_LIMIT
+    connections_per_identity: int = 16
+    nodes_per_identity: int = NODES_LIMIT
+    handshake_seconds: int = 5
+    request_seconds: int = 10
+    idle_seconds: int = 120
+    unfinished_per_address: int = 128
+    unfinished: int = 512

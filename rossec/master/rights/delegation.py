@@ -1,0 +1,105 @@
+"""Renewing grants for the authority, within what it delegated. Pure.
+
+The authority's delegation names the master's key, the trust domain, and how long a ticket may hold.
+A ticket is signed for a grant that its holder hands in, whether or not it has expired by now, as
+long as neither its cap is reached nor anything revoked. What is signed is first judged as every
+node will judge it.
+"""
+
+from collections.abc import Callable
+from typing import Final
+
+from ca.certificates import TrustAnchor
+from ca.keys.publickey import thumbprint
+from ca.keys.signer import Signer
+from ca.revocation.state import SKEW
+from grants import renewal
+from grants.decision import Check
+from grants.document import verify
+from grants.errors import GrantNotHeld, RenewalForOther, RenewalNotInTime, RenewalTooWide
+from grants.model import Grant
+from grants.renewal import OpenDelegation, Ticket, open_delegation, sign_ticket
+from grants.token import pack, unpack
+from grants.validity import moment
+
+_HINT: Final = "at the authority: rossec master delegate"
+
+
+def forget(_: bytes) -> None:
+    """Persist nothing."""
+
+
+class Delegate:
+    """Signs tickets as long as the authority lets it.
+
+    Args:
+        anchor: the authority.
+        signer: the master's own key.
+        persist: makes a delegation durable; called before it takes effect.
+    """
+
+    def __init__(
+        self, anchor: TrustAnchor, signer: Signer, persist: Callable[[bytes], None] = forget
+    ) -> None:
+        self._anchor = anchor
+        self._signer = signer
+        self._own = thumbprint(signer.public_key)
+        self._persist = persist
+        self._data = b""
+        self._held: OpenDelegation | None = None
+
+    def take(self, data: bytes) -> bool:
+        """Take a delegation; returns whether it is newer than the one held.
+
+        Raises:
+            RenewalForged, RenewalMalformed: not a delegation of the authority.
+            RenewalForOther: for another key or trust domain.
+        """
+        new = open_delegation(data, self._anchor.public_key)
+        if new.holder != self._own or new.domain != self._anchor.domain:
+            raise RenewalForOther(
+                "the delegation is for another key or trust domain than this master's", _HINT
+            )
+        if self._held is not None and new.not_before <= self._held.not_before:
+            return False
+        self._persist(data)
+        self._held, self._data = new, data
+        return True
+
+    @property
+    def id(self) -> bytes | None:
+        """The id of the delegation held, by which it can be revoked."""
+        return None if self._held is None else self._held.id
+
+    def renew(
+        self, token: bytes, holder: bytes, now: int, *, seq: int, check: Check
+    ) -> tuple[Grant, bytes]:
+        """The renewed grant in `token` and its new token.
+
+        Raises:
+            GrantError: the leaf that says why not.
+        """
+        if self._held is None:
+            raise RenewalNotInTime("the authority has not let this master renew grants", _HINT)
+        data = unpack(token).grant
+        grant = verify(data, self._anchor.public_key, domain=self._anchor.domain)
+        if grant.holder != holder:
+            raise GrantNotHeld("a grant bound to another key", f"it was given to {grant.subject}")
+        ticket = sign_ticket(self._signer, self._ticket(grant, self._held, now, seq))
+        key = self._signer.public_key
+        renewed = renewal.renew(grant, ticket, self._held, key, now=now, seq=seq, check=check)
+        return renewed, pack(data, ticket, self._data)
+
+    def _ticket(self, grant: Grant, held: OpenDelegation, now: int, seq: int) -> Ticket:
+        """From a moment ago: clocks that lag by no more than `SKEW` take it at once."""
+        if now >= grant.cap:
+            raise RenewalTooWide(
+                f"grant {grant.short_id} has reached its cap, {moment(grant.cap)}",
+                "ask the authority for a new grant",
+            )
+        if now >= held.expires:
+            raise RenewalNotInTime(f"the delegation expired at {moment(held.expires)}", _HINT)
+        ends = min(now - SKEW + held.max_ttl, grant.cap, held.expires)
+        if ends <= grant.expires:
+            raise RenewalTooWide(f"grant {grant.short_id} outlives any ticket: ask again later")
+        return Ticket(grant.id, now - SKEW, ends, seq)

@@ -1,0 +1,83 @@
+"""Calling a node: whoever answers at a slave API must be the node that registered it. A shell.
+
+The one place from which the master connects to nodes. Nothing is said to somebody else, and who
+registered the address of another is reported. When to call and what to say is not known here.
+"""
+
+import asyncio
+import contextlib
+from collections.abc import Callable
+from typing import Final
+
+from rossec.channel.edhoc.credentials import OwnCredential, Verify
+from rossec.channel.edhoc.known import KnownCertificates
+from rossec.channel.records import Limits
+from rossec.errors import CallerMismatch, RossecError
+from rossec.master.rights.interfaces import ChannelPeer
+from rossec.master.server.updates import CALL_DEADLINE
+from rossec.master.state.registry import NodeRef
+from rossec.net.aio import Flavour, connect
+from rossec.net.rpc.client import RpcClient
+from rossec.ros.settings import parse_uri
+
+
+class Dialler:
+    """Connects as the master; `doubted` are those who are being asked whether they are there.
+
+    Args:
+        credentials, verify: the master's own identity, and who may answer.
+        on_other: called with the node called and the peer that answered in its place.
+        limits, suites, known: as for connections that come in.
+    """
+
+    def __init__(
+        self,
+        credentials: OwnCredential,
+        verify: Verify[ChannelPeer],
+        on_other: Callable[[NodeRef, ChannelPeer], None],
+        *,
+        limits: Limits,
+        suites: tuple[int, ...],
+        known: KnownCertificates,
+    ) -> None:
+        self._credentials = credentials
+        self._verify = verify
+        self._on_other = on_other
+        self._limits = limits
+        self._suites = suites
+        self._known = known
+        self.doubted: Final[set[NodeRef]] = set()
+
+    async def dial(self, node: NodeRef) -> RpcClient:
+        """Connect to a slave API; whoever answers must be the node that registered.
+
+        Raises:
+            CallerMismatch: it is another.
+            RossecError, OSError: nobody can be reached there.
+        """
+        host, port = parse_uri(node.uri, "the slave API")
+        stream = await connect(
+            host,
+            port,
+            self._credentials,
+            self._verify,
+            opening=Flavour.HTTP,
+            limits=self._limits,
+            suites=self._suites,
+            known=self._known,
+        )
+        if not stream.peer.covers(node.name) or stream.peer.thumbprint != node.thumbprint:
+            stream.abort("not the node that was registered")
+            self._on_other(node, stream.peer)
+            raise CallerMismatch(f"{stream.peer.name} answers at the slave API of {node.name}")
+        return RpcClient(stream)
+
+    async def doubt(self, node: NodeRef) -> None:
+        """Call `node` to say nothing: if somebody else answers there, that is reported."""
+        self.doubted.add(node)
+        try:
+            with contextlib.suppress(RossecError, OSError, TimeoutError):
+                async with asyncio.timeout(CALL_DEADLINE):
+                    await (await self.dial(node)).close()
+        finally:
+            self.doubted.discard(node)

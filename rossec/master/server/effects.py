@@ -1,0 +1,139 @@
+"""What follows from a call: nodes told, changes kept, refusals written down. A shell.
+
+The cores return events; here is what each of them means, in one table (`deliver`). Nothing is
+judged here and nothing waits: what nodes must hear is left to `Updates`, who waits for news is
+woken by `News`. What follows from a revocation is more than one step:
+`rossec.master.server.maintenance`.
+"""
+
+import asyncio
+import logging
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Final
+
+from rossec.master.api.methods import (
+    Administered,
+    CallRefused,
+    Denied,
+    GrantsPresented,
+    MasterEvent,
+    ParameterChanged,
+    ParameterKept,
+    RevocationsChanged,
+    StopMaster,
+)
+from rossec.master.api.turns import Outcome
+from rossec.master.operation.denial_limit import DENIALS
+from rossec.master.operation.denial_log import Complain
+from rossec.master.rights.access_rules import Peer
+from rossec.master.rights.interfaces import ChannelPeer, Standing
+from rossec.master.server.graph_news import News
+from rossec.master.server.parameter_file import ParameterFile
+from rossec.master.server.updates import Updates
+from rossec.master.state.registry import NodeRef, PublishersChanged, Registry, ShutdownNode
+from rossec.net.aio import SecureStream
+from rossec.ros.text import printable
+
+_audit = logging.getLogger("rossec.audit")
+_denials = logging.getLogger(DENIALS)
+
+
+@dataclass(frozen=True)
+class State:
+    """What one master holds; its loop owns all of it.
+
+    Args:
+        name: the master's certified name.
+        now: seconds since the epoch.
+        memory: where parameters survive a restart.
+        streams: the connections that came in.
+    """
+
+    name: str
+    now: Callable[[], int]
+    registry: Registry
+    standing: Standing
+    updates: Updates
+    memory: ParameterFile | None
+    news: News = field(default_factory=News)
+    streams: set[SecureStream[ChannelPeer]] = field(default_factory=set)
+
+
+class Consequences:
+    """Makes events happen; `calls` and `denials` count them, `stopping` is set at a `StopMaster`.
+
+    Args:
+        complain: hears of every right that somebody lacked.
+        on_revocations: called when there is a newer revocation list.
+    """
+
+    def __init__(
+        self, state: State, complain: Complain, on_revocations: Callable[[], None]
+    ) -> None:
+        self._state = state
+        self._complain = complain
+        self._on_revocations = on_revocations
+        self.stopping: Final = asyncio.Event()
+        self.calls = self.denials = 0
+
+    def follow(self, outcome: Outcome) -> object:
+        """Do what follows from a call; returns the answer."""
+        self.calls += 1
+        for event in outcome.events:
+            self.deliver(event)
+        self._state.news.tell(self._state.registry.version)
+        return outcome.answer
+
+    def evict(self, node: NodeRef, found: Peer) -> None:
+        """Forget a node that registered an address at which another one lives.
+
+        Otherwise whoever is first to register the address of another keeps it out.
+        """
+        self._state.updates.drop(node)
+        if self._state.registry.is_current(node):
+            _denials.warning("%s is removed: %s answers at %s", node.name, found.name, node.uri)
+            for event in self._state.registry.remove_node(node.name):
+                self.deliver(event)
+            self._state.news.tell(self._state.registry.version)
+
+    def deliver(self, event: MasterEvent) -> None:
+        """Do what `event` means."""
+        match event:
+            case PublishersChanged(topic, subscribers, uris):
+                for node in subscribers:
+                    self._tell(node, "publisherUpdate", topic, list(uris))
+            case ParameterChanged(node, key, value):
+                self._tell(node, "paramUpdate", key, value)
+            case ShutdownNode(node, reason):
+                self._tell(node, "shutdown", f"[{node.name}] Reason: {reason}")
+            case RevocationsChanged(by):
+                _audit.info("%s brought revocation list %d", by, self._state.standing.number)
+                self._on_revocations()
+            case Administered(by, what):
+                _audit.info("%s %s", by, printable(what))
+            case ParameterKept() | Denied() | GrantsPresented() | CallRefused():
+                self._record(event)
+            case StopMaster(reason):
+                _audit.warning("stopping: %s", printable(reason))
+                self.stopping.set()
+
+    def _record(self, event: ParameterKept | Denied | GrantsPresented | CallRefused) -> None:
+        match event:
+            case ParameterKept(change):
+                if self._state.memory is not None:
+                    self._state.memory.write(change)
+            case CallRefused(node, method, status):
+                self.denials += 1
+                _denials.warning("%s may not %s: %s", node, method, printable(status))
+            case Denied(node, right, name):
+                self._complain(self._state.now(), node, right, name)
+            case GrantsPresented(name, refused):
+                self._state.news.tell()  # it may see other things now
+                if refused:
+                    text = printable("; ".join(refused))
+                    _denials.warning("%s presents grants that are refused: %s", name, text)
+
+    def _tell(self, node: NodeRef, method: str, subject: object, *rest: object) -> None:
+        about = subject if isinstance(subject, str) and rest else ""
+        self._state.updates.post(node, (method, about), self._state.name, subject, *rest)

@@ -1,0 +1,144 @@
+"""What must hold although nobody calls: rights enforced, lists confirmed. A shell.
+
+It is looked after at every beat, and at once when a revocation list comes in: what follows from a
+list is done before the call that brought it is answered, but for what would take too long. A fault
+of one round does not end the rounds.
+"""
+
+import asyncio
+import contextlib
+import logging
+from collections.abc import Callable, Iterator, Sequence
+from itertools import islice
+from typing import Final
+
+from ca.errors import HintedError
+from rossec.clock import Setbacks
+from rossec.master.api.dispatch import MasterApi
+from rossec.master.api.methods import MasterEvent
+from rossec.master.rights.enforce import enforce, steps
+from rossec.master.server.effects import State
+from rossec.net.aio.tasks import TaskSet
+from rossec.ros.text import printable
+
+_WENT_BACK: Final = (
+    "the host's clock went back: the master goes on by the seconds that have passed"
+    " (set the clock right; if it is right now, restart the master)"
+)
+AT_ONCE: Final = 1024  # steps of judging before the next call is answered; more follow after it
+
+_log = logging.getLogger("rossec.master.upkeep")
+_audit = logging.getLogger("rossec.audit")
+
+
+class Upkeep:
+    """Looks after the rights in `state`, from `begin` to `close`.
+
+    Args:
+        deliver: makes events happen (`Consequences.deliver`).
+        every: seconds between two beats.
+        looks: called with the time at every beat.
+    """
+
+    def __init__(
+        self,
+        state: State,
+        deliver: Callable[[MasterEvent], None],
+        every: float,
+        looks: Sequence[Callable[[int], None]],
+    ) -> None:
+        self._state = state
+        self._deliver = deliver
+        self._every = every
+        self._looks = looks
+        self._api: MasterApi | None = None
+        self._setbacks = Setbacks()
+        self._tasks = TaskSet()
+        self._changed = asyncio.Event()  # revocations: what follows must not wait for the beat
+
+    def begin(self, api: MasterApi) -> None:
+        """Look after what `api` answers for."""
+        self._api = api
+        self._tasks.spawn(self._beat(), name="rossec master timestamps")
+
+    async def close(self) -> None:
+        """End the beat."""
+        await self._tasks.close()
+
+    def revocations_changed(self) -> None:
+        """A list came in: do now what can be done at once, and the rest soon."""
+        for _ in islice(self._enforcing(), AT_ONCE):
+            pass
+        self._cut_revoked()  # also what it was about to be told
+        self._push_revocations()
+        self._changed.set()
+
+    async def _beat(self) -> None:
+        while True:
+            self._changed.clear()
+            try:
+                await self._look_around()
+            except Exception:  # noqa: BLE001 - one fault must not end freshness and enforcement
+                _log.exception("looking after rights failed; it is done again")
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(self._every):
+                    await self._changed.wait()
+
+    async def _look_around(self) -> None:
+        if self._setbacks.any_new():
+            _audit.warning(_WENT_BACK)
+        self._cut_revoked()
+        await self._enforce()
+        self._push_revocations()
+        self._forget_the_gone()
+        for look in self._looks:
+            look(self._state.now())
+        if self._state.memory is not None:
+            self._state.memory.sync()
+
+    async def _enforce(self) -> None:
+        """Drop what is no longer allowed, tell those concerned; others are answered meanwhile."""
+        for _ in self._enforcing():
+            self._state.news.tell(self._state.registry.version)
+            await asyncio.sleep(0)
+        self._state.news.tell()  # what lapsed without a registration may still have been seen
+
+    def _enforcing(self) -> Iterator[None]:
+        """Judge all registrations, some at each step."""
+        if self._api is not None:
+            for step in steps(self._state.registry):
+                state = self._state
+                for event in enforce(state.registry, state.standing, step, state.now()):
+                    self._deliver(event)
+                yield
+
+    def _cut_revoked(self) -> None:
+        """Cut the connections of revoked identities, and tell them nothing more."""
+        now = self._state.now()
+        for stream in tuple(self._state.streams):
+            try:
+                self._state.standing.caller(stream.peer, now)
+            except HintedError as error:
+                _audit.warning("%s is cut off: %s", stream.peer.name, printable(error))
+                self._state.streams.discard(stream)  # its handler ends in a later turn of the loop
+                stream.abort(str(error))
+        for node in self._state.updates.nodes:
+            if self._state.standing.caller_of(node, now) is None:
+                self._state.updates.drop(node)
+
+    def _forget_the_gone(self) -> None:
+        nodes = frozenset(self._state.registry.nodes())
+        self._state.updates.prune(nodes)
+        registered = {node.thumbprint for node in nodes}
+        connected = {stream.peer.thumbprint for stream in self._state.streams}
+        self._state.standing.keep_only(frozenset(registered | connected), self._state.now())
+        if self._api is not None:
+            self._api.watching.keep_only(frozenset(connected))
+
+    def _push_revocations(self) -> None:
+        """Confirm the list to every node, and send it to those that do not hold it."""
+        now, key = self._state.now(), ("rossec.revocationUpdate", "")
+        for node in self._state.registry.nodes():
+            revocations, timestamp = self._state.standing.news_for(node, now)
+            if timestamp and self._state.standing.caller_of(node, now) is not None:
+                self._state.updates.post(node, key, self._state.name, revocations, timestamp)

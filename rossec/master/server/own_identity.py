@@ -1,0 +1,92 @@
+"""The master's own identity while it runs: renewed where this host can, taken up when replaced.
+
+A shell. A master runs for months, its certificate holds for one. So at every beat it looks whether
+another one lies in its home (`rossec node install`); it renews itself when there is an intermediate
+(`--renew-identities`); and it says so while nobody has renewed it and there is still time. The key
+stays: its signatures are what nodes know their master by.
+"""
+
+import logging
+from collections.abc import Callable
+from typing import Final
+
+from ca.certificates import Identity, build_request
+from ca.errors import HintedError
+from ca.renewal import ask_again_in, renew_at, sign_renewal
+from grants.validity import moment
+from rossec.channel.edhoc.credentials import LiveCredentials
+from rossec.errors import ConfigurationError
+from rossec.home import NodeHome
+from rossec.ros.text import printable
+
+_HOUR: Final = 3600
+_RETRY: Final = 600
+_log = logging.getLogger("rossec.master.own")
+
+Renew = Callable[[bytes, int], bytes]
+"""Answers a renewal request with the new bundle."""
+
+
+class OwnIdentity:
+    """What the master shows, and looks after with `look`.
+
+    Raises:
+        CertificateRefused: the identity in `home` has expired, or is not in order.
+        ConfigurationError: there is none, or it is another node's.
+    """
+
+    def __init__(self, home: NodeHome, now: int) -> None:
+        self._home = home
+        self._identity = home.identity(now)
+        self._seen = self._stamp()
+        self._again = 0
+        self.renew: Renew | None = None
+        self.credentials = LiveCredentials(home.credentials())
+
+    def look(self, now: int) -> None:
+        """Take up what lies in the home, and renew what is due; whatever fails is tried again."""
+        self._attempt(self._take_up, now)
+        held = self._identity
+        if now >= max(self._again, renew_at(held.not_before, held.not_after)):
+            longest = _HOUR if self.renew is None else _RETRY
+            self._again = now + ask_again_in(held.not_before, held.not_after, longest)
+            self._attempt(self._renew, now)
+
+    def _attempt(self, action: Callable[[int], None], now: int) -> None:
+        try:
+            action(now)
+        except (HintedError, OSError) as error:
+            hint = f" ({error.hint})" if isinstance(error, HintedError) and error.hint else ""
+            _log.warning("the master's own identity: %s%s", printable(error), hint)
+
+    def _take_up(self, now: int) -> None:
+        stamp = self._stamp()
+        if stamp == self._seen:
+            return
+        self._seen = stamp
+        found = self._home.identity(now)
+        if found.thumbprint != self._identity.thumbprint:
+            raise ConfigurationError("it is for another key now", "restart the master")
+        self._hold(found)
+
+    def _hold(self, identity: Identity) -> None:
+        self.credentials.current = self._home.credentials()
+        self._identity, self._again = identity, 0
+        _log.info("the master's own identity holds until %s", moment(identity.not_after))
+
+    def _renew(self, now: int) -> None:
+        own, held = self.credentials.current, self._identity
+        if self.renew is None:
+            verb = "ends" if now < held.not_after else "ended"
+            raise ConfigurationError(
+                f"it {verb} {moment(held.not_after)}, and then no node may connect",
+                f"rossec ca renew {held.name}, then rossec node install FILE here; no restart",
+            )
+        csr = build_request(own.signer, held.domain, held.name)
+        bundle = self.renew(sign_renewal(own.signer, own.chain, csr, now), now)
+        self._hold(self._home.install(bundle, now))
+        self._seen = self._stamp()
+
+    def _stamp(self) -> tuple[int, int, int]:
+        found = (self._home.path / "node.pem").stat()
+        return found.st_ino, found.st_mtime_ns, found.st_size

@@ -1,0 +1,269 @@
+"""The running master: secure connections in, calls dispatched, answers out. A shell.
+
+Judgement is elsewhere: the gatekeeper says who may do what, `Standing` which grants hold, the
+registry what follows. One loop owns all state, and a call is answered without waiting for anybody,
+so there is nothing to lock. What events mean is in `consequences`, what holds although nobody calls
+in `upkeep`, connections to nodes in `dialling`.
+"""
+
+import asyncio
+import contextlib
+import logging
+import os
+import secrets
+import time
+from collections.abc import Callable
+from functools import partial
+from typing import Final
+
+from ca.errors import HintedError
+from rossec.channel.edhoc.credentials import OwnCredential, Verify
+from rossec.channel.edhoc.known import KnownCertificates
+from rossec.channel.edhoc.suites import PRODUCTION
+from rossec.channel.records import Limits as ChannelLimits
+from rossec.clock import time as host_time
+from rossec.master.api.dispatch import MasterApi
+from rossec.master.api.methods import RevocationsChanged, StopMaster
+from rossec.master.api.revoked_calls import MOMENT, Hearers, RevokedCalls
+from rossec.master.api.turns import Turns
+from rossec.master.operation.denial_limit import DENIALS
+from rossec.master.operation.denial_log import Complain, unheard
+from rossec.master.operation.limits import Limits
+from rossec.master.rights.interfaces import ChannelPeer, Standing
+from rossec.master.server.answers import Answering
+from rossec.master.server.dialer import Dialler
+from rossec.master.server.effects import Consequences, State
+from rossec.master.server.local_authority import WHOSE, Find, Nearby, nothing
+from rossec.master.server.maintenance import Upkeep
+from rossec.master.server.parameter_file import ParameterFile
+from rossec.master.server.updates import LEAVING, Updates
+from rossec.master.state.parameters import Parameters
+from rossec.master.state.registry import Kind, NodeRef, Registry
+from rossec.net.aio import Flavour, SecureServer, SecureStream, serve
+from rossec.net.halfopen import HalfOpen
+from rossec.net.rpc.client import serve_calls
+from rossec.ros.http import HEADERS_LIMIT
+from rossec.ros.settings import is_loopback
+from rossec.ros.text import printable
+
+DEFAULT_NAME: Final = "/master"
+TIMESTAMP_EVERY: Final = 10.0  # seconds; a timestamp holds for 30
+_LIMITS: Final = Limits()
+PEER_CONNECTIONS: Final = _LIMITS.connections_per_identity
+
+_denials = logging.getLogger(DENIALS)
+
+
+class MasterServer:
+    """`async with`-less on purpose: `start`, then `closed` or `close`.
+
+    Args:
+        credentials, verify: the master's own identity, and who may connect.
+        standing: grants and revocations.
+        name: the master's certified name.
+        host: address to listen on (None: all). port: 0 for any free one.
+        advertise: host name in `uri`; what nodes are told.
+        clock: seconds since the epoch.
+        memory: where parameters survive a restart.
+        limits: what one peer may cost.
+        suites: the post-quantum policy (`rossec.channel.suite_selection`).
+        look_after_self: called with the time at every beat (`rossec.master.server.own_identity`).
+        turns: how long one call may keep others waiting.
+        news: what an authority on this host has signed (`rossec.master.server.local_authority`).
+    """
+
+    def __init__(
+        self,
+        credentials: OwnCredential,
+        verify: Verify[ChannelPeer],
+        standing: Standing,
+        *,
+        name: str = DEFAULT_NAME,
+        host: str | None = None,
+        port: int = 11311,
+        advertise: str = "localhost",
+        clock: Callable[[], float] = host_time,
+        timestamp_every: float = TIMESTAMP_EVERY,
+        complain: Complain = unheard,
+        memory: ParameterFile | None = None,
+        limits: Limits = _LIMITS,
+        suites: tuple[int, ...] = PRODUCTION,
+        look_after_self: Callable[[int], None] = lambda _: None,
+        turns: Turns | None = None,
+        news: Find = nothing,
+    ) -> None:
+        self._credentials = credentials
+        self._verify = verify
+        self._standing = standing
+        self._name = name
+        self._listen = (host, port)
+        self._advertise = advertise
+        self._clock = clock
+        self._memory = memory
+        self._limits = limits
+        self._turns = Turns(time.monotonic) if turns is None else turns
+        self._channel_limits = ChannelLimits(
+            unit=limits.body + HEADERS_LIMIT, handshake_seconds=limits.handshake_seconds
+        )
+        self._suites = suites
+        self._known = KnownCertificates()
+        self._registry = Registry(limits.nodes_per_identity)
+        self._answering: Answering | None = None
+        self._server: SecureServer[ChannelPeer] | None = None
+        self._hearers = Hearers()
+        self._dialler = Dialler(
+            credentials,
+            verify,
+            self._on_other,
+            limits=self._channel_limits,
+            suites=suites,
+            known=self._known,
+        )
+        self._updates = Updates(self._dialler.dial, limits.nodes_per_identity + LEAVING)
+        self._state = state = State(
+            name, self._now, self._registry, standing, self._updates, memory
+        )
+        self._streams = state.streams
+        self._consequences = Consequences(state, complain, self._on_revocations)
+        brought = partial(self._consequences.deliver, RevocationsChanged(WHOSE))
+        nearby = Nearby(news, standing, brought)
+        looks = (look_after_self, nearby.look)
+        self._upkeep = Upkeep(state, self._consequences.deliver, timestamp_every, looks)
+
+    @property
+    def port(self) -> int:
+        """The port listened on."""
+        return self._listen[1] if self._server is None else self._server.port
+
+    @property
+    def uri(self) -> str:
+        """What ROS_MASTER_URI must be set to."""
+        host = f"[{self._advertise}]" if ":" in self._advertise else self._advertise
+        return f"http://{host}:{self.port}/"
+
+    async def start(self) -> None:
+        """Listen.
+
+        Raises:
+            OSError: the address is not ours or the port is taken.
+        """
+        (host, port), limits = self._listen, self._limits
+        self._server = serve(
+            self._handle,
+            host,
+            port,
+            self._credentials,
+            self._verify,
+            accept={Flavour.HTTP},
+            limits=self._channel_limits,
+            half_open=HalfOpen(limits.unfinished_per_address, limits.unfinished),
+            suites=self._suites,
+            known=self._known,
+        )
+        api = MasterApi(
+            self._registry,
+            self._standing,
+            name=self._name,
+            uri=self.uri,
+            pid=os.getpid(),
+            instance=secrets.token_hex(8),
+            started=self._now(),
+            parameters=self._remember(),
+            parameter_bytes=limits.parameters,
+        )
+        self._answering = Answering(
+            api, self._state, self._consequences, self._dialler, self._turns
+        )
+        self._upkeep.begin(api)
+
+    def _remember(self) -> Parameters | None:
+        if self._memory is None:
+            return None
+        self._memory.open()
+        return self._memory.parameters
+
+    def status(self) -> dict[str, str | int]:
+        """What an administrator may ask at any time: figures only."""
+        entries = [entry for kind in Kind for entry in self._registry.entries(kind)]
+        return {
+            "uri": self.uri,
+            "pid": os.getpid(),
+            "calls": self._consequences.calls,
+            "denials": self._consequences.denials,
+            "nodes": len(tuple(self._registry.nodes())),
+            "registrations": sum(len(names) for _, names in entries),
+            "connections": 0 if self._server is None else self._server.connections,
+            "revocation_number": self._standing.number,
+        }
+
+    def stop(self, reason: str) -> None:
+        """End, as an administrator asked."""
+        self._consequences.deliver(StopMaster(reason))
+
+    async def stopped(self) -> None:
+        """Wait until an administrator asks the master to end."""
+        await self._consequences.stopping.wait()
+
+    async def close(self) -> None:
+        """Stop listening, cut all connections, stop telling."""
+        await self._upkeep.close()
+        await self._updates.close()
+        if self._server is not None:
+            await self._server.close()
+        if self._memory is not None:
+            self._memory.close()
+
+    async def _handle(self, stream: SecureStream[ChannelPeer]) -> None:
+        own = stream.peer.thumbprint
+        held = sum(other.peer.thumbprint == own for other in self._streams)
+        if held >= self._limits.connections_per_identity:
+            _denials.warning("%s has too many connections", stream.peer.name)
+            stream.abort("too many connections of one identity")
+            return
+        try:
+            self._standing.caller(stream.peer, self._now())
+        except HintedError as error:
+            _denials.warning("%s is told the list alone: %s", stream.peer.name, printable(error))
+            await self._serve_revoked(stream)
+            return
+        self._streams.add(stream)  # until its socket is closed: one that lingers counts
+        stream.when_lost(partial(self._streams.discard, stream))
+        near = is_loopback(stream.address) or stream.address == stream.local_address
+        await serve_calls(
+            stream,
+            partial(self._dispatch, near),
+            limit=self._limits.body,
+            request_deadline=self._limits.request_seconds,
+            idle_deadline=self._limits.idle_seconds,
+        )
+
+    async def _serve_revoked(self, stream: SecureStream[ChannelPeer]) -> None:
+        """For a moment, and not among the streams: nothing that others are told is told here."""
+        keys = stream.peer.keys
+        if not self._hearers.admit(keys):
+            stream.abort("too many connections of a revoked identity")
+            return
+        try:
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(MOMENT):
+                    answer = RevokedCalls(self._standing, self._now).answer
+                    await serve_calls(stream, answer, limit=self._limits.body)
+        finally:
+            stream.abort("the identity is revoked")
+            self._hearers.leave(keys)
+
+    def _dispatch(
+        self, near: bool, method: str, params: tuple[object, ...], peer: ChannelPeer
+    ) -> object:
+        if self._answering is None:
+            raise RuntimeError("a call before the master was started")
+        return self._answering.dispatch(near, method, params, peer)
+
+    def _on_other(self, node: NodeRef, found: ChannelPeer) -> None:
+        self._consequences.evict(node, found)
+
+    def _on_revocations(self) -> None:
+        self._upkeep.revocations_changed()
+
+    def _now(self) -> int:
+        return int(self._clock())

@@ -1,0 +1,130 @@
+"""Making a master from the directory of its node."""
+
+import contextlib
+import logging
+import socket
+from functools import partial
+from typing import Final
+
+from ca.errors import HintedError, RevocationRefused
+from ca.revocation.state import Revocations
+from ca.revocation.tree import is_tree
+from rossec.channel.edhoc.suites import PRODUCTION
+from rossec.home import NodeHome
+from rossec.master.operation.denial_log import Complain, unheard
+from rossec.master.operation.limits import Limits
+from rossec.master.rights.delegation import Delegate
+from rossec.master.rights.statements import Renewer, Trust
+from rossec.master.server.local_authority import Find, nothing
+from rossec.master.server.own_identity import OwnIdentity
+from rossec.master.server.parameter_file import ParameterFile
+from rossec.master.server.saved_list import ListFile
+from rossec.master.server.server import MasterServer
+from rossec.ros.settings import is_loopback
+from rossec.saved_revocations import saved_revocations
+
+_log = logging.getLogger("rossec.master.start")
+
+_LIMITS: Final = Limits()
+
+
+def master_of(
+    home: NodeHome,
+    *,
+    host: str | None,
+    port: int,
+    newest: bytes | None,
+    now: int,
+    entries: bytes | None = None,
+    renewer: Renewer | None = None,
+    complain: Complain = unheard,
+    limits: Limits = _LIMITS,
+    suites: tuple[int, ...] = PRODUCTION,
+    news: Find = nothing,
+) -> MasterServer:
+    """The master whose identity is in `home`, not yet started.
+
+    Args:
+        host: address to advertise (ROS_HOSTNAME or ROS_IP), and to listen on alone when it is
+            loopback, as in ROS; None: this machine's name, and any address.
+        newest: a revocation list that may be newer than the one saved, when the authority lives on
+            this host; otherwise the master waits until one is published.
+        renewer: renews identities with an intermediate; never the root, whose key stays offline.
+        entries: where `newest` is a tree, all it was made of.
+        complain: hears of every right that somebody lacks.
+        limits: what one peer may cost.
+        suites: the post-quantum policy (`rossec.channel.suite_selection`).
+        news: what an authority on this host has signed meanwhile.
+
+    Raises:
+        ConfigurationError: the node is not enrolled.
+        CertificateRefused: its identity has expired: nobody would connect.
+        RevocationRefused: a list that is not the authority's, or older than the one saved.
+    """
+    anchor, own, kept = home.anchor(), OwnIdentity(home, now), ListFile(home)
+    signer = own.credentials.current.signer
+    revocations = saved_revocations(home, anchor, now)
+    if newest is not None:
+        revocations.update(newest, now, kept.save)
+    delegate = Delegate(anchor, signer, home.save_delegation)
+    delegation = home.load_delegation()
+    if delegation is not None:
+        _take(delegate, delegation)
+    trust = Trust(
+        anchor,
+        signer,
+        revocations,
+        kept.save,
+        delegate,
+        kept.save_entries,
+        renewer,
+    )
+    _complete(trust, revocations, (entries, home.load_entries()), now)
+    if renewer is not None:
+        own.renew = partial(_renewed, renewer, trust)
+    return MasterServer(
+        own.credentials,
+        anchor.verify,
+        trust,
+        name=home.name,
+        host=host if host is not None and is_loopback(host) else None,
+        port=port,
+        advertise=host or socket.gethostname(),
+        complain=complain,
+        memory=ParameterFile(home.path / "parameters.journal"),
+        limits=limits,
+        suites=suites,
+        look_after_self=partial(_look_after, own, kept),
+        news=news,
+    )
+
+
+def _look_after(own: OwnIdentity, kept: ListFile, now: int) -> None:
+    own.look(now)
+    kept.retry()
+
+
+def _renewed(renewer: Renewer, trust: Trust, request: bytes, now: int) -> bytes:
+    return renewer(request, now, trust.check)
+
+
+def _take(delegate: Delegate, data: bytes) -> None:
+    """A master with a new key starts all the same; it just cannot renew until told so anew."""
+    try:
+        delegate.take(data)
+    except HintedError as error:
+        _log.warning("grants are not renewed: %s", error)
+
+
+def _complete(
+    trust: Trust, revocations: Revocations, found: tuple[bytes | None, ...], now: int
+) -> None:
+    """A tree is of use with its entries: those saved, or the authority's own, whichever fit."""
+    if not is_tree(revocations.data):
+        return
+    for entries in found:
+        if entries is not None:
+            with contextlib.suppress(RevocationRefused):
+                trust.update_tree(revocations.data, entries, now)
+                return
+    _log.warning("the entries of the revocation tree are missing: rossec ca publish")

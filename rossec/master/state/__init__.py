@@ -1,0 +1,1 @@
+"""What the master knows: registrations and parameters. Pure."""

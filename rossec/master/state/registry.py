@@ -1,0 +1,292 @@
+"""Who publishes, subscribes, provides and listens: the master's state, pure.
+
+Answers as stock `rosmaster` (registrations.py) gives them, in its order. Nothing here decides who
+may ask: that is the gatekeeper's. Every change that somebody must hear of is an event; the shell
+delivers it. `version` grows with every change of state, so two equal versions mean equal state.
+
+Beyond stock: when a node is replaced or removed, the subscribers of its topics are told (stock
+leaves them with a dead publisher), and lookups by node are indexed.
+"""
+
+from collections import Counter
+from collections.abc import Collection, Iterable, Iterator
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Final, NamedTuple
+
+from rossec.master.state.addresses import endpoint
+
+ANY_TYPE: Final = "*"
+KEYS_LIMIT: Final = 1024  # registrations of one kind of one node
+NODES_LIMIT: Final = 64  # nodes of one key
+REPLACED: Final = "new node registered with same name"
+
+
+class Kind(Enum):
+    """What a node can be registered as, for a name."""
+
+    __hash__ = object.__hash__  # members are alone of their kind; Enum's own is no C function
+
+    PUBLISHER = "publisher"
+    SUBSCRIBER = "subscriber"
+    SERVICE = "service"
+    PARAMETER = "parameter subscriber"
+
+
+class NodeRef(NamedTuple):
+    """A registered node: its name, the URI of its slave API, and the key that registered it.
+
+    The key belongs to the registration: while a certificate of an older key of the same name has
+    not expired, two keys can call under one name, and only one of them is the registered node.
+    """
+
+    name: str
+    uri: str
+    thumbprint: bytes
+
+
+@dataclass(frozen=True)
+class PublishersChanged:
+    """Tell `subscribers` that `topic` now has exactly these publishers."""
+
+    topic: str
+    subscribers: tuple[NodeRef, ...]
+    publisher_uris: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class ShutdownNode:
+    """Tell the slave API at `node.uri` to stop: another node has taken its name."""
+
+    node: NodeRef
+    reason: str
+
+
+Event = PublishersChanged | ShutdownNode
+
+
+class Unregistered(NamedTuple):
+    """Stock's answer to unregistering: it always succeeds, `removed` is 0 or 1."""
+
+    status: str
+    removed: int
+
+
+@dataclass
+class _Node:
+    ref: NodeRef
+    keys: dict[Kind, dict[str, None]] = field(default_factory=lambda: {kind: {} for kind in Kind})
+
+    def is_empty(self) -> bool:
+        return not any(self.keys.values())
+
+
+class Registry:
+    """All registrations. Methods that change it return the events to deliver."""
+
+    def __init__(self, nodes_limit: int = NODES_LIMIT) -> None:
+        """`nodes_limit`: how many nodes one key may be, which only a wildcard identity's can."""
+        self.version = 0
+        self._nodes: dict[str, _Node] = {}
+        self._names: dict[Kind, dict[str, dict[str, None]]] = {kind: {} for kind in Kind}
+        self._service_uris: dict[str, str] = {}
+        self._types: dict[str, str] = {}
+        self._owners: dict[tuple[str, int | None], str] = {}
+        self._of_key: Counter[bytes] = Counter()
+        self.nodes_limit = nodes_limit
+        self._had_service = False
+
+    def register_publisher(self, topic: str, type_name: str, node: NodeRef) -> list[Event]:
+        """A publisher; its real type replaces `*` and what subscribers guessed."""
+        events = self._register(Kind.PUBLISHER, topic, node)
+        if type_name != ANY_TYPE or topic not in self._types:
+            self._set_type(topic, type_name)
+        return [*events, self._publishers_changed(topic)]
+
+    def register_subscriber(self, topic: str, type_name: str, node: NodeRef) -> list[Event]:
+        """A subscriber; its type counts only while there is none."""
+        events = self._register(Kind.SUBSCRIBER, topic, node)
+        if type_name != ANY_TYPE and topic not in self._types:
+            self._set_type(topic, type_name)
+        return events
+
+    def register_service(self, service: str, service_uri: str, node: NodeRef) -> list[Event]:
+        """A provider; the last one to register a service has it."""
+        for other in [
+            name for name in self._names[Kind.SERVICE].get(service, ()) if name != node.name
+        ]:
+            self._discard(Kind.SERVICE, service, other)
+        events = self._register(Kind.SERVICE, service, node)
+        if self._service_uris.get(service) != service_uri:
+            self.version += 1
+        self._service_uris[service] = service_uri
+        self._had_service = True
+        return events
+
+    def register_parameter(self, key: str, node: NodeRef) -> list[Event]:
+        """A node that wants to hear of changes under a parameter."""
+        return self._register(Kind.PARAMETER, key, node)
+
+    def unregister(self, kind: Kind, key: str, node: NodeRef) -> tuple[Unregistered, list[Event]]:
+        """Forget a publisher, subscriber or parameter subscriber, if name and URI match."""
+        known = self._nodes.get(node.name)
+        if known is None:
+            return Unregistered(f"[{node.name}] is not a registered node", 0), []
+        if key not in known.keys[kind] or known.ref != node:
+            return Unregistered(f"[{node.name}] is not a known provider of [{key}]", 0), []
+        self._discard(kind, key, node.name)
+        done = Unregistered(f"Unregistered [{node.name}] as provider of [{key}]", 1)
+        return done, [self._publishers_changed(key)] if kind is Kind.PUBLISHER else []
+
+    def unregister_service(
+        self, service: str, name: str, service_uri: str, thumbprint: bytes
+    ) -> Unregistered:
+        """Forget a provider; name, key and service URI must match."""
+        node = self._nodes.get(name)
+        if node is None or node.ref.thumbprint != thumbprint:
+            return Unregistered(f"[{name}] is not a registered node", 0)
+        if not self._had_service:
+            return Unregistered(f"[{name}] is not a provider of [{service}]", 0)
+        provided = name in self._names[Kind.SERVICE].get(service, ())
+        if not provided or self._service_uris[service] != service_uri:
+            text = f"[{service_uri}] is no longer the current service api handle for [{service}]"
+            return Unregistered(text, 0)
+        self._discard(Kind.SERVICE, service, name)
+        return Unregistered(f"Unregistered [{name}] as provider of [{service}]", 1)
+
+    def remove_node(self, name: str) -> list[Event]:
+        """Forget everything a node registered; its subscribers hear of it."""
+        node = self._nodes.get(name)
+        if node is None:
+            return []
+        topics = list(node.keys[Kind.PUBLISHER])
+        registered = [(kind, key) for kind, keys in node.keys.items() for key in keys]
+        for kind, key in registered:
+            self._discard(kind, key, name)
+        return [self._publishers_changed(topic) for topic in topics]
+
+    def remove(self, kind: Kind, key: str, name: str) -> list[Event]:
+        """Forget one registration of a node, whatever its URI (a right was revoked)."""
+        if not self.is_registered(kind, key, name):
+            return []
+        self._discard(kind, key, name)
+        return [self._publishers_changed(key)] if kind is Kind.PUBLISHER else []
+
+    def node_uri(self, name: str) -> str | None:
+        """The slave API of a node that has registered something."""
+        node = self._nodes.get(name)
+        return None if node is None else node.ref.uri
+
+    def node(self, name: str) -> NodeRef | None:
+        """The node registered under a name."""
+        node = self._nodes.get(name)
+        return None if node is None else node.ref
+
+    def has_room(self, kind: Kind, key: str, node: NodeRef) -> bool:
+        """Whether a node may register for `key`: it already has, or has not too many."""
+        if not self.is_current(node):
+            known = self._nodes.get(node.name)
+            replaces = known is not None and known.ref.thumbprint == node.thumbprint
+            return replaces or self._of_key[node.thumbprint] < self.nodes_limit
+        keys = self._nodes[node.name].keys[kind]
+        return key in keys or len(keys) < KEYS_LIMIT
+
+    def is_current(self, node: NodeRef) -> bool:
+        """Whether this very node, with this URI and key, is the one registered."""
+        known = self._nodes.get(node.name)
+        return known is not None and known.ref == node
+
+    def owner(self, uri: str) -> str | None:
+        """The node that registered a slave API at this host and port, however spelt."""
+        return self._owners.get(endpoint(uri))
+
+    def nodes(self) -> Iterator[NodeRef]:
+        """All nodes that have registered something."""
+        return (node.ref for node in self._nodes.values())
+
+    def keys_of(self, name: str, kind: Kind) -> tuple[str, ...]:
+        """The names a node is registered for."""
+        node = self._nodes.get(name)
+        return () if node is None else tuple(node.keys[kind])
+
+    def is_registered(self, kind: Kind, key: str, name: str) -> bool:
+        """Whether a node is registered for a name."""
+        return name in self._names[kind].get(key, ())
+
+    def members(self, kind: Kind, key: str) -> tuple[NodeRef, ...]:
+        """The nodes registered for a name, first come first."""
+        names = self._names[kind].get(key, ())
+        return tuple(self._nodes[name].ref for name in names)
+
+    def uris(self, kind: Kind, key: str) -> list[str]:
+        """The slave APIs of the nodes registered for a name."""
+        return [node.uri for node in self.members(kind, key)]
+
+    def entries(self, kind: Kind) -> Iterator[tuple[str, tuple[str, ...]]]:
+        """All names of one kind as they are now, each with its nodes as they are then."""
+        return ((key, tuple(names)) for key, names in tuple(self._names[kind].items()))
+
+    def keys(self, kind: Kind) -> Collection[str]:
+        """All names of one kind."""
+        return self._names[kind].keys()
+
+    def service_uri(self, service: str) -> str | None:
+        """The rosrpc URI of a service."""
+        return self._service_uris.get(service)
+
+    def topic_types(self) -> Iterable[tuple[str, str]]:
+        """Every registered topic whose type is known; stock also keeps those that are gone."""
+        return tuple(self._types.items())
+
+    def topic_type(self, topic: str) -> str:
+        """The type of a topic, `*` while nobody said."""
+        return self._types.get(topic, ANY_TYPE)
+
+    def _register(self, kind: Kind, key: str, ref: NodeRef) -> list[Event]:
+        events: list[Event] = []
+        old = self._nodes.get(ref.name)
+        if old is not None and old.ref != ref:
+            events = self.remove_node(ref.name)
+            if old.ref.uri != ref.uri:  # else the new node itself is what answers there
+                events.append(ShutdownNode(old.ref, REPLACED))
+            old = None
+        node = old or self._add_node(ref)
+        if key not in node.keys[kind]:
+            node.keys[kind][key] = None
+            self._names[kind].setdefault(key, {})[ref.name] = None
+            self.version += 1
+        return events
+
+    def _add_node(self, ref: NodeRef) -> _Node:
+        node = self._nodes[ref.name] = _Node(ref)
+        self._of_key[ref.thumbprint] += 1
+        self._owners[endpoint(ref.uri)] = ref.name
+        return node
+
+    def _discard(self, kind: Kind, key: str, name: str) -> None:
+        self.version += 1
+        node = self._nodes[name]
+        del node.keys[kind][key]
+        del self._names[kind][key][name]
+        if not self._names[kind][key]:
+            del self._names[kind][key]
+            if kind is Kind.SERVICE:
+                del self._service_uris[key]
+            if not any(key in self._names[each] for each in (Kind.PUBLISHER, Kind.SUBSCRIBER)):
+                self._types.pop(key, None)  # or one node could fill the memory with types
+        if node.is_empty():
+            del self._nodes[name]
+            self._of_key[node.ref.thumbprint] -= 1
+            if self._of_key[node.ref.thumbprint] == 0:
+                del self._of_key[node.ref.thumbprint]
+            if self.owner(node.ref.uri) == name:
+                del self._owners[endpoint(node.ref.uri)]
+
+    def _set_type(self, topic: str, type_name: str) -> None:
+        self.version += self._types.get(topic) != type_name
+        self._types[topic] = type_name
+
+    def _publishers_changed(self, topic: str) -> PublishersChanged:
+        return PublishersChanged(
+            topic, self.members(Kind.SUBSCRIBER, topic), tuple(self.uris(Kind.PUBLISHER, topic))
+        )

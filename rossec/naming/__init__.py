@@ -1,0 +1,1 @@
+"""Names by rules: the namespace service. Reserved: nothing is here yet."""

@@ -1,0 +1,134 @@
+"""Connecting: TCP over IPv4 or IPv6, whichever answers first, then the handshake."""
+
+import asyncio
+import secrets
+import socket
+from collections.abc import Callable
+from functools import partial
+from typing import Final
+
+from rossec.channel.connection import Connection
+from rossec.channel.edhoc.credentials import OwnCredential, PeerT, Verify
+from rossec.channel.edhoc.known import KnownCertificates
+from rossec.channel.edhoc.own_dials import OwnDials
+from rossec.channel.edhoc.suites import PRODUCTION
+from rossec.channel.opening import Flavour
+from rossec.channel.records import Limits
+from rossec.errors import (
+    ChannelClosed,
+    ChannelError,
+    CredentialUnknown,
+    HandshakeFailed,
+    HandshakeTimeout,
+    PeerRefused,
+    PeerUnreachable,
+    UnknownCredential,
+)
+from rossec.net.aio.dial import dial
+from rossec.net.aio.driver import Driver, wall_clock
+from rossec.net.aio.stream import SecureStream
+
+_CONNECT_TIMEOUT: Final = 10.0
+_DEFAULTS: Final = Limits()
+
+
+async def connect(
+    host: str,
+    port: int,
+    credentials: OwnCredential,
+    verify: Verify[PeerT],
+    *,
+    opening: Flavour = Flavour.TCPROS,
+    limits: Limits = _DEFAULTS,
+    timeout: float = _CONNECT_TIMEOUT,  # noqa: ASYNC109 - one deadline over TCP and handshake
+    suites: tuple[int, ...] = PRODUCTION,
+    known: KnownCertificates | None = None,
+    own_dials: OwnDials | None = None,
+) -> SecureStream[PeerT]:
+    """Connect and authenticate; one round trip after TCP's own.
+
+    The responder's verdict on this side's certificate arrives later, as `PeerRefused` from
+    `receive` or `send`.
+
+    `suites` is the policy (`rossec.channel.edhoc.suites.POST_QUANTUM`). With `known`, certificates
+    of peers met before are named by a hash; whoever does not know one is called again, by value.
+    `own_dials` says that this node means to reach itself (`Connection.initiator`).
+
+    Raises:
+        PeerUnreachable: no TCP connection.
+        PlainPeer: a plain ROS node answered.
+        ChannelError: the handshake failed; the leaf says how.
+    """
+
+    def core(*, brief: bool) -> Connection[PeerT]:
+        return Connection.initiator(
+            credentials,
+            verify,
+            random=secrets.token_bytes,
+            now=wall_clock(),
+            opening=opening,
+            suites=suites,
+            limits=limits,
+            known=known,
+            brief=brief,
+            own_dials=own_dials,
+        )
+
+    if known is None:
+        return await _introduce(await _reach(host, port, timeout), partial(core, brief=False))
+    brief = known.was_at((host, port))
+    try:
+        stream = await _introduce(await _reach(host, port, timeout), partial(core, brief=brief))
+    except (HandshakeFailed, PeerRefused) as error:
+        # Whatever is wrong with a handshake that spoke in hashes, a hash may have led it astray.
+        if isinstance(error, UnknownCredential | CredentialUnknown):
+            known.forget_introductions()
+        elif not brief or isinstance(error, HandshakeTimeout):
+            raise
+        at_length = partial(core, brief=False)
+        stream = await _introduce(await _reach(host, port, timeout), at_length)
+    known.visit((host, port))
+    return stream
+
+
+async def _introduce(
+    sock: socket.socket, core: Callable[[], Connection[PeerT]]
+) -> SecureStream[PeerT]:
+    ready: asyncio.Future[SecureStream[PeerT]] = asyncio.get_running_loop().create_future()
+
+    def on_authenticated(driver: Driver[PeerT], peer: PeerT) -> None:
+        if not ready.done():
+            ready.set_result(SecureStream(driver, peer))
+
+    def on_end(_: Driver[PeerT], error: ChannelError) -> None:
+        if not ready.done():
+            ready.set_exception(error)
+
+    try:
+        driver = Driver(core(), sock, sock.getpeername()[0], on_authenticated, on_end)
+    except OSError as error:
+        sock.close()
+        text = f"the connection was reset at once: {error}"
+        raise PeerUnreachable(
+            text, "the peer is overloaded, or something between cuts it"
+        ) from error
+    except BaseException:
+        sock.close()
+        raise
+    try:
+        return await ready
+    except BaseException:
+        driver.abort(ChannelClosed("nobody waits for the connection any more"))
+        raise
+
+
+async def _reach(host: str, port: int, timeout: float) -> socket.socket:  # noqa: ASYNC109 - passed on by `connect`
+    try:
+        return await dial(host, port, timeout)
+    except (OSError, TimeoutError, ValueError, IndexError, OverflowError) as error:
+        # A host or port that cannot be one: UnicodeError, IndexError and so on, by Python version.
+        reason = "it does not answer" if isinstance(error, TimeoutError) else str(error)
+        raise PeerUnreachable(
+            f"cannot connect to {host} port {port}: {reason}",
+            "is the peer running, and ROS_HOSTNAME or ROS_IP right on its side?",
+        ) from error

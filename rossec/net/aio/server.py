@@ -1,0 +1,276 @@
+"""Listening for secure connections: sockets, half-open caps, one task per connection.
+
+A stranger costs a bounded amount: at most so many unfinished handshakes from one address and in
+total, each with one deadline. What a handler does ends with its connection: a crash is logged and
+closes that connection only.
+"""
+
+import asyncio
+import logging
+import secrets
+import socket
+from collections.abc import Awaitable, Callable, Collection
+from contextlib import suppress
+from functools import partial
+from types import TracebackType
+from typing import Final, Generic, Self, TypeAlias
+
+from rossec.channel.connection import Connection
+from rossec.channel.edhoc.credentials import OwnCredential, PeerT, Verify
+from rossec.channel.edhoc.known import KnownCertificates
+from rossec.channel.edhoc.own_dials import OwnDials
+from rossec.channel.edhoc.suites import PRODUCTION
+from rossec.channel.opening import Flavour
+from rossec.channel.records import Limits
+from rossec.errors import ChannelClosed, ChannelError, PlainPeer
+from rossec.net.aio.driver import Driver, wall_clock
+from rossec.net.aio.stream import SecureStream
+from rossec.net.aio.tasks import TaskSet
+from rossec.net.halfopen import HalfOpen, HalfOpenCount, Place
+
+_log = logging.getLogger("rossec.net.server")
+_DEFAULTS: Final = Limits()
+_BACKLOG: Final = 128
+_ACCEPTS_PER_TURN: Final = 16
+_REST: Final = 1.0  # seconds, when the host is out of descriptors
+_REPORT_EVERY: Final = 10.0
+
+Handler: TypeAlias = Callable[[SecureStream[PeerT]], Awaitable[None]]
+
+
+_CAPS: Final = HalfOpen()
+
+
+class SecureServer(Generic[PeerT]):
+    """A listening port and its connections; made by `serve`."""
+
+    def __init__(
+        self,
+        handler: Handler[PeerT],
+        make_core: Callable[[], Connection[PeerT]],
+        half_open: HalfOpenCount,
+    ) -> None:
+        self._handler = handler
+        self._make_core = make_core
+        self._half_open = half_open
+        self._drivers: set[Driver[PeerT]] = set()
+        self._places: dict[Driver[PeerT], Place] = {}  # of those that are not authenticated
+        self._tasks = TaskSet()
+        self._loop = asyncio.get_running_loop()
+        self._listeners: list[socket.socket] = []
+        self._resting = False
+        self._refused = 0
+        self._report_again = 0.0
+        self.addresses: list[tuple[str, int]] = []
+
+    @property
+    def port(self) -> int:
+        """The port, the same on every address."""
+        return self.addresses[0][1]
+
+    @property
+    def connections(self) -> int:
+        """How many connections are open or half open."""
+        return len(self._drivers)
+
+    def listen(self, host: str | None, port: int) -> None:
+        """Bind and start to accept."""
+        for sock in bind(host, port):
+            sock.setblocking(False)
+            self.addresses.append(sock.getsockname()[:2])
+            self._listeners.append(sock)
+            self._watch(sock)
+
+    def _watch(self, listener: socket.socket) -> None:
+        if listener.fileno() >= 0 and not self._resting:  # nor closed meanwhile
+            self._loop.add_reader(listener.fileno(), self._accept, listener)
+
+    def _accept(self, listener: socket.socket) -> None:
+        """Accept a few, then let the connections that are open have their turn."""
+        for _ in range(_ACCEPTS_PER_TURN):
+            try:
+                sock, where = listener.accept()
+            except (BlockingIOError, InterruptedError, ConnectionAbortedError):
+                return
+            except OSError as error:  # out of descriptors or memory: callers wait in the kernel
+                _log.warning("cannot accept connections for %s s: %s", _REST, error)
+                self._loop.remove_reader(listener.fileno())
+                self._loop.call_later(_REST, self._watch, listener)
+                return
+            place = self._admit(where[0])
+            if place is None:
+                sock.close()
+            else:
+                self._begin(sock, where[0], place)
+
+    def _admit(self, address: str) -> Place | None:
+        """The place of one more unfinished handshake, if it is bearable; nothing was spent yet."""
+        place = self._half_open.admit(address)
+        if place is not None:
+            return place
+        self._refused += 1
+        if self._loop.time() >= self._report_again:  # a flood of callers is no flood of lines
+            _log.warning(
+                "too many unfinished handshakes: refused %d, last %s", self._refused, address
+            )
+            self._refused, self._report_again = 0, self._loop.time() + _REPORT_EVERY
+        return None
+
+    def _begin(self, sock: socket.socket, address: str, place: Place) -> None:
+        try:
+            driver = Driver(self._make_core(), sock, address, self.on_authenticated, self.on_end)
+        except BaseException:
+            sock.close()
+            place.settle()
+            raise
+        self._drivers.add(driver)
+        self._places[driver] = place
+        place.close = partial(driver.abort, ChannelClosed("others need its place"))
+        driver.when_lost(partial(self._leave, driver))
+
+    def _leave(self, driver: Driver[PeerT]) -> None:
+        """It is authenticated, or its socket is closed."""
+        place = self._places.pop(driver, None)
+        if place is not None:
+            place.settle()
+
+    def on_authenticated(self, driver: Driver[PeerT], peer: PeerT) -> None:
+        """Start the handler."""
+        self._leave(driver)
+        stream = SecureStream(driver, peer)
+        self._tasks.spawn(self._handle(stream), name=f"rossec connection from {driver.address}")
+
+    def on_end(self, driver: Driver[PeerT], error: ChannelError) -> None:
+        """Forget the connection; a failed handshake is worth a line in the log."""
+        if driver not in self._drivers:
+            return
+        self._drivers.discard(driver)
+        if not driver.authenticated:
+            if driver in self._places:
+                self._places[driver].linger()  # until it is closed
+            level = logging.WARNING if isinstance(error, PlainPeer) else logging.INFO
+            _log.log(level, "connection from %s refused: %s", driver.address, error)
+
+    async def _handle(self, stream: SecureStream[PeerT]) -> None:
+        try:
+            await self._handler(stream)
+        except ChannelError as error:
+            _log.info("connection from %s ended: %s", stream.address, error)
+        except BaseException:
+            stream.abort("the handler did not finish")
+            raise  # a crash is logged by the task's owner
+        await stream.close()
+
+    def rest(self) -> None:
+        """Refuse callers as if nobody listened, but keep the port.
+
+        Linux keeps only a port that was named when the socket was bound, not one it chose itself.
+        """
+        self._resting = True
+        for listener in self._listeners:
+            self._loop.remove_reader(listener.fileno())
+            listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 0)  # stays ours
+            with suppress(OSError):  # it rests already
+                listener.shutdown(socket.SHUT_RDWR)
+
+    def wake(self) -> None:
+        """Listen again after `rest`."""
+        if not self._resting:
+            return
+        self._resting = False
+        for listener in self._listeners:
+            listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            listener.listen(_BACKLOG)
+            self._watch(listener)
+
+    async def close(self) -> None:
+        """Stop listening, cut every connection, wait until the handlers are gone."""
+        for listener in self._listeners:
+            self._loop.remove_reader(listener.fileno())
+            listener.close()
+        self._listeners.clear()
+        await self._tasks.close()
+        for driver in [*self._drivers, *self._places]:
+            driver.abort(ChannelClosed("the server was closed"))
+
+    async def __aenter__(self) -> Self:
+        return self
+
+    async def __aexit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        await self.close()
+
+
+def serve(
+    handler: Handler[PeerT],
+    host: str | None,
+    port: int,
+    credentials: OwnCredential,
+    verify: Verify[PeerT],
+    *,
+    accept: Collection[Flavour] = frozenset(Flavour),
+    limits: Limits = _DEFAULTS,
+    half_open: HalfOpen | HalfOpenCount = _CAPS,
+    suites: tuple[int, ...] = PRODUCTION,
+    known: KnownCertificates | None = None,
+    own_dials: OwnDials | None = None,
+) -> SecureServer[PeerT]:
+    """Listen on `host` (None or "": every address, IPv4 and IPv6) and `port` (0: any free one).
+
+    `handler` runs once per authenticated connection, which is closed when it returns. `accept`
+    says which openings may lead on; the others hear the refusal meant for plain peers. With a
+    `HalfOpenCount` several ports share one bound, as they share this process.
+
+    Raises:
+        OSError: the address is not ours or the port is taken.
+    """
+
+    def make_core() -> Connection[PeerT]:
+        return Connection.responder(
+            credentials,
+            verify,
+            random=secrets.token_bytes,
+            now=wall_clock(),
+            accept=accept,
+            suites=suites,
+            limits=limits,
+            known=known,
+            own_dials=own_dials,
+        )
+
+    count = HalfOpenCount(half_open) if isinstance(half_open, HalfOpen) else half_open
+    server = SecureServer(handler, make_core, count)
+    server.listen(host, port)
+    return server
+
+
+def bind(host: str | None, port: int) -> list[socket.socket]:
+    """Bind every address `host` stands for, all with one port."""
+    if not host or host in {"0.0.0.0", "::"}:  # noqa: S104 - ROS nodes listen everywhere
+        with suppress(OSError):  # a host without IPv6 is left with IPv4
+            return [_bind_one(socket.AF_INET6, "::", port, dual=True)]
+        return [_bind_one(socket.AF_INET, "", port)]
+    # As text it would be encoded by Python's IDNA tables, 0.4 MB of memory, whatever it is.
+    asked = host.encode("ascii") if host.isascii() else host
+    found = socket.getaddrinfo(asked, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
+    addresses = dict.fromkeys((family, str(where[0])) for family, _, _, _, where in found)
+    sockets: list[socket.socket] = []
+    try:
+        for family, address in addresses:
+            chosen = sockets[0].getsockname()[1] if sockets else port
+            sockets.append(_bind_one(family, address, chosen))
+    except OSError:
+        for sock in sockets:
+            sock.close()
+        raise
+    return sockets
+
+
+def _bind_one(family: int, address: str, port: int, *, dual: bool = False) -> socket.socket:
+    return socket.create_server(
+        (address, port), family=family, backlog=_BACKLOG, dualstack_ipv6=dual
+    )

@@ -1,0 +1,165 @@
+"""Which user is at the other end of a connection within this host.
+
+For a unix socket the kernel says so (SO_PEERCRED); for TCP over loopback its socket table does,
+asked for the one connection (`sockdiag`), or read as a whole where the kernel cannot be asked.
+A TCP row counts only while it is ESTABLISHED and has an inode: the kernel shows user 0 for sockets
+that nobody holds any more (TIME_WAIT, closed, not yet accepted), which must not pass for root's.
+Users of another user namespace all show as the overflow id, which is nobody in particular: refused.
+
+The user is who made the socket. A program that hands its open socket to another one, or a
+set-user-id program that connects on behalf of its caller, vouches for it.
+"""
+
+import ipaddress
+import socket
+import struct
+from collections.abc import Collection, Iterable, Iterator
+from pathlib import Path
+from typing import Final, NamedTuple, TypeAlias
+
+from rossec.errors import PeerUserRefused
+from rossec.net.host import sockdiag
+
+Endpoint: TypeAlias = tuple[str, int]
+"""An IP address and a port."""
+
+TABLES: Final = (Path("/proc/net/tcp"), Path("/proc/net/tcp6"))
+_OVERFLOW: Final = Path("/proc/sys/kernel/overflowuid")
+_ESTABLISHED: Final = "01"
+_LISTEN: Final = " 0A"
+_TRIES: Final = 3  # the kernel hands the table out in pieces: a row can slip between two of them
+_HINT: Final = "connect from this host, as the user who runs this program"
+
+
+class Holder(NamedTuple):
+    """Who holds a socket: the user who made it, and its number among the host's sockets."""
+
+    user: int
+    inode: int
+
+
+def owner_in(tables: Iterable[str], near: Endpoint, far: Endpoint) -> int | None:
+    """The user of the socket bound to `near` and connected to `far`; None: no such socket. Pure.
+
+    `tables` are the texts of /proc/net/tcp and tcp6. An IPv4 address matches in its mapped form
+    too (::ffff:127.0.0.1): either side may use a dual-stack socket.
+    """
+    found = holder_in(tables, near, far)
+    return None if found is None else found.user
+
+
+def holder_in(tables: Iterable[str], near: Endpoint, far: Endpoint) -> Holder | None:
+    """Like `owner_in`, with the socket's number. Pure."""
+    wanted = {f"{_hex(near, mapped)} {_hex(far, mapped)} {_ESTABLISHED}" for mapped in (0, 1)}
+    found = [holder for row, holder in _rows(tables) if row in wanted]
+    return found[0] if len({holder.user for holder in found}) == 1 else None
+
+
+def listeners_in(tables: Iterable[str], place: Endpoint) -> list[Holder]:
+    """Who listens where a connection to `place` may arrive. Pure."""
+    address, port = place
+    wanted = {_hex(place, 0), _hex(place, 1), _hex(("::", port), 0)}
+    if ":" not in address:
+        wanted.add(_hex(("0.0.0.0", port), 0))  # noqa: S104 - looked for
+    return [
+        holder
+        for row, holder in _rows(tables)
+        if row.endswith(_LISTEN) and row.partition(" ")[0] in wanted
+    ]
+
+
+def _rows(tables: Iterable[str]) -> Iterator[tuple[str, Holder]]:
+    """`near far state` as the kernel writes it, and who holds the socket, if anybody does."""
+    for table in tables:
+        for line in table.splitlines()[1:]:
+            fields = line.split()
+            if len(fields) > 9 and fields[9] != "0":
+                yield " ".join(fields[1:4]), Holder(int(fields[7]), int(fields[9]))
+
+
+def tables() -> list[str]:
+    """The kernel's tables of TCP sockets, as they are now."""
+    return [path.read_text() for path in TABLES if path.exists()]
+
+
+def user_of(sock: socket.socket) -> int:
+    """The user id at the other end of a connected unix or TCP socket of this host.
+
+    Raises:
+        PeerUserRefused: nobody holds that end, or it is not on this host.
+        OSError: not connected, or the kernel's tables cannot be read.
+    """
+    if sock.family == socket.AF_UNIX:
+        size = struct.calcsize("3i")
+        credentials = sock.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, size)
+        return int(struct.unpack("3i", credentials)[1])
+    return holder_of(sock).user
+
+
+def holder_of(sock: socket.socket) -> Holder:
+    """Who holds the other end of a TCP connection within this host.
+
+    Raises:
+        PeerUserRefused, OSError: as `user_of`.
+    """
+    near, far = sock.getpeername()[:2], sock.getsockname()[:2]
+    holder = _holder(near, far)
+    if holder is not None:
+        return holder
+    raise PeerUserRefused("the other end of the connection belongs to no program here", _HINT)
+
+
+def _holder(near: Endpoint, far: Endpoint) -> Holder | None:
+    try:
+        entry = sockdiag.find(near, far)
+    except OSError:
+        for _ in range(_TRIES):
+            holder = holder_in(tables(), near, far)
+            if holder is not None:
+                return holder
+        return None
+    return None if entry is None or entry.inode == 0 else Holder(entry.user, entry.inode)
+
+
+def listeners(place: Endpoint) -> list[Holder]:
+    """Who listens where a connection to `place`, an address of this host, arrives.
+
+    It is one at most, unless only the tables can be asked: then all who may be.
+
+    Raises:
+        OSError: the kernel's tables cannot be read.
+    """
+    try:
+        entry = sockdiag.listener(place)
+    except OSError:
+        return listeners_in(tables(), place)
+    return [] if entry is None or entry.inode == 0 else [Holder(entry.user, entry.inode)]
+
+
+def is_known(user: int) -> bool:
+    """Whether `user` is somebody: the kernel shows users of other user namespaces as one."""
+    return user != int(_OVERFLOW.read_text())
+
+
+def require_user(sock: socket.socket, users: Collection[int]) -> int:
+    """Return the user id at the other end.
+
+    Raises:
+        PeerUserRefused: it is none of `users`, or cannot be told.
+        OSError: as `user_of`.
+    """
+    user = user_of(sock)
+    if user not in users or not is_known(user):
+        raise PeerUserRefused(f"user {user} may not use this connection", _HINT)
+    return user
+
+
+def _hex(endpoint: Endpoint, mapped: int) -> str:
+    """As the kernel prints it: the address as 32-bit words in the host's byte order."""
+    address = ipaddress.ip_address(endpoint[0].partition("%")[0])
+    plain = getattr(address, "ipv4_mapped", None) or address
+    packed: bytes = plain.packed
+    if mapped and len(packed) == 4:
+        packed = bytes(10) + b"\xff\xff" + packed
+    words = struct.unpack(f"={len(packed) // 4}I", packed)
+    return "".join(f"{word:08X}" for word in words) + f":{endpoint[1]:04X}"

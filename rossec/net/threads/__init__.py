@@ -1,0 +1,1 @@
+"""Secure connections for threads, with the socket methods that rospy uses."""

@@ -1,0 +1,251 @@
+"""Bytes between the core of a connection and its TCP socket, for programs with threads.
+
+The core is never locked while anything waits. One thread reads and one writes at a time; what the
+core queues meanwhile is written by whoever is writing.
+"""
+
+import select
+import socket
+import struct
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from copy import copy
+from threading import Lock
+from typing import Any, Final, Generic
+
+from rossec import clock
+from rossec.channel.connection import Connection
+from rossec.channel.edhoc.credentials import PeerT
+from rossec.channel.records import Bytes
+from rossec.channel.states import Authenticated, State, UnitReceived
+from rossec.errors import ChannelClosed, ChannelError
+from rossec.net.forks import forget_in_children
+from rossec.net.threads.options import SocketOptions
+
+_LONGEST_WAIT: Final = 3600.0  # then look at the clock again: the host's may be set
+_SLICE: Final = struct.pack("ll", 5, 0)  # a struct timeval: how long the kernel waits in one go
+AT_ONCE: Final = socket.MSG_DONTWAIT
+
+
+class Carrier(SocketOptions, Generic[PeerT]):
+    """What `SecureSocket` does below its methods; `end` is always the caller's deadline."""
+
+    def __init__(
+        self,
+        sock: socket.socket,
+        core: Connection[PeerT],
+        on_settled: Callable[[], None] = lambda: None,
+    ) -> None:
+        self.peer: PeerT | None = None
+        self._timeout = sock.gettimeout()
+        sock.settimeout(None)
+        for option in (socket.SO_RCVTIMEO, socket.SO_SNDTIMEO):
+            sock.setsockopt(socket.SOL_SOCKET, option, _SLICE)
+        sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._socket = sock
+        self._core = core
+        self._on_settled: Callable[[], None] | None = on_settled
+        self._units: deque[bytes | memoryview] = deque()
+        self._error: ChannelError | None = None
+        self._ticked = -1
+        self._aborted = False
+        self._core_lock = Lock()
+        self._reading = Lock()
+        self._writing = Lock()
+        forget_in_children(self)
+
+    def abandon(self) -> None:
+        """As of `Inherited`: this descriptor is closed, the connection of the parent is not.
+
+        A lock that another thread held at the fork would be held for ever.
+        """
+        self._core_lock, self._reading, self._writing = Lock(), Lock(), Lock()
+        self._core.abandon()
+        self._units.clear()
+        self._error = ChannelClosed("a forked process cannot use its parent's connections")
+        self._on_settled = None  # who counts it may be locked for ever
+        self._socket.close()
+
+    def abort(self) -> None:
+        """End it now, from any thread: whoever waits wakes, and nothing more is delivered.
+
+        The kernel would still hand out what had arrived before.
+        """
+        self._aborted = True
+        with suppress(OSError):
+            self._socket.shutdown(socket.SHUT_RDWR)
+
+    # -- receiving
+
+    def _receive(self, end: float | None) -> None:
+        """Move bytes from the socket to the core, once; the caller is the one reader."""
+        self._tick(reading=True)
+        self._flush(end)
+        # One system call where there is no deadline to meet: the kernel waits, a slice at a time.
+        flags = 0 if end is None and self.peer is not None else AT_ONCE
+        if not self._take_in(end, flags) and flags:
+            self._wait(select.POLLIN, end)
+
+    def _take_in(self, end: float | None, flags: int) -> bool:
+        """Whether something had arrived."""
+        try:
+            count = self._socket.recv_into(self._core.get_buffer(), 0, flags)
+        except BlockingIOError:
+            return False
+        except OSError:
+            count = 0
+        with self._core_lock:
+            if count == 0 and self._aborted:
+                self._fail(ChannelClosed("the connection was cut"))
+            elif count == 0:
+                self._guarded(self._core.receive_eof)
+                self._fail(ChannelClosed("the peer closed the connection"))
+            else:
+                self._note(self._guarded(self._core.buffer_updated, count, _now()))
+        if self._error is None:
+            self._flush(end)
+        else:
+            self._send_last(self._core.data_to_send())  # the peer may be gone
+        return True
+
+    def _note(self, events: Sequence[object]) -> None:
+        for event in events:
+            if isinstance(event, UnitReceived):
+                self._units.append(event.data)
+            elif isinstance(event, Authenticated):
+                self.peer = event.identity
+                self._settle()
+            else:
+                self._fail(ChannelClosed("the peer closed the connection"))
+
+    def _guarded(self, step: Callable[..., Any], *arguments: object) -> Any:
+        try:
+            return step(*arguments)
+        except ChannelError as error:
+            self._fail(error)
+            self._send_last(self._core.data_to_send())
+            raise
+
+    def _send_last(self, flight: Bytes) -> None:
+        with suppress(OSError):
+            self._socket.send(flight, AT_ONCE)
+
+    def _fail(self, error: ChannelError) -> None:
+        self._error = self._error or error
+
+    def _settle(self) -> None:
+        """The peer is authenticated, or the socket is not ours any more."""
+        settled, self._on_settled = self._on_settled, None
+        if settled is not None:
+            settled()
+
+    def _raise_if_over(self) -> None:
+        if self._error is not None:
+            raise copy(self._error)  # with its traceback it would hold whatever it was raised in
+
+    # -- sending
+
+    def _push_small(self, pieces: tuple[Bytes, ...], end: float | None) -> bool:
+        """The short way of a small unit: one record, where nothing else has to be done."""
+        if len(pieces) != 1 or not isinstance(pieces[0], bytes):
+            return False
+        with self._core_lock:
+            record = self._core.seal_small(pieces[0])
+        if record is not None:
+            self._push(record, end)
+        return record is not None
+
+    def _push_unit(self, pieces: tuple[Bytes, ...], end: float | None) -> None:
+        with self._core_lock:
+            records = self._core.seal_unit(*pieces, reuse=True)
+        while True:
+            with self._core_lock:
+                record = self._guarded(next, records, None)
+            if record is None:
+                return
+            self._push(record, end)
+
+    def _flush(self, end: float | None) -> None:
+        """Write what the core queued; whoever is writing looks again when it is done."""
+        while self._core.has_data_to_send:
+            if not self._writing.acquire(blocking=False):
+                return
+            try:
+                with self._core_lock:
+                    data = self._core.data_to_send()
+                self._push(data, end)
+            finally:
+                self._writing.release()
+
+    def _push(self, data: Bytes, end: float | None) -> None:
+        rest = memoryview(data)
+        flags = 0 if end is None else AT_ONCE
+        try:
+            while rest:
+                try:
+                    rest = rest[self._socket.send(rest, flags) :]
+                except BlockingIOError:
+                    self._wait(select.POLLOUT, end)
+        except BaseException as error:
+            self._fail(ChannelClosed("a message was given up half-way"))
+            if isinstance(error, OSError) and not isinstance(error, TimeoutError | BlockingIOError):
+                raise ChannelClosed("the connection is closed") from error
+            raise
+
+    def _offer(self, data: Bytes) -> Bytes:
+        """Give the kernel what it takes at once; returns the rest."""
+        try:
+            return memoryview(data)[self._socket.send(data, AT_ONCE) :]
+        except BlockingIOError:
+            return data
+        except OSError as error:
+            self._fail(ChannelClosed("the connection is closed"))
+            raise ChannelClosed("the connection is closed") from error
+
+    # -- waiting
+
+    def _end(self) -> float | None:
+        return None if self._timeout is None else time.monotonic() + self._timeout
+
+    def _wait(self, event: int, end: float | None) -> None:
+        """Wait for the socket, for the caller's deadline, or for the core's."""
+        left = _LONGEST_WAIT if end is None else end - time.monotonic()
+        if left <= 0:
+            raise BlockingIOError if self._timeout == 0 else TimeoutError("timed out")
+        deadline = self._core.deadline()
+        if deadline is not None:
+            left = min(left, max(0.0, deadline - clock.time()) + 0.001)
+        poll = select.poll()
+        poll.register(self._socket.fileno(), event)
+        poll.poll(left * 1000)
+        self._tick(reading=event == select.POLLIN)
+
+    def _tick(self, *, reading: bool = False) -> None:
+        """Let the core look at the clock, once in a second: its deadlines are whole ones."""
+        now = _now()
+        if now == self._ticked:
+            return
+        if self._core.state is State.WAIT_4:
+            self._take_in_confirmation(reading=reading)
+        with self._core_lock:
+            self._guarded(self._core.tick, now)
+        self._ticked = now
+
+    def _take_in_confirmation(self, *, reading: bool) -> None:
+        """What has arrived counts before the time does: message_4 may have waited for a reader.
+
+        Nobody reads where a connection is only written to, or kept for later.
+        """
+        if not reading and not self._reading.acquire(blocking=False):
+            return  # whoever reads takes it in
+        try:
+            self._take_in(None, AT_ONCE)
+        finally:
+            if not reading:
+                self._reading.release()
+
+
+def _now() -> int:
+    return clock.now()

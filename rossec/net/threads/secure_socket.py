@@ -1,0 +1,279 @@
+"""Secure connections for programs with threads: the socket methods that rospy uses.
+
+`SecureSocket` is a byte stream. It never waits with the core locked, one thread writes at a time,
+and its `fileno` is readable whenever `recv` has something: also when the bytes have left the kernel
+already. Linux only: that descriptor is an epoll over the socket and an eventfd.
+"""
+
+import os
+import secrets
+import select
+import socket
+import sys
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any, Final
+
+from rossec import clock
+from rossec.channel.connection import Connection
+from rossec.channel.edhoc.credentials import OwnCredential, PeerT, Verify
+from rossec.channel.records import Bytes
+from rossec.channel.states import DEAD
+from rossec.errors import ChannelClosed
+from rossec.net.threads.carrier import AT_ONCE, Carrier
+
+_PUMPED: Final = 16  # buffers in one go
+
+
+class SecureSocket(Carrier[PeerT]):
+    """A connection over a connected TCP socket, which it owns.
+
+    The handshake happens in the first `recv` or `send`, or in `do_handshake`. Two threads may use
+    it, one to receive and one to send.
+
+    Raises (every method that moves bytes):
+        TimeoutError, BlockingIOError: as sockets do. A `send` that could not finish ends the
+            connection: half a record cannot be taken back.
+        ChannelError: the connection cannot be made, or has ended; `recv` returns b"" after a close.
+    """
+
+    def __init__(
+        self,
+        sock: socket.socket,
+        core: Connection[PeerT],
+        on_settled: Callable[[], None] = lambda: None,
+    ) -> None:
+        super().__init__(sock, core, on_settled)
+        self._closed = False
+        self._event = -1
+        self._flagged = False
+        self._epoll: select.epoll | None = None
+
+    @classmethod
+    def connect(
+        cls,
+        address: tuple[str, int],
+        credentials: OwnCredential,
+        verify: Verify[PeerT],
+        timeout: float | None = None,
+        **options: Any,
+    ) -> "SecureSocket[PeerT]":
+        """Connect and authenticate; `options` are those of `Connection.initiator`.
+
+        Raises:
+            OSError: no TCP connection.
+            ChannelError: the handshake failed.
+        """
+        sock = socket.create_connection(address, timeout)
+        core = Connection.initiator(
+            credentials, verify, random=secrets.token_bytes, now=clock.now(), **options
+        )
+        secure = SecureSocket(sock, core)
+        try:
+            secure.do_handshake()
+        except BaseException:
+            secure.close()
+            raise
+        return secure
+
+    def welcome(self, limit: int | None = None) -> None:
+        """Take units of up to `limit` from now on, or of `Limits.unit`: the peer was judged.
+
+        Raises:
+            ChannelClosed: there is no open connection.
+        """
+        with self._core_lock:
+            self._core.welcome(limit)
+
+    # -- what a socket tells and is told
+
+    def fileno(self) -> int:
+        """A descriptor to wait on for reading; -1 when closed. Made when first asked for."""
+        with self._core_lock:
+            if self._closed:
+                return -1
+            if self._epoll is None:
+                self._event = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
+                self._epoll = select.epoll()
+                for fd in (self._socket.fileno(), self._event):
+                    self._epoll.register(fd, select.EPOLLIN)
+                self._flag()
+            return self._epoll.fileno()
+
+    def _flag(self) -> None:
+        """Keep the eventfd readable exactly while decrypted bytes wait here."""
+        wanted = len(self._units) > 0
+        if wanted != self._flagged and self._epoll is not None:
+            self._flagged = wanted
+            if wanted:
+                os.eventfd_write(self._event, 1)
+            else:
+                os.eventfd_read(self._event)
+
+    # -- bytes
+
+    def do_handshake(self) -> PeerT:
+        """Return the peer, once it is authenticated."""
+        end = self._end()
+        while self.peer is None:
+            self._raise_if_over()
+            self._receive(end)
+        return self.peer
+
+    def recv(self, size: int) -> bytes:
+        """Return 1 to `size` bytes; b"" after the peer's close."""
+        with self._reading:
+            chunk = self._take(size)
+            return bytes(chunk)
+
+    def recv_into(self, buffer: bytearray | memoryview, size: int = 0) -> int:
+        """Receive into `buffer`; return how many bytes, 0 after the peer's close."""
+        with self._reading, memoryview(buffer).cast("B") as view:
+            chunk = self._take(size or len(view))
+            view[: len(chunk)] = chunk
+            return len(chunk)
+
+    def receive_unit(self) -> bytes | memoryview:
+        """The rest of a unit that `recv` began, or the next one; empty after the peer's close."""
+        with self._reading:
+            return self._take(sys.maxsize)
+
+    @property
+    def awaits_peer(self) -> bool:
+        """Whether the peer has yet to follow a renewal of the keys: `pump` soon."""
+        return self._core.awaits_peer
+
+    def pump(self) -> None:
+        """Take in what has arrived, without waiting: for a side that only sends.
+
+        Its peer's renewals and its close are met; units are dropped, for nobody asks for them. A
+        peer that floods is read no faster than this is called: the rest waits at its side.
+        """
+        end = self._end()
+        with self._reading:
+            for _ in range(_PUMPED):
+                if self._error is not None or not self._take_in(end, AT_ONCE):
+                    return
+                self._units.clear()
+
+    def tend(self) -> None:
+        """Meet the peer's renewals, and this side's, while nobody uses the connection.
+
+        It never waits: where somebody reads or writes just now, it happens by itself.
+        """
+        if self._units or self.peer is None or not self._writing.acquire(blocking=False):
+            return
+        try:
+            if self._reading.acquire(blocking=False):
+                try:
+                    self._take_in(None, AT_ONCE)
+                finally:
+                    self._reading.release()
+            self._tick()  # after the peer's answer to the last renewal
+            with self._core_lock:
+                if self._core.has_data_to_send:
+                    self._core.put_back(self._offer(self._core.data_to_send()))
+        finally:
+            self._writing.release()
+
+    def _take(self, size: int) -> bytes | memoryview:
+        end = self._end()
+        while not self._units:
+            if isinstance(self._error, ChannelClosed):
+                return b""
+            self._raise_if_over()
+            self._receive(end)
+        if self._aborted:
+            return b""
+        unit = self._units.popleft()
+        if len(unit) > size:
+            whole = memoryview(unit)
+            self._units.appendleft(whole[size:])
+            unit = whole[:size]
+        self._flag()
+        return unit
+
+    def send(self, data: Bytes) -> int:
+        """Send everything; return how much that is."""
+        self.sendall(data)
+        return len(data)
+
+    def sendall(self, *pieces: Bytes) -> None:
+        """Send the pieces as one unit."""
+        end = self._end()
+        if self.peer is None:
+            with self._reading:
+                self.do_handshake()
+        self._tick()
+        with self._writing:
+            self._raise_if_over()
+            if not self._push_small(pieces, end):
+                self._push_unit(pieces, end)
+        self._flush(end)
+
+    def send_now(self, data: bytes) -> bool:
+        """Send a small unit where this needs no waiting; False: nothing has happened.
+
+        What the kernel did not take is `unsent`, and goes before anything else.
+        """
+        if self.peer is None or not self._writing.acquire(blocking=False):
+            return False
+        try:
+            self._raise_if_over()
+            self._tick()
+            with self._core_lock:
+                record = self._core.seal_small(data)
+                if record is not None:
+                    self._core.put_back(self._offer(record))
+        finally:
+            self._writing.release()
+        return record is not None
+
+    @property
+    def unsent(self) -> bool:
+        """Whether `send_now` left something: `sendall`, even of nothing, sends it."""
+        return self._core.has_data_to_send
+
+    # -- ends
+
+    def detach(self) -> socket.socket:
+        """Give the TCP socket back, before anything was read from it."""
+        self._closed = True
+        self._fail(ChannelClosed("the connection was given back"))
+        self._settle()
+        return self._socket
+
+    def shutdown(self, how: int = socket.SHUT_RDWR) -> None:
+        """Close in order (`SHUT_RD` alone does nothing: the peer cannot be told)."""
+        if how == socket.SHUT_RD:
+            return
+        with self._core_lock:
+            if self._core.state not in DEAD:
+                self._core.close()
+        if self._writing.acquire(timeout=0.1):  # a writer that is stuck is cut off
+            try:
+                self._send_last(self._core.data_to_send())
+            finally:
+                self._writing.release()
+        self._fail(ChannelClosed("the connection was closed"))
+        with suppress(OSError):
+            self._socket.shutdown(socket.SHUT_RDWR)  # wakes whoever waits
+
+    def close(self) -> None:
+        """Close in order, and give the descriptors back."""
+        with self._core_lock:
+            closed, self._closed = self._closed, True
+        if closed:
+            return
+        self.shutdown()
+        if self._epoll is not None:
+            self._epoll.close()
+            os.close(self._event)
+        self._socket.close()
+        self._settle()
+
+    def __enter__(self) -> "SecureSocket[PeerT]":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()

@@ -1,0 +1,46 @@
+"""What the parts of one node share: who it is, what it may do, and how it reaches others."""
+
+import contextlib
+import logging
+from collections.abc import Awaitable, Callable, Iterator
+from dataclasses import dataclass
+
+from ca.revocation.state import Revocations
+from grants.memory import Recall
+from rossec.errors import AnswerRefused
+from rossec.participant.access import Access
+from rossec.participant.dialer import Dialer
+
+Call = Callable[..., Awaitable[object]]
+_log = logging.getLogger("rossec.node")
+
+
+@dataclass(frozen=True)
+class Standing:
+    """One running node.
+
+    Attributes:
+        call: calls the master.
+        filter_key: finds a key for pseudonyms by its name.
+        recall: finds what a limited right has used up.
+        uri: its API URI, as registered.
+        rosrpc: the URI of its services, as registered.
+    """
+
+    name: str
+    access: Access
+    revocations: Revocations
+    call: Call
+    dialer: Dialer
+    filter_key: Callable[[str], bytes]
+    recall: Recall
+    uri: Callable[[], str]
+    rosrpc: Callable[[], str]
+
+    @contextlib.contextmanager
+    def restoring(self, what: str) -> Iterator[None]:
+        """Register `what` again; one right that is gone must not cost the node all the others."""
+        try:
+            yield
+        except AnswerRefused as error:
+            _log.warning("%s: %s is not registered again: %s", self.name, what, error)

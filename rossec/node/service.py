@@ -1,0 +1,223 @@
+"""A service this node provides: who is connected, and what each of them may ask and hear.
+
+A shell around `serviceguard`. Every request is judged anew: a connection may be hours old. Requests
+of one connection are answered one after the other; a caller that sends faster is not read. What a
+handler raises stays here, except `ServiceFailed`, which is meant for the caller.
+"""
+
+import asyncio
+import inspect
+import logging
+from collections.abc import Awaitable, Callable, Mapping
+from typing import Any, Final
+from weakref import WeakValueDictionary
+
+from ca.certificates import Identity
+from grants.decision import Decision
+from grants.errors import GrantError
+from rossec import clock
+from rossec.errors import (
+    ChannelClosed,
+    ConfigurationError,
+    FrameRefused,
+    MessageError,
+    RossecError,
+    ServiceFailed,
+    ServiceRefused,
+)
+from rossec.net import withheld_log
+from rossec.net.aio import SecureStream
+from rossec.node.context import Standing
+from rossec.participant.connections import why_cut
+from rossec.participant.message_types import Message, field_names
+from rossec.participant.service_guard import Pieces, ServiceGuard
+from rossec.participant.service_handshake import Expected
+from rossec.participant.service_types import ServiceType
+from rossec.ros import service as wire
+
+REQUEST_DEADLINE: Final = 10.0  # seconds from the beginning of a request to its end
+HANDLER_DEADLINE: Final = 60.0
+CONCURRENCY: Final = 8
+
+Handler = Callable[[Any], "Message | Mapping[str, object] | Awaitable[Any] | None"]
+_log = logging.getLogger("rossec.node")
+
+
+class CallerLink:
+    """One admitted caller."""
+
+    def __init__(
+        self,
+        stream: SecureStream[Identity],
+        decision: Decision,
+        guard: ServiceGuard,
+        share: asyncio.Semaphore,
+    ) -> None:
+        self.stream = stream
+        self.share = share
+        self.decision = decision
+        self.guard = guard
+        self.ends = min(decision.expires, stream.peer.not_after)
+        self._frames = wire.request_reader()
+
+    async def request(self, *, wait: bool) -> bytes:
+        """The next request; `wait` as long as it takes for it to begin.
+
+        Raises:
+            FrameRefused: it is too long, or did not come in time.
+            ChannelError: the connection is at its end.
+        """
+        content = self._frames.feed_one(await self.stream.receive()) if wait else None
+        try:
+            async with asyncio.timeout(REQUEST_DEADLINE):
+                while content is None:
+                    content = self._frames.feed_one(await self.stream.receive())
+        except TimeoutError:
+            raise FrameRefused("a request that did not come in time") from None
+        return content
+
+
+class Service:
+    """Answers calls of one service. Made by `Node.service`.
+
+    Args:
+        handler: takes a request, returns the response: a message, a mapping of its fields, or
+            None if it has none; it may be a coroutine function. A plain function holds up the
+            whole node while it runs.
+        concurrency: how many calls are handled at a time, half of them of one caller; more wait.
+        deadline: seconds a call may take, waiting included.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        kind: ServiceType,
+        handler: Handler,
+        standing: Standing,
+        on_close: Callable[["Service"], Awaitable[None]],
+        *,
+        concurrency: int = CONCURRENCY,
+        deadline: float = HANDLER_DEADLINE,
+    ) -> None:
+        if concurrency < 1 or deadline <= 0:
+            raise ConfigurationError(
+                f"{name}: concurrency {concurrency}, deadline {deadline:g} s",
+                "give both above zero",
+            )
+        self.name = name
+        self.kind = kind
+        self.links: set[CallerLink] = set()
+        self._handler = handler
+        self._standing = standing
+        self._on_close = on_close
+        self._turns = asyncio.Semaphore(concurrency)
+        self._share = max(1, concurrency // 2)
+        self._shares: WeakValueDictionary[bytes, asyncio.Semaphore] = WeakValueDictionary()
+        self._deadline = deadline
+
+    @property
+    def expected(self) -> Expected:
+        """Type and checksum, as headers name them."""
+        return Expected(self.kind.name, self.kind.md5sum)
+
+    def create(self, **fields: object) -> Message:
+        """A zero response with `fields` set."""
+        return self.kind.response.create(**fields)
+
+    async def close(self) -> None:
+        """Unregister and cut every caller."""
+        for link in tuple(self.links):
+            link.stream.abort("the service is closed")
+        await self._on_close(self)
+
+    def guard(self, decision: Decision) -> ServiceGuard:
+        """What `decision` means for the messages of this service; raises as `ServiceGuard`."""
+        return ServiceGuard(self.kind, decision, self._standing.filter_key, self._standing.recall)
+
+    async def serve(
+        self,
+        stream: SecureStream[Identity],
+        decision: Decision,
+        guard: ServiceGuard,
+        answer: bytes,
+        *,
+        persistent: bool,
+    ) -> None:
+        """Answer one admitted caller: its header, then its calls, until its stream ends.
+
+        The link is known before the answer is sent: a revocation that arrives meanwhile finds it.
+        """
+        link = CallerLink(stream, decision, guard, self._share_of(stream.peer))
+        self.links.add(link)
+        try:
+            await stream.send(answer)
+            await self._answer(link, await link.request(wait=persistent))
+            while persistent:
+                await self._answer(link, await link.request(wait=True))
+        except RossecError as error:
+            _log.info("%s: %s left: %s", self.name, stream.peer.name, error)
+        finally:
+            self.links.discard(link)
+
+    def _share_of(self, caller: Identity) -> asyncio.Semaphore:
+        """Of all turns one caller takes half at most, over however many connections."""
+        share = self._shares.get(caller.thumbprint)
+        if share is None:
+            share = self._shares[caller.thumbprint] = asyncio.Semaphore(self._share)
+        return share
+
+    async def _answer(self, link: CallerLink, request: bytes) -> None:
+        reason = why_cut(link, self._standing.revocations, clock.now())
+        if reason is not None:
+            link.stream.abort(reason)
+            raise ChannelClosed(reason)
+        await link.stream.send(*await self._respond(link, request))
+
+    async def _respond(self, link: CallerLink, request: bytes) -> Pieces:
+        """The response, or why there is none, as bytes."""
+        try:
+            async with asyncio.timeout(self._deadline), link.share, self._turns:
+                allowed = b"".join(link.guard.request(request, clock.now()))
+                data = await self._handle(self._opened(allowed))
+                return wire.success(link.guard.response(data, clock.now()))
+        except ServiceFailed as error:
+            return wire.failure(str(error))
+        except (ServiceRefused, GrantError) as error:
+            withheld_log.warn(_log, withheld_log.REFUSED, self.name, link.stream.peer.name, error)
+            return wire.failure(f"rossec: {error}")
+        except TimeoutError:
+            took = f"a call took more than {self._deadline:g} s"
+            withheld_log.warn(_log, withheld_log.REFUSED, self.name, link.stream.peer.name, took)
+            return wire.failure("the service took too long")
+
+    def _opened(self, request: bytes) -> Message:
+        try:
+            return self.kind.request.deserialize(request)
+        except MessageError as error:
+            raise ServiceRefused(f"not one {self.kind.request.name}") from error
+
+    async def _handle(self, request: Message) -> memoryview:
+        """The serialized response; whatever else the handler raises tells about our inside."""
+        try:
+            result = self._handler(request)
+            if inspect.isawaitable(result):
+                result = await result
+            return self.kind.response.serialize(self._response(result))
+        except ServiceFailed:
+            raise
+        except Exception as error:
+            _log.exception("%s: the handler failed", self.name)
+            raise ServiceFailed("the service failed") from error
+
+    def _response(self, result: object) -> Message:
+        if isinstance(result, Mapping):
+            return self.create(**result)
+        empty = self.create()
+        if result is None and not field_names(empty):
+            return empty
+        if type(result) is not type(empty):
+            raise MessageError(
+                f"the handler of {self.name} returned no {self.kind.response.name}",
+                "return service.create(...), or a mapping of its fields",
+            )
+        return result

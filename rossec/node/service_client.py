@@ -1,0 +1,269 @@
+"""Calls of a service: a connection for each, or one that is kept.
+
+A shell. The master says where the provider is, nothing more. Who it is comes from the channel,
+whether it may provide from the grant it shows, and what it is told and believed from
+`serviceguard`. A connection that failed half-way through a call is never used again: a late
+response must not be taken for the next one's.
+"""
+
+import asyncio
+import contextlib
+from collections.abc import AsyncIterator, Awaitable, Callable
+from types import TracebackType
+from typing import Final, Self
+
+from ca.certificates import Identity
+from grants.decision import Decision
+from rossec import clock
+from rossec.errors import ChannelClosed, ConfigurationError, ServiceFailed
+from rossec.net.aio import SecureStream
+from rossec.net.aio.tasks import TaskSet
+from rossec.net.bounds import unit_limit
+from rossec.node.context import Standing
+from rossec.participant.access import Access
+from rossec.participant.connections import why_cut
+from rossec.participant.header_fields import Fields
+from rossec.participant.message_types import Message
+from rossec.participant.service_guard import Pieces, ServiceGuard
+from rossec.participant.service_handshake import (
+    ANY,
+    Expected,
+    admit_provider,
+    check_md5,
+    client_header,
+)
+from rossec.participant.service_types import ServiceType
+from rossec.ros import header
+from rossec.ros import service as wire
+from rossec.ros.header import MESSAGE_LIMIT
+
+CALL_DEADLINE: Final = 60.0
+HANDSHAKE_DEADLINE: Final = 5.0
+
+Dial = Callable[[str], Awaitable[SecureStream[Identity]]]  # service -> stream to its provider
+
+
+class ProviderLink:
+    """One admitted provider."""
+
+    def __init__(
+        self, stream: SecureStream[Identity], decision: Decision, guard: ServiceGuard
+    ) -> None:
+        self.stream = stream
+        self.decision = decision
+        self.guard = guard
+        self.ends = min(decision.expires, stream.peer.not_after)
+        self._frames = wire.response_reader()
+
+    async def call(self, request: Pieces) -> bytes:
+        """The response to one request.
+
+        Raises:
+            ServiceFailed: the provider says why there is none.
+            RossecError: the connection is at its end, or broke the protocol.
+        """
+        await self.stream.send(*wire.framed(request))
+        while (content := self._frames.feed_one(await self.stream.receive())) is None:
+            pass
+        return wire.open_response(content)
+
+
+async def introduce(
+    stream: SecureStream[Identity],
+    caller: str,
+    service: str,
+    kind: Expected,
+    access: Access,
+    *,
+    persistent: bool = False,
+    probe: bool = False,
+) -> tuple[Fields, Decision]:
+    """Exchange headers with a provider: what it said, and what its grants decide.
+
+    Raises:
+        HintedError: it refuses, or is not entitled.
+    """
+    fields = client_header(
+        caller, service, kind, access, clock.now(), persistent=persistent, probe=probe
+    )
+    await stream.send(header.encode(fields))
+    frames = header.FrameReader(header.HEADER_LIMIT)
+    while (arrived := frames.feed_one(await stream.receive())) is None:
+        pass
+    answer = header.decode(arrived)
+    return answer, admit_provider(answer, stream.peer, service, access, clock.now())
+
+
+async def probe(dial: Dial, caller: str, service: str, access: Access) -> tuple[Fields, Identity]:
+    """Ask the provider of `service` for its header alone; returns it and who answered.
+
+    Raises:
+        HintedError: there is none, it refuses, or is not entitled.
+        TimeoutError: it does not answer.
+    """
+    async with asyncio.timeout(HANDSHAKE_DEADLINE):
+        stream = await dial(service)
+        try:
+            answer, _ = await introduce(stream, caller, service, ANY, access, probe=True)
+        finally:
+            stream.abort("only a probe")
+    return answer, stream.peer
+
+
+class ServiceClient:
+    """Calls one service: `response = await client(data=True)`. Made by `Node.client`.
+
+    Args:
+        persistent: keep the connection between calls; calls then take turns.
+        deadline: seconds a call may take, connecting included.
+    """
+
+    def __init__(
+        self,
+        service: str,
+        kind: ServiceType,
+        standing: Standing,
+        dial: Dial,
+        on_close: Callable[["ServiceClient"], None],
+        *,
+        persistent: bool = False,
+        deadline: float = CALL_DEADLINE,
+    ) -> None:
+        if deadline <= 0:
+            raise ConfigurationError(f"a deadline of {deadline:g} seconds", "give one above zero")
+        self.service = service
+        self.kind = kind
+        self.links: set[ProviderLink] = set()
+        self._standing = standing
+        self._dial = dial
+        self._on_close = on_close
+        self._persistent = persistent
+        self._deadline = deadline
+        self._kept: ProviderLink | None = None
+        self._turn = asyncio.Lock()
+        self._owned = TaskSet()
+        self._closed = False
+
+    def create(self, **fields: object) -> Message:
+        """A zero request with `fields` set."""
+        return self.kind.request.create(**fields)
+
+    async def __call__(self, request: Message | None = None, /, **fields: object) -> Message:
+        """Call with `request`, or with a request made of `fields`; returns the response.
+
+        Raises:
+            ServiceUnavailable: no node provides the service.
+            ServiceFailed: the provider says why it could not, or it took too long.
+            HintedError: one side is not entitled, or the connection failed.
+        """
+        if request is None:
+            request = self.create(**fields)
+        response = await self.call_bytes(self.kind.request.serialize(request))
+        return self.kind.response.deserialize(response)
+
+    async def call_bytes(self, request: bytes | memoryview) -> bytes:
+        """Call with a serialized request (without its length); returns the serialized response.
+
+        Raises:
+            as calling does.
+        """
+        if self._closed:
+            raise ChannelClosed(f"the client of {self.service} is closed")
+        try:
+            async with asyncio.timeout(self._deadline), self._link() as link:
+                return await self._exchange(link, request)
+        except TimeoutError:
+            raise ServiceFailed(f"{self.service} did not answer in time") from None
+
+    async def close(self) -> None:
+        """Drop the connections; calls under way fail. Safe to call twice."""
+        self._closed = True
+        for link in tuple(self.links):
+            link.stream.abort("the client is closed")
+        self.links.clear()
+        await self._owned.close()
+        self._on_close(self)
+
+    async def __aenter__(self) -> Self:
+        return self
+
+    async def __aexit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        await self.close()
+
+    @contextlib.asynccontextmanager
+    async def _link(self) -> AsyncIterator[ProviderLink]:
+        """The kept connection, for one call at a time, or one for this call."""
+        if not self._persistent:
+            link = await self._connect()
+            try:
+                yield link
+            finally:
+                link.stream.abort("the call is over")
+            return
+        async with self._turn:
+            if self._kept is None:
+                self._kept = await self._connect()
+            yield self._kept
+
+    async def _exchange(self, link: ProviderLink, request: bytes | memoryview) -> bytes:
+        now = clock.now()
+        reason = why_cut(link, self._standing.revocations, now)
+        if reason is not None:
+            link.stream.abort(reason)
+            raise ChannelClosed(reason)
+        allowed = link.guard.request(request, now)
+        complete = False
+        try:
+            response = await link.call(allowed)
+            complete = True
+        except ServiceFailed:
+            complete = True
+            raise
+        finally:
+            if not complete:
+                self._give_up(link)
+        return b"".join(link.guard.response(response, clock.now()))
+
+    async def _connect(self) -> ProviderLink:
+        stream = await self._dial(self.service)
+        try:
+            async with asyncio.timeout(HANDSHAKE_DEADLINE):
+                link = await self._introduce(stream)
+        except BaseException:
+            stream.abort("the connection header was refused")
+            raise
+        self.links.add(link)
+        self._owned.spawn(self._forget(link), f"{self.service}: connection")
+        return link
+
+    async def _introduce(self, stream: SecureStream[Identity]) -> ProviderLink:
+        kind = Expected(self.kind.name, self.kind.md5sum)
+        answer, decision = await introduce(
+            stream,
+            self._standing.name,
+            self.service,
+            kind,
+            self._standing.access,
+            persistent=self._persistent,
+        )
+        check_md5(answer, self.service, kind.md5sum)
+        stream.welcome(unit_limit(self.kind.response_layout.root.size, MESSAGE_LIMIT))
+        own = self._standing
+        guard = ServiceGuard(self.kind, decision, own.filter_key, own.recall)
+        return ProviderLink(stream, decision, guard)
+
+    async def _forget(self, link: ProviderLink) -> None:
+        """A connection that has ended, whoever ended it, is not used for the next call."""
+        await link.stream.wait_ended()
+        self._give_up(link)
+
+    def _give_up(self, link: ProviderLink) -> None:
+        link.stream.abort("the call failed half-way")
+        self.links.discard(link)
+        if self._kept is link:
+            self._kept = None

@@ -1,0 +1,1 @@
+"""Links between sites. Reserved: nothing is here yet."""

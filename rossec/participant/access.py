@@ -1,0 +1,238 @@
+"""What this node can prove, and what it lets others do: the one place where a peer is authorized.
+
+Pure: grants, revocations and `now` in; a `Decision` or a refusal out. Least disclosure: of the
+grants this node holds, a peer is shown only those that cover what is being asked of it.
+"""
+
+from collections import OrderedDict
+from collections.abc import Callable, Iterable
+from contextlib import suppress
+from dataclasses import dataclass
+from hashlib import sha256
+from typing import Final
+
+from cryptography.hazmat.primitives.asymmetric import ec
+
+from ca.certificates import Identity, TrustAnchor
+from ca.encoding import Value, decode, encode
+from ca.errors import CAError, EncodingError, RevocationsStale
+from ca.revocation.state import Revocations, open_timestamp
+from grants.decision import Decision, authorize
+from grants.document import peek
+from grants.errors import GrantError, GrantMalformed, GrantMissing
+from grants.model import Grant, Right
+from grants.token import Verifier
+
+FIELD: Final = "rossec_grants"
+NO_LIST: Final = (
+    "the master has no revocation list yet",
+    "at the authority: rossec ca refresh, then rossec ca publish; until then nobody is trusted",
+)
+MAX_PRESENTED: Final = 40 * 1024  # a header field holds 48 KiB
+MAX_GRANTS: Final = 16
+_CACHE_SIZE: Final = 1024
+
+
+@dataclass(frozen=True)
+class Holding:
+    """A grant this node holds.
+
+    Args:
+        grant: what it says; `expires` as renewed.
+        original: as the authority signed it.
+        token: as it is presented.
+        since: when it was last renewed, or begins.
+    """
+
+    grant: Grant
+    original: bytes
+    token: bytes
+    since: int
+
+
+class Access:
+    """The grants a node holds and the judgement it passes on those of its peers."""
+
+    def __init__(
+        self, anchor: TrustAnchor, revocations: Revocations, held: Iterable[bytes] = ()
+    ) -> None:
+        self._anchor = anchor
+        self._revocations = revocations
+        self._held: dict[bytes, Holding] = {}
+        self._opened: OrderedDict[bytes, Grant] = OrderedDict()
+        self._delegate: ec.EllipticCurvePublicKey | None = None
+        for data in held:
+            self.hold(data)
+
+    def hold(self, data: bytes) -> None:
+        """Add a grant to those this node can present."""
+        grant = peek(data)
+        self._held.setdefault(grant.id, Holding(grant, data, data, grant.not_before))
+
+    def hold_renewed(self, token: bytes, now: int) -> None:
+        """Take a grant this node holds as the master has renewed it.
+
+        Raises:
+            GrantError: it does not hold, or is none of this node's.
+        """
+        grant = self._verifier().open(token, now)
+        known = self._held.get(grant.id)
+        if known is None:
+            raise GrantMissing(f"grant {grant.short_id} is renewed, but was never held here")
+        self._held[grant.id] = Holding(grant, known.original, token, now)
+
+    def holdings(self) -> list[Holding]:
+        """All grants this node holds, expired ones too, but none that is known to be revoked."""
+        revoked = self._revocations.entries
+        return [held for held in self._held.values() if held.grant.id not in revoked]
+
+    @property
+    def epoch(self) -> int:
+        """The epoch of the list held: tickets of an earlier one know numbers this one has not."""
+        held = self._revocations.held
+        return 0 if held is None else held.epoch
+
+    def take_news(
+        self,
+        revocations: bytes,
+        timestamp: bytes,
+        master: Identity,
+        now: int,
+        persist: Callable[[bytes], None],
+    ) -> None:
+        """Take over a newer list (empty: the one held is the newest) and its confirmation.
+
+        A list that holds counts, whatever is wrong with the rest.
+
+        Raises:
+            RevocationsStale: the master gives the list and does not confirm it.
+            CAError: one of the statements is refused, missing, or the master's key is revoked.
+        """
+        if not timestamp and not revocations and self._revocations.held is None:
+            raise CAError(*NO_LIST)
+        if revocations:
+            self._revocations.update(revocations, now, persist)
+        if revocations and not timestamp:
+            self._revocations.doubt()
+            raise RevocationsStale(
+                "the master tells this node what is revoked, and nothing more",
+                "its identity, or the intermediate above it, is revoked: enroll the node anew",
+            )
+        with suppress(RevocationsStale):  # which it may end; a revoked key may not
+            self.check_peer(master, now)
+        self._revocations.confirm(open_timestamp(timestamp, master.public_key), now)
+        self.check_peer(master, now)
+        self._delegate = master.public_key
+
+    def current(self, now: int) -> list[bytes]:
+        """The grants that hold now and are not known to be revoked, the longest-lived first."""
+        return [held.token for held in self._current(now)]
+
+    def present(self, right: Right, name: str, now: int) -> bytes:
+        """Header field that proves `right` on `name`: the array of the grants that cover it.
+
+        A peer takes a bounded number; the ones that end last are shown.
+        """
+        covering = [held.token for held in self._current(now) if _concerns(held.grant, right, name)]
+        return encode(list[Value](covering[:MAX_GRANTS]))
+
+    def holds(self, right: Right, name: str, now: int) -> bool:
+        """Whether a grant this node holds covers `right` on `name` now."""
+        return any(_concerns(held.grant, right, name) for held in self._current(now))
+
+    def _current(self, now: int) -> list[Holding]:
+        usable = [
+            held for held in self.holdings() if held.grant.not_before <= now < held.grant.expires
+        ]
+        return sorted(usable, key=lambda held: held.grant.expires, reverse=True)
+
+    def check_peer(self, peer: Identity, now: int) -> None:
+        """Raise a `CAError` when the identity of `peer` is revoked, or that is not known.
+
+        All its keys are asked about: that the first one is stale must not hide that its
+        intermediate is revoked.
+        """
+        stale: RevocationsStale | None = None
+        for key in peer.keys:
+            try:
+                self._revocations.check(key, now)
+            except RevocationsStale as error:
+                stale = stale or error
+        if stale is not None:
+            raise stale
+
+    def authorize(
+        self, peer: Identity, presented: bytes | None, right: Right, name: str, now: int
+    ) -> Decision:
+        """Decide whether `peer`, showing `presented`, may use `right` on `name` now.
+
+        Raises:
+            GrantError: the leaf that says what is missing or wrong.
+            CAError: the peer or one of its grants is revoked, or revocations are stale.
+        """
+        self.check_peer(peer, now)
+        if presented is None:
+            raise GrantMissing(
+                f"{peer.name} shows no grant to {right.label} {name}",
+                (f"sign one: rossec grant sign {peer.name} --{right.label} {name}",),
+            )
+        grants, refusals = self._open_all(_unpack(presented), now)
+        try:
+            return authorize(
+                grants, right, name, holder=peer.thumbprint, now=now, check=self._revocations.check
+            )
+        except GrantMissing:
+            if refusals:  # an expired or forged one says more than "none"
+                raise refusals[0] from None
+            raise
+
+    def _open_all(self, presented: list[bytes], now: int) -> tuple[list[Grant], list[GrantError]]:
+        """One grant that is refused does not spoil the others: it just does not count."""
+        grants: list[Grant] = []
+        refusals: list[GrantError] = []
+        for data in presented:
+            try:
+                grants.append(self._open(data, now))
+            except GrantError as error:
+                refusals.append(error)
+        return grants, refusals
+
+    def _open(self, data: bytes, now: int) -> Grant:
+        """Verify a grant once; the signature of one seen before is not checked again."""
+        digest = sha256(data).digest()
+        known = self._opened.get(digest)
+        if known is not None and known.not_before <= now < known.expires:
+            self._opened.move_to_end(digest)
+            return known
+        grant = self._verifier().open(data, now)
+        self._opened[digest] = grant
+        if len(self._opened) > _CACHE_SIZE:
+            self._opened.popitem(last=False)
+        return grant
+
+    def _verifier(self) -> Verifier:
+        held = self._revocations.held
+        return Verifier(
+            self._anchor.public_key,
+            self._anchor.domain,
+            self._delegate,
+            0 if held is None else held.seq,
+            self._revocations.check,
+        )
+
+
+def _unpack(presented: bytes) -> list[bytes]:
+    try:
+        value = decode(presented, limit=MAX_PRESENTED)
+    except EncodingError as error:
+        raise GrantMalformed(f"unreadable list of grants: {error}") from error
+    if not isinstance(value, list) or len(value) > MAX_GRANTS:
+        raise GrantMalformed(f"expected a list of at most {MAX_GRANTS} grants")
+    grants = [item for item in value if isinstance(item, bytes)]
+    if len(grants) != len(value):
+        raise GrantMalformed("a list of grants that holds something else")
+    return grants
+
+
+def _concerns(grant: Grant, right: Right, name: str) -> bool:
+    return any(permission.covers(right, name) for permission in grant.permissions)

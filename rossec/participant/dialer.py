@@ -1,0 +1,102 @@
+"""Connections a node makes: to its master, and to the nodes that publish what it subscribes to.
+
+A shell. Whoever answers is checked before anything is said: its certificate by the channel, its
+revocation here. A publisher that is merely not entitled is found out by its answer; until then it
+has seen the topic's name, which the master told it anyway, and the grant for that topic.
+"""
+
+from collections.abc import Callable
+
+from ca.certificates import Identity, TrustAnchor
+from rossec import clock
+from rossec.channel.edhoc.credentials import OwnCredential
+from rossec.channel.edhoc.known import KnownCertificates
+from rossec.channel.edhoc.suites import PRODUCTION
+from rossec.errors import TopicRefused
+from rossec.net.aio import Flavour, SecureStream, connect
+from rossec.net.bounds import DIALLED
+from rossec.net.rpc.client import RpcClient
+from rossec.participant.own_addresses import OwnPlaces
+from rossec.ros import settings
+
+CheckPeer = Callable[[Identity, int], None]
+
+
+class Dialer:
+    """Connects as one node."""
+
+    def __init__(
+        self,
+        name: str,
+        credentials: OwnCredential,
+        anchor: TrustAnchor,
+        check_peer: CheckPeer,
+        *,
+        suites: tuple[int, ...] = PRODUCTION,
+        known: KnownCertificates | None = None,
+        own: OwnPlaces | None = None,
+    ) -> None:
+        self._name = name
+        self._credentials = credentials
+        self._anchor = anchor
+        self._check_peer = check_peer
+        self._suites = suites
+        self._known = known
+        self._own = OwnPlaces() if own is None else own
+
+    async def rpc(self, host: str, port: int) -> SecureStream[Identity]:
+        """Connect to a master or slave API; the caller checks who it is."""
+        return await self._connect(host, port, Flavour.HTTP)
+
+    async def topic(self, uri: str, topic: str) -> SecureStream[Identity]:
+        """Ask the node at `uri` where its topics are, then connect there.
+
+        Raises:
+            RossecError: out of reach, or no connection offered.
+            CAError: the node that answers is revoked, or that is not known.
+        """
+        api = settings.parse_uri(uri, "a publisher's URI")
+        place = await self._request_topic(await self.rpc(*api), topic)
+        self._own.check_step(api, place)
+        stream = await self._connect(*place, Flavour.TCPROS)
+        self._judge(stream)
+        return stream
+
+    async def service(self, uri: str) -> SecureStream[Identity]:
+        """Connect to the provider of a service, at its rosrpc URI; raises as `topic`."""
+        host, port = settings.parse_uri(uri, "a service's URI", scheme="rosrpc")
+        stream = await self._connect(host, port, Flavour.TCPROS)
+        self._judge(stream)
+        return stream
+
+    async def _connect(self, host: str, port: int, opening: Flavour) -> SecureStream[Identity]:
+        return await connect(
+            host,
+            port,
+            self._credentials,
+            self._anchor.verify,
+            opening=opening,
+            limits=DIALLED[opening],
+            suites=self._suites,
+            known=self._known,
+            own_dials=self._own.dials_for((host, port)),
+        )
+
+    async def _request_topic(self, stream: SecureStream[Identity], topic: str) -> tuple[str, int]:
+        self._judge(stream)
+        try:
+            answer = await RpcClient(stream).ask("requestTopic", self._name, topic, [["TCPROS"]])
+        finally:
+            await stream.close()
+        match answer:
+            case ["TCPROS", str() as host, int() as port] if 0 < port < 1 << 16:
+                return host, port
+            case _:
+                raise TopicRefused(f"{stream.peer.name} offers no connection for {topic}")
+
+    def _judge(self, stream: SecureStream[Identity]) -> None:
+        try:
+            self._check_peer(stream.peer, clock.now())
+        except BaseException:
+            stream.abort("the peer's identity does not hold")
+            raise

@@ -1,0 +1,117 @@
+"""When a node has its grants renewed, and what it does with the answer.
+
+`Renewals` is pure and belongs to one node; `renew` and `renew_blocking` are the whole shell, for
+asyncio and for threads: call either every few seconds, and before registering on a new connection
+(a node that was off for long holds grants that have expired, but may still be renewed).
+"""
+
+import logging
+from collections.abc import Awaitable, Callable
+from typing import Final, Protocol
+
+from grants.errors import GrantError
+from rossec.errors import AnswerMalformed
+from rossec.participant.access import Access, Holding
+from rossec.ros.text import printable
+
+METHOD: Final = "rossec.renewGrants"
+AT_ONCE: Final = 16  # grants in one call: what the master takes
+RETRY: Final = 60  # seconds at most until a grant that was not renewed is asked for again
+_TRIES: Final = 4  # so often at least is it asked for in what is left of its time
+
+_log = logging.getLogger("rossec.node")
+
+
+class Renewals:
+    """Which grants of one node are due, and the ones that come back."""
+
+    def __init__(self, access: Access) -> None:
+        self._access = access
+        self._retry_at: dict[bytes, int] = {}
+        self._epoch = access.epoch
+        self._outdated: set[bytes] = set()
+
+    def due(self, now: int) -> list[Holding]:
+        """Grants to be renewed now, the most urgent first; one that was refused is due later.
+
+        In a new epoch of the list numbers begin again: tickets made before it are of no use.
+        """
+        began = self._access.epoch > self._epoch
+        self._epoch = self._access.epoch
+        if began:
+            self._retry_at.clear()
+            self._outdated = {held.token for held in self._access.holdings() if held.grant.via}
+        due = [
+            held
+            for held in self._access.holdings()
+            if (due_at(held) <= now or held.token in self._outdated)
+            and now < held.grant.cap
+            and held.grant.expires < held.grant.cap
+            and self._retry_at.get(held.grant.id, 0) <= now
+        ]
+        chosen = sorted(due, key=lambda held: held.grant.expires)[:AT_ONCE]
+        self._retry_at.update({held.grant.id: now + _pause(held, now) for held in chosen})
+        return chosen
+
+    def take(self, asked: list[Holding], answer: object, now: int) -> int:
+        """Hold what was renewed; returns how many of `asked` were.
+
+        Raises:
+            AnswerMalformed: not one token, or an empty one, for each of `asked`.
+        """
+        if not isinstance(answer, list) or len(answer) != len(asked):
+            raise AnswerMalformed("the master renewed another number of grants than asked for")
+        return sum(self._hold(held, token, now) for held, token in zip(asked, answer, strict=True))
+
+    def _hold(self, held: Holding, token: object, now: int) -> bool:
+        if not isinstance(token, bytes) or not token:
+            return False
+        try:
+            self._access.hold_renewed(token, now)
+        except GrantError as error:
+            _log.warning("the master renewed a grant in vain: %s", printable(error))
+            return False
+        self._retry_at.pop(held.grant.id, None)  # only what was refused has to wait
+        return True
+
+
+class Call(Protocol):
+    """Calls a method of the master."""
+
+    def __call__(self, method: str, *params: object) -> Awaitable[object]:
+        """The value it answers."""
+
+
+async def renew(call: Call, renewals: Renewals, now: int) -> int:
+    """Have renewed what is due; returns how many were.
+
+    Raises:
+        RossecError: the master refuses, answers nonsense, or is out of reach.
+    """
+    due = renewals.due(now)
+    if not due:
+        return 0
+    return renewals.take(due, await call(METHOD, [held.original for held in due]), now)
+
+
+def renew_blocking(call: Callable[..., object], renewals: Renewals, now: int) -> int:
+    """As `renew`, with a call that blocks."""
+    due = renewals.due(now)
+    if not due:
+        return 0
+    return renewals.take(due, call(METHOD, [held.original for held in due]), now)
+
+
+def _pause(held: Holding, now: int) -> int:
+    """Seconds until it is asked for again: less than its time leaves, if that is not over."""
+    left = held.grant.expires - now
+    return min(RETRY, max(1, left // _TRIES)) if left > 0 else RETRY
+
+
+def due_at(held: Holding) -> int:
+    """At about two thirds of its life, not the same moment for all nodes.
+
+    The spread comes from the id, which is random enough and needs no dice.
+    """
+    lifetime = held.grant.expires - held.since
+    return held.since + lifetime * (560 + held.grant.id[0] * 200 // 255) // 1000

@@ -1,0 +1,78 @@
+"""Following the graph of a master: what a watcher knows, from the answers it gets. Pure.
+
+The thesis (4.2) has a watcher compare versions to notice a restarted master; here each answer names
+the run of the master that gave it, and a master that does not know the watcher tells everything.
+"""
+
+from typing import Final, NamedTuple
+
+from rossec.errors import AnswerMalformed
+
+METHOD: Final = "rossec.watchGraph"
+
+Fact = tuple[str, str, str]
+"""Kind, name and value, as `rossec.master.api.watch_calls` has them."""
+
+
+class Change(NamedTuple):
+    """What an answer said.
+
+    Args:
+        restarted: another run of the master than before, or one that forgot this watcher.
+        more: ask again at once.
+    """
+
+    added: tuple[Fact, ...]
+    removed: tuple[Fact, ...]
+    restarted: bool
+    more: bool
+
+
+class GraphView:
+    """The graph as one watcher knows it."""
+
+    def __init__(self) -> None:
+        self.facts: frozenset[Fact] = frozenset()
+        self.version = -1
+        self.instance = ""
+        self._cursor = 0
+
+    @property
+    def question(self) -> tuple[str, int]:
+        """The parameters of the next call."""
+        return self.instance, self._cursor
+
+    def take(self, answer: object) -> Change:
+        """Take over an answer; what has not changed though all was told anew is not reported.
+
+        Raises:
+            AnswerMalformed: it is none.
+        """
+        match answer:
+            case {
+                "instance": str() as instance, "version": int() as version,
+                "cursor": int() as cursor, "whole": bool() as whole, "more": bool() as more,
+                "added": list() as added, "removed": list() as removed,
+            }:  # fmt: skip
+                told, gone = _facts(added), _facts(removed)
+            case _:
+                raise AnswerMalformed("news of the graph that cannot be read")
+        base = frozenset() if whole else self.facts
+        known = self.facts
+        self.facts = (base | told) - gone
+        restarted = whole and self.instance != ""
+        self.instance, self.version, self._cursor = instance, version, cursor
+        return Change(
+            tuple(sorted(self.facts - known)), tuple(sorted(known - self.facts)), restarted, more
+        )
+
+
+def _facts(rows: list[object]) -> frozenset[Fact]:
+    found: set[Fact] = set()
+    for row in rows:
+        match row:
+            case [str() as kind, str() as name, str() as value]:
+                found.add((kind, name, value))
+            case _:
+                raise AnswerMalformed("news of the graph that cannot be read")
+    return frozenset(found)

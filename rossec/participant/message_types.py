@@ -1,0 +1,189 @@
+"""Message types by their ROS 1 name: definition text, md5, serialization. No ROS install needed.
+
+`rosbags` brings the definitions of Noetic's standard packages and the serialization; a type of
+one's own is added from its `.msg` text. ROS 2's spelling (`pkg/msg/Type`), which `rosbags` uses
+inside, never leaves this module.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from typing import Any, Final
+
+import numpy as np
+from rosbags.interfaces import Nodetype
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.base import TypesysError
+from rosbags.typesys.store import Typestore
+
+from rossec.errors import MessageError
+from rossec.participant.definitions import Definition
+
+_NO_FIELDS: Final = "structure_needs_at_least_one_member"
+_CHECK_TEXT: Final = "check the text of the .msg file, and register the types it uses first"
+
+Message = Any  # a dataclass made by rosbags; its fields are those of the definition
+
+
+@dataclass(frozen=True)
+class MessageType(Definition):
+    """One message type that can be made, written and read."""
+
+    def create(self, **fields: object) -> Message:
+        """Make a message with every field at its zero value, then set `fields`.
+
+        Raises:
+            MessageError: a field the type does not have.
+        """
+        message = _zero(_inner(self.name))
+        for field, value in fields.items():
+            if field not in _field_names(_inner(self.name)):
+                known = ", ".join(_field_names(_inner(self.name)))
+                raise MessageError(f"no field {field!r} in {self.name}", f"it has {known}")
+            setattr(message, field, value)
+        return message
+
+    def serialize(self, message: Message) -> memoryview:
+        """ROS 1 wire bytes of `message`, without the length prefix.
+
+        Raises:
+            MessageError: a field holds a value of a wrong type or range.
+        """
+        try:
+            data: memoryview = _store().serialize_ros1(message, _inner(self.name))
+        except Exception as error:
+            raise MessageError(
+                f"cannot serialize this as {self.name}: {error}", "check the types of its fields"
+            ) from error
+        return data
+
+    def deserialize(self, data: bytes | memoryview) -> Message:
+        """Message from its ROS 1 wire bytes.
+
+        Raises:
+            MessageError: bytes that are not exactly one message of this type.
+        """
+        try:
+            return _store().deserialize_ros1(data, _inner(self.name))
+        except Exception as error:
+            raise MessageError(f"bytes that are not one {self.name}: {error}") from error
+
+
+@cache
+def message_type(name: str) -> MessageType:
+    """Look up a type by its ROS name, for example `geometry_msgs/PoseStamped`.
+
+    Raises:
+        MessageError: an unknown type.
+    """
+    try:
+        definition, md5sum = _store().generate_msgdef(_inner(name), ros_version=1)
+    except TypesysError as error:
+        raise MessageError(
+            f"unknown message type {name!r}",
+            "names look like geometry_msgs/PoseStamped; add your own with register_type()",
+        ) from error
+    return MessageType(name, md5sum, definition)
+
+
+def type_names() -> list[str]:
+    """Every known type by its ROS name: to suggest one for a misspelt name."""
+    return [name.replace("/msg/", "/") for name in _store().fielddefs]
+
+
+def register_type(name: str, definition: str) -> MessageType:
+    """Add the type `name` from the text of its `.msg` file; nested types must be known already.
+
+    Raises:
+        MessageError: text that is no message definition, or a name already taken by another one.
+    """
+    register_types({name: definition})
+    return message_type(name)
+
+
+def register_types(definitions: Mapping[str, str]) -> None:
+    """Add all of these types or none, each under its name; as `register_type`."""
+    types: dict[str, Any] = {}
+    for name, definition in definitions.items():
+        try:
+            found = get_types_from_msg(definition, _inner(name))
+        except TypesysError as error:
+            raise MessageError(f"cannot register {name}: {error}", _CHECK_TEXT) from error
+        _check_nested(name, found)
+        types |= found
+    try:
+        _store().register(types)
+    except TypesysError as error:
+        names = " and ".join(definitions)
+        raise MessageError(f"cannot register {names}: {error}", _CHECK_TEXT) from error
+
+
+def _check_nested(name: str, types: Mapping[str, Any]) -> None:
+    """Refuse before anything is registered: a type with an unknown part would be half made."""
+    for _, fields in types.values():
+        for kind in (kind for _, kind in fields):
+            while kind[0] in (Nodetype.ARRAY, Nodetype.SEQUENCE):
+                kind = kind[1][0]  # noqa: PLW2901 - walk down to the element
+            if kind[0] is Nodetype.NAME and kind[1] not in _store().fielddefs.keys() | types.keys():
+                unknown = kind[1].replace("/msg/", "/")
+                raise MessageError(f"cannot register {name}: unknown type {unknown}", _CHECK_TEXT)
+
+
+def field_names(message: Message) -> list[str]:
+    """Names of the fields of `message`, in order of its definition."""
+    return _field_names(message.__msgtype__)
+
+
+def _field_names(inner: str) -> list[str]:
+    # rosbags gives an empty message a field, as ROS 2's IDL must; in ROS 1 there is none
+    return [name for name, _ in _store().fielddefs[inner][1] if name != _NO_FIELDS]
+
+
+@cache
+def _store() -> Typestore:
+    return get_typestore(Stores.ROS1_NOETIC)
+
+
+def _inner(name: str) -> str:
+    package, slash, leaf = name.partition("/")
+    if not (package and slash and leaf) or "/" in leaf:
+        raise MessageError(f"{name!r} is no message type name", "write package/Type")
+    return f"{package}/msg/{leaf}"
+
+
+# rosbags' names of ROS base types that numpy does not know under the same name
+_NUMPY: Final = {"octet": "uint8", "byte": "int8", "char": "uint8"}
+
+
+def _zero(inner: str) -> Message:
+    _, fields = _store().fielddefs[inner]
+    values: dict[str, Any] = {name: _zero_field(kind) for name, kind in fields}
+    return _store().types[inner](**values)
+
+
+def _zero_field(kind: Any) -> object:
+    match kind:
+        case (Nodetype.BASE, (base, _)):
+            return _zero_base(base)
+        case (Nodetype.NAME, inner):
+            return _zero(inner)
+        case (Nodetype.ARRAY, (element, length)):
+            return _zero_array(element, length)
+        case (Nodetype.SEQUENCE, (element, _)):
+            return _zero_array(element, 0)
+        case _:
+            raise MessageError(f"unknown field kind {kind!r}")
+
+
+def _zero_base(base: str) -> object:
+    if base == "string":
+        return ""
+    return np.zeros((), dtype=_NUMPY.get(base, base)).item()
+
+
+def _zero_array(element: Any, length: int) -> object:
+    match element:
+        case (Nodetype.BASE, (base, _)) if base != "string":
+            return np.zeros(length, dtype=_NUMPY.get(base, base))
+        case _:
+            return [_zero_field(element) for _ in range(length)]

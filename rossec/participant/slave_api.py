@@ -1,0 +1,173 @@
+"""The node's slave API: which calls it answers, and from whom.
+
+Pure dispatch. Only the master's identity may steer a node (attacks N1-N3); any authenticated node
+may ask where to connect for a topic (`requestTopic`), and the answer is the same whether the topic
+exists or not: the grant is checked on the connection itself (N5). Every other question about this
+node is recon (N4): it is for the master, and for whoever has shown a grant that entitles to it by
+`questions`, as `rosnode ping`, `info` and `kill` need. UDPROS is never offered (N10).
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from typing import Final, Protocol
+
+from ca.certificates import Identity
+from ca.errors import HintedError
+from rossec.participant.slave_rights import QUESTIONS
+from rossec.ros import names
+
+Answer = list[object]
+MASTER: Final = names.MASTER
+REVOCATION_UPDATE: Final = "rossec.revocationUpdate"
+TCPROS: Final = "TCPROS"
+DEADLINE: Final = 30.0  # seconds a connection of a peer that is not the master may last
+_ERROR: Final = -1
+NO_TRANSPORT: Final = "rossec: only TCPROS, inside the secure channel"
+
+
+class SlaveEvents(Protocol):
+    """What the calls mean for the node."""
+
+    def publishers_changed(self, topic: str, uris: list[str]) -> None:
+        """The master's list of publishers of a topic this node subscribes to."""
+
+    def parameter_changed(self, key: str, value: object) -> None:
+        """A parameter at, above or below one this node subscribes to."""
+
+    def revocations_arrived(self, revocations: bytes, timestamp: bytes, master: Identity) -> None:
+        """The list and a fresh timestamp. Raises a `CAError` when either is not acceptable."""
+
+    def shutdown_requested(self, reason: str) -> None:
+        """The master replaced this node or ends it."""
+
+    def topic_endpoint(self) -> tuple[str, int]:
+        """Host and port where TCPROS connections are accepted."""
+
+    def describe(self) -> Mapping[str, object]:
+        """Values of the informational methods, by method name."""
+
+
+@dataclass(frozen=True)
+class Rule:
+    """What a call must look like: the parameters after caller_id, and who may make it."""
+
+    kinds: tuple[type, ...]
+    default: object
+    master_only: bool = True
+
+
+RULES: Final[Mapping[str, Rule]] = {
+    "publisherUpdate": Rule((str, list), 0),
+    "paramUpdate": Rule((str, object), 0),
+    "shutdown": Rule((str,), 0),
+    REVOCATION_UPDATE: Rule((bytes, bytes), 0),
+    "requestTopic": Rule((str, list), [], master_only=False),
+    "getName": Rule((), ""),
+    "getUri": Rule((), ""),
+    "getMasterUri": Rule((), ""),
+    "getPid": Rule((), -1),
+    "getBusStats": Rule((), []),
+    "getBusInfo": Rule((), []),
+    "getSubscriptions": Rule((), []),
+    "getPublications": Rule((), []),
+}
+
+
+def refusal(
+    method: str, params: tuple[object, ...], peer: Identity, *, entitled: bool = False
+) -> Answer | None:
+    """What to answer instead of the call, or None: `peer` may make it.
+
+    `entitled`: by grants that were checked (`questions`); they never entitle to steer the node.
+    """
+    rule = RULES.get(method)
+    if rule is None:
+        return [_ERROR, "rossec: no such method", 0]
+    granted = entitled and method in QUESTIONS
+    if rule.master_only and peer.name != MASTER and not granted:
+        return [_ERROR, f"rossec: {method} is for the master alone", rule.default]
+    unnamed = without_caller(params, rule.default)
+    if unnamed is not None:
+        return unnamed
+    if not _fits(params, rule.kinds):
+        return [_ERROR, "Error: bad call arity or types", rule.default]
+    if not peer.covers(str(params[0])):
+        return [_ERROR, f"rossec: caller_id is not {peer.name}", rule.default]
+    return None
+
+
+def without_caller(params: tuple[object, ...], default: object) -> Answer | None:
+    """Stock's answer to a call that does not say who makes it; None: it does."""
+    if not params:
+        return [_ERROR, "missing required caller_id parameter", default]
+    if not isinstance(params[0], str):
+        return [_ERROR, "caller_id must be a string", default]
+    return None
+
+
+def topic_offer(protocols: list[object], host: str, port: int) -> Answer:
+    """Answer of `requestTopic`, whatever the topic: never anything but TCPROS."""
+    if not offers_tcpros(protocols):
+        return [_ERROR, NO_TRANSPORT, []]
+    return [1, "ready", [TCPROS, host, port]]
+
+
+def offers_tcpros(protocols: object) -> bool:
+    """Whether the protocols that a subscriber names hold the one there is."""
+    named = protocols if isinstance(protocols, list) else []
+    return any(isinstance(item, list) and item[:1] == [TCPROS] for item in named)
+
+
+class SlaveApi:
+    """Answers the calls of the slave API."""
+
+    def __init__(self, events: SlaveEvents) -> None:
+        self._events = events
+        self._methods: dict[str, Callable[..., Answer]] = {
+            "publisherUpdate": self._publisher_update,
+            "paramUpdate": self._param_update,
+            "shutdown": self._shutdown,
+            REVOCATION_UPDATE: self._revocation_update,
+            "requestTopic": self._request_topic,
+        }
+
+    async def __call__(
+        self, method: str, params: tuple[object, ...], peer: Identity, *, entitled: bool = False
+    ) -> object:
+        """Answer one call of the authenticated `peer`: always `[code, status, value]`."""
+        refused = refusal(method, params, peer, entitled=entitled)
+        if refused is not None:
+            return refused
+        run = self._methods.get(method, partial(self._describe, method))
+        try:
+            return run(peer, *params[1:])
+        except HintedError as error:
+            return [_ERROR, f"rossec: {error}", RULES[method].default]
+
+    def _publisher_update(self, _: Identity, topic: str, uris: list[object]) -> Answer:
+        self._events.publishers_changed(topic, [uri for uri in uris if isinstance(uri, str)])
+        return [1, "", 0]
+
+    def _param_update(self, _: Identity, key: str, value: object) -> Answer:
+        self._events.parameter_changed(key, value)
+        return [1, "", 0]
+
+    def _shutdown(self, _: Identity, reason: str) -> Answer:
+        self._events.shutdown_requested(reason)
+        return [1, "shutdown", 0]
+
+    def _revocation_update(self, master: Identity, revocations: bytes, timestamp: bytes) -> Answer:
+        self._events.revocations_arrived(revocations, timestamp, master)
+        return [1, "", 0]
+
+    def _request_topic(self, _: Identity, _topic: str, protocols: list[object]) -> Answer:
+        return topic_offer(protocols, *self._events.topic_endpoint())
+
+    def _describe(self, method: str, _: Identity) -> Answer:
+        return [1, "", self._events.describe()[method]]
+
+
+def _fits(params: tuple[object, ...], kinds: tuple[type, ...]) -> bool:
+    expected = (str, *kinds)
+    return len(params) == len(expected) and all(map(isinstance, params, expected))

@@ -1,0 +1,51 @@
+"""Who may ask a node what: the rule of its slave API. Pure; every kind of node shares it.
+
+Only the master steers a node (attacks N1-N3). An operator with the right to administer it may end
+it, one with the right to see the graph may ask what it is doing (N4); both show their grants first,
+with `rossec.presentGrants`. Where to connect for a topic any authenticated node may ask: the answer
+is the same for every topic, and the connection itself asks for the grant (N5). Anything else is
+refused, whatever it is (L1).
+"""
+
+from collections.abc import Mapping
+from typing import Final
+
+from ca.certificates import Identity
+from grants.model import Right
+from rossec.errors import CallRefused
+from rossec.participant.access import Access
+
+MASTER: Final = "/master"
+PRESENT: Final = "rossec.presentGrants"
+OPEN: Final = frozenset({"requestTopic"})
+STEERING: Final = frozenset({"publisherUpdate", "paramUpdate"})
+QUESTIONS: Final[Mapping[str, Right]] = {
+    "shutdown": Right.ADMIN,
+    "getPid": Right.GRAPH,
+    "getBusInfo": Right.GRAPH,
+    "getBusStats": Right.GRAPH,
+    "getSubscriptions": Right.GRAPH,
+    "getPublications": Right.GRAPH,
+    "getMasterUri": Right.GRAPH,
+    "getName": Right.GRAPH,
+    "getUri": Right.GRAPH,
+}
+
+
+def check_question(
+    method: str, peer: Identity, node: str, shown: bytes | None, access: Access, now: int
+) -> None:
+    """Return if `peer`, having shown the grants `shown`, may call `method` of the node `node`.
+
+    Raises:
+        CallRefused: it is for the master alone, or for nobody.
+        GrantError, CAError: the right is missing, or the peer revoked.
+    """
+    access.check_peer(peer, now)
+    if method in OPEN or (peer.name == MASTER and (method in STEERING or method in QUESTIONS)):
+        return
+    right = QUESTIONS.get(method)
+    if right is None:
+        known = method in STEERING
+        raise CallRefused(f"{method} is for the master alone" if known else "no such method")
+    access.authorize(peer, shown, right, node, now)

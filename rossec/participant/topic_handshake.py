@@ -1,0 +1,133 @@
+"""The TCPROS handshake inside the channel, both sides, as pure functions on header fields.
+
+The caller's name comes from its certificate, never from `callerid` alone; rights come from the
+grants it shows. Authorization precedes any look at what this node publishes, so that a peer
+without a grant cannot tell a topic that exists from one that does not (attack N6).
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from ca.certificates import Identity
+from grants.decision import Decision
+from grants.model import Right
+from rossec.errors import TopicRefused
+from rossec.participant.access import FIELD, Access
+from rossec.participant.header_fields import Fields, check_caller, text
+from rossec.ros.names import ANY_TYPE
+
+if TYPE_CHECKING:
+    from rossec.participant.message_types import MessageType
+
+
+@dataclass(frozen=True)
+class Endpoint:
+    """A topic as this node sees it: its resolved name and its type."""
+
+    topic: str
+    type: "MessageType"
+
+    @property
+    def expected(self) -> "Expected":
+        """What the other side must mean."""
+        return Expected(self.topic, self.type.name, self.type.md5sum)
+
+
+@dataclass(frozen=True)
+class Expected:
+    """A topic with the name and md5sum of its type; `*` expects nothing of the type."""
+
+    topic: str
+    type_name: str
+    md5sum: str
+
+
+def subscriber_header(caller: str, endpoint: Endpoint, access: Access, now: int) -> Fields:
+    """Fields a subscriber sends first; they prove its right to subscribe."""
+    return {
+        "callerid": caller.encode(),
+        "topic": endpoint.topic.encode(),
+        "type": endpoint.type.name.encode(),
+        "md5sum": endpoint.type.md5sum.encode(),
+        "message_definition": endpoint.type.definition.encode(),
+        "tcp_nodelay": b"1",
+        FIELD: access.present(Right.SUBSCRIBE, endpoint.topic, now),
+    }
+
+
+def publisher_header(
+    caller: str, endpoint: Endpoint, access: Access, now: int, *, latching: bool
+) -> Fields:
+    """Fields a publisher answers with; they prove its right to publish."""
+    return {
+        "callerid": caller.encode(),
+        "topic": endpoint.topic.encode(),
+        "type": endpoint.type.name.encode(),
+        "md5sum": endpoint.type.md5sum.encode(),
+        "message_definition": endpoint.type.definition.encode(),
+        "latching": b"1" if latching else b"0",
+        FIELD: access.present(Right.PUBLISH, endpoint.topic, now),
+    }
+
+
+def requested_topic(fields: Mapping[str, bytes]) -> str:
+    """Topic a connecting subscriber asks for.
+
+    Raises:
+        TopicRefused: no topic, or a name that is not text.
+    """
+    return text(fields, "topic")
+
+
+def admit_subscriber(
+    fields: Mapping[str, bytes], peer: Identity, access: Access, now: int
+) -> Decision:
+    """Decide on a subscriber from its header, before anything about the topic is looked up.
+
+    Raises:
+        CallerMismatch, TopicRefused: the header does not fit the peer.
+        GrantError, CAError: the peer may not subscribe.
+    """
+    check_caller(fields, peer)
+    return access.authorize(peer, fields.get(FIELD), Right.SUBSCRIBE, text(fields, "topic"), now)
+
+
+def admit_publisher(
+    fields: Mapping[str, bytes], peer: Identity, expected: Expected, access: Access, now: int
+) -> Decision:
+    """Decide on a publisher from the header it answered with.
+
+    The caller applies the restrictions of the decision to each message (`topicguard.guard_for`), as
+    the receiver reads it: the publisher may describe it otherwise under the same md5sum.
+
+    Raises:
+        CallerMismatch, TopicRefused: another topic or type than asked for, or another name.
+        GrantError, CAError: the peer may not publish.
+    """
+    if "error" in fields:
+        raise TopicRefused(f"{peer.name} refuses: {text(fields, 'error')}")
+    check_caller(fields, peer)
+    if text(fields, "topic") != expected.topic:
+        raise TopicRefused(f"{peer.name} answers with another topic than {expected.topic}")
+    check_type(fields, expected)
+    return access.authorize(peer, fields.get(FIELD), Right.PUBLISH, expected.topic, now)
+
+
+def check_type(fields: Mapping[str, bytes], expected: Expected) -> None:
+    """Compare type and md5 as TCPROS does; `*` fits everything, on either side.
+
+    Raises:
+        TopicRefused: the two sides do not mean the same message.
+    """
+    name, md5sum = text(fields, "type"), text(fields, "md5sum")
+    if not _fits(name, expected.type_name) or not _fits(md5sum, expected.md5sum):
+        raise TopicRefused(
+            f"{expected.topic} carries {expected.type_name} ({expected.md5sum}),"
+            f" the peer expects {name} ({md5sum})",
+            "both sides need the same version of the message package",
+        )
+
+
+def _fits(one: str, other: str) -> bool:
+    return ANY_TYPE in {one, other} or one == other

@@ -1,0 +1,19 @@
+"""What a node knew to be revoked when it stopped: an older list will not be believed afterwards."""
+
+from ca.certificates import TrustAnchor
+from ca.revocation.state import Revocations
+from rossec.home import NodeHome
+
+
+def saved_revocations(home: NodeHome, anchor: TrustAnchor, now: int) -> Revocations:
+    """The newest list that the node in `home` has seen, confirmed by nobody yet.
+
+    Raises:
+        RevocationRefused: the list is not the authority's.
+        ConfigurationError: it cannot be read.
+    """
+    revocations = Revocations(anchor.public_key)
+    saved = home.load_revocations()
+    if saved is not None:
+        revocations.update(saved, now)
+    return revocations

@@ -1,0 +1,1 @@
+"""What a sidecar decides about programs' calls and connections. Pure."""

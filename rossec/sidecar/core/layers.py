@@ -1,0 +1,113 @@
+"""What all layers share: the identity they act for, its doors and registrations. Pure.
+
+A layer is a generator: it yields a command, is sent the event, and returns the outcome. Whatever a
+layer raises closes the connection it was for; nothing passes because of a mistake.
+"""
+
+from collections.abc import Generator
+from dataclasses import dataclass, field
+from typing import TypeAlias, TypeVar
+
+from ca.certificates import Identity
+from rossec.channel.opening import Flavour
+from rossec.errors import RossecError
+from rossec.participant.access import Access
+from rossec.participant.definitions import Known
+from rossec.participant.publisher_grace import NamedPublishers
+from rossec.sidecar.core.commands import Command, Export, Import
+from rossec.sidecar.core.endpoints import Doors, Endpoint, endpoint, inside
+from rossec.sidecar.core.events import Event, Opened
+
+Outcome = TypeVar("Outcome")
+Layer: TypeAlias = Generator[Command, Event, Outcome]
+
+
+class Unforeseen(RossecError):
+    """The shell answered a command with an event that does not fit: a mistake of ours."""
+
+
+@dataclass
+class Program:
+    """A program's slave API: the name it registered under, and what it has registered."""
+
+    name: str
+    registrations: dict[tuple[str, str], tuple[object, ...]] = field(default_factory=dict)
+
+
+@dataclass
+class Tenant:
+    """One identity the sidecar acts for.
+
+    Attributes:
+        identity: who it is.
+        access: what it can prove, and what it lets others do.
+        doors: which address stands for which.
+        master_uri: the loopback master, as programs know it.
+        known: what this host knows of a message type.
+        named: the publishers of each topic that its programs follow.
+        programs: the slave APIs of its programs.
+    """
+
+    identity: Identity
+    access: Access
+    doors: Doors
+    master_uri: str
+    known: Known
+    named: NamedPublishers
+    programs: dict[Endpoint, Program] = field(default_factory=dict)
+
+    def name_for(self, caller: str) -> str:
+        """The name peers hear: the program's own if the identity covers it, else the certified one.
+
+        So the answer to "who asks" is always a certified name (attack L7).
+        """
+        return caller if self.covers(caller) else self.identity.name
+
+    def covers(self, name: str) -> bool:
+        """Whether a program may go by `name`."""
+        return self.identity.covers(name)
+
+    def export(self, local: Endpoint) -> Layer[Endpoint]:
+        """The address under which peers reach the program at `local`."""
+        return self.doors.opened_outside(local, opened((yield Export(local))))
+
+    def bring(
+        self, remote: Endpoint, own: Endpoint | None = None, *, probe: bool = False
+    ) -> Layer[str]:
+        """The URI under which a program reaches `remote`; its own it gets back as it wrote it."""
+        local = self.doors.program_behind(remote)
+        if local is not None and local == own:
+            return self.doors.spelling(local)
+        port = opened((yield Import(remote, probe=probe)))
+        return self.doors.opened_inside(remote, port).uri
+
+    def publishers_are(self, topic: object, uris: object) -> list[str]:
+        """The publishers to follow of those the master names, and of those it may yet name."""
+        named = [uri for uri in uris if isinstance(uri, str)] if isinstance(uris, list) else []
+        return self.named.are(topic, named) if isinstance(topic, str) else named
+
+    def bring_all(self, uris: object, own: Endpoint | None) -> Layer[list[str]]:
+        """`bring` for a list of slave API URIs; what is no URI is left out."""
+        found = []
+        for uri in uris if isinstance(uris, list) else []:
+            remote = endpoint(uri, Flavour.HTTP)
+            if remote is not None:
+                found.append((yield from self.bring(remote, own)))
+        return found
+
+    def forget(self, local: Endpoint) -> None:
+        """The program at `local` is gone: a restarted master need not hear of it."""
+        self.programs.pop(local, None)
+
+
+def opened(event: Event) -> int:
+    """The port of a door."""
+    if not isinstance(event, Opened):
+        raise Unforeseen(f"no door but {type(event).__name__}")
+    return event.port
+
+
+def own_endpoint(uri: object) -> Endpoint | None:
+    """The slave API of the calling program: on this host, whatever host name it writes."""
+    found = endpoint(uri, Flavour.HTTP)
+    return None if found is None else inside(Flavour.HTTP, found.port)

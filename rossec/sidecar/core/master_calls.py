@@ -1,0 +1,342 @@
+"""Calls of programs to their master, rewritten for the secured one. Pure layers.
+
+The table says where a call carries an address: the program's slave API, its service, or one in the
+answer. A method that is not in it is not passed on. Elements of a multicall are calls of their
+own. What a program registers is remembered, so that a restarted master hears of it again.
+"""
+
+from dataclasses import dataclass
+from enum import Enum
+from typing import Final
+
+from rossec.channel.opening import Flavour
+from rossec.errors import HangUp
+from rossec.participant.caller_names import (
+    RELATIVE,
+    SEARCH,
+    as_meant,
+    nowhere,
+    places,
+    searched,
+    settled,
+)
+from rossec.participant.slave_api import without_caller
+from rossec.ros.text import printable
+from rossec.ros.xmlrpc import Fault
+from rossec.sidecar.core.commands import AskLocal, AskMaster, Knock, Rest
+from rossec.sidecar.core.endpoints import Endpoint, endpoint, inside
+from rossec.sidecar.core.events import Answered, Event, Silent
+from rossec.sidecar.core.layers import Layer, Program, Tenant, Unforeseen, own_endpoint
+
+MULTICALL: Final = "system.multicall"
+MULTICALL_LIMIT: Final = 4096
+MASTER: Final = "/master"
+
+
+class Result(Enum):
+    """What a successful answer holds."""
+
+    PLAIN = "no address"
+    NODES = "a list of slave API URIs"
+    NODE = "a slave API URI"
+    SERVICE = "a service URI, in the status text too"
+    MASTER = "the master's own URI"
+
+
+@dataclass(frozen=True)
+class Rule:
+    """Where one method carries addresses; indices count the caller_id as 0.
+
+    Attributes:
+        api: the caller's slave API URI.
+        service: a service URI of the caller.
+        undoes: the registration it takes back.
+        default: the value of a refusal, stock's.
+    """
+
+    api: int | None = None
+    service: int | None = None
+    result: Result = Result.PLAIN
+    undoes: str | None = None
+    default: object = 0
+
+    @property
+    def place(self) -> int:
+        """Where a registration says its address: a service's own, else the slave API."""
+        return next(index for index in (self.service, self.api) if index is not None)
+
+    @property
+    def registers(self) -> bool:
+        """Whether others will know the program by this name and address."""
+        return self.api is not None and self.undoes is None
+
+
+_SUBSCRIBE: Final = "registerSubscriber"
+RULES: Final = {
+    "registerPublisher": Rule(api=3, result=Result.NODES, default=[]),
+    _SUBSCRIBE: Rule(api=3, result=Result.NODES, default=[]),
+    "registerService": Rule(api=3, service=2),
+    "subscribeParam": Rule(api=1),
+    "unregisterPublisher": Rule(api=2, undoes="registerPublisher"),
+    "unregisterSubscriber": Rule(api=2, undoes=_SUBSCRIBE),
+    "unregisterService": Rule(service=2, undoes="registerService"),
+    "unsubscribeParam": Rule(api=1, undoes="subscribeParam"),
+    "lookupNode": Rule(result=Result.NODE, default=""),
+    "lookupService": Rule(result=Result.SERVICE, default=""),
+    "getUri": Rule(result=Result.MASTER, default=""),
+    "getPid": Rule(default=-1),
+    "shutdown": Rule(),
+    "getSystemState": Rule(default=[[], [], []]),
+    "getTopicTypes": Rule(default=[]),
+    "getPublishedTopics": Rule(),
+    "getParam": Rule(),
+    "setParam": Rule(),
+    "deleteParam": Rule(),
+    "hasParam": Rule(default=False),
+    SEARCH: Rule(),
+    "getParamNames": Rule(default=[]),
+}
+
+
+def call(tenant: Tenant, method: str, params: tuple[object, ...]) -> Layer[object]:
+    """Answer one call of a program.
+
+    Raises:
+        Fault: no such method.
+        HangUp: the master is out of reach; the program will try again.
+    """
+    if method == MULTICALL:
+        return (yield from _multicall(tenant, params))
+    rule = rule_of(method)
+    refused = without_caller(params, rule.default)
+    if refused is not None:
+        return refused
+    caller = str(params[0])
+    if rule.registers and not tenant.covers(caller):
+        return [-1, _not_covered(tenant, caller), 0]
+    outside = yield from _outward(tenant, method, rule, caller, params)
+    if outside is None:
+        return [-1, "rossec: this address is not the program's own", 0]
+    key = None if outside[0] == caller else searched(method, params)
+    if key is None:
+        answer = yield from _ask(method, outside)
+    else:
+        answer = yield from _search(caller, outside[0], key)
+    if answer[0] == 1:
+        _remember(tenant, method, rule, params, outside)
+        if method == _SUBSCRIBE:
+            answer[2] = tenant.publishers_are(outside[RELATIVE[method]], answer[2])
+        return (yield from _inward(tenant, rule, _own(rule, params), answer))
+    return answer
+
+
+def rule_of(method: str) -> Rule:
+    """The rule of a method.
+
+    Raises:
+        Fault: no such method.
+    """
+    rule = RULES.get(method)
+    if rule is None:
+        raise Fault(1, f"<class 'Exception'>:method \"{printable(method, 80)}\" is not supported")
+    return rule
+
+
+def _ask(method: str, params: tuple[object, ...]) -> Layer[list[object]]:
+    event = yield AskMaster(method, params)
+    if not isinstance(event, Answered):
+        raise HangUp(event.reason) if isinstance(event, Silent) else Unforeseen(method)
+    answer = event.value
+    if not isinstance(answer, list) or len(answer) != 3:
+        raise HangUp("the master's answer is not [code, status, value]")
+    return answer
+
+
+def _search(asker: str, name: object, key: str) -> Layer[list[object]]:
+    """Search from the namespace of `asker`; the master would, from that of `name`."""
+    for place, found in places(asker, key):
+        answer = settled((yield from _ask(SEARCH, (name, place))), found)
+        if answer is not None:
+            return answer
+    return nowhere(key)
+
+
+def _multicall(tenant: Tenant, params: tuple[object, ...]) -> Layer[object]:
+    calls = params[0] if len(params) == 1 else None
+    if not isinstance(calls, list) or len(calls) > MULTICALL_LIMIT:
+        raise Fault(1, f"rossec: a multicall is one list of at most {MULTICALL_LIMIT} calls")
+    answers: list[object] = []
+    for element in calls:
+        try:
+            answers.append([(yield from _element(tenant, element))])
+        except Fault as fault:
+            answers.append({"faultCode": fault.faultCode, "faultString": fault.faultString})
+    return answers
+
+
+def _element(tenant: Tenant, element: object) -> Layer[object]:
+    match element:
+        case {"methodName": str() as method, "params": list() as params} if method != MULTICALL:
+            return (yield from call(tenant, method, tuple(params)))
+        case _:
+            raise Fault(1, "rossec: a multicall element needs methodName and params")
+
+
+def _outward(
+    tenant: Tenant, method: str, rule: Rule, caller: str, params: tuple[object, ...]
+) -> Layer[tuple[object, ...] | None]:
+    """The parameters for the secured master; None: an address that is not the program's."""
+    name = caller
+    if rule.undoes is None:  # `rosnode cleanup` speaks for dead nodes; the master judges that
+        name = tenant.name_for(caller)
+    changed = list(params if name == caller else as_meant(method, params, caller))
+    changed[0] = name
+    for index, flavour in ((rule.api, Flavour.HTTP), (rule.service, Flavour.TCPROS)):
+        if index is None or index >= len(params):
+            continue
+        given = endpoint(params[index], flavour)
+        if given is None:
+            continue  # the master says what is wrong with it
+        address = yield from _address(tenant, rule, given)
+        if address is None:
+            return None
+        changed[index] = address
+    own = _own(rule, params)
+    if own is not None and rule.registers:
+        tenant.doors.spell(own, str(params[rule.api or 0]))
+        known = tenant.programs.get(own)
+        if known is None or known.name != caller:  # a dead one's port may be another's now
+            tenant.programs[own] = Program(caller)
+    return tuple(changed)
+
+
+def _address(tenant: Tenant, rule: Rule, given: Endpoint) -> Layer[str | None]:
+    """What the master knows an endpoint by that a program names.
+
+    A door on loopback is a peer's: `rosnode cleanup` gives back what `lookupNode` answered. Nobody
+    can register one as its own, or the sidecar would call itself.
+    """
+    local = inside(given.flavour, given.port)
+    remote = tenant.doors.peer_behind(local)
+    if remote is not None:
+        return None if rule.registers else remote.uri
+    return (yield from tenant.export(local)).uri
+
+
+def _own(rule: Rule, params: tuple[object, ...]) -> Endpoint | None:
+    if rule.api is None or rule.api >= len(params):
+        return None
+    return own_endpoint(params[rule.api])
+
+
+def _remember(
+    tenant: Tenant, method: str, rule: Rule, params: tuple[object, ...], outside: tuple[object, ...]
+) -> None:
+    key = str(outside[RELATIVE[method]]) if method in RELATIVE else ""
+    own = _own(rule, params)
+    if rule.registers and own is not None:
+        program = tenant.programs.setdefault(own, Program(str(params[0])))
+        program.registrations[method, key] = outside
+    elif rule.undoes is not None:
+        _forget(tenant, rule, rule.undoes, key, outside)
+
+
+def _forget(tenant: Tenant, rule: Rule, undone: str, key: str, outside: tuple[object, ...]) -> None:
+    """The address says whose registration it was: a successor of the same name keeps its own."""
+    place, made_at = rule.place, RULES[undone].place
+    for program in tenant.programs.values():
+        made = program.registrations.get((undone, key))
+        if made is not None and len(outside) > place and made[made_at] == outside[place]:
+            del program.registrations[undone, key]
+
+
+def _inward(
+    tenant: Tenant, rule: Rule, own: Endpoint | None, answer: list[object]
+) -> Layer[list[object]]:
+    """A successful answer of the master, as the program must see it."""
+    code, status, value = answer
+    match rule.result:
+        case Result.NODES:
+            value = yield from tenant.bring_all(value, own)
+        case Result.NODE:
+            remote = endpoint(value, Flavour.HTTP)
+            value = "" if remote is None else (yield from _node(tenant, remote))
+        case Result.SERVICE:
+            remote = endpoint(value, Flavour.TCPROS)
+            value = "" if remote is None else (yield from tenant.bring(remote))
+            status = f"rosrpc URI: [{value}]"
+        case Result.MASTER:
+            value = tenant.master_uri
+        case Result.PLAIN:
+            pass
+    return [code, status, value]
+
+
+def _node(tenant: Tenant, remote: Endpoint) -> Layer[str]:
+    """A node of the same identity is met directly: it is the caller itself, or its like."""
+    own = tenant.doors.program_behind(remote)
+    return (yield from tenant.bring(remote, own, probe=True))
+
+
+def _not_covered(tenant: Tenant, caller: str) -> str:
+    name = tenant.identity.name
+    return (
+        f"rossec: a program with the identity of {name} calls itself {printable(caller, 255)}:"
+        f" start it with __name:={name.rpartition('/')[2]}, or with an identity of its own"
+    )
+
+
+def restore(tenant: Tenant) -> Layer[None]:
+    """Make every registration again, for a master that was restarted; the dead are left out.
+
+    They might come back in the place of a successor of the same name, which the master would end.
+    """
+    for own, program in tuple(tenant.programs.items()):
+        if (yield from _is_gone(tenant, own, (yield Knock(own)))):
+            continue
+        for (method, key), params in tuple(program.registrations.items()):
+            yield from _again(tenant, own, method, key, params)
+
+
+def resubscribe(tenant: Tenant, topic: str) -> Layer[None]:
+    """Name the publishers of `topic` again to who subscribes: rospy gives up what has ended."""
+    for own, program in tuple(tenant.programs.items()):
+        params = program.registrations.get((_SUBSCRIBE, topic))
+        if params is not None:
+            yield from _again(tenant, own, _SUBSCRIBE, topic, params)
+
+
+def _again(
+    tenant: Tenant, own: Endpoint, method: str, key: str, params: tuple[object, ...]
+) -> Layer[None]:
+    event = yield AskMaster(method, params)
+    match event:
+        case Answered(value=[1, _, value]) if method == _SUBSCRIBE:
+            uris = yield from tenant.bring_all(tenant.publishers_are(key, value), own)
+            yield from tell(tenant, own, "publisherUpdate", (MASTER, key, uris))
+        case Silent(reason=reason):
+            raise HangUp(reason)
+        case _:
+            pass
+
+
+def let_go(tenant: Tenant) -> Layer[None]:
+    """Name to programs who is left of publishers that the master did not name again in time."""
+    for topic in tenant.named.overdue():
+        for own, program in tuple(tenant.programs.items()):
+            if (_SUBSCRIBE, topic) in program.registrations:
+                uris = yield from tenant.bring_all(tenant.named.to_follow(topic), own)
+                yield from tell(tenant, own, "publisherUpdate", (MASTER, topic, uris))
+
+
+def tell(tenant: Tenant, own: Endpoint, method: str, params: tuple[object, ...]) -> Layer[None]:
+    """Call a program that may be gone."""
+    yield from _is_gone(tenant, own, (yield AskLocal(own, method, params)))
+
+
+def _is_gone(tenant: Tenant, own: Endpoint, event: Event) -> Layer[bool]:
+    if isinstance(event, Silent) and event.dead:
+        tenant.forget(own)
+        yield Rest(own)
+        return True
+    return False

@@ -1,0 +1,234 @@
+"""The TCPROS handshake between a program and a peer, both directions. Pure layers.
+
+The header of the one end is read once, judged, given to the other end, and its answer judged in
+turn; grants are added towards the network and taken out towards the program. Where a topic is the
+program is asked only for a peer that may subscribe to it. What comes back says how the bytes that
+follow must be treated: a guard for outgoing messages that are restricted, nothing else.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import TypeAlias
+
+from ca.certificates import Identity
+from grants.decision import Decision
+from grants.guard import Guard
+from grants.memory import Recall
+from grants.model import Right
+from rossec.channel.opening import Flavour
+from rossec.errors import HangUp, TopicRefused
+from rossec.participant import service_handshake, topic_handshake
+from rossec.participant.access import FIELD
+from rossec.participant.definitions import (
+    as_received,
+    as_sent,
+    described,
+    from_header,
+    size_of,
+    told,
+)
+from rossec.participant.header_fields import Fields, text
+from rossec.participant.slave_api import TCPROS
+from rossec.participant.topic_guard import FilterKey, guard_for
+from rossec.sidecar.core.commands import AskLocal, MeetPeer, MeetProgram, Rest
+from rossec.sidecar.core.endpoints import Endpoint, inside
+from rossec.sidecar.core.events import Answered, Event, HeaderArrived, Silent
+from rossec.sidecar.core.layers import Layer, Tenant, Unforeseen
+from rossec.sidecar.core.slave_calls import REQUEST_TOPIC, succeeded
+
+_CALLER = "callerid"
+_LONGEST_NAME = 255
+FindRecall: TypeAlias = Callable[[str], Recall]  # of a program that calls itself so
+
+
+@dataclass(frozen=True)
+class Joined:
+    """Two ends that may now exchange messages.
+
+    Attributes:
+        answer: the header for the end that asked.
+        decision: what the peer may do; when it ends, the connection does.
+        guard: treats each message before it is passed on; None: bytes pass as they are.
+        service: both directions carry data; else only from publisher to subscriber.
+        size: of every message to a program, if they are all alike and that is known.
+    """
+
+    answer: Mapping[str, bytes]
+    decision: Decision
+    guard: Guard | None
+    service: bool
+    size: int | None = None
+
+    @property
+    def latching(self) -> bool:
+        """Whether the publisher shows its last message to whoever connects."""
+        return self.answer.get("latching") == b"1"
+
+
+def admit_peer(
+    tenant: Tenant,
+    local: Endpoint,
+    fields: Mapping[str, bytes],
+    peer: Identity,
+    filter_key: FilterKey,
+    recall_of: FindRecall,
+    now: int,
+) -> Layer[Joined]:
+    """A peer subscribes to a topic of the program at `local`, or calls its service.
+
+    Raises:
+        TopicRefused, GrantError, CAError: it may not, or the program refuses it.
+        HangUp: the program does not answer.
+    """
+    service = _asks_for_service(fields)
+    if service is local.asked:
+        raise TopicRefused(f"this port is not for {'services' if service else 'topics'}")
+    if service:
+        decision = service_handshake.admit_caller(fields, peer, tenant.access, now)
+        decision.require_unrestricted()
+        place = local
+    else:
+        decision = topic_handshake.admit_subscriber(fields, peer, tenant.access, now)
+        place = yield from _place_of(tenant, local, fields)
+    event = yield MeetProgram(place, without_grants(fields))
+    if isinstance(event, Silent) and event.dead:
+        yield Rest(local)
+    arrived = _arrived(event)
+    answer = _own_answer(tenant, fields, arrived.fields)
+    guard = None
+    if decision.restrictions:
+        kind = as_sent(from_header(answer), decision, tenant.known)
+        guard = guard_for(kind, decision, filter_key, recall_of(_program(arrived.fields)))
+    return Joined({**answer, **_proof(tenant, fields, arrived.now)}, decision, guard, service)
+
+
+def _place_of(tenant: Tenant, local: Endpoint, fields: Mapping[str, bytes]) -> Layer[Endpoint]:
+    """Where the program has the topic, as its slave API says it.
+
+    Raises:
+        TopicRefused: it does not publish it.
+        HangUp: it does not answer.
+    """
+    topic = topic_handshake.requested_topic(fields)
+    asked = (text(fields, _CALLER), topic, [[TCPROS]])
+    event = yield AskLocal(inside(Flavour.HTTP, local.port), REQUEST_TOPIC, asked)
+    match event:
+        case Answered(value=[code, _, [str(protocol), str(), int() as port]]) if (
+            succeeded(code) and protocol == TCPROS and 0 < port < 1 << 16
+        ):
+            return inside(Flavour.TCPROS, port)
+        case Answered():
+            raise TopicRefused(f"{tenant.identity.name} does not publish {topic}")
+        case Silent(dead=True, reason=reason):
+            yield Rest(local)
+            raise HangUp(reason)
+        case Silent(reason=reason):
+            raise HangUp(reason)
+        case _:
+            raise Unforeseen(type(event).__name__)
+
+
+def _asks_for_service(fields: Mapping[str, bytes]) -> bool:
+    """What a header is for. Both would be judged as one and served as the other: roscpp and rospy
+    look for the topic first.
+
+    Raises:
+        TopicRefused: not exactly one of the two.
+    """
+    if ("service" in fields) is ("topic" in fields):
+        raise TopicRefused("a connection header is for a topic or for a service")
+    return "service" in fields
+
+
+def _own_answer(
+    tenant: Tenant, asked: Mapping[str, bytes], answer: Mapping[str, bytes]
+) -> dict[str, bytes]:
+    """The program's answer under a certified name; rospy's publishers leave out the topic."""
+    if "error" in answer:
+        raise TopicRefused(text(answer, "error"))
+    completed = {**without_grants(answer), _CALLER: _caller(tenant, answer)}
+    if "topic" in asked:
+        completed["topic"] = asked["topic"]
+    return completed
+
+
+def _program(fields: Mapping[str, bytes]) -> str:
+    """What a program calls itself."""
+    return text(fields, _CALLER)[:_LONGEST_NAME] if _CALLER in fields else ""
+
+
+def _caller(tenant: Tenant, fields: Mapping[str, bytes]) -> bytes:
+    given = text(fields, _CALLER) if _CALLER in fields else ""
+    return tenant.name_for(given).encode()
+
+
+def _proof(tenant: Tenant, asked: Mapping[str, bytes], now: int) -> Fields:
+    if "service" in asked:
+        return service_handshake.provider_proof(text(asked, "service"), tenant.access, now)
+    return {FIELD: tenant.access.present(Right.PUBLISH, text(asked, "topic"), now)}
+
+
+def reach_peer(
+    tenant: Tenant,
+    remote: Endpoint,
+    fields: Mapping[str, bytes],
+    filter_key: FilterKey,
+    recall_of: FindRecall,
+    now: int,
+) -> Layer[Joined]:
+    """A program subscribes to a topic of the peer at `remote`, or calls its service.
+
+    Raises:
+        TopicRefused, GrantError, CAError: the peer refuses, or may not publish or provide.
+        HangUp: the peer does not answer.
+    """
+    service = _asks_for_service(fields)
+    asked = {**without_grants(fields), _CALLER: _caller(tenant, fields)}
+    guard = size = None
+    if service:
+        name = service_handshake.requested_service(fields)
+        asked |= service_handshake.caller_proof(name, tenant.access, now)
+        event = yield MeetPeer(remote, asked)
+        arrived, peer = _from_peer(event)
+        decision = service_handshake.admit_provider(
+            arrived.fields, peer, name, tenant.access, arrived.now
+        )
+        decision.require_unrestricted()
+        answer = without_grants(arrived.fields)
+    else:
+        own = from_header(fields)
+        expected = topic_handshake.Expected(
+            topic_handshake.requested_topic(fields), own.name, own.md5sum
+        )
+        asked[FIELD] = tenant.access.present(Right.SUBSCRIBE, expected.topic, now)
+        arrived, peer = _from_peer((yield MeetPeer(remote, asked)))
+        decision = topic_handshake.admit_publisher(
+            arrived.fields, peer, expected, tenant.access, arrived.now
+        )
+        said = from_header(arrived.fields)
+        kind = as_received(own, said, decision, tenant.known)
+        if decision.restrictions:
+            guard = guard_for(kind, decision, filter_key, recall_of(_program(fields)))
+        answer = without_grants(arrived.fields) | told(kind, decision)
+        size = size_of(described(kind, said))
+    return Joined(answer, decision, guard, service, size)
+
+
+def _from_peer(event: Event) -> tuple[HeaderArrived, Identity]:
+    arrived = _arrived(event)
+    if arrived.peer is None:
+        raise Unforeseen("a peer without an identity")
+    return arrived, arrived.peer
+
+
+def _arrived(event: Event) -> HeaderArrived:
+    if isinstance(event, Silent):
+        raise HangUp(event.reason)
+    if not isinstance(event, HeaderArrived):
+        raise Unforeseen(type(event).__name__)
+    return event
+
+
+def without_grants(fields: Mapping[str, bytes]) -> dict[str, bytes]:
+    """The header without what is between rossec and rossec."""
+    return {key: value for key, value in fields.items() if key != FIELD}

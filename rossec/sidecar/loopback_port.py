@@ -1,0 +1,198 @@
+"""A loopback port that keeps its number: open to the programs that may use it, or at rest.
+
+At rest it is bound and does not listen, so the kernel refuses callers as it does for a dead node,
+and nobody else gets the port (`rosnode ping` and `cleanup` rely on both). It is 127.0.0.1 wherever
+there is one. Stock ROS reads no [::1] in a URI, so that ::1 goes by a name that leads there alone.
+"""
+
+import asyncio
+import contextlib
+import logging
+import socket
+from collections.abc import Awaitable, Callable
+from typing import Final, TypeVar
+
+from rossec.errors import ConfigurationError, PeerUserRefused
+from rossec.net.aio.tasks import TaskSet
+from rossec.sidecar.callers import Callers
+from rossec.sidecar.core.endpoints import LOOPBACK, Loopback
+from rossec.sidecar.plain_stream import PlainStream
+
+_BACKLOG: Final = 64
+_ATTEMPTS: Final = 16
+_CONNECTIONS: Final = 256  # at a time and port; a program has one or two
+_IPV6: Final = "::1"
+_NAMES: Final = ("localhost", "ip6-localhost")  # those of Debian's /etc/hosts
+_WITHOUT_IPV4: Final = (
+    "this host has no 127.0.0.1: programs are told %s, and ROS_IPV6=on; roscpp does not start"
+    " without one (ip address add 127.0.0.1/8 dev lo)"
+)
+_REST: Final = 1.0  # seconds, when this process is out of descriptors
+
+_log = logging.getLogger("rossec.sidecar")
+Handler = Callable[[PlainStream], Awaitable[None]]
+Bound = TypeVar("Bound")
+
+
+class LoopbackPort:
+    """One port; it rests until `open`."""
+
+    def __init__(self, callers: Callers, handler: Handler, port: int = 0) -> None:
+        self._callers = callers
+        self._handler = handler
+        self._socket = reserve(port, callers.loopback)
+        self._loop = asyncio.get_running_loop()
+        self._tasks = TaskSet()
+        self._is_open = False
+        self.port: Final[int] = self._socket.getsockname()[1]
+
+    @property
+    def connections(self) -> int:
+        """How many are being served."""
+        return len(self._tasks)
+
+    def open(self) -> None:
+        """Listen."""
+        if not self._is_open:
+            self._is_open = True
+            # Connections from before may still use the number; at rest nobody else may bind it.
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            self._socket.listen(_BACKLOG)
+            self._watch()
+
+    def rest(self) -> None:
+        """Refuse callers, keep the number; connections that are served go on."""
+        if self._is_open:
+            self._is_open = False
+            self._loop.remove_reader(self._socket.fileno())
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 0)
+            with contextlib.suppress(OSError):
+                self._socket.shutdown(socket.SHUT_RDWR)
+
+    async def close(self) -> None:
+        """Give the port back and end what is served."""
+        self.rest()
+        self._socket.close()
+        await self._tasks.close()
+
+    def _watch(self) -> None:
+        if self._is_open:
+            self._loop.add_reader(self._socket.fileno(), self._accept)
+
+    def _accept(self) -> None:
+        try:
+            sock, _ = self._socket.accept()
+        except (BlockingIOError, InterruptedError, ConnectionAbortedError):  # gone meanwhile
+            return
+        except OSError as error:  # out of descriptors: who waits would be told of again at once
+            _log.warning("cannot accept programs for %s s: %s", _REST, error)
+            self._loop.remove_reader(self._socket.fileno())
+            self._loop.call_later(_REST, self._watch)
+            return
+        if len(self._tasks) >= _CONNECTIONS:
+            _log.warning("too many connections at loopback port %d", self.port)
+            sock.close()
+            return
+        self._tasks.spawn(self._serve(sock), f"loopback port {self.port}")
+
+    async def _serve(self, sock: socket.socket) -> None:
+        try:
+            await self._callers.check(sock)
+        except (PeerUserRefused, OSError) as error:
+            hint = error.hint if isinstance(error, PeerUserRefused) else "nobody knows whose it is"
+            _log.warning("refused a program at port %d: %s (%s)", self.port, error, hint)
+            sock.close()
+            return
+        except BaseException:
+            sock.close()
+            raise
+        stream = PlainStream(sock)
+        try:
+            await self._handler(stream)
+        finally:
+            stream.abort()
+
+
+def find() -> Loopback:
+    """The loopback of this host.
+
+    Raises:
+        ConfigurationError: there is none, or no name for it.
+    """
+    if _is_here(LOOPBACK.address):
+        return LOOPBACK
+    if not _is_here(_IPV6):
+        raise ConfigurationError("this host has no loopback address", "ip link set lo up")
+    for name in _NAMES:
+        if _addresses(name) == {_IPV6}:
+            _log.warning(_WITHOUT_IPV4, name)
+            return Loopback(_IPV6, name)
+    raise ConfigurationError(
+        f"this host has no {LOOPBACK.address}, and no name for {_IPV6} that programs could use",
+        f"write in /etc/hosts: {_IPV6} {' '.join(_NAMES)}",
+    )
+
+
+def _is_here(address: str) -> bool:
+    try:
+        with socket.socket(_family(address)) as sock:
+            sock.bind((address, 0))
+    except OSError:
+        return False
+    return True
+
+
+def _addresses(name: str) -> set[str]:
+    """Where a program that prefers IPv6 finds `name`."""
+    try:
+        found = socket.getaddrinfo(name, None, socket.AF_INET6, socket.SOCK_STREAM)
+    except OSError:
+        return set()
+    return {str(where[0]) for *_, where in found}
+
+
+def _family(address: str) -> int:
+    return socket.AF_INET6 if ":" in address else socket.AF_INET
+
+
+def reserve(port: int = 0, loopback: Loopback = LOOPBACK) -> socket.socket:
+    """A socket bound to `port` of loopback, by default any free one.
+
+    The number is named in the call to bind: only then does Linux keep it while the socket rests.
+
+    Raises:
+        OSError: the port is taken.
+    """
+    if port:
+        return _bound(loopback.address, port, again=True)
+    return on_free_port(lambda port: _bound(loopback.address, port))
+
+
+def _bound(address: str, port: int, *, again: bool = False) -> socket.socket:
+    sock = socket.socket(_family(address))
+    # A service's own port may be in TIME_WAIT from before; it never rests.
+    sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, int(again))
+    sock.setblocking(False)
+    try:
+        sock.bind((address, port))
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 0)
+    except BaseException:
+        sock.close()
+        raise
+    return sock
+
+
+def on_free_port(bind: Callable[[int], Bound]) -> Bound:
+    """What `bind` makes of a free port; where another process was faster, of the next one."""
+    for _ in range(_ATTEMPTS - 1):
+        with contextlib.suppress(OSError):
+            return bind(free_port())
+    return bind(free_port())
+
+
+def free_port() -> int:
+    """A port that was free a moment ago, at every IPv4 address: there may be no 127.0.0.1."""
+    with socket.socket() as sock:
+        sock.bind(("0.0.0.0", 0))  # noqa: S104 - it never listens
+        found: int = sock.getsockname()[1]
+        return found

@@ -1,0 +1,61 @@
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+
+from ca.errors import KeyChanged, RenewalRefused, StoreError
+from ca.store.record import Store
+from ca.store.rows import CertificateRow
+from tests.support.pki import DAY, NOW
+
+OLD, NEW, THIRD = (bytes([number]) * 32 for number in range(3))
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Iterator[Store]:
+    with closing(Store.create(tmp_path / "ca.db")) as store:
+        store.add_certificate(row(1, OLD), NOW)
+        yield store
+
+
+def row(serial: int, key: bytes, name: str = "/a") -> CertificateRow:
+    return CertificateRow(serial, name, key, b"der", NOW, NOW + DAY)
+
+
+def test_the_newest_key_may_name_its_successor(store: Store) -> None:
+    store.add_certificate(row(2, NEW), NOW, renews=OLD)
+    store.add_certificate(row(3, NEW), NOW, renews=NEW)
+    assert [found.serial for found in store.identities.of("/a")] == [1, 2, 3]
+    assert store.live_keys("/a", NOW) == {OLD, NEW}
+    assert store.live_certificate("/a", NOW).serial == 3
+
+
+def test_an_older_key_may_not(store: Store) -> None:
+    store.add_certificate(row(2, NEW), NOW, renews=OLD)
+    with pytest.raises(RenewalRefused, match="/a was renewed already, by another key"):
+        store.add_certificate(row(3, THIRD), NOW, renews=OLD)
+
+
+def test_a_name_nobody_knows_here_has_only_its_proof(store: Store) -> None:
+    store.add_certificate(row(2, NEW, "/elsewhere"), NOW, renews=THIRD)
+
+
+def test_a_renewal_of_a_revoked_key_is_none(store: Store) -> None:
+    store.revoke(NEW, "lost", NOW)
+    with pytest.raises(StoreError, match="the key of /a is revoked"):
+        store.add_certificate(row(2, NEW), NOW, renews=OLD)
+
+
+def test_after_a_renewal_both_keys_are_known(store: Store) -> None:
+    store.add_certificate(row(2, NEW), NOW, renews=OLD)
+    with pytest.raises(KeyChanged):
+        store.add_certificate(row(3, THIRD), NOW)
+    store.add_certificate(row(3, THIRD), NOW, replace_key="/a")
+
+
+def test_a_renewal_is_answered_once(store: Store) -> None:
+    store.add_certificate(row(2, NEW), NOW, request=b"r" * 32, renews=OLD)
+    assert store.identities.answer(b"r" * 32) == row(2, NEW)
+    with pytest.raises(StoreError, match="has its certificate already"):
+        store.add_certificate(row(3, THIRD), NOW, request=b"r" * 32, renews=NEW)

@@ -1,0 +1,343 @@
+import os
+import sqlite3
+import stat
+from collections.abc import Iterator
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from ca.certificates import build_request
+from ca.errors import KeyChanged, NameCovered, StoreError
+from ca.store.record import CertificateRow, GrantRow, Store
+from tests.support.pki import Site, new_signer
+
+NOW, DAY = 1_800_000_000, 86_400
+KEY, OTHER = b"k" * 32, b"o" * 32
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "ca.db"
+
+
+@pytest.fixture
+def store(path: Path) -> Iterator[Store]:
+    store = Store.create(path)
+    yield store
+    store.close()
+
+
+def certificate(serial: int = 1, name: str = "/a", key: bytes = KEY) -> CertificateRow:
+    return CertificateRow(serial, name, key, b"der%d" % serial, NOW, NOW + DAY)
+
+
+def grant(number: int = 1) -> GrantRow:
+    return GrantRow(bytes([number]) * 16, "/a", b"signed", NOW, NOW + DAY)
+
+
+def entries(store: Store) -> list[tuple[int, str, str, str]]:
+    return [entry[1:5] for entry in store.journal.entries()]
+
+
+def test_the_file_is_the_owners_alone(store: Store, path: Path) -> None:
+    store.revoke(KEY, "lost", NOW)
+    for file in path.parent.iterdir():
+        assert stat.S_IMODE(file.stat().st_mode) == 0o600, file
+
+
+def test_durability_is_asked_for(path: Path) -> None:
+    Store.create(path).close()
+    store = Store.open(path)
+    (journal,) = store.database.connection.execute("PRAGMA journal_mode").fetchone()
+    (synchronous,) = store.database.connection.execute("PRAGMA synchronous").fetchone()
+    assert (journal, synchronous) == ("wal", 2)
+    store.close()
+
+
+def test_everything_is_there_after_reopening(store: Store, path: Path) -> None:
+    largest = certificate((1 << 128) - 1)
+    store.add_certificate(largest, NOW)
+    store.add_grant(grant(), NOW)
+    store.revoke(OTHER, "lost", NOW)
+    store.save_list((1, 1), b"list", NOW)
+    store.close()
+    again = Store.open(path)
+    assert again.certificates() == [largest]
+    assert again.grants() == [grant()]
+    assert again.revoked_entries() == {OTHER}
+    assert again.newest_list() == b"list"
+    assert [entry.what for entry in again.journal.entries()] == [
+        "certificate",
+        "grant",
+        "revocation",
+        "list",
+    ]
+    again.close()
+
+
+def test_every_change_leaves_a_line(store: Store) -> None:
+    store.add_certificate(certificate(), NOW)
+    store.add_grant(grant(), NOW + 1)
+    store.revoke(OTHER, "lost", NOW + 2)
+    store.save_list((1, 1), b"list", NOW + 3)
+    assert entries(store) == [
+        (NOW, "certificate", "/a", KEY.hex()),
+        (NOW + 1, "grant", "/a", (b"\x01" * 16).hex()),
+        (NOW + 2, "revocation", OTHER.hex(), "lost"),
+        (NOW + 3, "list", "1.1", ""),
+    ]
+
+
+def test_revoking_twice_is_once(store: Store) -> None:
+    store.revoke(KEY, "lost", NOW)
+    store.revoke(KEY, "stolen", NOW + 1)
+    assert store.revoked_entries() == {KEY}
+    assert entries(store) == [(NOW, "revocation", KEY.hex(), "lost")]
+
+
+def test_a_refused_entry_leaves_no_line(store: Store) -> None:
+    store.add_certificate(certificate(), NOW)
+    store.add_grant(grant(), NOW)
+    store.save_list((1, 1), b"list", NOW)
+    before = entries(store)
+    with pytest.raises(StoreError, match="the record refuses the entry: UNIQUE"):
+        store.add_certificate(certificate(name="/b"), NOW)
+    with pytest.raises(StoreError, match="the record refuses the entry: UNIQUE"):
+        store.add_grant(grant(), NOW)
+    with pytest.raises(StoreError, match="the record refuses the entry: UNIQUE"):
+        store.save_list((1, 1), b"other", NOW)
+    assert entries(store) == before
+    assert store.newest_list() == b"list"
+
+
+def test_a_name_keeps_its_key(store: Store) -> None:
+    store.add_certificate(certificate(), NOW)
+    store.add_certificate(certificate(2), NOW)
+    store.add_certificate(certificate(3, "/b", OTHER), NOW)
+    with pytest.raises(KeyChanged, match="/a has an identity with another key") as caught:
+        store.add_certificate(certificate(4, key=OTHER), NOW + DAY)
+    assert "--replace-key /a" in caught.value.hint
+    assert [row.serial for row in store.certificates()] == [1, 2, 3]
+    store.add_certificate(certificate(4, key=OTHER), NOW, replace_key="/a")
+
+
+def test_an_expired_or_revoked_key_may_be_followed_by_another(store: Store) -> None:
+    store.add_certificate(certificate(), NOW)
+    store.add_certificate(certificate(2, key=OTHER), NOW + DAY + 1)
+    store.revoke(OTHER, "lost", NOW + DAY + 1)
+    store.add_certificate(certificate(3, key=b"n" * 32), NOW + DAY + 1)
+
+
+def test_a_revoked_key_is_not_certified_again(store: Store) -> None:
+    store.revoke(KEY, "stolen", NOW)
+    with pytest.raises(StoreError, match="the key of /a is revoked") as caught:
+        store.add_certificate(certificate(), NOW, replace_key="/a")
+    assert "new key" in caught.value.hint
+    assert store.certificates() == []
+
+
+def test_the_newest_live_certificate(store: Store) -> None:
+    with pytest.raises(StoreError, match="/a has no valid identity here") as caught:
+        store.live_certificate("/a", NOW)
+    assert "rossec node request /a" in caught.value.hint
+    store.add_certificate(certificate(), NOW)
+    store.add_certificate(certificate(2), NOW)
+    store.add_certificate(certificate(3, "/b", OTHER), NOW)
+    assert store.live_certificate("/a", NOW + DAY).serial == 2
+    with pytest.raises(StoreError, match="no valid identity"):
+        store.live_certificate("/a", NOW + DAY + 1)
+
+
+def test_living_keys_are_neither_expired_nor_revoked(store: Store) -> None:
+    store.add_certificate(certificate(), NOW)
+    store.add_certificate(certificate(2, key=OTHER), NOW, renews=KEY)
+    store.add_certificate(certificate(3, "/b", b"b" * 32), NOW)
+    assert store.live_keys("/a", NOW) == {KEY, OTHER}
+    store.revoke(OTHER, "lost", NOW)
+    assert store.live_keys("/a", NOW) == {KEY}
+    assert store.live_certificate("/a", NOW).thumbprint == KEY
+    assert store.live_keys("/a", NOW + DAY + 1) == frozenset()
+
+
+def test_lists_are_numbered(store: Store) -> None:
+    assert store.newest_list() is None
+    assert store.next_number() == (1, 1)
+    store.save_list((1, 1), b"first", NOW)
+    assert store.next_number() == (1, 2)
+    store.save_list((2, 7), b"new epoch", NOW)
+    store.save_list((1, 9), b"old epoch", NOW)
+    assert store.next_number() == (2, 8)
+    assert store.newest_list() == b"new epoch"
+
+
+TABLES = ("certificate", "grant_", "revocation", "list", "log")
+
+
+@pytest.mark.parametrize("table", TABLES)
+def test_nothing_is_ever_changed_or_deleted(store: Store, path: Path, table: str) -> None:
+    store.add_certificate(certificate(), NOW)
+    store.add_grant(grant(), NOW)
+    store.revoke(OTHER, "lost", NOW)
+    store.save_list((1, 1), b"list", NOW)
+    direct = sqlite3.connect(path)
+    for statement in (f"UPDATE {table} SET at = 0", f"DELETE FROM {table}"):
+        with pytest.raises(sqlite3.IntegrityError, match="the record is append-only"):
+            direct.execute(statement)
+    direct.close()
+
+
+def test_types_are_strict(path: Path, store: Store) -> None:
+    direct = sqlite3.connect(path)
+    with pytest.raises(sqlite3.IntegrityError, match="cannot store TEXT value in INTEGER"):
+        direct.execute("INSERT INTO revocation VALUES (x'00', 'reason', 'noon')")
+    direct.close()
+
+
+def test_never_overwrites(path: Path) -> None:
+    path.write_bytes(b"precious")
+    with pytest.raises(StoreError, match=r"cannot create .*File exists"):
+        Store.create(path)
+    assert path.read_bytes() == b"precious"
+    with pytest.raises(StoreError, match=r"cannot create .*No such file"):
+        Store.create(path.parent / "missing" / "ca.db")
+
+
+def test_nothing_to_open(path: Path) -> None:
+    with pytest.raises(StoreError, match="there is no record at"):
+        Store.open(path)
+    path.mkdir()
+    with pytest.raises(StoreError, match="there is no record at"):
+        Store.open(path)
+
+
+@pytest.mark.parametrize("mode", [0o640, 0o604, 0o622])
+def test_a_record_others_can_reach(path: Path, mode: int) -> None:
+    Store.create(path).close()
+    path.chmod(mode)
+    with pytest.raises(StoreError, match="can be read or written by others") as caught:
+        Store.open(path)
+    assert "chmod 600" in caught.value.hint
+
+
+def test_a_foreign_database_is_refused_and_left_as_it_is(path: Path) -> None:
+    foreign = sqlite3.connect(path)
+    foreign.execute("CREATE TABLE precious (id INTEGER)")
+    foreign.commit()
+    foreign.close()
+    path.chmod(0o600)
+    before = path.read_bytes()
+    with pytest.raises(StoreError, match="is not a record of this version of rossec"):
+        Store.open(path)
+    assert path.read_bytes() == before
+
+
+def test_a_record_from_the_future(path: Path) -> None:
+    store = Store.create(path)
+    store.database.connection.execute("PRAGMA user_version = 3")
+    store.close()
+    with pytest.raises(StoreError, match="not a record of this version") as caught:
+        Store.open(path)
+    assert "update rossec" in caught.value.hint
+
+
+@pytest.mark.parametrize("data", [b"", b"garbage" * 1000])
+def test_no_database(path: Path, data: bytes) -> None:
+    path.write_bytes(data)
+    path.chmod(0o600)
+    with pytest.raises(StoreError, match=r"is damaged|is not a record") as caught:
+        Store.open(path)
+    assert "restore it" in caught.value.hint
+
+
+def test_damage_inside_is_our_error(path: Path) -> None:
+    store = Store.create(path)
+    for number in range(500):
+        store.add_grant(GrantRow(number.to_bytes(16), "/a", bytes(1000), NOW, NOW), NOW)
+    store.close()
+    data = bytearray(path.read_bytes())
+    data[32 * 4096 :] = b"\xff" * (len(data) - 32 * 4096)
+    path.write_bytes(data)
+    damaged = Store.open(path)
+    with pytest.raises(StoreError, match="is damaged: ") as caught:
+        damaged.grants()
+    assert "restore it from a backup" in caught.value.hint
+    with pytest.raises(StoreError, match="is damaged: "):
+        damaged.add_grant(grant(), NOW)
+    damaged.close()
+
+
+def test_a_closed_record_cannot_be_written(path: Path) -> None:
+    store = Store.create(path)
+    store.close()
+    with pytest.raises(StoreError, match=r"cannot be used: .*closed.*, nothing was changed"):
+        store.revoke(KEY, "lost", NOW)
+
+
+def test_a_file_that_goes_between_look_and_open(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """SQLite is told never to create a file: a vanished record is not an empty one."""
+    regular = SimpleNamespace(st_mode=stat.S_IFREG | 0o600)
+    monkeypatch.setattr(Path, "stat", lambda *_, **__: regular)
+    with pytest.raises(StoreError, match="cannot be used: unable to open database file"):
+        Store.open(path)
+    assert not os.path.lexists(path)
+
+
+SITE = Site.create()
+
+
+def real(serial: int, name: str, key: bytes = KEY, *, wildcard: bool = False) -> CertificateRow:
+    csr = build_request(new_signer(), "home", name)
+    der = SITE.authority.issue(csr, now=NOW, serial=serial, wildcard=wildcard)
+    return CertificateRow(serial, name, key, der, NOW, NOW + DAY)
+
+
+def test_a_row_covers_what_its_certificate_does() -> None:
+    assert real(1, "/rviz", wildcard=True).covers("/rviz_1")
+    assert not real(1, "/rviz").covers("/rviz_1")
+    assert real(1, "/rviz").covers("/rviz")
+    assert not certificate().covers("/b")
+
+
+@pytest.mark.parametrize("wildcard", [False, True])
+@pytest.mark.parametrize("first", [0, 1])
+def test_two_keys_never_go_by_one_name(store: Store, first: int, *, wildcard: bool) -> None:
+    rows = [real(1, "/rviz", wildcard=True), real(2, "/rviz_17", OTHER, wildcard=wildcard)]
+    store.add_certificate(rows[first], NOW)
+    with pytest.raises(NameCovered, match="is for anonymous nodes and covers the other") as caught:
+        store.add_certificate(rows[1 - first], NOW, replace_key="/a")
+    assert f"revoke {rows[first].name} first" in caught.value.hint
+    store.revoke(rows[first].thumbprint, "no more", NOW)
+    store.add_certificate(rows[1 - first], NOW)
+
+
+def test_a_tail_is_in_nobodys_way(store: Store) -> None:
+    store.add_certificate(real(1, "/rviz", wildcard=True), NOW)
+    store.add_certificate(real(2, "/rvizx", OTHER), NOW)
+    store.add_certificate(real(3, "/robot1/rviz_1", OTHER), NOW)
+    store.add_certificate(real(4, "/rviz_17"), NOW)  # the same key
+    store.add_certificate(real(5, "/rviz_18", OTHER), NOW + DAY + 1)  # expired by then
+    store.add_certificate(real(6, "/plain"), NOW)
+    store.add_certificate(real(7, "/plain_1", OTHER), NOW)
+
+
+def test_the_name_an_anonymous_node_is_certified_under(store: Store) -> None:
+    store.add_certificate(real(1, "/rviz", wildcard=True), NOW)
+    store.add_certificate(real(2, "/plain", OTHER), NOW)
+    names = {"/rviz": "/rviz", "/rviz_1": "/rviz", "/plain_1": "/plain_1", "/new": "/new"}
+    assert {name: store.certified(name, NOW) for name in names} == names
+    with pytest.raises(StoreError, match="/rviz_1 has no valid identity") as caught:
+        store.live_certificate("/rviz_1", NOW)
+    assert caught.value.hint == "it is one of the anonymous nodes of /rviz: name that"
+    assert store.certified("/rviz_1", NOW + DAY + 1) == "/rviz_1"
+    store.revoke(KEY, "lost", NOW)
+    assert store.certified("/rviz_1", NOW) == "/rviz_1"
+
+
+def test_the_key_that_is_replaced_is_revoked_in_the_same_step(store: Store) -> None:
+    store.add_certificate(certificate(1), NOW)
+    store.add_certificate(certificate(2, key=OTHER), NOW, replace_key="/a")
+    assert store.revoked_entries() == {certificate(1).thumbprint}
+    assert store.live_keys("/a", NOW) == {certificate(2, key=OTHER).thumbprint}

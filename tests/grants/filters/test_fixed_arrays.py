@@ -1,0 +1,59 @@
+"""Tables: elements of one size, column by column."""
+
+import numpy as np
+import pytest
+
+from grants.filters.codegen import MISFIT
+from grants.filters.fixed_arrays import table_rewriter
+from grants.filters.layout import PRIMITIVES, Array, Struct
+from grants.filters.lazy_numpy import Vector
+from grants.filters.treatments import Constant, Each, Keep, Numbers, Parts, Treated
+
+BYTE = PRIMITIVES["uint8"]
+CALLS: list[tuple[int, ...]] = []
+
+
+def add(values: Vector) -> Vector:
+    CALLS.append(values.shape)
+    return values + 1
+
+
+ADD = Numbers(lambda value: value + 1, add)
+INNER = Struct("t/I", (("a", BYTE), ("b", BYTE)))
+ELEMENT = Struct(
+    "t/E", (("k", BYTE), ("x", BYTE), ("y", BYTE), ("i", Array(INNER, 2)), ("z", BYTE))
+)
+TREATED = Treated(BYTE, ADD)
+NODE = Parts(
+    ELEMENT,
+    (
+        Keep(BYTE),
+        TREATED,
+        TREATED,
+        Each(Array(INNER, 2), Parts(INNER, (TREATED, Keep(BYTE)))),
+        Treated(BYTE, Constant(b"z")),
+    ),
+)
+
+
+def test_columns_are_joined() -> None:
+    CALLS.clear()
+    rewrite = table_rewriter(NODE, 8)
+    message = b"??" + bytes([0, 1, 2, 3, 4, 5, 6, 7]) * 3 + b"?"
+    assert rewrite(message, 2, 3) == bytes([0, 2, 3, 4, 4, 6, 6, ord("z")]) * 3
+    assert CALLS == [(3, 3), (3, 1)]  # x, y and the first a in one; the second a
+
+
+def test_counts() -> None:
+    rewrite = table_rewriter(NODE, 8)
+    assert rewrite(b"", 0, 0) == b""
+    for count in (1, 2**32):
+        with pytest.raises(MISFIT):
+            rewrite(bytes(7), 0, count)
+
+
+def test_the_message_is_not_changed() -> None:
+    message = bytearray(8)
+    table_rewriter(NODE, 8)(memoryview(message), 0, 1)
+    assert message == bytes(8)
+    assert np.frombuffer(message, np.uint8).sum() == 0

@@ -1,0 +1,111 @@
+"""Rewriting: pieces in order, few of them, whatever is treated where."""
+
+import struct
+from typing import Any
+
+import pytest
+
+from grants.filters.codegen import MISFIT
+from grants.filters.compile import compile_filter
+from grants.filters.layout import PRIMITIVES, Array, Struct, Text
+from grants.filters.message_rewriter import generate
+from grants.filters.treatments import Body, Constant, Each, Keep, Node, Numbers, Parts, Treated
+from grants.model import filter_rules
+from tests.grants.messages import layout, text
+
+INT = PRIMITIVES["int32"]
+ADD = Numbers(lambda value: value + 1, lambda values: values + 1)
+SWAP = Numbers(
+    lambda a, b: (b, a), lambda values: values.reshape(-1, 2)[:, ::-1].reshape(values.shape)
+)
+TWICE = Body(lambda content: (bytes(content) * 2, len(content) * 2))
+
+
+def ints(*values: int) -> bytes:
+    return struct.pack(f"<{len(values)}i", *values)
+
+
+def struct_of(*nodes: Node) -> Parts:
+    fields = tuple((f"f{n}", node.kind) for n, node in enumerate(nodes))
+    return Parts(Struct("t/T", fields), nodes)
+
+
+def rewrite(node: Node, message: bytes) -> bytes:
+    return b"".join(generate(node)(message))
+
+
+def test_neighbours_are_one_piece() -> None:
+    node = struct_of(
+        *[Treated(INT, ADD)] * 2, Treated(INT, Constant(b"wxyz")), Keep(INT), Treated(INT, ADD)
+    )
+    pieces = generate(node)(ints(1, 2, 3, 4, 5))
+    assert pieces == [ints(2, 3) + b"wxyz", ints(4), ints(6)]
+
+
+def test_constants_alone() -> None:
+    node = struct_of(Treated(INT, Constant(b"abcd")), Treated(INT, Constant(b"efgh")))
+    assert generate(node)(ints(1, 2)) == [b"abcdefgh"]
+
+
+def test_two_values_of_one_field() -> None:
+    pair = PRIMITIVES["duration"]
+    assert rewrite(struct_of(Treated(pair, SWAP), Keep(INT)), ints(1, 2, 3)) == ints(2, 1, 3)
+    for length in (2, 20, None):
+        kind = Array(pair, length)
+        count = b"" if length else (2).to_bytes(4, "little")
+        values = [1, 2] * (length or 2)
+        expected = count + ints(*values[::-1])
+        assert rewrite(Each(kind, Treated(pair, SWAP)), count + ints(*values)) == expected
+
+
+def test_bodies_and_texts() -> None:
+    node = struct_of(Keep(Text()), Treated(Text(), TWICE), Treated(Text(), Constant(text("-"))))
+    assert rewrite(node, text("a") + text("bc") + text("d")) == text("a") + text("bcbc") + text("-")
+
+
+def test_loops_in_loops() -> None:
+    inner = struct_of(Keep(Text()), Treated(INT, ADD), Treated(Text(), TWICE), Keep(INT))
+    outer = struct_of(Keep(INT), Each(Array(inner.kind, None), inner), Treated(INT, ADD))
+    node = struct_of(Keep(INT), Each(Array(outer.kind, 2), outer), Keep(Text()))
+
+    def message(add: int, times: int) -> bytes:
+        item = text("x") + ints(5 + add) + text("ab" * times) + ints(7)
+        outer = ints(1) + (2).to_bytes(4, "little") + item * 2 + ints(9 + add)
+        return ints(0) + outer * 2 + text("end")
+
+    assert rewrite(node, message(0, 1)) == message(1, 2)
+
+
+def table(length: int | None) -> Each:
+    inside: list[Node] = [Keep(INT), Treated(INT, ADD), Treated(INT, Constant(b"wxyz"))]
+    numbers = Each(Array(INT, 3), Treated(INT, ADD))
+    element = struct_of(*inside, numbers, Parts(Struct("t/S", (("a", INT),)), (Treated(INT, ADD),)))
+    return Each(Array(element.kind, length), element)
+
+
+@pytest.mark.parametrize("count", [0, 1, 5])
+def test_tables(count: int) -> None:
+    head = count.to_bytes(4, "little")
+    before = head + ints(1, 2, 3, 4, 5, 6, 7) * count
+    after = head + (ints(1, 3) + b"wxyz" + ints(5, 6, 7, 8)) * count
+    assert rewrite(table(None), before) == after
+    assert rewrite(table(count or 1), before[4:] or ints(1, 2, 3, 4, 5, 6, 7))
+    for end in range(len(before)):
+        with pytest.raises(MISFIT):
+            rewrite(table(None), before[:end])
+
+
+def test_nothing_enters_the_source_but_numbers() -> None:
+    evil: Any = "x=1\nimport os"
+    shape = Struct(evil, ((evil, INT), (evil + "2", Text())))
+    node = Parts(shape, (Treated(INT, ADD), Treated(Text(), Constant(text(evil)))))
+    assert rewrite(node, ints(1) + text("a")) == ints(2) + text(evil)
+
+
+def test_a_thousand_fields() -> None:
+    fields = "\n".join(f"float64 f{n}" for n in range(1000))
+    rules = {f"f{n}": {"round": {"step": 1}} for n in range(0, 1000, 3)}
+    message = struct.pack("<1000d", *[n + 0.25 for n in range(1000)])
+    out = b"".join(compile_filter(layout(fields), filter_rules(rules))(message))
+    expected = [float(n) if n % 3 == 0 else n + 0.25 for n in range(1000)]
+    assert struct.unpack("<1000d", out) == tuple(expected)

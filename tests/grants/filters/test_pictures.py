@@ -1,0 +1,122 @@
+"""Pixelation: against the definition pixel by pixel, and every lie about the picture's form."""
+
+import struct
+
+import pytest
+
+from grants.errors import FilterRefused, MessageRefused
+from grants.filters.compile import compile_filter
+from grants.filters.layout import Layout, parse
+from grants.filters.pictures import PIXEL_SIZES, pixelation
+from grants.model import filter_rules
+from tests.grants.messages import SEPARATOR, chance, layout, text
+
+IMAGE = f"""Header header
+uint32 height
+uint32 width
+string encoding
+uint8 is_bigendian
+uint32 step
+uint8[] data
+{SEPARATOR}
+MSG: std_msgs/Header
+uint32 seq
+time stamp
+string frame_id
+"""
+LAYOUT = parse("sensor_msgs/Image", IMAGE)
+
+
+def image(height: int, width: int, encoding: str, step: int, data: bytes) -> bytes:
+    head = struct.pack("<III", 1, 2, 3) + text("cam") + struct.pack("<II", height, width)
+    return head + text(encoding) + struct.pack("<BII", 0, step, len(data)) + data
+
+
+def treated(message: bytes, /, _shape: Layout = LAYOUT, **parameters: int) -> bytes:
+    rules = filter_rules({"data": {"pixelate": parameters}})
+    return b"".join(compile_filter(_shape, rules)(message))
+
+
+def by_definition(
+    data: bytes, height: int, width: int, size: int, step: int, block: int, region: tuple[int, ...]
+) -> bytes:
+    x, y, wide, high = region
+    out = bytearray(len(data))
+    for row in range(height):
+        for column in range(width):
+            inside = x <= column < x + wide and y <= row < y + high
+            a, b = (row - row % block, column - column % block) if inside else (row, column)
+            at, to = a * step + b * size, row * step + column * size
+            out[to : to + size] = data[at : at + size]
+    return bytes(out)
+
+
+@pytest.mark.parametrize("encoding", ["rgb8", "mono8", "rgba16", "32FC1", "8UC3"])
+@pytest.mark.parametrize("block", [2, 3, 16, 65535])
+@pytest.mark.parametrize("region", [None, (0, 0, 3, 2), (2, 1, 4, 9), (50, 0, 1, 1), (1, 1, 0, 0)])
+def test_by_definition(encoding: str, block: int, region: tuple[int, ...] | None) -> None:
+    size = PIXEL_SIZES[encoding]
+    named = dict(zip(("x", "y", "width", "height"), region or (), strict=False))
+    for height, width, padding in ((1, 1, 0), (5, 7, 0), (7, 6, 3), (33, 18, 1), (0, 4, 0)):
+        step = width * size + padding
+        data = chance(height).randbytes(height * step)
+        expected = by_definition(
+            data, height, width, size, step, block, region or (0, 0, width, height)
+        )
+        before, after = (image(height, width, encoding, step, d) for d in (data, expected))
+        assert treated(before, LAYOUT, block=block, **named) == after
+
+
+def test_no_columns() -> None:
+    assert pixelation(4, None)(b"abc", 3, 0, "rgb8", 1) == (bytes(3), 3)
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        image(2, 2, "bayer_rggb8", 2, bytes(4)),
+        image(2, 2, "yuv422", 4, bytes(8)),
+        image(2, 2, "", 2, bytes(4)),
+        image(2, 2, "mono8", 2, bytes(5)),
+        image(2, 2, "mono8", 2, bytes(3)),
+        image(2, 3, "mono8", 2, bytes(4)),
+        image(1 << 31, 1 << 31, "mono8", 1 << 31, bytes(4)),
+        image(2, 2, "mono8", 2, bytes(4))[:-1],
+        image(2, 2, "mono8", 2, bytes(4)) + b"\0",
+    ],
+)
+def test_a_picture_that_is_not_what_it_says_is_dropped(message: bytes) -> None:
+    with pytest.raises(MessageRefused):
+        treated(message, block=2)
+
+
+def test_inside_another_message_and_an_array() -> None:
+    fields, header = IMAGE.split(SEPARATOR)
+    shape = layout("int32 a\nsensor_msgs/Image one\nsensor_msgs/Image[] many",
+                   f"MSG: sensor_msgs/Image\n{fields.rstrip()}", header.strip())  # fmt: skip
+    rules = filter_rules(
+        {"one.data": {"pixelate": {"block": 2}}, "many[*].data": {"pixelate": {"block": 2}}}
+    )
+    before, after = (image(1, 2, "mono8", 2, data) for data in (b"ab", b"aa"))
+    head = bytes(4)
+    made = b"".join(
+        compile_filter(shape, rules)(head + before + (2).to_bytes(4, "little") + before * 2)
+    )
+    assert made == head + after + (2).to_bytes(4, "little") + after * 2
+
+
+@pytest.mark.parametrize("other", ["uint8[] data", "uint32 height\nuint8[] data"])
+def test_only_a_picture_of_the_known_form(other: str) -> None:
+    for shape in (layout(other), parse("sensor_msgs/Image", other)):
+        with pytest.raises(FilterRefused, match="needs the data of a sensor_msgs/Image"):
+            treated(b"", shape, block=2)
+    behind = parse("sensor_msgs/Image", IMAGE.replace("uint8[] data\n", "").replace(
+        "uint32 step", "uint8[] data\nuint32 step"))  # fmt: skip
+    with pytest.raises(FilterRefused, match="needs the data"):
+        treated(b"", behind, block=2)
+
+
+def test_siblings_are_read_before_they_are_treated() -> None:
+    rules = filter_rules({"data": {"pixelate": {"block": 2}}, "width": {"clear": True}})
+    made = b"".join(compile_filter(LAYOUT, rules)(image(1, 2, "mono8", 2, b"ab")))
+    assert made == image(1, 0, "mono8", 2, b"aa")

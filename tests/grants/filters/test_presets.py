@@ -1,0 +1,160 @@
+"""Presets: what they leave is what they say, against somebody who keeps every message."""
+
+import itertools
+import math
+import struct
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from grants.decision import Decision
+from grants.errors import FilterRefused, MessageRefused
+from grants.filters.layout import Layout, parse
+from grants.filters.presets import PRESETS, preset
+from grants.guard import Guard
+from grants.model import Restriction, Right, filter_rules
+from rossec.participant.message_types import message_type
+from tests.grants.messages import chance, layout
+
+NOW = 1_800_000_000
+SCAN = 10  # messages a second
+
+
+def shape(name: str) -> Layout:
+    return parse(name, message_type(name).definition)
+
+
+POSE = shape("geometry_msgs/PoseStamped")
+COARSE = preset("coarse-position").restriction(POSE)
+
+
+def guard(restriction: Restriction, of: Layout = POSE) -> Guard:
+    return Guard(
+        of,
+        Decision(Right.SUBSCRIBE, "/pose", (), NOW + 10**6, (restriction,)),
+        {"diagnostics": bytes(32)},
+    )
+
+
+def pose(n: int, x: float) -> bytes:
+    stamp = struct.pack("<III", n, NOW + n // SCAN, n % SCAN * 10**8)
+    return stamp + struct.pack("<I3s7d", 3, b"map", x, 0.0, 0.0, 0.6, 0.0, 0.0, 0.8)
+
+
+def watched(restriction: Restriction, walk: list[float]) -> Iterator[tuple[int, float]]:
+    """The moments and positions an attacker sees of a walk at 10 messages a second."""
+    one = guard(restriction)
+    for n, x in enumerate(walk):
+        pieces = one.treat(pose(n, x), NOW + n // SCAN)
+        if pieces is not None:
+            yield n, struct.unpack_from("<d", b"".join(pieces), 19)[0]
+
+
+def only_rounded(step: float) -> Restriction:
+    return Restriction(
+        POSE.type_name, (), filter_rules({"pose.position": {"round": {"step": step}}})
+    )
+
+
+def trembling(x: float, minutes: int = 10) -> list[float]:
+    """A robot that stands at `x`, seen by a sensor with 5 cm of noise."""
+    dice = chance(7)
+    return [x + dice.gauss(0, 0.05) for _ in range(minutes * 60 * SCAN)]
+
+
+def test_averaging() -> None:
+    """The mean of what is seen tells no more than one message: the cell."""
+    for x in (0.4, 3.137, -5.3):
+        positions = {seen for _, seen in watched(COARSE, trembling(x))}
+        assert positions == {math.floor(x / 2 + 0.5) * 2.0}
+
+
+def test_the_border_of_a_cell() -> None:
+    """1 cm beside a border flips betray the place to rounding alone; hysteresis keeps still."""
+    walk = trembling(0.99)
+    betrayed = [seen for _, seen in watched(only_rounded(2.0), walk)]
+    share = sum(seen == 2.0 for seen in betrayed) / len(betrayed)
+    # The share of flips is the normal distribution at the border: the attack works.
+    deviation = abs(share - 0.5 * math.erfc(0.01 / 0.05 / math.sqrt(2)))
+    assert deviation < 0.03
+    assert {seen for _, seen in watched(COARSE, walk)} <= {0.0, 2.0}
+    assert len({seen for _, seen in watched(COARSE, walk)}) == 1
+
+
+def test_timing_of_a_straight_drive() -> None:
+    """At full rate the moment of a change is exact; the preset's rate leaves 5 s of doubt."""
+    walk = [0.5 * n / SCAN for n in range(60 * SCAN)]  # 0.5 m/s
+    exact = list(watched(only_rounded(2.0), walk))
+    changes = [n for (_, a), (n, b) in itertools.pairwise(exact) if a != b]
+    assert max(abs((walk[n] % 2) - 1) for n in changes) < 0.06
+    coarse = [n for n, _ in watched(COARSE, walk)]
+    assert all(b - a >= 5 * SCAN for a, b in itertools.pairwise(coarse))
+
+
+def test_coarse_position_leaves_no_relative() -> None:
+    one = guard(COARSE)
+    made = one.treat(pose(1234, 0.3), NOW)
+    assert made is not None
+    seq, seconds, nanoseconds = struct.unpack_from("<III", b"".join(made))
+    assert (seq, seconds % 10, nanoseconds) == (0, 0, 0)
+    assert b"".join(made)[19:] == bytes(56)
+
+
+@pytest.mark.parametrize(
+    ("name", "type_name"),
+    [
+        ("coarse-position", "geometry_msgs/PoseStamped"),
+        ("coarse-position", "geometry_msgs/PoseWithCovarianceStamped"),
+        ("coarse-position", "geometry_msgs/PointStamped"),
+        ("coarse-position", "nav_msgs/Odometry"),
+        ("presence-only", "sensor_msgs/Image"),
+        ("presence-only", "std_msgs/String"),
+        ("anonymous-diagnostics", "diagnostic_msgs/DiagnosticArray"),
+    ],
+)
+def test_they_fit_their_types(name: str, type_name: str) -> None:
+    of = shape(type_name)
+    restriction = preset(name).restriction(of)
+    message = bytes(message_type(type_name).serialize(message_type(type_name).create()))
+    treated = guard(restriction, of).treat(message, NOW)
+    assert treated is not None
+
+
+def test_presence_only_leaves_nothing() -> None:
+    of = shape("sensor_msgs/Image")
+    kind = message_type("sensor_msgs/Image")
+    full = kind.create(height=1, width=1, encoding="mono8", step=1)
+    treated = guard(preset("presence-only").restriction(of), of).treat(kind.serialize(full), NOW)
+    assert treated is not None
+    assert not any(b"".join(treated))
+
+
+def test_blurred_camera() -> None:
+    """A picture with details keeps one pixel of every square; one of unknown form is dropped."""
+    of, kind = shape("sensor_msgs/Image"), message_type("sensor_msgs/Image")
+    one = guard(preset("blurred-camera").restriction(of), of)
+    data = np.frombuffer(chance(1).randbytes(64 * 64), np.uint8)
+    full = kind.create(height=64, width=64, encoding="mono8", step=64, data=data)
+    treated = one.treat(kind.serialize(full), NOW)
+    assert treated is not None
+    assert len(set(b"".join(treated)[-64 * 64 :])) <= 4
+    with pytest.raises(MessageRefused):
+        one.treat(kind.serialize(kind.create(encoding="bayer_rggb8")), NOW + 1)
+
+
+def test_every_preset_says_what_it_leaves() -> None:
+    assert list(PRESETS) == [
+        "coarse-position", "presence-only", "anonymous-diagnostics", "blurred-camera",
+    ]  # fmt: skip
+    for entry in PRESETS.values():
+        assert entry.hides
+        assert entry.leaves
+
+
+def test_refusals() -> None:
+    with pytest.raises(FilterRefused, match="no preset 'coarse'") as refused:
+        preset("coarse")
+    assert refused.value.hint.startswith("there are coarse-position")
+    with pytest.raises(FilterRefused, match="the preset does not exist for t/T"):
+        preset("coarse-position").restriction(layout("int32 a"))

@@ -1,0 +1,19 @@
+from grants.policy.model import Subject
+from grants.policy.projected_grants import prospects
+from tests.grants.policy.policies import HEATING, OTHER_KEY, policy
+
+
+def test_what_a_name_would_get() -> None:
+    found = prospects(policy(), HEATING)
+    assert found[0] == "allow subscribe /robot/pose (rule heating-room: Heating lowers rooms.)"
+    assert "  pose.position: {round: 2.0}" in found or any(
+        "pose.position" in line for line in found
+    )
+    assert "  at most 0.2 messages a second" in found
+    assert "allow publish /heating/** (rule heating-own)" in found
+    assert found[-1] == "deny subscribe /camera/** (rule no-camera: no)"
+
+
+def test_a_pinned_rule_is_not_for_another_key() -> None:
+    found = prospects(policy(), Subject("/heating", OTHER_KEY))
+    assert found == ["deny subscribe /camera/** (rule no-camera: no)"]

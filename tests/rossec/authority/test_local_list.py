@@ -1,0 +1,70 @@
+"""The authority on the master's host: its lists are seen, and only when there may be news."""
+
+from pathlib import Path
+
+import pytest
+
+from ca.revocation.state import open_list
+from ca.revocation.tree import Listing, is_tree, open_tree
+from rossec.authority.home import AuthorityHome
+from rossec.authority.local_list import NearAuthority
+from rossec.errors import NotWritten
+from tests.support.commands import Shell
+
+
+@pytest.fixture
+def shell(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Shell:
+    shell = Shell(tmp_path / "home", capsys)
+    assert shell.unlocked("ca", "init", "home").code == 0
+    return shell
+
+
+def test_where_no_authority_is_there_is_nothing(tmp_path: Path) -> None:
+    near = NearAuthority(tmp_path)
+    assert near.newest() is None
+    assert near.news() is None
+
+
+def test_a_new_list_is_news_once(shell: Shell) -> None:
+    near, key = NearAuthority(shell.root), AuthorityHome.at(shell.root).anchor().public_key
+    first = near.newest()
+    assert first is not None
+    assert first[1] == b""
+    assert near.news() is None
+    shell.unlocked("ca", "refresh")
+    news = near.news()
+    assert news is not None
+    assert open_list(news[0], key).seq == open_list(first[0], key).seq + 1
+    for _ in range(3):
+        near.news()
+    assert near.news() is None
+
+
+def test_a_tree_comes_with_its_entries(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("rossec.authority.signing.MAX_ENTRIES", 0)
+    near, key = NearAuthority(shell.root), AuthorityHome.at(shell.root).anchor().public_key
+    shell.enroll("/robot")
+    shell.unlocked("ca", "revoke", "/robot")
+    found = near.news()
+    assert found is not None
+    assert is_tree(found[0])
+    Listing.read(found[1]).check(open_tree(found[0], key))
+
+
+def test_what_could_not_be_read_is_read_again(
+    shell: Shell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Else who fills the disk for a moment keeps a revocation from the master for good."""
+    near = NearAuthority(shell.root)
+    near.newest()
+    shell.unlocked("ca", "refresh")
+
+    def fail(_: AuthorityHome) -> bytes:
+        raise NotWritten("no room on the disk", "make room")
+
+    with monkeypatch.context() as full:
+        full.setattr(AuthorityHome, "revocation_list", fail)
+        for _ in range(2):
+            with pytest.raises(NotWritten):
+                near.news()
+    assert near.news() is not None

@@ -1,0 +1,55 @@
+"""The policy of an authority on disk."""
+
+from pathlib import Path
+
+import pytest
+
+from grants.errors import PolicyRefused
+from rossec.authority.policyfile import PolicyFile, layout_of, place
+from rossec.errors import ConfigurationError
+
+TEXT = "rossec: 1\nrobot: r\nrules: []\n"
+
+
+def test_where_it_is(tmp_path: Path) -> None:
+    assert place(tmp_path, None) == tmp_path / "ca" / "policy.yaml"
+    assert place(tmp_path, tmp_path / "x") == tmp_path / "x"
+
+
+def test_it_is_read_and_replaced_only_by_a_good_one(tmp_path: Path) -> None:
+    path = tmp_path / "policy.yaml"
+    path.write_text(TEXT)
+    read = PolicyFile.read(path)
+    assert (read.policy.robot, read.text) == ("r", TEXT)
+    changed = read.replace(TEXT.replace("robot: r", "robot: s"))
+    assert changed.decider.policy.robot == "s"
+    with pytest.raises(PolicyRefused):
+        read.replace("rossec: 2")
+    assert PolicyFile.read(path).policy.robot == "s"
+
+
+def test_what_is_no_policy(tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError, match="there is no policy"):
+        PolicyFile.read(tmp_path / "policy.yaml")
+    (tmp_path / "policy.yaml").write_bytes(b"\xff")
+    with pytest.raises(ConfigurationError, match="is not UTF-8"):
+        PolicyFile.read(tmp_path / "policy.yaml")
+
+
+def test_layouts() -> None:
+    assert layout_of("std_msgs/String").type_name == "std_msgs/String"
+
+
+def test_two_editors_at_once_lose_no_rule(tmp_path: Path) -> None:
+    path = tmp_path / "policy.yaml"
+    path.write_text(TEXT)
+    slower, faster = PolicyFile.read(path), PolicyFile.read(path)
+    faster.replace(TEXT.replace("robot: r", "robot: faster"))
+    with pytest.raises(ConfigurationError, match="was changed while this command") as caught:
+        slower.replace(TEXT.replace("robot: r", "robot: slower"))
+    assert "run the command again" in caught.value.hint
+    assert "faster" in path.read_text()
+    slower.path.unlink()
+    with pytest.raises(ConfigurationError, match="is gone, nothing was done"):
+        slower.check_unchanged()
+    assert slower.replace(TEXT).text == path.read_text()

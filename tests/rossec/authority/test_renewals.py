@@ -1,0 +1,186 @@
+import secrets
+from pathlib import Path
+
+import pytest
+
+from ca.authority import Authority
+from ca.certificates import build_request, check_request, from_pem, to_pem
+from ca.errors import RenewalRefused, RequestClosed, Revoked, StoreError
+from ca.intermediates import build_intermediate_request
+from ca.keys.key_files import generate
+from ca.keys.signer import KeySigner
+from ca.renewal import sign_renewal
+from ca.store.record import Store
+from rossec.authority.home import OWN_LIFETIME, AuthorityHome
+from rossec.authority.renewals import (
+    SEASON,
+    own_is_due,
+    renew,
+    renew_by_name,
+    renew_own,
+    sign_intermediate,
+)
+from rossec.authority.signing import OWN_NODE, OpenAuthority
+from rossec.errors import ConfigurationError
+from rossec.home import NodeHome
+from tests.support.site import Site
+
+NOW, DAY = 1_800_000_000, 86_400
+LATER = NOW + 15 * DAY
+LIFE = 20 * DAY
+
+
+@pytest.fixture
+def site(tmp_path: Path) -> Site:
+    return Site(tmp_path / "site", clock=lambda: NOW)
+
+
+def asks(home: NodeHome, key: KeySigner, now: int = LATER) -> bytes:
+    """The renewal of a node, for `key`."""
+    old = home.credentials()
+    return sign_renewal(old.signer, old.chain, build_request(key, "home", home.name), now)
+
+
+def below(site: Site, *, may_enroll: bool = False) -> tuple[str, OpenAuthority]:
+    """An intermediate of the site, with a record of its own."""
+    signer = KeySigner(generate())
+    request = build_intermediate_request(signer, "home")
+    name, bundle = sign_intermediate(site.authority, request, NOW, may_enroll=may_enroll)
+    der, root = from_pem(bundle)
+    path = site.root / f"below{may_enroll}"
+    path.mkdir()
+    host = OpenAuthority(Authority(signer, root, der), Store.create(path / "ca.db"), path)
+    return name, host
+
+
+def test_a_node_renews_itself(site: Site) -> None:
+    home = site.enroll("/robot", LIFE)
+    key = KeySigner(home.credentials().signer._key)  # type: ignore[attr-defined]
+    bundle = renew(site.authority, asks(home, key), LATER)
+    assert home.install(bundle, LATER).not_after == LATER + LIFE
+    assert len(site.authority.store.identities.of("/robot")) == 2
+
+
+def test_a_revoked_key_gets_no_successor(site: Site) -> None:
+    """Also where the check that was passed in knows nothing of it."""
+    home = site.enroll("/robot", LIFE)
+    site.authority.store.revoke(home.identity(LATER).thumbprint, "stolen", LATER)
+    asked = asks(home, KeySigner(generate()))
+    with pytest.raises(Revoked):
+        renew(site.authority, asked, LATER)
+    with pytest.raises(StoreError, match="the key of /robot is revoked"):
+        renew(site.authority, asked, LATER, lambda _entry, _now: None)
+
+
+def test_one_renewal_one_answer(site: Site) -> None:
+    home, key = site.enroll("/robot", LIFE), KeySigner(generate())
+    asked = asks(home, key)
+    first = renew(site.authority, asked, LATER)
+    assert renew(site.authority, asked, LATER + 100) == first
+    assert len(site.authority.store.identities.of("/robot")) == 2
+    site.authority.revoke(check_request(build_request(key, "home", "/robot"), "home").thumbprint,
+                          "lost", LATER)  # fmt: skip
+    with pytest.raises(RequestClosed, match="not valid or meant any more"):
+        renew(site.authority, asked, LATER + 100)
+
+
+def test_a_copy_of_the_node_cannot_renew_once_more(site: Site) -> None:
+    home = site.enroll("/robot", LIFE)
+    renew(site.authority, asks(home, KeySigner(generate())), LATER)
+    with pytest.raises(RenewalRefused, match="/robot was renewed already, by another key") as no:
+        renew(site.authority, asks(home, KeySigner(generate())), LATER)
+    assert "revoke the name" in no.value.hint
+
+
+def test_a_revoked_node_is_not_renewed(site: Site) -> None:
+    home = site.enroll("/robot", LIFE)
+    site.authority.revoke(site.identity("/robot").thumbprint, "lost", NOW)
+    with pytest.raises(Revoked):
+        renew(site.authority, asks(home, KeySigner(generate())), LATER)
+
+
+def test_an_intermediate_renews_whom_it_never_saw(site: Site) -> None:
+    home = site.enroll("/robot", LIFE)
+    _, host = below(site)
+    key = generate()
+    bundle = renew(host, asks(home, KeySigner(key)), LATER, lambda *_: None)
+    leaf, second, root = from_pem(bundle)
+    identity = site.anchor.verify([leaf, second], LATER)
+    assert identity.issuers == (host.authority.issuer.thumbprint,)
+    assert (root, identity.public_key) == (site.anchor.certificate, key.public_key())
+    assert host.verify(leaf, LATER) == identity
+
+
+def test_an_intermediate_cannot_revoke(site: Site) -> None:
+    _, host = below(site, may_enroll=True)
+    node = NodeHome.of(site.root / "elsewhere", "/new")
+    node.create_request("home")
+    assert node.install(host.issue(node.request(), NOW), NOW).name == "/new"
+    for attempt in (
+        lambda: host.sign_list(NOW),
+        lambda: host.revoke(b"k" * 32, "", NOW),
+        lambda: host.revoke_identity("/new", "", NOW),
+        lambda: host.issue(node.request(), NOW, replace_key="/new"),
+    ):
+        with pytest.raises(ConfigurationError, match="an intermediate cannot revoke"):
+            attempt()
+    assert host.store.revoked_entries() == frozenset()
+
+
+def test_an_intermediate_is_recorded_and_revoked_by_name(site: Site) -> None:
+    name, host = below(site)
+    assert site.authority.store.live_certificate(name, NOW).not_after == NOW + SEASON
+    listed, count = site.authority.revoke_identity(name, "stolen", NOW)
+    assert (set(listed.entries), count) == ({host.authority.issuer.thumbprint}, 1)
+    site.authority.store.journal.audit(site.authority.signer.public_key)
+
+
+def test_an_operator_renews_by_name(site: Site) -> None:
+    home = site.enroll("/robot", LIFE)
+    before = home.identity(NOW)
+    after = home.install(renew_by_name(site.authority, "/robot", NOW + DAY), NOW + DAY)
+    assert (after.thumbprint, after.not_after) == (before.thumbprint, NOW + 31 * DAY)
+    with pytest.raises(StoreError, match="/nobody has no valid identity"):
+        renew_by_name(site.authority, "/nobody", NOW)
+
+
+def test_an_operator_renews_below_what_the_root_signed(site: Site) -> None:
+    home = site.enroll("/robot", LIFE)
+    _, host = below(site)
+    renew(host, asks(home, KeySigner(generate())), LATER, lambda *_: None)
+    again = renew_by_name(host, "/robot", LATER)
+    assert len(from_pem(again)) == 3
+    assert host.verify(from_pem(home._read("node.pem", ""))[0], NOW).issuers == ()
+
+
+def test_the_authoritys_own_node(tmp_path: Path) -> None:
+    passphrase = "four random words here"
+    home = AuthorityHome.create(tmp_path, "home", passphrase, NOW)
+    authority = home.unlock(passphrase)
+    assert not own_is_due(authority, NOW + OWN_LIFETIME // 2)
+    late = NOW + OWN_LIFETIME + DAY  # expired, while nobody looked
+    assert own_is_due(authority, late)
+    assert renew_own(authority, late) == late + OWN_LIFETIME
+    assert home.node().identity(late).name == OWN_NODE
+    assert not own_is_due(authority, late)
+
+
+def test_an_intermediates_host_has_no_such_node(site: Site) -> None:
+    assert not own_is_due(below(site)[1], NOW + 1000 * DAY)
+
+
+def test_bundles_with_an_intermediate_install(site: Site) -> None:
+    home = site.enroll("/robot", LIFE)
+    _, host = below(site)
+    der = host.authority.certify_again(
+        site.identity("/robot"), site.identity("/robot").public_key,
+        now=NOW, serial=secrets.randbits(127),
+    )  # fmt: skip
+    home.install(host.bundle(der), NOW)
+    assert home.credentials().chain == (der, *host.authority.chain)
+    assert home.identity(NOW).issuers == (host.authority.issuer.thumbprint,)
+    assert not home.is_wildcard()
+    other, _ = NodeHome.for_bundle(site.root, host.bundle(der), NOW)
+    assert other.path == home.path
+    with pytest.raises(ConfigurationError, match="a bundle of 4 certificates where two or three"):
+        home.install(host.bundle(der) + to_pem(der), NOW)

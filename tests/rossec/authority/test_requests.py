@@ -1,0 +1,91 @@
+"""Requests in the record: taken once, answered once, never changed."""
+
+import sqlite3
+from pathlib import Path
+
+import pytest
+from cryptography.hazmat.primitives.asymmetric import ec
+
+from ca.errors import StoreError
+from ca.keys.signer import KeySigner
+from ca.store.record import Store
+from grants.model import Right
+from grants.request import GrantRequest, Wish, sign_request
+from rossec.authority import requests
+from rossec.authority.requests import Inbox
+from rossec.errors import ConfigurationError
+from tests.support.oldstore import write_version_1
+
+NOW = 1_800_000_000
+NODE = KeySigner(ec.generate_private_key(ec.SECP256R1()))
+WISHES = (Wish(Right.CALL, "/lift"), Wish(Right.SUBSCRIBE, "/pose"))
+ASKED = GrantRequest("home", "/toaster", NOW, bytes(16), WISHES, "")
+DATA = sign_request(NODE, ASKED)
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    Store.create(tmp_path / "ca.db").close()
+    return tmp_path
+
+
+def test_a_request_is_answered_wish_by_wish(path: Path) -> None:
+    box = Inbox.of(path)
+    box.add(ASKED, DATA, NOW + 5)
+    first, second = box.unanswered()
+    assert (first.request, first.at, [first.wish, second.wish]) == (ASKED, NOW + 5, list(WISHES))
+    assert first.short_id == ASKED.id.hex()[:8]
+    box.answer(first, "granted", "policy", NOW)
+    assert box.unanswered() == [second]
+    box.close()
+    assert Inbox.of(path).unanswered() == [second]
+    Store.open(path / "ca.db").close()  # still a record
+
+
+def test_once(path: Path) -> None:
+    box = Inbox.of(path)
+    box.add(ASKED, DATA, NOW)
+    (first, _) = box.unanswered()
+    box.answer(first, "denied", "", NOW)
+    with pytest.raises(StoreError, match="asked or answered before"):
+        box.answer(first, "granted", "", NOW)
+    with pytest.raises(StoreError, match="asked or answered before"):
+        box.add(ASKED, DATA, NOW)
+
+
+@pytest.mark.parametrize("table", ["grant_request", "decision"])
+@pytest.mark.parametrize("change", ["DELETE FROM {}", "UPDATE {} SET at = 0"])
+def test_nothing_is_changed_or_deleted(path: Path, table: str, change: str) -> None:
+    box = Inbox.of(path)
+    box.add(ASKED, DATA, NOW)
+    box.answer(box.unanswered()[0], "granted", "", NOW)
+    with pytest.raises(sqlite3.IntegrityError, match="append-only"):
+        sqlite3.connect(path / "ca.db").execute(change.format(table))
+
+
+def test_a_record_that_is_closed_cannot_be_written(path: Path) -> None:
+    box = Inbox.of(path)
+    box.close()
+    with pytest.raises(StoreError, match="cannot be used"):
+        box.add(ASKED, DATA, NOW)
+
+
+def test_files_are_laid_and_found(path: Path) -> None:
+    assert requests.waiting(path) == []
+    laid = requests.lay(path, ASKED, DATA)
+    assert requests.waiting(path) == [laid]
+    assert requests.read(laid) == DATA
+    laid.write_bytes(bytes(requests.MAX_FILE + 1))
+    with pytest.raises(ConfigurationError, match="larger than"):
+        requests.read(laid)
+    with pytest.raises(ConfigurationError, match="there is no"):
+        requests.read(path / "absent")
+
+
+def test_an_inbox_in_an_older_record_stays(tmp_path: Path) -> None:
+    write_version_1(tmp_path / "ca.db")
+    box = Inbox.of(tmp_path)
+    box.add(ASKED, DATA, NOW)
+    box.close()
+    Store.open(tmp_path / "ca.db").close()
+    assert [asked.wish for asked in Inbox.of(tmp_path).unanswered()] == list(WISHES)

@@ -1,0 +1,67 @@
+import pytest
+
+from ca.encoding import Value, encode
+from rossec.channel.edhoc.credentials import (
+    MAX_CHAIN,
+    Credentials,
+    LiveCredentials,
+    encode_id_cred,
+    x5chain,
+)
+from rossec.channel.edhoc.suites import verify_es256
+from rossec.errors import HandshakeFailed, UnknownCredential
+from tests.support.wire import ALICE, BOB
+
+
+@pytest.mark.parametrize("length", range(1, MAX_CHAIN + 1))
+def test_a_chain_there_and_back(length: int) -> None:
+    chain = tuple(b"certificate %d" % number for number in range(length))
+    credentials = Credentials(ALICE.signer, chain)
+    assert x5chain(credentials.id_cred) == chain
+    assert credentials.certificate == chain[0]
+
+
+@pytest.mark.parametrize(
+    "id_cred",
+    [
+        {},
+        {4: b"kid"},
+        {33: b"a", 4: b"kid"},
+        {33: []},
+        {33: [b"a"]},  # one alone is a byte string
+        {33: [b"a"] * (MAX_CHAIN + 1)},
+        {33: [b"a", 1]},
+        {33: [b"a", b""]},
+        {33: b""},
+        {33: b"x" * 8000},
+        {33: "text"},
+        b"kid",
+        7,
+    ],
+)
+def test_what_is_no_chain(id_cred: Value) -> None:
+    with pytest.raises(HandshakeFailed):
+        x5chain(id_cred)
+
+
+@pytest.mark.parametrize(
+    "id_cred",
+    [{33: b"a"}, {33: bytes(300)}, {33: [b"a", b"b"]}, {33: b"a", 4: b"kid"}, {4: b"kid"}, {}, 7],
+)
+def test_the_short_way_to_id_cred(id_cred: Value) -> None:
+    assert encode_id_cred(id_cred) == encode(id_cred)
+
+
+def test_a_reference_is_unknown_where_none_is_kept() -> None:
+    with pytest.raises(UnknownCredential):
+        x5chain({34: [-15, b"12345678"]})
+
+
+def test_live_credentials_are_the_newest() -> None:
+    live = LiveCredentials(ALICE)
+    assert live.certificate == ALICE.certificate
+    live.current = Credentials(BOB.signer, BOB.chain, shared=True)
+    assert live.certificate == BOB.certificate
+    assert live.id_cred == BOB.id_cred
+    assert live.shared
+    verify_es256(BOB.signer.public_key, live.sign(b"message"), b"message")

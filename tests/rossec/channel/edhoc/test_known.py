@@ -1,0 +1,49 @@
+import pytest
+
+from rossec.channel.edhoc import known
+from rossec.channel.edhoc.known import KnownCertificates, reference
+from rossec.errors import HandshakeFailed, UnknownCredential
+
+CHAIN = (b"certificate", b"intermediate")
+
+
+def test_a_reference_finds_what_was_remembered() -> None:
+    memory = KnownCertificates()
+    with pytest.raises(UnknownCredential):
+        memory.find(reference(CHAIN[0]))
+    memory.remember(CHAIN)
+    memory.remember(CHAIN)
+    assert memory.find(reference(CHAIN[0])) == CHAIN
+    assert memory.find({33: b"by value"}) == (b"by value",)
+
+
+@pytest.mark.parametrize(
+    "bad", [{34: [-16, bytes(32)]}, {34: b"x" * 8}, {34: [-15, b""], 1: 1}, {}]
+)
+def test_other_references_are_refused(bad: dict[int | str, object]) -> None:
+    with pytest.raises(HandshakeFailed):
+        KnownCertificates().find(bad)  # type: ignore[arg-type]  # a narrower map is a Value
+
+
+def test_a_hash_that_two_certificates_share_finds_neither(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(known, "_short", lambda _: bytes(8))
+    memory = KnownCertificates()
+    for chain in (CHAIN, (b"other",), CHAIN):
+        memory.remember(chain)
+    with pytest.raises(UnknownCredential):
+        memory.find(reference(CHAIN[0]))
+
+
+def test_the_memory_is_bounded() -> None:
+    memory = KnownCertificates(2)
+    for certificate in (b"a", b"b", b"c"):
+        memory.remember((certificate,))
+        memory.introduce(certificate)
+        memory.visit(("host", certificate[0]))
+    assert len(memory) == 2
+    with pytest.raises(UnknownCredential):
+        memory.find(reference(b"a"))
+    assert [memory.is_introduced(c) for c in (b"a", b"b", b"c")] == [False, True, True]
+    assert [memory.was_at(("host", c)) for c in b"abc"] == [False, True, True]
+    memory.forget_introductions()
+    assert not memory.is_introduced(b"c")

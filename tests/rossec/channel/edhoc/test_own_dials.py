@@ -1,0 +1,113 @@
+"""A node may call itself where it means to; the same messages anywhere else are a reflection."""
+
+import dataclasses
+import gc
+
+from rossec.channel.edhoc.known import KnownCertificates
+from rossec.channel.edhoc.own_dials import OwnDials
+from rossec.channel.states import Authenticated
+from rossec.errors import IdentityRefused, PeerRefused
+from tests.support.wire import ALICE, BOB, FakeIdentity, Wire, alice, bob, wire
+
+
+def own(dials: OwnDials, answering: OwnDials | None) -> Wire:
+    """A dial of alice's, meant for alice, with who answers."""
+    return wire(alice(own_dials=dials), bob(credentials=ALICE, own_dials=answering)).pump()
+
+
+def test_a_node_reaches_itself() -> None:
+    dials = OwnDials()
+    w = own(dials, dials)
+    assert (w.left.error, w.right.error) == (None, None)
+    for end in (w.left, w.right):
+        (event,) = end.events
+        assert isinstance(event, Authenticated)
+        assert event.identity.name == "/alice"
+    w.left.core.send_unit(b"to myself")
+    w.pump()
+    assert w.right.units == [b"to myself"]
+    w.right.core.send_unit(b"from myself")
+    w.pump()
+    assert w.left.units == [b"from myself"]
+
+
+def test_nothing_of_a_dial_is_kept() -> None:
+    dials = OwnDials()
+    w = own(dials, dials)
+    assert len(dials) == 1
+    del w
+    gc.collect()
+    assert len(dials) == 0
+
+
+def test_a_dial_for_somebody_else_does_not_end_here() -> None:
+    dials = OwnDials()
+    w = wire(alice(), bob(credentials=ALICE, own_dials=dials)).pump()
+    assert isinstance(w.left.error, IdentityRefused)
+    assert "own certificate" in str(w.left.error)
+    assert "redirects" in w.left.error.hint
+
+
+def test_another_process_with_the_same_key_is_not_this_one() -> None:
+    w = own(OwnDials(), OwnDials())
+    assert isinstance(w.left.error, IdentityRefused)
+    assert w.right.events == []
+
+
+def test_the_responder_judges_for_itself() -> None:
+    """Whoever holds the key elsewhere, and believes everything, is refused by the node itself."""
+    careless = dataclasses.replace(ALICE, shared=True)
+    w = wire(alice(credentials=careless), bob(credentials=ALICE, own_dials=OwnDials())).pump()
+    assert isinstance(w.right.error, IdentityRefused)
+    assert isinstance(w.left.error, PeerRefused)
+
+
+def test_nobody_else_will_do_at_the_own_address() -> None:
+    dials = OwnDials()
+    w = wire(alice(own_dials=dials), bob(own_dials=dials)).pump()
+    assert isinstance(w.left.error, IdentityRefused)
+    assert str(w.left.error) == "another one answers at this node's own address"
+    assert "ROS_IP" in w.left.error.hint
+
+
+def test_message_1_repeated_leads_nowhere_else() -> None:
+    """An attacker forwards the dial twice: the first answer alone belongs to it."""
+    dials = OwnDials()
+    caller = alice(own_dials=dials)
+    flight = bytes(caller.data_to_send())
+    first, second = bob(credentials=ALICE, own_dials=dials), bob(credentials=ALICE, own_dials=dials)
+    second._negotiation._side._party = dataclasses.replace(
+        second._negotiation._side._party, random=lambda size: b"\5" * size
+    )
+    first.receive_data(flight, 0)
+    second.receive_data(flight, 0)
+    answer = bytes(second.data_to_send())
+    assert bytes(first.data_to_send()) != answer
+    w = wire(caller, second)
+    w.left.give(answer)
+    assert isinstance(w.left.error, IdentityRefused)
+
+
+def test_a_certificate_that_was_renewed_meanwhile_is_the_own_one_still() -> None:
+    """A redirect held back until then: another certificate, the same key."""
+    renewed = dataclasses.replace(ALICE, chain=(ALICE.chain[0] + b"2",))
+    w = wire(alice(), bob(credentials=renewed)).pump()
+    assert isinstance(w.left.error, IdentityRefused)
+
+
+def test_a_retry_for_another_suite_and_a_reference_reach_it_as_well() -> None:
+    dials, known = OwnDials(), KnownCertificates()
+    caller = alice(own_dials=dials, suites=(-24, 6))
+    w = wire(caller, bob(credentials=ALICE, own_dials=dials)).pump()
+    assert (w.left.error, w.right.error) == (None, None)
+    for brief in (False, True):
+        caller = alice(own_dials=dials, known=known, brief=brief)
+        w = wire(caller, bob(credentials=ALICE, own_dials=dials, known=known)).pump()
+        assert (w.left.error, w.right.error) == (None, None)
+
+
+def test_others_are_met_as_ever_by_who_may_call_itself() -> None:
+    w = wire(alice(), bob(credentials=BOB, own_dials=OwnDials())).pump()
+    met = [event for event in w.right.events if isinstance(event, Authenticated)]
+    assert [event.identity.name for event in met] == ["/alice"]
+    assert isinstance(met[0].identity, FakeIdentity)

@@ -1,0 +1,104 @@
+import json
+from pathlib import Path
+
+from rossec.authority.home import AuthorityHome
+from tests.support.commands import Shell, refused
+
+
+def asked(shell: Shell, name: str = "/robot") -> str:
+    """A request that waits; its id."""
+    shell("node", "request", name)
+    said = shell("ca", "enroll", "--csr", str(shell.node(name) / "node.csr"), "--later")
+    assert said.code == 0, said.err
+    return said.out.split("rossec ca approve ")[1].split(",")[0]
+
+
+def test_nobody_asks(shell: Shell) -> None:
+    assert shell("ca", "requests").out == "nobody asks for anything\n"
+    assert shell("ca", "requests", "--json").out == "[]\n"
+    assert "/ca" in shell("ca", "requests", "--all").out
+
+
+def test_who_asks_is_listed(shell: Shell) -> None:
+    request_id = asked(shell)
+    lines = shell("ca", "requests").out.splitlines()
+    assert lines[0] == f"{request_id}  pending  /robot  a file"
+    assert lines[1].startswith("  fingerprint ")
+    (row,) = json.loads(shell("ca", "requests", "--json").out)
+    assert row["request"].startswith(request_id)
+    assert (row["name"], row["state"], row["source"]) == ("/robot", "pending", "a file")
+
+
+def test_yes(shell: Shell, tmp_path: Path) -> None:
+    request_id = asked(shell)
+    out = tmp_path / "robot.pem"
+    said = shell.unlocked("ca", "approve", request_id, "--out", str(out))
+    assert said.code == 0, said.err
+    assert said.out.startswith("spiffe://home/robot asks for an identity\n")
+    assert f"approved /robot\nsigned: {out}; at the node: rossec node install" in said.out
+    assert shell("node", "install", str(out), "--yes").code == 0
+    refused(shell.unlocked("ca", "approve", request_id, "--out", str(out)), "not overwritten")
+    refused(shell("ca", "deny", request_id), "is issued and cannot be denied")
+    said = shell.unlocked("ca", "approve", request_id)
+    assert "enrolled with this key until" in said.out
+
+
+def test_a_request_that_was_approved_before(shell: Shell) -> None:
+    request_id = asked(shell)
+    home = AuthorityHome.at(shell.root)
+    row = home.store().requests.get(bytes.fromhex(request_id))
+    home.store().requests.approve(row.digest, row.changed)
+    said = shell.unlocked("ca", "approve", request_id)
+    assert said.code == 0
+    assert "the request was approved " in said.out
+
+
+def test_no(shell: Shell) -> None:
+    request_id = asked(shell)
+    assert shell("ca", "deny", request_id, "--reason", "unknown").out == "denied /robot\n"
+    refused(shell.unlocked("ca", "approve", request_id), "is denied", "new request")
+    (row,) = [
+        row
+        for row in json.loads(shell("ca", "requests", "--all", "--json").out)
+        if row["name"] == "/robot"
+    ]
+    assert (row["state"], row["reason"]) == ("denied", "unknown")
+
+
+def test_what_is_no_request(shell: Shell) -> None:
+    for command in ("approve", "deny"):
+        refused(shell("ca", command, "xx"), "'xx' is no request", "rossec ca requests")
+        refused(shell("ca", command, "ffff"), "0 requests begin", "rossec ca requests")
+        refused(shell("ca", command, ""), "requests begin with", "rossec ca requests")
+
+
+def test_another_key_must_be_said(shell: Shell) -> None:
+    shell.enroll("/robot")
+    shell.node("/robot").rename(shell.root / "lost")
+    request_id = asked(shell)
+    refused(shell.unlocked("ca", "approve", request_id), "another key", "--replace-key /robot")
+    replace = ("--replace-key", "/robot", "--master", "http://127.0.0.1:1")
+    said = shell.unlocked("ca", "approve", request_id, *replace)
+    assert "WARNING: /robot is enrolled with ANOTHER KEY" in said.out
+    refused(said, "did not take the list", "rossec ca publish", code=3)
+
+
+def test_the_master_hears_of_a_replaced_key(shell: Shell, monkeypatch: object) -> None:
+    shell.enroll("/robot")
+    shell.node("/robot").rename(shell.root / "lost")
+    request_id = asked(shell)
+    import pytest
+
+    async def delivered(*_: object) -> None:
+        return
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("rossec.cli.ca.requests.deliver", delivered)
+        said = shell.unlocked("ca", "approve", request_id, "--replace-key", "/robot")
+    assert said.out.endswith("the replaced key is revoked\nthe master has the new list\n")
+
+
+def test_anonymous_nodes(shell: Shell) -> None:
+    request_id = asked(shell, "/rviz")
+    said = shell.unlocked("ca", "approve", request_id, "--anonymous")
+    assert "under every name that begins with /rviz_" in said.out

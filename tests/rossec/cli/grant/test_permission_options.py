@@ -1,0 +1,67 @@
+"""`rossec grant`: what its options make of a restriction, tried on the message type at once."""
+
+import pytest
+
+from grants.errors import FilterRefused
+from grants.model import Restriction, Right, filter_rules
+from rossec.cli.grant.permission_options import permissions, restrictions, rules
+from rossec.cli.main import run
+from rossec.errors import ConfigurationError
+
+POSE = "geometry_msgs/PoseStamped"
+
+
+def test_options() -> None:
+    filters = rules(("header.frame_id",), ("pose.position=0.5",), ("pose.orientation=-1:0.5",))
+    [made] = restrictions(POSE, filters, ("msg.header.seq > 1",), 2.5, None)
+    assert made == Restriction(
+        POSE,
+        ("msg.header.seq > 1",),
+        filter_rules(
+            {
+                "header.frame_id": {"clear": True},
+                "pose.position": {"round": {"step": 0.5}},
+                "pose.orientation": {"clamp": {"low": -1, "high": 0.5}},
+            }
+        ),
+        2.5,
+    )
+    assert restrictions(None, {}, (), None, None) == []
+
+
+def test_a_preset_and_more_hold_together() -> None:
+    made = restrictions(POSE, rules((), (), ()), ("now.getHours() >= 8",), None, "coarse-position")
+    assert [item.rate for item in made] == [0.2, None]
+    wanted = {Right.PUBLISH: ("/out",), Right.SUBSCRIBE: ("/pose", "/other"), Right.CALL: ("/go",)}
+    granted = permissions(wanted, graph=True, restricted=made)
+    assert [item.restriction for item in granted] == [None, *made, *made, *made, None]
+    assert [item.rights for item in granted][-3:] == [Right.CALL, Right.CALL, Right.GRAPH]
+    alone = permissions({Right.SUBSCRIBE: ("/a",)}, graph=False, restricted=[])
+    assert [item.rights for item in alone] == [Right.SUBSCRIBE]
+
+
+def test_a_part_of_a_service_may_be_restricted() -> None:
+    [made] = restrictions("std_srvs/SetBoolRequest", {}, ("msg.data == false",), None, None)
+    assert made.type == "std_srvs/SetBoolRequest"
+
+
+def test_mistakes_show_at_once() -> None:
+    with pytest.raises(FilterRefused, match="no field 'positon'"):
+        restrictions(POSE, rules((), ("pose.positon=1",), ()), (), None, None)
+    with pytest.raises(FilterRefused, match="the preset does not exist for std_msgs/String"):
+        restrictions("std_msgs/String", {}, (), None, "coarse-position")
+    with pytest.raises(ConfigurationError, match="need the message type"):
+        restrictions(None, {}, (), 1.0, None)
+    for text in ("x", "x=1", "x=a:b"):
+        with pytest.raises(ConfigurationError, match=f"--clamp {text} has no range"):
+            rules((), (), (text,))
+    with pytest.raises(ConfigurationError, match="what a subscriber sees"):
+        permissions({Right.PUBLISH: ("/a",)}, graph=False, restricted=[Restriction(rate=1)])
+
+
+def test_presets_are_explained(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["grant", "presets"], {}) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == "coarse-position"
+    assert lines[1].startswith("  hides the place within cells of 2 m")
+    assert lines[2].startswith("  still tells the room")

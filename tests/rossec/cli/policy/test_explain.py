@@ -1,0 +1,123 @@
+"""`rossec explain`: transcripts."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rossec.cli.policy.explain import changes, subject_of
+from rossec.cli.shared.context import Environment
+from rossec.participant.message_types import message_type
+from tests.support.commands import Shell, refused
+
+POLICY = """rossec: 1
+robot: r
+identities: {heating: {node: /heating, key: "sha256:KEY"}}
+types: {/pose: geometry_msgs/PoseStamped}
+rules:
+  - id: room
+    why: Heating lowers rooms.
+    who: heating
+    allow: {subscribe: [/pose, /untyped]}
+    filter: {/pose: {pose.position: {round: 2.0}, header.frame_id: {clear: true}}}
+    when: now.getFullYear() > 2000
+  - {id: when, who: heating, allow: {subscribe: [/pose]}, when: 'msg.header.frame_id == "map"'}
+"""
+KEY = "00" * 32
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> str:
+    path = tmp_path / "policy.yaml"
+    path.write_text(POLICY.replace("KEY", KEY))
+    return str(path)
+
+
+@pytest.fixture
+def message(tmp_path: Path) -> Path:
+    path = tmp_path / "pose.yaml"
+    path.write_text("{header: {frame_id: map}, pose: {position: {x: 3.3}}}")
+    return path
+
+
+def test_a_yes(shell: Shell, file: str, message: Path) -> None:
+    said = shell("explain", "/heating", "subscribe", "/pose", "--policy", file,
+                 "--message", str(message))  # fmt: skip
+    assert said.out.splitlines() == [
+        "ALLOW: /heating subscribe /pose",
+        "  rule room: Heating lowers rooms. (allow subscribe /pose)",
+        "  rule when (allow subscribe /pose)",
+        '    only when msg.header.frame_id == "map"',
+        "    only when now.getFullYear() > 2000",
+        "    header.frame_id: clear",
+        "    pose.position: round step 2.0",
+        "    valid 7d",
+        "  without room and when it would be deny, by default",
+        "this message would be sent",
+        "  header.frame_id: map -> ",
+        "  pose.position.x: 3.3 -> 4.0",
+    ]
+    assert said.err.startswith("rossec: /heating is not enrolled here: rules that pin its key")
+
+
+def test_a_message_that_is_withheld(shell: Shell, file: str, tmp_path: Path) -> None:
+    kind = message_type("geometry_msgs/PoseStamped")
+    raw = tmp_path / "pose.bin"
+    raw.write_bytes(bytes(kind.serialize(kind.create())))
+    said = shell("explain", "/heating", "subscribe", "/pose", "--policy", file,
+                 "--message", str(raw))  # fmt: skip
+    assert 'withheld: not now or not this one: msg.header.frame_id == "map"' in said.out
+
+
+def test_json(shell: Shell, file: str, message: Path) -> None:
+    arguments = ("explain", "/heating", "subscribe", "/pose", "--policy", file, "--json")
+    plain = json.loads(shell(*arguments).out)
+    assert (plain["decision"], plain["rules"]) == ("allow", ["room", "when"])
+    tried = json.loads(shell(*arguments, "--message", str(message)).out)["message"]
+    assert tried["sent"] is True
+    assert any(line.startswith("pose.position.x: 3.3 -> 4.0") for line in tried["changed"])
+
+
+def test_an_enrolled_node_has_its_own_key(shell: Shell, file: str) -> None:
+    shell.enroll("/heating")
+    said = shell("explain", "/heating", "subscribe", "/pose", "--policy", file)
+    assert said.err == ""
+    assert "near miss: rule room is for another key of heating, not /heating" in said.out
+    said = shell("explain", "/other", "publish", "/pose", "--policy", file)
+    assert said.out.startswith("DENY: /other publish /pose\n  no rule matches")
+    assert "/other is not enrolled here" in said.err
+
+
+def test_mistakes(shell: Shell, file: str, message: Path) -> None:
+    ask = ("--policy", file)
+    refused(shell("explain", "/heating", "subscibe", "/pose", *ask), "'subscibe'", "'subscribe'")
+    refused(shell("explain", "heating", "subscribe", "/pose", *ask), "heating")
+    refused(shell("explain", "/heating", "subscribe", "/pose"), "there is no policy", "learn")
+    said = shell("explain", "/heating", "subscribe", "/untyped", *ask, "--message", str(message))
+    assert (said.code, "does not say the type of /untyped" in said.err) == (1, True)
+
+
+def test_arrays_that_fill_lines_are_shown_by_their_first() -> None:
+    kind = message_type("sensor_msgs/LaserScan")
+    scans = [kind.create(ranges=np.full(50, value, np.float32)) for value in (1.23456, 2.5)]
+    before, after = (bytes(kind.serialize(scan)) for scan in scans)
+    (line,) = changes("sensor_msgs/LaserScan", before, after)
+    assert line.startswith("ranges: [1.23456")
+
+
+def test_changes_are_shortened() -> None:
+    kind = message_type("std_msgs/String")
+    before, after = (bytes(kind.serialize(kind.create(data=text))) for text in ("a" * 99, ""))
+    (line,) = changes("std_msgs/String", before, after)
+    assert line.startswith("data: " + "a" * 40)
+    assert "..." in line
+
+
+def test_an_anonymous_node_is_its_certified_name(shell: Shell, file: str) -> None:
+    shell("node", "request", "/heating")
+    request = str(shell.node("/heating") / "node.csr")
+    assert shell.unlocked("ca", "sign", request, "--yes", "--anonymous").code == 0
+    subject = subject_of(Environment(shell.environ), "/heating_17")
+    assert subject.name == "/heating"
+    assert subject.key != bytes(32)

@@ -1,0 +1,90 @@
+"""`rossec topic` and `rossec master`, as processes: a user's first conversation."""
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.support.commands import Shell, refused
+from tests.support.site import Site
+
+STRING = "std_msgs/String"
+
+
+def start(site: Site, environ: dict[str, str], *arguments: str) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [sys.executable, "-I", "-m", "rossec", *arguments],
+        env={**os.environ, "ROSSEC_HOME": str(site.root), "ROS_IP": "127.0.0.1", **environ},
+        stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+
+
+@pytest.fixture
+def site(tmp_path: Path) -> Site:
+    site = Site(tmp_path / "site")
+    site.publish("/talker", "/chatter")
+    site.subscribe("/listener", "/chatter")
+    listed = site.authority.store.newest_list()
+    assert listed is not None
+    site.enroll("/master").save_revocations(listed)
+    return site
+
+
+@pytest.fixture
+def master(site: Site) -> Iterator[dict[str, str]]:
+    process = start(site, {}, "master", "--port", "0")
+    assert process.stdout is not None
+    said = process.stdout.readline()
+    assert said.startswith("master of home at http://127.0.0.1:")
+    yield {"ROS_MASTER_URI": said.split()[-1]}
+    process.send_signal(signal.SIGTERM)
+    _, complaints = process.communicate(timeout=60)
+    assert process.returncode == 0, complaints
+
+
+def test_what_is_said_is_heard(site: Site, master: dict[str, str]) -> None:
+    talk = ("topic", "pub", "/chatter", STRING, "{data: hello}", "--as", "/talker", "--rate", "20")
+    talker = start(site, master, *talk)
+    listener = start(
+        site, master, "topic", "echo", "/chatter", STRING, "--as", "/listener", "-n", "2"
+    )
+    out, err = listener.communicate(timeout=30)
+    assert (listener.returncode, out, err) == (0, "data: hello\n---\n" * 2, "")
+    talker.send_signal(signal.SIGINT)
+    _, said = talker.communicate(timeout=60)
+    assert (talker.returncode, said) == (130, "rossec: waiting for a subscriber of /chatter\n\n")
+
+
+def test_a_listener_without_a_grant_hears_why(site: Site, master: dict[str, str]) -> None:
+    process = start(site, master, "topic", "echo", "/secret", STRING, "--as", "/listener")
+    out, err = process.communicate(timeout=30)
+    assert (process.returncode, out) == (1, "")
+    assert err.startswith("rossec: error: ")
+    assert "subscribe" in err.splitlines()[0]
+    assert "Traceback" not in err
+
+
+def test_no_master_is_said(site: Site, empty: Shell) -> None:
+    environ = {"ROS_MASTER_URI": "http://127.0.0.1:1"}
+    process = start(site, environ, "topic", "echo", "/chatter", STRING, "--as", "/listener")
+    _, err = process.communicate(timeout=30)
+    assert process.returncode == 1
+    assert err.startswith("rossec: error: cannot connect to 127.0.0.1 port 1")
+    said = empty("topic", "echo", "/chatter", STRING, "--as", "/nobody")
+    refused(said, "/nobody has no", "rossec node request /nobody")
+
+
+def test_a_complaint_is_written_down(site: Site, tmp_path: Path) -> None:
+    log = tmp_path / "complaints"
+    process = start(site, {}, "master", "--port", "0", "--complaints", str(log))
+    assert process.stdout is not None
+    uri = process.stdout.readline().split()[-1]
+    echo = ("topic", "echo", "/secret", STRING, "--as", "/listener")
+    start(site, {"ROS_MASTER_URI": uri}, *echo).communicate(timeout=30)
+    process.send_signal(signal.SIGTERM)
+    process.communicate(timeout=60)
+    assert '"node": "/listener", "right": "subscribe", "name": "/secret"' in log.read_text()

@@ -1,0 +1,44 @@
+"""One of several files that is refused does not fail the rest; a single one is refused as ever."""
+
+from pathlib import Path
+
+import pytest
+
+from ca.errors import RecordUnusable, StoreError
+from rossec.cli.shared.batch import Batch
+from rossec.errors import ConfigurationError
+
+PATH = Path("a.csr")
+
+
+def refuse(batch: Batch, error: Exception) -> None:
+    with batch.one(PATH):
+        raise error
+
+
+def test_one_of_several(capsys: pytest.CaptureFixture[str]) -> None:
+    batch = Batch(3)
+    refuse(batch, StoreError("is known", "see there"))
+    with batch.one(PATH):
+        pass
+    refuse(batch, StoreError("is known"))
+    said = capsys.readouterr().err.splitlines()
+    assert said == [
+        "rossec: error: a.csr: is known", "rossec: hint: see there",
+        "rossec: error: a.csr: is known",
+    ]  # fmt: skip
+    with pytest.raises(ConfigurationError, match="2 of 3 were refused"):
+        batch.end()
+
+
+def test_all_well() -> None:
+    batch = Batch(2)
+    with batch.one(PATH):
+        pass
+    batch.end()
+
+
+@pytest.mark.parametrize(("total", "error"), [(1, StoreError("x")), (5, RecordUnusable("full"))])
+def test_what_ends_all(total: int, error: Exception) -> None:
+    with pytest.raises(type(error)):
+        refuse(Batch(total), error)

@@ -1,0 +1,46 @@
+from typing import Any
+
+import click
+import pytest
+
+from rossec.cli.shared import context
+from rossec.errors import ConfigurationError
+
+
+@pytest.mark.parametrize(
+    ("text", "seconds"),
+    [("30s", 30), ("15m", 900), ("8h", 28800), ("7d", 604800), ("4w", 2419200), (5, 5)],
+)
+def test_durations(text: Any, seconds: int) -> None:
+    assert context.Duration().convert(text, None, None) == seconds
+
+
+def test_a_duration_has_its_limit() -> None:
+    assert context.Duration(14).convert("2w", None, None) == 14 * 86400
+    with pytest.raises(click.BadParameter, match="15d is too long; at most 14d are allowed"):
+        context.Duration(14).convert("15d", None, None)
+
+
+@pytest.mark.parametrize("text", ["", "7", "d", "0d", "-1d", "1.5h", "1 h", "1y", "\u0661d", "7D"])
+def test_what_is_no_duration(text: str) -> None:
+    with pytest.raises(click.BadParameter, match="write 30s, 15m, 8h, 7d or 4w"):
+        context.Duration().convert(text, None, None)
+
+
+@pytest.mark.parametrize(
+    ("end", "raised"), [(KeyboardInterrupt, KeyboardInterrupt), (EOFError, ConfigurationError)]
+)
+def test_ctrl_c_is_no_answer(
+    monkeypatch: pytest.MonkeyPatch, end: type[BaseException], raised: type[BaseException]
+) -> None:
+    def ended(*_: object, **__: object) -> str:
+        raise end
+
+    monkeypatch.setattr("builtins.input", ended)
+    monkeypatch.setattr("click.termui.visible_prompt_func", ended)
+    with pytest.raises(raised):
+        context.confirm("really?", yes=False)
+
+
+def test_moments_are_utc() -> None:
+    assert context.moment(1_795_000_000) == "2026-11-18 11:06:40 UTC"

@@ -1,0 +1,54 @@
+import socket
+
+import pytest
+
+from rossec.enrollment import address
+from rossec.errors import ConfigurationError
+
+
+@pytest.mark.parametrize(
+    ("text", "host", "port"),
+    [
+        ("192.168.1.7:40123", "192.168.1.7", 40123),
+        ("192.168.1.7", "192.168.1.7", 11317),
+        ("robot.local", "robot.local", 11317),
+        ("[::1]:9", "::1", 9),
+        ("[::1]", "::1", 11317),
+        ("fd00::7", "fd00::7", 11317),
+        ("[fe80::1%eth0.2]:9", "fe80::1%eth0.2", 9),
+        ("robot_1.local.", "robot_1.local.", 11317),
+    ],
+)
+def test_what_people_type(text: str, host: str, port: int) -> None:
+    assert address.split(text) == (host, port)
+    assert address.split(address.join(host, port)) == (host, port)
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", ":9", "robot:", "robot:0", "robot:65536", "robot:9999999999", "robot:x", "robot:\u0661",
+     "[::1]9x", "[]:9", "robot:-1", "a..b", "a\x00b", "-x", "a b", "../x", "a" * 64,
+     "[::1%\x1b]:1"],
+)  # fmt: skip
+def test_what_is_no_address(text: str) -> None:
+    with pytest.raises(ConfigurationError, match="is no address of a node") as caught:
+        address.split(text)
+    assert "192.168.1.7:11317" in caught.value.hint
+
+
+def test_this_host_has_addresses(monkeypatch: pytest.MonkeyPatch) -> None:
+    for found in address.own_addresses():
+        family = socket.AF_INET6 if ":" in found else socket.AF_INET
+        assert socket.inet_pton(family, found)
+    monkeypatch.setattr(address, "_towards", lambda family, where: "")
+    assert address.own_addresses() == ["127.0.0.1", "::1"]
+    monkeypatch.setattr(address, "_towards", lambda family, where: "192.168.1.7")
+    assert address.own_addresses()[0] == "192.168.1.7"
+
+
+def test_a_family_that_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
+    def missing(*_: object) -> None:
+        raise OSError("no such family")
+
+    monkeypatch.setattr(socket, "socket", missing)
+    assert address.own_addresses() == ["127.0.0.1", "::1"]

@@ -1,0 +1,160 @@
+import asyncio
+import socket
+import struct
+import xmlrpc.client
+from pathlib import Path
+
+import pytest
+
+from grants.model import Right
+from rossec.channel.opening import REFUSAL
+from rossec.errors import ConfigurationError
+from rossec.inprocess.allow_plain import Plain
+from rossec.inprocess.live_connections import PEER_CONNECTIONS
+from rossec.net.halfopen import HalfOpen
+from rossec.ros import header
+from tests.support import stock
+from tests.support.attacker import call, credentials
+from tests.support.fleet import entitle, environment, program
+from tests.support.site import Site
+
+HERE = "127.0.0.1"
+
+
+def test_only_what_is_named_is_allowed() -> None:
+    plain = Plain(["/open", "/far@192.168.1.7", "/six@::1"])
+    assert plain
+    assert not Plain()
+    assert plain.allows("/open", "10.0.0.1")
+    assert plain.allows("/far", "192.168.1.7")
+    assert plain.allows("/far", "::ffff:192.168.1.7")
+    assert plain.allows("/six", "::1")
+    assert not plain.allows("/far", "192.168.1.8")
+    assert not plain.allows("/opening", "10.0.0.1")
+    assert not plain.allows("/open/door", "10.0.0.1")
+
+
+@pytest.mark.parametrize("entry", ["", "*", "/**", "open", "/a@", "/a@robot", "/a@10.0.0.0/8"])
+def test_what_is_no_entry_is_refused(entry: str) -> None:
+    with pytest.raises(ConfigurationError, match="allow_plain holds"):
+        Plain([entry])
+
+
+STOCK = """
+import rospy, rospy.impl.tcpros_base
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+rospy.init_node("plain")
+words = rospy.Publisher("/plain/words", String, queue_size=1, latch=True)
+words.publish("in clear")
+rospy.Publisher("/plain/closed", String, queue_size=1, latch=True).publish("closed")
+rospy.Service("/plain/work", Trigger, lambda request: (True, "done in clear"))
+rospy.Subscriber("/robot/open", String, lambda m: print("HEARD", m.data, flush=True))
+rospy.Subscriber("/robot/closed", String, lambda m: print("HEARD", m.data, flush=True))
+print("AT", rospy.get_node_uri(), rospy.impl.tcpros_base.get_tcpros_server_address()[1], flush=True)
+rospy.wait_for_service("/robot/ask", timeout=30)
+print("CALLED", rospy.ServiceProxy("/robot/ask", Trigger)().message, flush=True)
+rospy.spin()
+"""
+
+SECURED = """
+import rospy, rossec
+rossec.secure(allow_plain=["/plain/words", "/plain/work", "/robot/open@127.0.0.1", "/robot/ask"])
+import rospy.impl.tcpros_base
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+rospy.init_node("robot")
+open_ = rospy.Publisher("/robot/open", String, queue_size=1, latch=True)
+open_.publish("open to all")
+closed = rospy.Publisher("/robot/closed", String, queue_size=1, latch=True)
+closed.publish("secret")
+rospy.Service("/robot/ask", Trigger, lambda request: (True, "answered in clear"))
+print("AT", rospy.get_node_uri(), rospy.impl.tcpros_base.get_tcpros_server_address()[1], flush=True)
+rospy.Subscriber("/plain/words", String, lambda m: print("HEARD", m.data, flush=True))
+rospy.Subscriber("/plain/closed", String, lambda m: print("HEARD", m.data, flush=True))
+rospy.wait_for_service("/plain/work", timeout=30)
+print("CALLED", rospy.ServiceProxy("/plain/work", Trigger)().message, flush=True)
+rospy.spin()
+"""
+
+
+async def introduce(site: Site, api: str, port: int) -> None:
+    """Register the plain node with the secured master, as somebody entitled would."""
+    topics = ("/plain/words", "/plain/closed")
+    entitle(site, "/plain", {Right.PUBLISH: topics, Right.PROVIDE: ("/plain/work",)})
+    assert site.master is not None
+    own = credentials(site, "/plain")
+    for method, *params in (
+        ("rossec.presentGrants", site.enroll("/plain").grants()),
+        *(("registerPublisher", topic, "std_msgs/String", api) for topic in topics),
+        ("registerService", "/plain/work", f"rosrpc://{HERE}:{port}", api),
+    ):
+        answer = await call(site.master.uri, own, str(method), "/plain", *params)
+        assert isinstance(answer, list)
+        assert answer[0] == 1, answer
+
+
+async def besiege(api: str, port: int) -> None:
+    """N8: strangers who say nothing, or break off, keep no place; those who stay are few."""
+    port_of_api = int(api.rstrip("/").rpartition(":")[2])
+    for where in (port_of_api, port):
+        for _ in range(2 * HalfOpen().per_address):
+            with socket.create_connection((HERE, where)) as one:
+                one.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+    with xmlrpc.client.ServerProxy(api) as robot_api:
+        answer = await asyncio.to_thread(robot_api.requestTopic, "/x", "/robot/open", [["TCPROS"]])
+    assert isinstance(answer, list)
+    assert answer[0] == 1
+    fields = {"topic": "/robot/open", "md5sum": "*", "type": "*"}
+    guests = []
+    for number in range(PEER_CONNECTIONS + 1):
+        guest = socket.create_connection((HERE, port))
+        guest.settimeout(20)
+        guest.sendall(header.encode({**fields, "callerid": f"/guest{number}"}))
+        guests.append((guest, await asyncio.to_thread(guest.recv, 1 << 16)))
+    for guest, _ in guests:
+        guest.close()
+    assert b"message_definition" in guests[0][1]
+    assert f"{HERE} has {PEER_CONNECTIONS} connections already".encode() in guests[-1][1]
+
+
+@pytest.mark.ros
+async def test_what_is_named_stays_plain_loudly_and_nothing_else(tmp_path: Path) -> None:
+    async with Site(tmp_path / "site").running() as site, stock.rosmaster(tmp_path) as uri:
+        entitle(
+            site, "/robot",
+            {
+                Right.PUBLISH: ("/robot/open", "/robot/closed"), Right.PROVIDE: ("/robot/ask",),
+                Right.SUBSCRIBE: ("/plain/*",), Right.CALL: ("/plain/work",),
+            },
+        )  # fmt: skip
+        async with (
+            program(stock.environment(uri, tmp_path), STOCK) as plain,
+            program(environment(site, tmp_path), SECURED) as robot,
+        ):
+            _, api, port = (await plain.hears("AT")).split()
+            _, own, own_port = (await robot.hears("AT")).split()
+            await introduce(site, api, int(port))
+            with xmlrpc.client.ServerProxy(uri) as master:
+                for method, *params in (
+                    ("registerPublisher", "/robot/open", "std_msgs/String", own),
+                    ("registerPublisher", "/robot/closed", "std_msgs/String", own),
+                    ("registerService", "/robot/ask", f"rosrpc://{HERE}:{own_port}", own),
+                ):
+                    await asyncio.to_thread(getattr(master, str(method)), "/robot", *params)
+            await robot.hears("CALLED done in clear")
+            await plain.hears("CALLED answered in clear")
+            for one, words in ((robot, "HEARD in clear"), (plain, "HEARD open to all")):
+                if words not in one.said:
+                    await one.hears(words)
+            with xmlrpc.client.ServerProxy(own) as robot_api:
+                ask = robot_api.requestTopic
+                answer = await asyncio.to_thread(ask, "/x", "/robot/closed", [["TCPROS"]])
+                assert answer == [-1, REFUSAL, 0]
+                assert await asyncio.to_thread(robot_api.getPid, "/x") == [-1, REFUSAL, 0]
+            await besiege(own, int(own_port))
+            said = robot.said
+    assert "HEARD closed" not in said
+    assert "HEARD secret" not in plain.said
+    assert "rossec: PLAIN: allow_plain leaves /plain/words open to anybody" in said
+    assert "rossec: PLAIN: /plain/words with 127.0.0.1, neither encrypted nor checked" in said

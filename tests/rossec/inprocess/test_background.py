@@ -1,0 +1,192 @@
+"""A rospy process stays in good standing by itself: renewals, and an end when news stay away."""
+
+import time
+from pathlib import Path
+
+import pytest
+
+from grants.model import Right
+from rossec.master.rights import statements
+from rossec.master.state.registry import Kind
+from tests.rossec.participant.test_identity_renewal import BEGIN, LIFE, below
+from tests.support.absent import Absent
+from tests.support.fleet import SECURE, environment, program
+from tests.support.site import DAY, HOUR, Site
+from tests.support.witness import until
+
+pytestmark = pytest.mark.ros
+
+WORDS = "/robot/words"
+TYPE = "std_msgs/String"
+LISTENER = (
+    SECURE
+    + """
+import rospy
+from std_msgs.msg import String
+rospy.init_node("listener")
+rospy.Subscriber("/robot/words", String, lambda message: print("HEARD", message.data, flush=True))
+print("READY", flush=True)
+rospy.spin()
+"""
+)
+HASTY = (
+    """
+import rossec.participant.connections
+from rossec.inprocess.process import Process
+rossec.participant.connections.STALE_GRACE = 1
+take = Process.take_revocations
+def take_and_tell(*news):
+    take(*news)
+    print("NEWS", flush=True)
+Process.take_revocations = take_and_tell
+"""
+    + LISTENER
+)
+
+
+async def test_what_has_ended_or_soon_will_is_renewed(tmp_path: Path) -> None:
+    """A grant that expired while the program was off, an identity at two thirds of its life."""
+    site = Site(tmp_path / "site", clock=lambda: BEGIN)
+    for name in ("/robot", "/listener", "/master"):
+        site.enroll(name, LIFE)
+    before = site.identity("/listener")
+    site._clock = time.time
+    site.intermediate = below(site)
+    site.delegate()
+    site.publish("/robot", WORDS)
+    site.grant("/listener", Right.SUBSCRIBE, WORDS, begin=site.now() - HOUR, lifetime=-60, cap=DAY)
+    async with site.running(), site.node("/robot") as robot:
+        publisher = await robot.publisher(WORDS, TYPE, latch=True)
+        publisher.publish(publisher.create(data="hello"))
+        async with program(environment(site, tmp_path), LISTENER) as listener:
+            await listener.hears("HEARD hello")
+            [link] = publisher.links
+            assert len(link.decision.grant_ids) == 3  # the grant, the delegation, the delegate
+            await until(lambda: site.identity("/listener").not_after > before.not_after, within=30)
+            assert site.identity("/listener").issuers == (
+                site.intermediate.authority.issuer.thumbprint,
+            )
+            for old in tuple(publisher.links):
+                old.stream.abort("a test")
+            await until(
+                lambda: any(link.stream.peer.issuers for link in publisher.links), within=30
+            )
+            await listener.hears("HEARD hello")
+    assert "Traceback" not in listener.said
+
+
+async def test_connections_end_when_nobody_confirms_the_list(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    site = Site(tmp_path / "site")
+    site.publish("/robot", WORDS)
+    site.subscribe("/listener", WORDS)
+    async with site.running(), site.node("/robot") as robot:
+        publisher = await robot.publisher(WORDS, TYPE, latch=True)
+        publisher.publish(publisher.create(data="hello"))
+        async with program(environment(site, tmp_path), HASTY) as listener:
+            await listener.hears("HEARD hello")
+            monkeypatch.setattr(statements, "MAX_AGE", 1)  # of what the master says from now on
+            await robot._session.call("rossec.updateRevocations", site.revoke(bytes(32)))
+            await listener.hears("NEWS")
+            assert site.master is not None
+            await site.master.close()
+            cut = await listener.hears("cut /robot (/robot/words): ", within=90)
+            assert "the last confirmation ran out" in cut
+    assert "Traceback" not in listener.said
+
+
+EARLY = (
+    SECURE
+    + """
+import rospy, threading, time
+import rospy.impl.registration as registration
+from std_msgs.msg import String
+start = registration.RegManager.start
+def start_late(manager, *arguments):  # as when the master is not there yet
+    while not made:
+        time.sleep(0.01)
+    start(manager, *arguments)
+registration.RegManager.start = start_late
+made = []
+def make():
+    made.append(rospy.Publisher("/robot/words", String, queue_size=1, latch=True))
+    rospy.Subscriber("/robot/orders", String, print)
+threading.Timer(0.2, make).start()
+rospy.init_node("robot")
+made[0].publish("hello")
+print("READY", flush=True)
+rospy.spin()
+print("ENDED", flush=True)
+"""
+)
+
+
+async def test_what_is_refused_waits_for_a_grant_whenever_it_was_made(tmp_path: Path) -> None:
+    """Topics that rospy registers while it starts are no reason to end the program."""
+    site = Site(tmp_path / "site")
+    site.enroll("/robot")
+    site.subscribe("/listener", WORDS)
+    async with site.running(), program(environment(site, tmp_path), EARLY) as robot:
+        await robot.hears("READY")
+        async with site.node("/listener") as listener:
+            words = await listener.subscriber(WORDS, TYPE)
+            site.publish("/robot", WORDS)
+            await until(lambda: words.received > 0, within=30)
+        assert "rossec: the master refuses registerPublisher" in robot.said
+        assert "FATAL" not in robot.said
+        assert "ENDED" not in robot.said
+
+
+CRASHING = (
+    SECURE
+    + """
+import rospy
+from rossec.inprocess.process import Process
+from std_msgs.msg import String
+rospy.init_node("robot")
+rospy.Publisher("/robot/words", String, queue_size=1)
+def fail(process):
+    raise RuntimeError("a fault of ours")
+Process.cut = fail
+rospy.spin()
+try:
+    rospy.get_param("/x")
+except OSError as error:
+    print("SAID", error, flush=True)
+"""
+)
+
+
+async def test_a_guardian_that_crashes_ends_the_node_at_once(tmp_path: Path) -> None:
+    """It asks the master to forget the node, which must not wait for the guardian itself."""
+    site = Site(tmp_path / "site")
+    site.publish("/robot", WORDS)
+    async with site.running(), program(environment(site, tmp_path), CRASHING) as robot:
+        assert await robot.ends(within=60) == 0
+    assert "the guardian failed, everything is cut: a fault of ours" in robot.said
+    assert "SAID [Errno 111] rossec: the guardian of this process has ended" in robot.said
+
+
+async def test_a_publisher_that_is_not_back_yet_is_connected_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The master was started again and names nobody; then the connection breaks."""
+    absent = Absent(monkeypatch)
+    site = Site(tmp_path / "site")
+    site.publish("/robot", WORDS)
+    site.subscribe("/listener", WORDS)
+    async with site.running(), site.node("/robot") as robot:
+        publisher = await robot.publisher(WORDS, TYPE, latch=True)
+        publisher.publish(publisher.create(data="hello"))
+        async with program(environment(site, tmp_path), LISTENER) as listener:
+            await listener.hears("HEARD hello")
+            absent.names = {"/robot"}
+            await site.restart_master()
+            assert site.master is not None
+            registry = site.master._registry
+            await until(lambda: registry.members(Kind.SUBSCRIBER, WORDS))
+            for link in tuple(publisher.links):
+                link.stream.abort("a test")
+            await listener.hears("HEARD hello")
+            assert registry.members(Kind.PUBLISHER, WORDS) == ()

@@ -1,0 +1,63 @@
+"""The dispatch: multicall, rossec's own methods, what stock has no test for."""
+
+from typing import Any
+
+import pytest
+
+from rossec.master.api.dispatch import MasterApi
+from rossec.master.rights.access_rules import Caller
+from rossec.master.state.registry import KEYS_LIMIT, Registry
+from tests.rossec.master.fakes import FakeStatements, caller, everything
+
+
+@pytest.fixture
+def statements() -> FakeStatements:
+    return FakeStatements()
+
+
+@pytest.fixture
+def api(statements: FakeStatements) -> MasterApi:
+    return MasterApi(Registry(), statements, name="/master", uri="http://m:1/", pid=7)
+
+
+def ask(api: MasterApi, who: Caller, method: str, *params: object) -> Any:
+    return api.call(method, params, who, 0).answer
+
+
+def element(method: str, *params: object) -> dict[str, object]:
+    return {"methodName": method, "params": list(params)}
+
+
+def test_who_the_master_is(api: MasterApi) -> None:
+    assert ask(api, caller("/a"), "getUri", "/a") == [1, "", "http://m:1/"]
+    assert ask(api, caller("/a"), "getPid", "/a") == [1, "", 7]
+
+
+def test_all_parameters_together_are_bounded() -> None:
+    api = MasterApi(
+        Registry(), FakeStatements(), name="/master", uri="u", pid=1, parameter_bytes=10_000
+    )
+    for name in ("/a", "/b"):
+        assert ask(api, everything(name), "setParam", name, name, "x" * 4500)[0] == 1
+    code, status, _ = ask(api, everything("/c"), "setParam", "/c", "/c", "x" * 4500)
+    assert (code, "more than 10000 bytes" in status) == (-1, True)
+
+
+@pytest.mark.parametrize(
+    ("method", "params", "kind"),
+    [
+        ("registerPublisher", ("/n{}", "*", "http://a:1/"), "publisher"),
+        ("registerSubscriber", ("/n{}", "*", "http://a:1/"), "subscriber"),
+        ("registerService", ("/n{}", "rosrpc://a:2", "http://a:1/"), "service"),
+        ("subscribeParam", ("http://a:1/", "/n{}"), "parameter subscriber"),
+    ],
+)
+def test_one_node_cannot_fill_the_registry(
+    api: MasterApi, method: str, params: tuple[str, ...], kind: str
+) -> None:
+    for n in range(KEYS_LIMIT):
+        filled = [text.format(n) for text in params]
+        assert ask(api, everything("/a"), method, "/a", *filled)[0] == 1
+    refused = ask(api, everything("/a"), method, "/a", *[text.format("x") for text in params])
+    assert refused[0] == -1
+    assert refused[1] == f"rossec: /a has 1024 registrations as {kind}, the most of a node"

@@ -1,0 +1,61 @@
+"""What is kept of the state between two questions; the answers are in test_differential."""
+
+from typing import Any
+
+import pytest
+
+from rossec.master.api.dispatch import MasterApi
+from rossec.master.rights.access_rules import Caller
+from rossec.master.state.registry import Registry
+from tests.rossec.master.fakes import FakeStatements, caller, everything
+
+EMPTY: list[object] = [[], [], []]
+
+
+@pytest.fixture
+def api() -> MasterApi:
+    return MasterApi(Registry(), FakeStatements(), name="/master", uri="http://m:1/", pid=7)
+
+
+def state(api: MasterApi, who: Caller) -> Any:
+    return api.call("getSystemState", [who.name], who, 0).answer[2]  # type: ignore[index]
+
+
+def register(api: MasterApi, name: str, topic: str) -> None:
+    params = [name, topic, "*", f"http://{name[1:]}:1/"]
+    api.call("registerPublisher", params, everything(name), 0)
+
+
+def test_the_same_caller_is_shown_what_changed(api: MasterApi) -> None:
+    who = everything("/viewer")
+    assert state(api, who) == EMPTY
+    register(api, "/a", "/t")
+    first = state(api, who)
+    assert first == [[["/t", ["/a"]]], [], []]
+    assert state(api, who) is first
+    api.call("unregisterPublisher", ["/a", "/t", "http://a:1/"], everything("/a"), 0)
+    assert state(api, who) == EMPTY
+
+
+def test_nobody_is_shown_what_was_kept_for_another(api: MasterApi) -> None:
+    """It is kept by the number of an object, which the next one may get."""
+    register(api, "/a", "/t")
+    rich, poor = everything("/rich"), caller("/poor")
+    assert state(api, rich) != EMPTY
+    kept: Any = api.methods["getSystemState"].handler
+    kept.__self__._states[id(poor)] = kept.__self__._states[id(rich)]
+    assert state(api, poor) == EMPTY
+
+
+@pytest.mark.parametrize("limit", ["_STATES_KEPT", "_ENTRIES_KEPT"])
+def test_what_is_kept_is_bounded(
+    api: MasterApi, monkeypatch: pytest.MonkeyPatch, limit: str
+) -> None:
+    monkeypatch.setattr(f"rossec.master.api.graph_calls.{limit}", 2)
+    for number in range(5):
+        register(api, "/a", f"/t{number}")
+    for number in range(5):
+        assert len(state(api, everything(f"/viewer{number}"))[0]) == 5
+    kept: Any = api.methods["getSystemState"].handler
+    assert len(kept.__self__._states) <= (2 if limit == "_STATES_KEPT" else 5)
+    assert len(kept.__self__._entries) <= (2 if limit == "_ENTRIES_KEPT" else 5)

@@ -1,0 +1,177 @@
+"""Parameter calls: who hears of a change; answers are compared with stock elsewhere."""
+
+from dataclasses import replace
+
+import pytest
+
+from grants.model import Right
+from rossec.master.api import parameter_calls
+from rossec.master.api.dispatch import MasterApi
+from rossec.master.api.methods import MasterEvent, ParameterChanged, ParameterKept
+from rossec.master.rights.access_rules import LOOKS_AT_ONCE, Caller
+from rossec.master.state.parameter_journal import Change
+from rossec.master.state.registry import NodeRef, Registry
+from rossec.ros.xmlrpc import BODY_LIMIT, Fault
+from tests.rossec.master.fakes import FakeStatements, caller, everything
+
+A, B = NodeRef("/a", "http://a:1/", b"/a"), NodeRef("/b", "http://b:1/", b"/b")
+
+
+@pytest.fixture
+def statements() -> FakeStatements:
+    return FakeStatements({"/a": everything("/a"), "/b": everything("/b")})
+
+
+@pytest.fixture
+def api(statements: FakeStatements) -> MasterApi:
+    api = MasterApi(Registry(), statements, name="/master", uri="http://m:1/", pid=1)
+    for node in (A, B):
+        ask(api, everything(node.name), "subscribeParam", node.uri, "/ns")
+    return api
+
+
+def ask(api: MasterApi, who: Caller, method: str, *params: object) -> tuple[MasterEvent, ...]:
+    outcome = api.call(method, (who.name, *params), who, 0)
+    assert isinstance(outcome.answer, list)
+    assert outcome.answer[0] == 1, outcome.answer
+    return tuple(event for event in outcome.events if not isinstance(event, ParameterKept))
+
+
+def test_every_change_is_to_be_kept_and_nothing_else(api: MasterApi) -> None:
+    def kept(method: str, *params: object) -> list[MasterEvent]:
+        outcome = api.call(method, ("/a", *params), everything("/a"), 0)
+        return [event for event in outcome.events if isinstance(event, ParameterKept)]
+
+    assert kept("setParam", "k", 1) == [ParameterKept(Change("/k", 1))]
+    assert kept("deleteParam", "k") == [ParameterKept(Change("/k", deleted=True))]
+    assert kept("deleteParam", "k") == kept("setParam", "/", 1) == kept("getParam", "k") == []
+
+
+def test_everybody_but_the_setter_hears_of_a_change(api: MasterApi) -> None:
+    assert ask(api, everything("/a"), "setParam", "/ns/k", 1) == (ParameterChanged(B, "/ns/k/", 1),)
+    assert ask(api, everything("/a"), "setParam", "/other", 1) == ()
+
+
+def test_everybody_hears_of_a_deletion(api: MasterApi) -> None:
+    ask(api, everything("/a"), "setParam", "/ns/k", 1)
+    events = ask(api, everything("/a"), "deleteParam", "/ns/k")
+    assert events == (ParameterChanged(A, "/ns/k/", {}), ParameterChanged(B, "/ns/k/", {}))
+
+
+def test_a_lost_right_ends_the_news(api: MasterApi, statements: FakeStatements) -> None:
+    statements.callers["/b"] = caller("/b", {"/ns/open": Right.PARAM_GET})
+    tree = {"open": 1, "secret": 2}
+    assert ask(api, everything("/a"), "setParam", "/ns", tree) == ()
+    [event] = ask(api, everything("/a"), "setParam", "/ns/open", 3)
+    assert event == ParameterChanged(B, "/ns/open/", 3)
+    del statements.callers["/b"]
+    assert ask(api, everything("/a"), "setParam", "/ns/open", 4) == ()
+
+
+def test_unsubscribing(api: MasterApi) -> None:
+    ask(api, everything("/b"), "unsubscribeParam", B.uri, "/ns")
+    assert ask(api, everything("/a"), "setParam", "/ns/k", 1) == ()
+
+
+def test_a_new_slave_api_takes_the_subscription_along(api: MasterApi) -> None:
+    moved = NodeRef("/b", "http://b:2/", b"/b")
+    ask(api, everything("/b"), "subscribeParam", moved.uri, "/ns")
+    [event] = ask(api, everything("/a"), "setParam", "/ns/k", 1)
+    assert event == ParameterChanged(moved, "/ns/k/", 1)
+
+
+@pytest.mark.parametrize("rights", [{}, {"/ns/**": Right.PARAM_SET}])
+def test_an_illegal_name_in_a_tree_is_named_whatever_the_rights(
+    api: MasterApi, rights: dict[str, Right]
+) -> None:
+    tree = {"fine": 1, "deep": {"not fine": 2}}
+    outcome = api.call("setParam", ("/a", "/ns", tree), caller("/a", rights), 0)
+    text = "'not fine' cannot be the name of a parameter in a tree"
+    assert outcome.answer == [-1, f"Error: invalid arguments: {text}", 0]
+    assert outcome.events == ()
+
+
+@pytest.mark.parametrize("method", ["getParam", "subscribeParam"])
+def test_what_is_much_too_long_is_not_written_out(api: MasterApi, method: str) -> None:
+    for number in range(3):
+        ask(api, everything("/a"), "setParam", f"/long/p{number}", "x" * (BODY_LIMIT - 100))
+    params = ("/long",) if method == "getParam" else (A.uri, "/long")
+    with pytest.raises(Fault, match=f"an answer of more than {BODY_LIMIT} bytes: ask for less"):
+        api.call(method, ("/a", *params), everything("/a"), 0)
+    assert not any(
+        isinstance(event, ParameterChanged) and event.node == A
+        for event in ask(api, everything("/b"), "setParam", "/long/p0", 1)
+    )
+
+
+def test_names_that_no_answer_can_carry_are_not_collected(
+    api: MasterApi, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(parameter_calls, "_TOO_LONG", 5000)
+    ask(api, everything("/a"), "setParam", "/many", {f"p{number}": 1 for number in range(99)})
+    assert len(api.call("getParamNames", ("/a",), everything("/a"), 0).answer[2]) == 99  # type: ignore[index]
+    ask(api, everything("/a"), "setParam", "/more", {f"p{number}": 1 for number in range(99)})
+    with pytest.raises(Fault, match="ask for less at a time"):
+        api.call("getParamNames", ("/a",), everything("/a"), 0)
+
+
+def test_a_search_looks_for_something_that_may_be_read(api: MasterApi) -> None:
+    tree = {f"p{number}": 1 for number in range(3 * LOOKS_AT_ONCE)}
+    for key in ("/x", "/ns/x"):
+        ask(api, everything("/a"), "setParam", key, tree)
+
+    def search(node: str, key: str, *readable: str) -> object:
+        who = caller(node, dict.fromkeys(readable, Right.PARAM_GET))
+        answer: list[object] = api.call("searchParam", (node, key), who, 0).answer  # type: ignore[assignment]
+        return answer[2]
+
+    last = f"p{3 * LOOKS_AT_ONCE - 1}"
+    assert search("/ns/n", "x", "/x/p1", f"/ns/x/{last}") == "/ns/x"
+    assert search("/ns/n", "x/y", "/x/p1") == "/x/y"
+    assert search("/ns/n", "/x", "/ns/x/p1") == search("/ns/n", "x") == ""
+    assert search("/ns/n", "/x", "/x/p1") == "/x"
+
+
+def test_one_key_cannot_fill_the_room_that_is_for_all() -> None:
+    api = MasterApi(
+        Registry(), FakeStatements(), name="/m", uri="http://m:1/", pid=1, parameter_bytes=10_000
+    )
+
+    def put(node: str, key: str, size: int) -> str:
+        answer: list[str] = api.call(
+            "setParam", (node, key, "x" * size), everything(node), 0
+        ).answer  # type: ignore[assignment]
+        return answer[1]
+
+    full = "Error: invalid arguments: the parameters that /a has set would take more than 5000 byte"
+    assert put("/a", "/a/big", 4000) == "parameter /a/big set"
+    assert put("/a", "/a/more", 1000).startswith(full)
+    assert put("/b", "/b/big", 4000) == "parameter /b/big set"
+    assert "all parameters together would take more than 10000" in put("/b", "/b/big", 6000)
+    ask(api, everything("/a"), "deleteParam", "/a/big")
+    assert put("/a", "/a/more", 4000) == "parameter /a/more set"
+    assert put("/a", "/a/more", 3000) == "parameter /a/more set"
+    ask(api, everything("/b"), "deleteParam", "/a")  # somebody else made room
+    assert put("/a", "/a/more", 4000).startswith(full), "what it set counts for its key"
+    ask(api, everything("/b"), "deleteParam", "/b")
+    assert put("/a", "/a/more", 4000) == "parameter /a/more set", "all of it is gone"
+
+
+def test_a_key_that_is_many_nodes_is_judged_once_for_a_change(
+    api: MasterApi, statements: FakeStatements, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Else one call judges a large tree as often as its caller has nodes."""
+    shared = [NodeRef(f"/rviz_{number}", f"http://c:{number}/", b"rviz") for number in range(1, 21)]
+    for node in shared:
+        statements.callers[node.name] = replace(everything(node.name), thumbprint=b"rviz")
+        ask(api, statements.callers[node.name], "subscribeParam", node.uri, "/ns")
+    judged: list[bytes] = []
+
+    def may_all(who: Caller, *_: object) -> bool:
+        judged.append(who.thumbprint)
+        return True
+
+    monkeypatch.setattr(parameter_calls, "may_all", may_all)
+    told = ask(api, everything("/b"), "setParam", "/ns", {"k": 1})
+    assert {event.node for event in told if isinstance(event, ParameterChanged)} == {A, *shared}
+    assert judged.count(b"rviz") == 1

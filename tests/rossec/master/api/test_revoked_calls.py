@@ -1,0 +1,75 @@
+"""What a revoked identity is still told."""
+
+import pytest
+
+from rossec.errors import HangUp
+from rossec.master.api.revoked_calls import (
+    CALLS,
+    MOST,
+    MOST_BELOW,
+    Hearers,
+    RevokedCalls,
+    answer_revoked,
+)
+from rossec.master.api.statement_calls import PROOF_LIMIT
+from tests.rossec.master.fakes import FakeStatements
+
+
+class Told(FakeStatements):
+    """Statements with a tree in force."""
+
+    def current(self, now: int) -> tuple[bytes, bytes]:
+        return b"list", b"timestamp of %d" % now
+
+    def proofs(self, entries: object) -> list[bytes]:
+        assert isinstance(entries, list)
+        return [b"proof"] * len(entries)
+
+
+@pytest.mark.parametrize(
+    ("method", "params"),
+    [("rossec.revocations", ("/eve",)), ("rossec.revocationsSince", ("/eve", b"digest"))],
+)
+def test_it_is_told_the_whole_list_and_no_confirmation(
+    method: str, params: tuple[object, ...]
+) -> None:
+    assert answer_revoked(Told(), 7, method, params) == [1, "revocations", [b"list", b""]]
+
+
+def test_it_is_told_what_a_tree_shows_within_the_bound_of_others() -> None:
+    asked: list[object] = [bytes(32), "no entry", *[bytes(32)] * PROOF_LIMIT]
+    [code, status, proofs] = answer_revoked(Told(), 7, "rossec.revocationProofs", ("/eve", asked))
+    assert (code, status) == (1, "proofs")
+    assert proofs == [b"proof"] * (PROOF_LIMIT - 1)
+
+
+@pytest.mark.parametrize(
+    ("method", "params"),
+    [
+        ("rossec.revocations", ()), ("rossec.revocations", (b"/eve",)),
+        ("rossec.revocationProofs", ("/eve",)), ("rossec.revocationProofs", ("/eve", b"entry")),
+        ("rossec.trl", ("/eve", b"")), ("system.multicall", ([],)), ("getPid", ("/eve",)),
+    ],
+)  # fmt: skip
+def test_everything_else_ends_the_connection(method: str, params: tuple[object, ...]) -> None:
+    with pytest.raises(HangUp, match="the identity is revoked"):
+        answer_revoked(Told(), 7, method, params)
+
+
+def test_each_identity_has_a_share_and_so_has_all_that_is_below_one_intermediate() -> None:
+    hearers, one = Hearers(), (b"one", b"above")
+    assert [hearers.admit(one) for _ in range(MOST + 1)] == [True] * MOST + [False]
+    others = [(b"%d" % number, b"above") for number in range(MOST_BELOW)]
+    assert sum(map(hearers.admit, others)) == MOST_BELOW - MOST
+    assert hearers.admit((b"elsewhere",))
+    hearers.leave(one)
+    assert hearers.admit(one)
+    assert not hearers.admit(others[-1])
+
+
+def test_it_is_answered_a_few_times_on_one_connection() -> None:
+    calls = RevokedCalls(Told(), lambda: 7)
+    for _ in range(CALLS):
+        assert calls.answer("rossec.revocations", ("/eve",), None)[2] == [b"list", b""]
+    with pytest.raises(HangUp, match="has heard it"):
+        calls.answer("rossec.revocations", ("/eve",), None)

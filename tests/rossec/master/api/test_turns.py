@@ -1,0 +1,39 @@
+"""Turns end by the clock that is given, and work goes on where it was left."""
+
+import pytest
+
+from rossec.master.api.turns import TURN, Outcome, Turns, Work, advance, finished, never
+
+
+def work(steps: int) -> Work:
+    for _ in range(steps):
+        yield
+    return Outcome(steps)
+
+
+def test_a_turn_ends_by_the_clock() -> None:
+    now = [100.0]
+    turns = Turns(lambda: now[0])
+    over = turns.begin()
+    assert not over()
+    now[0] += TURN
+    assert over()
+    assert not turns.begin()()
+
+
+def test_work_goes_on_where_it_was_left() -> None:
+    left = work(3)
+    assert [advance(left, lambda: True) for _ in range(4)] == [None, None, None, Outcome(3)]
+    assert advance(work(3), never) == Outcome(3)
+    assert finished(work(0)) == finished(work(0)) == Outcome(0)
+
+
+def test_what_work_raises_is_raised() -> None:
+    def broken() -> Work:
+        yield
+        raise ValueError("no")
+
+    left = broken()
+    assert advance(left, lambda: True) is None
+    with pytest.raises(ValueError, match="no"):
+        advance(left, never)

@@ -1,0 +1,165 @@
+"""Following the graph: whole, then differences, and never more than may be seen."""
+
+from typing import Any
+
+import pytest
+
+from grants.model import Right
+from rossec.master.api import watch_calls
+from rossec.master.api.dispatch import MasterApi
+from rossec.master.api.watch_calls import VIEWS, WATCH, no_news
+from rossec.master.rights.access_rules import Caller
+from rossec.master.state.registry import Registry
+from rossec.participant.graph_view import GraphView
+from tests.rossec.master.fakes import FakeStatements, caller, everything
+
+T = "std_msgs/String"
+ALL_GRAPH = {"/master": Right.GRAPH, "**": Right.GRAPH}
+
+
+def master(instance: str = "first") -> MasterApi:
+    return MasterApi(
+        Registry(), FakeStatements(), name="/master", uri="http://m:1/", pid=7, instance=instance
+    )
+
+
+@pytest.fixture
+def api() -> MasterApi:
+    return master()
+
+
+class Watcher:
+    def __init__(self, api: MasterApi, who: Caller | None = None) -> None:
+        self.api = api
+        self.who = who or caller("/watcher", ALL_GRAPH)
+        self.view = GraphView()
+        self.answer: Any = None
+
+    def look(self) -> tuple[list[str], list[str], bool]:
+        """What was added, removed, and whether it was told as a whole."""
+        params = [self.who.name, *self.view.question]
+        self.answer = self.api.call(WATCH, params, self.who, 0).answer
+        assert self.answer[0] == 1, self.answer
+        change = self.view.take(self.answer[2])
+        words = [[" ".join(fact) for fact in facts] for facts in change[:2]]
+        return words[0], words[1], self.answer[2]["whole"]
+
+
+def ask(api: MasterApi, who: Caller, method: str, *params: object) -> Any:
+    return api.call(method, [who.name, *params], who, 0).answer
+
+
+def do(api: MasterApi, name: str, method: str, *params: object) -> None:
+    assert ask(api, everything(name), method, *params)[0] == 1
+
+
+def test_everything_at_first_then_what_changed(api: MasterApi) -> None:
+    watcher = Watcher(api)
+    assert watcher.look() == ([], [], True)
+    do(api, "/laser", "registerPublisher", "/scan", T, "http://l:1/")
+    do(api, "/laser", "registerService", "/reset", "rosrpc://l:2", "http://l:1/")
+    do(api, "/map", "registerSubscriber", "/scan", "*", "http://n:1/")
+    do(api, "/map", "registerSubscriber", "/other", "*", "http://n:1/")
+    assert watcher.look() == (
+        [
+            "node /laser http://l:1/", "node /map http://n:1/", "provider /reset rosrpc://l:2",
+            "publisher /scan /laser", "service /reset /laser", "subscriber /other /map",
+            "subscriber /scan /map", f"type /scan {T}",
+        ],
+        [],
+        False,
+    )  # fmt: skip
+    assert not no_news(watcher.answer)
+    assert watcher.look() == ([], [], False)
+    assert no_news(watcher.answer)
+    do(api, "/laser", "unregisterService", "/reset", "rosrpc://l:2")
+    do(api, "/map", "unregisterSubscriber", "/scan", "http://n:1/")
+    assert watcher.look() == (
+        [], ["provider /reset rosrpc://l:2", "service /reset /laser", "subscriber /scan /map"],
+        False,
+    )  # fmt: skip
+    assert watcher.view.version == 8  # each change of the state counts, types and URIs too
+
+
+def test_what_came_and_went_between_two_looks_is_not_told(api: MasterApi) -> None:
+    watcher = Watcher(api)
+    watcher.look()
+    do(api, "/laser", "registerPublisher", "/scan", T, "http://l:1/")
+    do(api, "/laser", "unregisterPublisher", "/scan", "http://l:1/")
+    assert watcher.look() == ([], [], False)
+
+
+def test_the_right_is_graph_on_the_master(api: MasterApi) -> None:
+    who = caller("/watcher", {"/scan": Right.GRAPH})
+    code, status, default = ask(api, who, WATCH, "", 0)
+    assert (code, default) == (-1, {})
+    assert status.startswith("rossec: /watcher needs the right graph on /master")
+
+
+def test_only_what_may_be_seen_is_told(api: MasterApi) -> None:
+    rights = {"/master": Right.GRAPH, "/scan": Right.SUBSCRIBE}
+    watcher = Watcher(api, caller("/watcher", rights))
+    do(api, "/laser", "registerPublisher", "/scan", T, "http://l:1/")
+    do(api, "/secret", "registerPublisher", "/hidden", T, "http://s:1/")
+    do(api, "/secret", "registerService", "/hide", "rosrpc://s:2", "http://s:1/")
+    assert watcher.look()[0] == [
+        "node /laser http://l:1/", "publisher /scan /laser", f"type /scan {T}",
+    ]  # fmt: skip
+    watcher.who = caller("/watcher", {"/master": Right.GRAPH})  # a grant was revoked
+    assert watcher.look() == (
+        [], ["node /laser http://l:1/", "publisher /scan /laser", f"type /scan {T}"], False,
+    )  # fmt: skip
+
+
+def test_a_restarted_master_is_recognised(api: MasterApi) -> None:
+    watcher = Watcher(api)
+    do(api, "/laser", "registerPublisher", "/scan", T, "http://l:1/")
+    watcher.look()
+    watcher.api = master("second")
+    do(watcher.api, "/laser", "registerPublisher", "/scan", T, "http://l:1/")
+    assert watcher.look() == ([], [], True)  # it is all as it was
+    assert watcher.view.instance == "second"
+    assert watcher.look() == ([], [], False)
+
+
+def test_an_answer_is_bounded_and_the_rest_follows(
+    api: MasterApi, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(watch_calls, "BATCH", 2)
+    for n in range(3):
+        do(api, "/laser", "registerPublisher", f"/t{n}", "*", "http://l:1/")
+    watcher = Watcher(api)
+    assert len(watcher.look()[0]) == 2
+    assert watcher.answer[2]["more"]
+    assert len(watcher.look()[0]) == 2
+    assert not watcher.answer[2]["more"]
+    assert watcher.look() == ([], [], False)
+    watcher.who = caller("/watcher", {"/master": Right.GRAPH})
+    assert len(watcher.look()[1]) == 2
+    assert watcher.answer[2]["more"]
+    assert len(watcher.look()[1]) == 2
+
+
+def test_watchers_of_one_identity_do_not_disturb_each_other(api: MasterApi) -> None:
+    watchers = [Watcher(api) for _ in range(VIEWS)]
+    assert [watcher.look()[2] for watcher in watchers] == [True] * VIEWS
+    assert [watcher.look()[2] for watcher in watchers] == [False] * VIEWS
+    Watcher(api).look()
+    assert watchers[-1].look() == ([], [], False)
+    assert watchers[0].look()[2]  # it was the first to be forgotten
+    assert sum(map(len, api.watching._views.values())) <= VIEWS
+
+
+def test_who_is_gone_is_forgotten(api: MasterApi) -> None:
+    watcher = Watcher(api)
+    watcher.look()
+    api.watching.keep_only(frozenset({watcher.who.thumbprint}))
+    assert not watcher.look()[2]
+    api.watching.keep_only(frozenset())
+    assert watcher.look()[2]
+
+
+@pytest.mark.parametrize("params", [("", "1"), (1, 1), ("", -1), ("", True), ("",), ("", 0, 0)])
+def test_a_question_that_is_none(api: MasterApi, params: tuple[object, ...]) -> None:
+    answer: Any = api.call(WATCH, ["/watcher", *params], everything("/watcher"), 0).answer
+    assert (answer[0], answer[2]) == (-1, {})

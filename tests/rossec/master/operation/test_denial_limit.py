@@ -1,0 +1,82 @@
+"""Who causes many lines loses some of its own, nobody else's."""
+
+import logging
+from collections.abc import Mapping
+
+import pytest
+
+from rossec.master.operation.audit import LEFT_OUT
+from rossec.master.operation.denial_limit import DENIALS, MOST_NODES, Throttle
+
+
+class Lines:
+    def __init__(self) -> None:
+        self.now = 1000.0
+        self.throttle = Throttle(lambda: self.now)
+
+    def __call__(self, node: object) -> bool:
+        self.last = logging.makeLogRecord({"msg": "%s may not", "args": (node,)})
+        return self.throttle.filter(self.last)
+
+    @property
+    def left_out(self) -> int:
+        return getattr(self.last, LEFT_OUT, 0)
+
+
+@pytest.fixture
+def lines() -> Lines:
+    return Lines()
+
+
+def test_a_node_has_its_share_and_others_have_theirs(lines: Lines) -> None:
+    assert sum(lines("/eve") for _ in range(500)) == 200
+    assert lines("/robot")
+    assert lines.left_out == 0
+    lines.now += 1
+    assert sum(lines("/eve") for _ in range(50)) == 10
+    lines.now += 0.1
+    assert lines("/eve")
+    assert lines.left_out == 40  # since the last that said so
+    lines.now -= 5000  # a clock set back neither gives nor takes
+    assert not lines("/eve")
+    lines.now += 6000
+    assert sum(lines("/eve") for _ in range(500)) == 200
+
+
+def test_all_together_are_bounded(lines: Lines) -> None:
+    flood = [f"/n{number % 10}" for number in range(3000)]
+    assert sum(map(lines, flood)) == 1000 + 10 * 10
+    lines.now += 1
+    assert sum(map(lines, flood)) == 50
+    assert lines("/robot"), "what some have used up together is not its own"
+    assert sum(lines("/robot") for _ in range(50)) == 9
+    lines.now += 10
+    assert sum(map(lines, flood)) == 500 + 10
+
+
+def test_what_was_left_out_is_told_by_the_next(lines: Lines) -> None:
+    for _ in range(203):
+        lines("/eve")
+    lines.now += 1
+    assert lines("/eve")
+    assert lines.left_out == 3
+    assert lines("/eve")
+    assert lines.left_out == 0
+
+
+def test_nodes_are_forgotten(lines: Lines) -> None:
+    for number in range(MOST_NODES + 10):
+        lines(f"/n{number}")
+    assert len(lines.throttle._nodes) == MOST_NODES
+
+
+@pytest.mark.parametrize("args", [(), {"a": 1}])
+def test_lines_without_a_node_are_bounded_too(
+    lines: Lines, args: tuple[()] | Mapping[str, object]
+) -> None:
+    record = logging.makeLogRecord({"msg": "x", "args": args})
+    assert sum(lines.throttle.filter(record) for _ in range(500)) == 200
+
+
+def test_its_logger_is_part_of_the_audit() -> None:
+    assert logging.getLogger(DENIALS).parent is logging.getLogger("rossec.audit")

@@ -1,0 +1,70 @@
+import stat
+from pathlib import Path
+
+import pytest
+
+from grants.model import Right
+from grants.policy.learn import from_log
+from rossec.errors import RossecError
+from rossec.master.operation import denial_log
+from rossec.master.operation.denial_log import ComplainLog
+from tests.support.site import Site
+
+
+def test_what_is_written_can_be_learnt_from(tmp_path: Path) -> None:
+    path = tmp_path / "complaints"
+    log = ComplainLog(path)
+    log(7, "/arm", Right.CALL, "/gripper/close")
+    log(8, "/arm", Right.CALL, "/gripper/close")
+    log(9, "/arm", Right.PARAM_GET, "/arm/speed")
+    log.close()
+    seen = from_log(path.read_text().splitlines())
+    assert {(item.node, item.right, item.name) for item in seen} == {
+        ("/arm", Right.CALL, "/gripper/close"),
+        ("/arm", Right.PARAM_GET, "/arm/speed"),
+    }
+    assert len(path.read_text().splitlines()) == 2
+    assert stat.S_IMODE(path.stat().st_mode) == 0o600
+
+
+def test_a_restart_appends_and_a_flood_ends(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(denial_log, "MAX_LINES", 1)
+    monkeypatch.setattr(denial_log, "SHARE", 2)
+    for _ in range(2):
+        log = ComplainLog(tmp_path / "complaints")
+        for number in range(10):
+            log(7, "/eve", Right.SUBSCRIBE, f"/flood{number}")
+        log.close()
+    assert len((tmp_path / "complaints").read_text().splitlines()) == 6
+
+
+def test_no_node_uses_up_what_is_anothers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(denial_log, "MAX_LINES", 5)
+    monkeypatch.setattr(denial_log, "SHARE", 3)
+    log = ComplainLog(tmp_path / "complaints")
+    for node, lines in (("/eve", 99), ("/mallory", 99), ("/robot", 3)):
+        for number in range(lines):
+            log(7, node, Right.SUBSCRIBE, f"/t{number}")
+    log.close()
+    seen = from_log((tmp_path / "complaints").read_text().splitlines())
+    nodes = [item.node for item in seen]
+    assert [nodes.count(node) for node in ("/eve", "/mallory", "/robot")] == [8, 3, 3]
+
+
+async def test_the_master_tells_of_what_it_refuses(tmp_path: Path) -> None:
+    heard: list[tuple[str, Right, str]] = []
+    site = Site(tmp_path / "site")
+    site.complain = lambda _, node, right, name: heard.append((node, right, name))
+    async with site.running(), site.node("/viewer") as viewer:
+        with pytest.raises(RossecError):
+            await viewer.subscriber("/robot/pose", "geometry_msgs/PoseStamped")
+        with pytest.raises(RossecError):
+            await viewer._session.call("getParam", "/robot/name")
+        with pytest.raises(RossecError):
+            await viewer._session.call("registerPublisher", "not a name", "*", viewer.uri)
+    assert heard == [
+        ("/viewer", Right.SUBSCRIBE, "/robot/pose"),
+        ("/viewer", Right.PARAM_GET, "/robot/name"),
+    ]

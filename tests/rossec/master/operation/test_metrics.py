@@ -1,0 +1,76 @@
+"""Figures for Prometheus, scraped as it does."""
+
+import asyncio
+import contextlib
+import socket
+import sys
+import threading
+import urllib.request
+
+import pytest
+
+from rossec.errors import ConfigurationError
+from rossec.master.operation import metrics
+from rossec.master.operation.metrics import Exporter, of_loop
+
+STATUS = {"calls": 5, "denials": 2, "nodes": 3, "registrations": 9, "connections": 4,
+          "revocation_number": 7}  # fmt: skip
+
+
+def test_they_are_served_on_loopback() -> None:
+    exporter = Exporter(lambda: STATUS, 0)
+    try:
+        with urllib.request.urlopen(
+            f"http://127.0.0.1:{exporter.port}/metrics", timeout=10
+        ) as page:
+            text = page.read().decode()
+    finally:
+        exporter.close()
+    for name, value in STATUS.items():
+        suffix = "_total" if name in ("calls", "denials") else ""
+        assert f"rossec_master_{name}{suffix} {value}.0" in text
+
+
+def test_callers_that_say_nothing_are_few(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Anybody on the host can connect: each one was a thread and a descriptor for ever."""
+    monkeypatch.setattr(metrics._Handler, "timeout", 1.0)
+    exporter = Exporter(lambda: STATUS, 0)
+    silent: list[socket.socket] = []
+    place = "127.0.0.1", exporter.port
+    try:
+        before = threading.active_count()
+        silent.extend(socket.create_connection(place, 10) for _ in range(100))
+        assert threading.active_count() - before <= 16
+        while True:  # those that have a place give it back
+            with contextlib.suppress(OSError):
+                uri = f"http://127.0.0.1:{exporter.port}/metrics"
+                with urllib.request.urlopen(uri, timeout=10) as page:
+                    assert b"rossec_master_calls_total" in page.read()
+                break
+    finally:
+        for sock in silent:
+            sock.close()
+        exporter.close()
+
+
+def test_without_the_package_the_operator_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "prometheus_client", None)
+    with pytest.raises(ConfigurationError, match="prometheus-client") as caught:
+        Exporter(lambda: STATUS, 0)
+    assert "pip install" in caught.value.hint
+
+
+def test_a_taken_port_is_said() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        with pytest.raises(ConfigurationError, match=f"on port {port}: address already in use"):
+            Exporter(lambda: STATUS, port)
+
+
+async def test_the_loop_is_asked_so_that_nothing_changes_meanwhile() -> None:
+    def status() -> dict[str, int]:
+        assert threading.current_thread() is threading.main_thread()
+        return STATUS
+
+    asked = of_loop(status)
+    assert await asyncio.to_thread(asked) == STATUS

@@ -1,0 +1,92 @@
+"""What a lost right takes with it."""
+
+import pytest
+
+from grants.model import Right
+from rossec.master.api.methods import MasterEvent
+from rossec.master.rights.enforce import BATCH, Step, enforce, steps
+from rossec.master.state.registry import Kind, NodeRef, PublishersChanged, Registry
+from tests.rossec.master.fakes import FakeStatements, caller
+
+A, B = NodeRef("/a", "http://h:1/", b"/a"), NodeRef("/b", "http://h:2/", b"/b")
+
+
+def judge(state: Registry, statements: FakeStatements) -> list[MasterEvent]:
+    return [event for step in steps(state) for event in enforce(state, statements, step, 0)]
+
+
+def registry() -> Registry:
+    registry = Registry()
+    registry.register_publisher("/t", "*", A)
+    registry.register_publisher("/u", "*", A)
+    registry.register_service("/s", "rosrpc://h:3", A)
+    registry.register_parameter("/p/", A)
+    registry.register_subscriber("/t", "*", B)
+    return registry
+
+
+BOTH = {
+    "/a": caller(
+        "/a",
+        {
+            "/t": Right.PUBLISH,
+            "/u": Right.PUBLISH,
+            "/s": Right.PROVIDE,
+            "/p/one": Right.PARAM_GET,
+        },
+    ),
+    "/b": caller("/b", {"/t": Right.SUBSCRIBE}),
+}
+
+
+def test_nothing_goes_while_the_rights_hold() -> None:
+    state = registry()
+    assert judge(state, FakeStatements(dict(BOTH))) == []
+    assert len(list(state.nodes())) == 2
+    assert state.members(Kind.PARAMETER, "/p/") == (A,)
+
+
+def test_only_what_lost_its_right_goes() -> None:
+    state = registry()
+    callers = {**BOTH, "/a": caller("/a", {"/u": Right.PUBLISH, "/t": Right.SUBSCRIBE})}
+    assert judge(state, FakeStatements(callers)) == [PublishersChanged("/t", (B,), ())]
+    assert state.keys_of("/a", Kind.PUBLISHER) == ("/u",)
+    assert state.service_uri("/s") is None
+    assert state.members(Kind.PARAMETER, "/p/") == ()
+
+
+@pytest.mark.parametrize("right", Right)
+def test_each_registration_lives_by_its_own_right(right: Right) -> None:
+    state = registry()
+    state.register_subscriber("/x", "*", A)
+    rights = dict.fromkeys(("/t", "/u", "/s", "/p/one", "/x"), right)
+    judge(state, FakeStatements({**BOTH, "/a": caller("/a", rights)}))
+    left = {kind for kind in Kind if state.keys_of("/a", kind)}
+    own = {
+        Right.PUBLISH: Kind.PUBLISHER, Right.SUBSCRIBE: Kind.SUBSCRIBER,
+        Right.PROVIDE: Kind.SERVICE, Right.PARAM_GET: Kind.PARAMETER,
+    }  # fmt: skip
+    assert left == ({own[right]} if right in own else set())
+
+
+def test_a_revoked_node_goes_with_all_it_registered() -> None:
+    state = registry()
+    events = judge(state, FakeStatements({"/b": BOTH["/b"]}))
+    assert PublishersChanged("/t", (B,), ()) in events
+    assert [node.name for node in state.nodes()] == ["/b"]
+    assert state.members(Kind.PARAMETER, "/p/") == ()
+
+
+def test_a_step_is_small_and_judges_what_is_there_when_it_is_taken() -> None:
+    state = Registry()
+    for n in range(BATCH + 1):
+        state.register_publisher(f"/t{n}", "*", A)
+    first, second = steps(state)
+    assert (len(first.keys), len(second.keys)) == (BATCH, 1)
+    nobody = FakeStatements()
+    assert enforce(state, nobody, Step(A._replace(uri="http://h:9/"), *first[1:]), 0) == []
+    assert len(state.keys_of("/a", Kind.PUBLISHER)) == BATCH + 1
+    nothing = FakeStatements({"/a": caller("/a")})
+    assert len(enforce(state, nothing, second, 0)) == 1
+    assert enforce(state, nothing, second, 0) == []
+    assert len(state.keys_of("/a", Kind.PUBLISHER)) == BATCH

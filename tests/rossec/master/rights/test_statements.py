@@ -1,0 +1,397 @@
+"""Grants presented and revocations held: real statements of a real authority."""
+
+import dataclasses
+
+import pytest
+
+from ca.errors import RevocationRefused, Revoked
+from ca.keys.key_files import generate
+from ca.keys.signer import KeySigner
+from ca.revocation.state import RevocationList, digest, open_timestamp, sign_list
+from ca.revocation.tree import Listing, RevocationTree, is_revoked, open_tree, sign_tree
+from grants.document import grant_id
+from grants.errors import GrantError
+from grants.model import Right
+from grants.renewal import open_delegation
+from rossec.master.rights import statements as module
+from rossec.master.rights.access_rules import Caller
+from rossec.master.rights.presented_grants import FAILURES_WITHIN, MAX_FAILURES, MAX_HELD
+from rossec.master.rights.statements import Trust
+from rossec.master.state.registry import NodeRef
+from tests.support.authority import DAY, Site
+
+
+class World:
+    def __init__(self) -> None:
+        self.site = Site()
+        self.now = self.site.now
+        self.master = self.site.enroll("/master")
+        self.node = self.site.enroll("/node")
+        self.persisted: list[bytes] = []
+        self.trust = Trust(
+            self.site.anchor,
+            self.master.credentials.signer,
+            self.site.revocations(),
+            self.persisted.append,
+        )
+
+    def may(self, right: Right, name: str, later: int = 0) -> bool:
+        return self.trust.caller(self.node, self.now + later).may(right, name)
+
+    def present(self, *tokens: bytes) -> tuple[int, tuple[str, ...]]:
+        return self.trust.present(self.trust.caller(self.node, self.now), tokens, self.now)
+
+
+@pytest.fixture
+def world() -> World:
+    world = World()
+    assert world.trust.update(world.site.revoke(), world.now)
+    return world
+
+
+def test_without_a_list_nobody_may_anything() -> None:
+    world = World()
+    world.present(world.site.grant(world.node, {"/t": Right.PUBLISH}))
+    assert not world.may(Right.PUBLISH, "/t")
+    assert world.trust.current(world.now) == (b"", b"")
+    world.trust.update(world.site.revoke(), world.now)
+    assert world.may(Right.PUBLISH, "/t")
+
+
+def test_a_grant_holds_for_what_it_says_and_as_long(world: World) -> None:
+    assert not world.may(Right.PUBLISH, "/t")
+    assert world.present(world.site.grant(world.node, {"/t": Right.PUBLISH}, lifetime=60)) == (
+        1,
+        (),
+    )
+    assert world.may(Right.PUBLISH, "/t")
+    assert not world.may(Right.SUBSCRIBE, "/t")
+    assert not world.may(Right.PUBLISH, "/u")
+    assert not world.may(Right.PUBLISH, "/t", later=60)
+
+
+def test_a_refusal_names_what_is_missing(world: World) -> None:
+    with pytest.raises(GrantError, match="no grant for publish on /t"):
+        world.trust.caller(world.node, world.now).access.require(Right.PUBLISH, "/t")
+
+
+def test_bad_grants_do_not_spoil_good_ones(world: World) -> None:
+    stranger = Site()
+    world.site.domain = "office"  # the same authority serves two domains
+    elsewhere = world.site.grant(world.node, {"/t": Right.PUBLISH})
+    world.site.domain = "home"
+    held, refused = world.present(
+        world.site.grant(world.master, {"/t": Right.PUBLISH}),
+        stranger.grant(world.node, {"/t": Right.PUBLISH}),
+        world.site.grant(world.node, {"/t": Right.PUBLISH}, start=-2 * DAY),
+        b"garbage",
+        elsewhere,
+        world.site.grant(world.node, {"/u": Right.PUBLISH}),
+    )
+    assert held == 1
+    assert len(refused) == 5
+    assert "office" in refused[4]
+    assert "another key" in refused[0]
+    assert world.may(Right.PUBLISH, "/u")
+    assert not world.may(Right.PUBLISH, "/t")
+
+
+def test_grants_are_bounded_and_not_counted_twice(world: World) -> None:
+    tokens = [world.site.grant(world.node, {f"/t{n}": Right.CALL}) for n in range(MAX_HELD + 1)]
+    assert world.present(*tokens[:MAX_HELD], *tokens[:MAX_HELD]) == (MAX_HELD, ())
+    held, refused = world.present(tokens[-1])
+    assert held == MAX_HELD
+    assert "at most" in refused[0]
+
+
+def test_only_so_many_grants_are_verified_in_vain(world: World) -> None:
+    good = world.site.grant(world.node, {"/t": Right.PUBLISH})
+    held = world.site.grant(world.node, {"/u": Right.PUBLISH})
+    world.present(held)
+    assert world.present(*[b"garbage"] * MAX_FAILURES)[0] == 1
+    assert world.present(good) == (1, ("too many grants of this node were refused",))
+    assert world.present(held) == (1, ())
+    world.now += FAILURES_WITHIN
+    assert world.present(good) == (2, ())
+
+
+def test_a_revoked_grant_ends_at_once(world: World) -> None:
+    token = world.site.grant(world.node, {"/t": Right.PUBLISH})
+    world.present(token)
+    assert world.trust.update(world.site.revoke(token), world.now)
+    assert not world.may(Right.PUBLISH, "/t")
+
+
+def test_a_list_that_came_by_another_way_counts_at_once_too() -> None:
+    site = Site()
+    node, revocations = site.enroll("/node"), site.revocations()
+    trust = Trust(
+        site.anchor, site.enroll("/master").credentials.signer, revocations, lambda _: None
+    )
+    token = site.grant(node, {"/t": Right.PUBLISH})
+    revocations.update(site.revoke(), site.now)
+    trust.present(trust.caller(node, site.now), [token], site.now)
+    before = trust.caller(node, site.now)
+    assert before.may(Right.PUBLISH, "/t")
+    assert trust.caller(node, site.now) is before
+    revocations.update(site.revoke(token), site.now)
+    assert not trust.caller(node, site.now).may(Right.PUBLISH, "/t")
+    assert not trust.caller(node, site.now + 1).may(Right.PUBLISH, "/t")
+
+
+def test_a_revoked_key_is_nobody(world: World) -> None:
+    world.present(world.site.grant(world.node, {"/t": Right.PUBLISH}))
+    assert world.trust.caller_of(world.node, world.now) is not None
+    world.trust.update(world.site.revoke(world.node), world.now)
+    with pytest.raises(Revoked, match="the key of /node is revoked"):
+        world.trust.caller(world.node, world.now)
+    assert world.trust.caller_of(world.node, world.now) is None
+
+
+def test_a_key_below_a_revoked_intermediate_is_nobody(world: World) -> None:
+    above = b"i" * 32
+    member = dataclasses.replace(
+        world.node, identity=dataclasses.replace(world.node.identity, issuers=(above,))
+    )
+    assert world.trust.caller(member, world.now).name == "/node"
+    assert world.trust.caller_of(member, world.now) is not None
+    listed = RevocationList(1, 7, world.now, world.now + 1000, frozenset({above}))
+    world.trust.update(sign_list(world.site.signer, listed), world.now)
+    with pytest.raises(Revoked, match="the key of /node is revoked"):
+        world.trust.caller(member, world.now)
+    assert world.trust.caller_of(member, world.now) is None
+    world.trust.keep_only(frozenset(), world.now)
+    assert world.trust._chains == {}
+
+
+def test_two_keys_of_one_name_are_two_callers(world: World) -> None:
+    world.present(world.site.grant(world.node, {"/t": Right.PUBLISH}))
+    older = world.site.enroll("/node")
+    assert not world.trust.caller(older, world.now).may(Right.PUBLISH, "/t")
+    node = world.trust.caller_of(world.node, world.now)
+    assert node is not None
+    assert node.may(Right.PUBLISH, "/t")
+
+
+def test_lists_are_persisted_first_and_only_newer_ones_taken(world: World) -> None:
+    old, new = world.site.revoke(), world.site.revoke(world.master)
+    assert world.trust.update(new, world.now)
+    assert world.persisted[-1] == new
+    assert not world.trust.update(new, world.now)
+    for bad in (old, Site().revoke(), b"garbage"):
+        with pytest.raises(RevocationRefused):
+            world.trust.update(bad, world.now)
+    assert world.persisted[-1] == new
+
+
+def test_a_list_that_cannot_be_persisted_is_not_used(world: World) -> None:
+    def full(_: bytes) -> None:
+        raise OSError("disk full")
+
+    world.trust._persist = full
+    with pytest.raises(OSError, match="disk full"):
+        world.trust.update(world.site.revoke(world.node), world.now)
+    assert world.trust.caller(world.node, world.now).name == "/node"
+
+
+def test_the_timestamp_is_the_masters_and_of_now(world: World) -> None:
+    data, stamp = world.trust.current(world.now + 7)
+    signer = world.master.credentials.signer
+    assert isinstance(signer, KeySigner)
+    opened = open_timestamp(stamp, signer.public_key)
+    assert (opened.issued, opened.digest) == (world.now + 7, digest(data))
+    assert world.trust.current(world.now + 7)[1] == stamp
+    assert world.trust.current(world.now + 8)[1] != stamp
+
+
+def test_an_expired_list_ends_every_right_but_no_connection(world: World) -> None:
+    world.trust.update(world.site.revoke(lifetime=60), world.now)
+    world.present(world.site.grant(world.node, {"/t": Right.PUBLISH}))
+    assert world.may(Right.PUBLISH, "/t", later=59)
+    assert not world.may(Right.PUBLISH, "/t", later=60)
+
+
+def test_forgetting(world: World) -> None:
+    world.present(world.site.grant(world.node, {"/t": Right.PUBLISH}))
+    world.trust.keep_only(frozenset({world.node.thumbprint}), world.now)
+    assert world.may(Right.PUBLISH, "/t")
+    world.trust.keep_only(frozenset(), world.now)
+    assert not world.may(Right.PUBLISH, "/t")
+
+
+def delegated(world: World) -> World:
+    assert world.trust.delegated(world.site.delegation(world.master))
+    return world
+
+
+def renew(world: World, *tokens: bytes) -> tuple[tuple[bytes, ...], tuple[str, ...]]:
+    return world.trust.renew(world.trust.caller(world.node, world.now), tokens, world.now)
+
+
+def test_a_renewed_grant_counts_at_once_and_when_it_is_presented(world: World) -> None:
+    data = world.site.grant(world.node, {"/t": Right.PUBLISH}, lifetime=60, cap=DAY)
+    world.present(data)
+    (token,), refused = renew(delegated(world), data)
+    assert refused == ()
+    assert world.may(Right.PUBLISH, "/t", later=61)
+    assert world.present(data, token) == (1, ())
+    assert world.may(Right.PUBLISH, "/t", later=61)
+    world.trust.keep_only(frozenset(), world.now)
+    assert not world.may(Right.PUBLISH, "/t", later=61)
+    assert world.present(token) == (1, ())
+    assert world.may(Right.PUBLISH, "/t", later=61)
+    world.trust.update(world.site.revoke(data), world.now)
+    assert not world.may(Right.PUBLISH, "/t")
+    assert renew(world, token)[0] == (b"",)
+
+
+@pytest.mark.parametrize("which", ["delegation", "delegate"])
+def test_what_was_renewed_ends_with_what_renewed_it(world: World, which: str) -> None:
+    data = world.site.grant(world.node, {"/t": Right.PUBLISH}, lifetime=60, cap=DAY)
+    delegation = world.site.delegation(world.master)
+    assert world.trust.delegated(delegation)
+    renew(world, data)
+    assert world.may(Right.PUBLISH, "/t")
+    opened = open_delegation(delegation, world.site.anchor.public_key)
+    revoked = opened.id if which == "delegation" else opened.holder
+    world.trust.update(world.site.revoke(revoked), world.now)
+    assert not world.may(Right.PUBLISH, "/t")
+
+
+def test_one_that_is_not_renewed_does_not_spoil_the_others(world: World) -> None:
+    good = world.site.grant(world.node, {"/t": Right.PUBLISH}, lifetime=60, cap=DAY)
+    tokens, refused = renew(delegated(world), b"garbage", good)
+    assert (tokens[0], len(refused)) == (b"", 1)
+    assert tokens[1] != b""
+    renew(world, *[b"garbage"] * MAX_FAILURES)
+    assert renew(world, good)[1] == ("too many grants of this node were refused",)
+
+
+def test_a_renewed_grant_is_not_kept_when_there_is_no_room(world: World) -> None:
+    tokens = [world.site.grant(world.node, {f"/t{n}": Right.CALL}) for n in range(MAX_HELD)]
+    world.present(*tokens)
+    (token,), _ = renew(
+        delegated(world), world.site.grant(world.node, {"/t": Right.PUBLISH}, lifetime=60, cap=DAY)
+    )
+    assert token
+    assert not world.may(Right.PUBLISH, "/t")
+
+
+def test_a_node_that_holds_the_list_is_not_sent_it(world: World) -> None:
+    data, stamp = world.trust.current(world.now)
+    assert world.trust.news_for(world.node, world.now) == (data, stamp)
+    world.trust.held_by(world.node, digest(data))
+    assert world.trust.news_for(world.node, world.now) == (b"", stamp)
+    assert world.trust.news_for(world.master, world.now) == (data, stamp)
+    other = NodeRef("/anonymous", "http://h:1/", world.node.thumbprint)
+    assert world.trust.news_for(other, world.now) == (data, stamp)
+    newer = world.site.revoke(world.master)
+    world.trust.update(newer, world.now)
+    assert world.trust.news_for(world.node, world.now)[0] == newer
+    world.trust.held_by(world.node, digest(newer))
+    world.trust.keep_only(frozenset(), world.now)
+    assert world.trust.news_for(world.node, world.now)[0] == newer
+
+
+def test_a_caller_is_what_its_certificate_says(world: World) -> None:
+    assert not world.trust.caller(world.node, world.now).wildcard
+    rviz = world.site.enroll("/rviz", wildcard=True)
+    assert world.trust.caller(rviz, world.now).acting_as("/rviz_1").thumbprint == rviz.thumbprint
+    registered = world.trust.caller_of(rviz, world.now)
+    assert registered is not None
+    assert not registered.wildcard  # a name in the registry is that name alone
+
+
+def test_what_is_remembered_of_nodes_is_bounded(
+    world: World, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "MAX_NAMES", 2)
+    for n in range(5):
+        world.trust.held_by(NodeRef(f"/n{n}", "http://h:1/", world.node.thumbprint), bytes(32))
+        assert len(world.trust._lists) <= 2
+
+
+def test_what_of_the_list_concerns_a_node(world: World) -> None:
+    other, third = world.site.enroll("/other"), world.site.enroll("/third")
+    own, near, far, unseen = (
+        world.site.grant(who, {name: Right.SUBSCRIBE})
+        for who, name in (
+            (world.node, "/own"), (other, "/t"), (third, "/far"), (other, "/unseen"),
+        )
+    )  # fmt: skip
+    delegated(world)
+    id_ = world.trust._delegate.id
+    assert id_ is not None
+    for who, token in ((world.node, own), (other, near), (third, far)):
+        world.trust.present(world.trust.caller(who, world.now), [token], world.now)
+    world.trust.update(world.site.revoke(own, near, far, unseen, other, id_), world.now)
+    world.trust.keep_only(frozenset(), world.now)
+    caller = world.trust.caller(world.node, world.now)
+    mine = {grant_id(own), id_}
+    assert pertaining(world, caller) == mine
+    assert pertaining(world, caller, "/t") == mine | {grant_id(near), other.thumbprint}
+    assert len(world.trust.revoked()) == 6
+    world.trust.update(world.site.revoke(far), world.now)
+    assert pertaining(world, caller, "/t", "/far") == {grant_id(far)}
+
+
+def pertaining(world: World, caller: Caller, *names: str) -> frozenset[bytes]:
+    work = world.trust.pertaining(caller, names)
+    while True:
+        try:
+            next(work)
+        except StopIteration as end:
+            found: frozenset[bytes] = end.value
+            return found
+
+
+def tree_of(world: World, *entries: bytes) -> tuple[bytes, bytes]:
+    listing = Listing([*entries, *(n.to_bytes(16) for n in range(9))])
+    tree = RevocationTree(1, 90, world.now, world.now + DAY, *listing.size_and_root)
+    return sign_tree(world.site.signer, tree), listing.encoded()
+
+
+def test_nothing_is_made_of_entries_before_their_tree_is_the_authoritys(world: World) -> None:
+    """Whoever is enrolled could have the master hash a megabyte again and again."""
+    tree, _ = tree_of(world)
+    with pytest.raises(RevocationRefused, match="signature"):
+        world.trust.update_tree(tree[:-1] + bytes([tree[-1] ^ 1]), b"no listing", world.now)
+    with pytest.raises(RevocationRefused, match="not a listing"):
+        world.trust.update_tree(tree, b"no listing", world.now)
+
+
+def test_a_tree_takes_the_place_of_the_list(world: World) -> None:
+    data = world.site.grant(world.node, {"/t": Right.PUBLISH})
+    world.present(data)
+    tree, entries = tree_of(world, grant_id(data))
+    with pytest.raises(RevocationRefused, match="comes with its entries"):
+        world.trust.update(tree, world.now)
+    with pytest.raises(RevocationRefused, match="not those of the signed tree"):
+        world.trust.update_tree(tree, tree_of(world, bytes(32))[1], world.now)
+    assert world.may(Right.PUBLISH, "/t")
+    assert world.trust.proofs([bytes(16)]) == []
+    assert world.trust.update_tree(tree, entries, world.now)
+    assert not world.trust.update_tree(tree, entries, world.now)
+    assert world.persisted[-1] == tree
+    assert not world.may(Right.PUBLISH, "/t")
+    assert world.trust.current(world.now)[0] == tree
+    signed = open_tree(tree, world.site.anchor.public_key)
+    asked = [grant_id(data), b"x" * 16]
+    shown = zip(asked, world.trust.proofs(asked), strict=True)
+    assert [is_revoked(signed, entry, proof) for entry, proof in shown] == [True, False]
+
+
+def test_the_entries_of_a_tree_are_on_the_disk_before_it(world: World) -> None:
+    """A master that dies between the two finds entries for no tree: a tree alone knows nothing."""
+    order: list[bytes] = []
+    world.trust = Trust(
+        world.site.anchor, world.master.credentials.signer, world.site.revocations(),
+        order.append, persist_entries=order.append,
+    )  # fmt: skip
+    tree, entries = tree_of(world)
+    forged = sign_tree(KeySigner(generate()), open_tree(tree, world.site.anchor.public_key))
+    with pytest.raises(RevocationRefused):
+        world.trust.update_tree(forged, entries, world.now)
+    assert order == []
+    assert world.trust.update_tree(tree, entries, world.now)
+    assert order == [entries, tree]

@@ -1,0 +1,97 @@
+"""Calls that take many turns, over real connections: every look at the clock ends one here."""
+
+import asyncio
+from collections.abc import AsyncIterator
+from contextlib import AsyncExitStack
+from itertools import count
+from typing import Any
+
+import pytest
+
+from grants.document import grant_id
+from rossec.master.api.turns import Turns
+from rossec.master.rights.access_rules import LOOKS_AT_ONCE
+from tests.rossec.master.world import SlaveNode, T, World, ends
+
+TOPICS = 20 * LOOKS_AT_ONCE
+
+
+@pytest.fixture
+async def slow() -> AsyncIterator[World]:
+    """A master each of whose turns is one step."""
+    async with AsyncExitStack() as exit_stack:
+        world, ticks = World(exit_stack), count()
+        await world.start(Turns(lambda: next(ticks)))
+        yield world
+
+
+async def crowd(world: World) -> None:
+    """So many topics that no query is done in one turn."""
+    for number in range(TOPICS // 1000 + 1):
+        node = await world.node(f"/n{number}")
+        calls = [
+            {"methodName": "registerPublisher", "params": [f"/n{number}", topic, T, node.uri]}
+            for topic in (f"/t{number}/x{i}" for i in range(min(1000, TOPICS - 1000 * number)))
+        ]
+        await node.client.call("system.multicall", calls)
+
+
+async def while_asked(world: World, asker: SlaveNode, method: str, *params: object) -> Any:
+    """The answer, with how many calls of another were answered before it came."""
+    other = await world.node("/other")
+    asked, answered = asyncio.ensure_future(asker.ask(method, *params)), 0
+    while not asked.done():
+        await other.ask("getPid")
+        answered += 1
+    return answered, await asked
+
+
+async def test_others_are_answered_while_a_query_is(slow: World) -> None:
+    await crowd(slow)
+    asker = await slow.node("/asker")
+    answered, topics = await while_asked(slow, asker, "getPublishedTopics", "")
+    assert len(topics) == TOPICS
+    assert answered >= 5
+    whole = await asker.ask("rossec.watchGraph", "", 0)
+    assert whole["more"]
+
+
+async def test_a_watcher_waits_for_news_in_turns(
+    slow: World, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rossec.master.server.answers.WATCH_WAIT", 0.05)
+    asker = await slow.node("/asker")
+    for number in range(2 * LOOKS_AT_ONCE):
+        await asker.ask("registerPublisher", f"/t{number}", T, asker.uri)
+    whole = await asker.ask("rossec.watchGraph", "", 0)
+    quiet = await asker.ask("rossec.watchGraph", whole["instance"], whole["cursor"])
+    assert (quiet["added"], quiet["removed"], quiet["whole"]) == ([], [], False)
+
+
+PUBLISHED = {"methodName": "getPublishedTopics", "params": ["/asker", ""]}
+LONG = [("getPublishedTopics", "/asker", ""), ("system.multicall", [PUBLISHED])]
+
+
+@pytest.mark.parametrize("question", LONG, ids=["alone", "in a multicall"])
+async def test_a_query_begins_again_when_rights_end_meanwhile(slow: World, question: Any) -> None:
+    """What is answered was judged by the list that is in force."""
+    await crowd(slow)
+    asker, other = await slow.node("/asker"), await slow.node("/other")
+    asked = asyncio.ensure_future(asker.client.call(*question))
+    await other.ask("getPid")
+    await other.ask("rossec.updateRevocations", slow.site.revoke(grant_id(asker.grant)))
+    assert not asked.done()
+    answer: Any = await asked
+    assert (answer[0][0] if len(question) == 2 else answer) == [1, "current topics", []]
+
+
+@pytest.mark.parametrize("question", LONG, ids=["alone", "in a multicall"])
+async def test_who_is_revoked_during_a_query_is_not_answered(slow: World, question: Any) -> None:
+    await crowd(slow)
+    asker, other = await slow.node("/asker"), await slow.node("/other")
+    asked = asyncio.ensure_future(asker.client.call(*question))
+    await other.ask("getPid")
+    await other.ask("rossec.updateRevocations", slow.site.revoke(asker.member.thumbprint))
+    await ends(asked)
+    await ends(asker.ask("getPid"))
+    await other.ask("getPid")

@@ -1,0 +1,89 @@
+"""Whoever answers at a slave API must be the node that registered it."""
+
+import asyncio
+import socket
+
+import pytest
+
+from rossec.errors import AnswerRefused
+from rossec.master.state.registry import NodeRef
+from tests.rossec.master.world import EVERYTHING, SlaveNode, T, World, until
+
+
+async def test_whoever_answers_must_be_the_registered_node(world: World) -> None:
+    """Attack M8: the master never tells a node's news to somebody else."""
+    liar, victim = await world.node("/liar"), await world.node("/victim")
+    await liar.ask("registerSubscriber", "/t", T, victim.uri)
+    await victim.ask("registerPublisher", "/t", T, "http://127.0.0.1:9/")
+    other = await world.node("/other")
+    await other.ask("registerSubscriber", "/t", T, other.uri)
+    await other.ask("registerPublisher", "/t", T, other.uri)
+    await until(lambda: other.heard("publisherUpdate") != [])
+    assert victim.told == []
+
+
+async def test_who_registers_the_address_of_another_is_removed(
+    world: World, caplog: pytest.LogCaptureFixture
+) -> None:
+    squatter, victim = await world.node("/squatter"), await world.node("/victim")
+    viewer = await world.node("/viewer")
+    await viewer.ask("registerSubscriber", "/t", T, viewer.uri)
+    await squatter.ask("registerPublisher", "/t", T, victim.uri)
+    await squatter.ask("registerSubscriber", "/t", T, victim.uri)
+    await viewer.ask("registerPublisher", "/t", T, viewer.uri)  # of which the squatter is told
+    await until(lambda: viewer.heard("publisherUpdate")[-1:] == [("/t", [viewer.uri])])
+    assert f"/squatter is removed: /victim answers at {victim.uri}" in caplog.text
+    assert world.server._updates.nodes == (
+        NodeRef("/viewer", viewer.uri, viewer.member.thumbprint),
+    )
+    assert await victim.ask("registerPublisher", "/t", T, victim.uri) == [viewer.uri]
+    assert victim.told == []
+
+
+async def test_who_comes_to_the_port_of_one_that_is_gone_is_let_in(
+    world: World, caplog: pytest.LogCaptureFixture
+) -> None:
+    """The address is another's by the registry; whoever answers there, by its key, has it."""
+    gone, heir = await world.node("/gone"), await world.node("/heir")
+    await gone.ask("registerPublisher", "/t", T, heir.uri)
+    assert await heir.ask("registerSubscriber", "/t", T, heir.uri) == []
+    assert f"/gone is removed: /heir answers at {heir.uri}" in caplog.text
+    assert "/heir may not" not in caplog.text
+    eve = await world.node("/eve")
+    with pytest.raises(AnswerRefused, match="registered by another node"):
+        await eve.ask("registerSubscriber", "/t", T, heir.uri)
+    assert caplog.text.count("/eve may not registerSubscriber") == 1
+    assert await eve.ask("lookupNode", "/heir") == heir.uri
+
+
+async def test_nobody_is_doubted_twice_at_a_time(
+    world: World, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rossec.master.server.dialer.CALL_DEADLINE", 0.5)
+    loop = asyncio.get_running_loop()
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        silent.setblocking(False)
+        uri = f"http://127.0.0.1:{silent.getsockname()[1]}/"
+        slow, eve, bob = [await world.node(name) for name in ("/slow", "/eve", "/bob")]
+        await slow.ask("registerPublisher", "/t", T, uri)
+        asked = asyncio.ensure_future(eve.ask("registerPublisher", "/t", T, uri))
+        connected, _ = await loop.sock_accept(silent)
+        with connected:
+            with pytest.raises(AnswerRefused, match="registered by another node"):
+                await bob.ask("registerPublisher", "/t", T, uri)
+            assert not asked.done()
+            with pytest.raises(AnswerRefused, match="registered by another node"):
+                await asked
+        assert world.server._dialler.doubted == set()
+        assert await bob.ask("lookupNode", "/slow") == uri
+
+
+async def test_news_for_one_key_never_goes_to_another_of_the_same_name(world: World) -> None:
+    node, other = await world.node("/node"), await world.node("/other")
+    newer = SlaveNode(world, world.site.enroll("/node"))
+    await newer.start(EVERYTHING)
+    await node.ask("registerSubscriber", "/t", T, newer.uri)
+    await other.ask("registerSubscriber", "/t", T, other.uri)
+    await other.ask("registerPublisher", "/t", T, other.uri)
+    await until(lambda: other.heard("publisherUpdate") != [])
+    assert newer.told == []

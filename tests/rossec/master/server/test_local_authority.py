@@ -1,0 +1,79 @@
+"""A list nobody carried: taken when it is there, and whatever is wrong ends nothing."""
+
+import pytest
+
+from ca.errors import RevocationRefused
+from rossec.errors import ConfigurationError
+from rossec.master.server.local_authority import Nearby, nothing
+from tests.rossec.master.fakes import FakeStatements
+
+
+class Found:
+    def __init__(self) -> None:
+        self.there: tuple[bytes, bytes] | Exception | None = None
+        self.statements = FakeStatements()
+        self.changes = 0
+        self.nearby = Nearby(self.find, self.statements, self.changed)
+
+    def find(self) -> tuple[bytes, bytes] | None:
+        if isinstance(self.there, Exception):
+            raise self.there
+        return self.there
+
+    def changed(self) -> None:
+        self.changes += 1
+
+
+def test_what_is_newer_is_taken() -> None:
+    found = Found()
+    for there, changes in (
+        (None, 0), ((b"list 1", b""), 1), ((b"list 1", b""), 1), ((b"list 2", b""), 2),
+    ):  # fmt: skip
+        found.there = there
+        found.nearby.look(7)
+        assert found.changes == changes
+    assert found.statements.lists == [b"list 1", b"list 2"]
+
+
+def test_without_an_authority_nothing_is_ever_taken() -> None:
+    found = Found()
+    Nearby(nothing, found.statements, found.changed).look(7)
+    assert (found.changes, found.statements.lists) == (0, [])
+
+
+def test_a_tree_is_taken_with_its_entries(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(
+        "rossec.master.server.local_authority.is_tree", lambda data: data == b"tree"
+    )
+    found = Found()
+    found.there = b"tree", b" and entries"
+    found.nearby.look(7)
+    assert found.statements.lists == [b"tree and entries"]
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [(b"forged", b""), RevocationRefused("no"), ConfigurationError("none signed", "x"), OSError()],
+)
+def test_what_is_wrong_is_said(
+    wrong: tuple[bytes, bytes] | Exception, caplog: pytest.LogCaptureFixture
+) -> None:
+    found = Found()
+    found.there = wrong
+    found.nearby.look(7)
+    assert (found.changes, found.statements.lists) == (0, [])
+    assert "the list of the authority on this host is not taken" in caplog.text
+
+
+def test_each_reason_is_said_once(caplog: pytest.LogCaptureFixture) -> None:
+    found = Found()
+    for there in (ConfigurationError("one", ""), ConfigurationError("another", "")):
+        found.there = there
+        for _ in range(3):
+            found.nearby.look(7)
+    assert caplog.text.count("is not taken") == 2
+    found.there = None
+    found.nearby.look(7)
+    found.there = ConfigurationError("another", "")
+    found.nearby.look(7)
+    assert caplog.text.count("is not taken: another") == 2

@@ -1,0 +1,43 @@
+"""A list is in force although the disk is full, and is written when there is room."""
+
+from pathlib import Path
+
+import pytest
+
+from ca.revocation.state import open_list
+from rossec.master.server.saved_list import ListFile
+from rossec.participant.slave_api import MASTER
+from tests.rossec.test_files import no_room
+from tests.support.site import Site
+
+
+def test_what_cannot_be_written_is_written_when_there_is_room(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    site = Site(tmp_path / "site")
+    home = site.enroll(MASTER)
+    kept, first, second = ListFile(home), site.revoke(b"1" * 32), site.revoke(b"2" * 32)
+    with no_room():
+        kept.save_entries(b"entries")
+        kept.save(first)
+        kept.save(second)
+        kept.retry()
+    assert home.load_revocations() is home.load_entries() is None
+    assert len(caplog.messages) == 1
+    assert "the revocation list is in force, but not kept: revocations.ent" in caplog.text
+    assert "make room" in caplog.text
+    kept.retry()
+    assert home.load_revocations() == second
+    assert home.load_entries() == b"entries"
+    assert caplog.messages[1:] == ["the revocation list is kept now"]
+    kept.retry()
+    assert len(caplog.messages) == 2
+
+
+def test_with_room_it_is_there_at_once(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    site = Site(tmp_path / "site")
+    home, data = site.enroll(MASTER), site.revoke(b"1" * 32)
+    ListFile(home).save(data)
+    assert home.load_revocations() == data
+    assert open_list(data, site.anchor.public_key).entries == {b"1" * 32}
+    assert caplog.text == ""

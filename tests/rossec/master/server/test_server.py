@@ -1,0 +1,111 @@
+"""Connections and calls of the running master, over real secure connections on loopback."""
+
+import asyncio
+from typing import Any
+
+import pytest
+
+from rossec.errors import AnswerRefused
+from rossec.master.operation.limits import Limits
+from rossec.master.server.server import PEER_CONNECTIONS
+from rossec.net.aio import SecureStream
+from rossec.net.rpc.client import serve_calls
+from tests.rossec.master.world import EVERYTHING, T, World, ends, until
+
+
+async def test_a_node_cannot_act_as_another(world: World) -> None:
+    eve = await world.node("/eve")
+    with pytest.raises(AnswerRefused, match="belongs to /eve"):
+        await eve.client.ask("registerPublisher", "/victim", "/t", T, eve.uri)
+
+
+async def test_an_identity_has_so_many_connections(world: World) -> None:
+    member = world.site.enroll("/many")
+    clients = [await world.call_as(member) for _ in range(PEER_CONNECTIONS)]
+    for client in clients:
+        assert await client.ask("getUri", "/many") == world.server.uri
+    await ends((await world.call_as(member)).ask("getUri", "/many"))
+    other = await world.node("/other")
+    assert await other.ask("getUri") == world.server.uri
+
+
+async def test_a_watcher_waits_until_there_is_news(
+    world: World, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    watcher, camera = await world.node("/watcher"), await world.node("/camera")
+    whole = await watcher.ask("rossec.watchGraph", "", 0)
+    assert whole["whole"]
+    question = whole["instance"], whole["cursor"]
+    waiting = asyncio.ensure_future(watcher.ask("rossec.watchGraph", *question))
+    await camera.ask("registerPublisher", "/image", T, camera.uri)
+    news = await waiting
+    assert ["publisher", "/image", "/camera"] in news["added"]
+    assert (news["whole"], news["instance"]) == (False, whole["instance"])
+    assert news["version"] > whole["version"]
+    monkeypatch.setattr("rossec.master.server.answers.WATCH_WAIT", 0.05)
+    quiet = await watcher.ask("rossec.watchGraph", news["instance"], news["cursor"])
+    assert (quiet["added"], quiet["removed"], quiet["cursor"]) == ([], [], news["cursor"])
+
+
+async def test_m8_a_node_elsewhere_does_not_live_on_the_masters_host(
+    world: World, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    near, far = await world.node("/near"), world.site.enroll("/far")
+    monkeypatch.setattr(SecureStream, "address", "192.0.2.7")
+    client = await world.call_as(far)
+    await client.ask("rossec.presentGrants", "/far", [world.site.grant(far, EVERYTHING)])
+    with pytest.raises(AnswerRefused, match="on the master's host, and the caller is not"):
+        await client.ask("registerPublisher", "/far", "/t", T, "http://127.0.0.1:9/")
+    assert await client.ask("registerPublisher", "/far", "/t", T, "http://192.0.2.7:9/") == []
+    monkeypatch.setattr(SecureStream, "local_address", "192.0.2.7")  # by another of its addresses
+    same = await world.call_as(far)
+    assert await same.ask("registerPublisher", "/far", "/t", T, "http://localhost:9/") == []
+    assert await near.ask("registerPublisher", "/t", T, near.uri) == []
+
+
+async def test_a_long_multicall_keeps_nobody_waiting(world: World) -> None:
+    """What a node may do is looked at anew, too, whenever others had their turn."""
+    eve, other = await world.node("/eve"), await world.node("/other")
+    calls = [
+        {"methodName": "setParam", "params": ["/eve", f"/p{number}", 1]} for number in range(3000)
+    ]
+    asked = asyncio.ensure_future(eve.client.call("system.multicall", calls))
+    await until(lambda: int(world.server.status()["calls"]) > 2)
+    assert isinstance(await other.ask("getPid"), int)
+    assert not asked.done()
+    await other.ask("rossec.updateRevocations", world.site.revoke(eve.grant))
+    answers: Any = await asked
+    codes = [answer[0][0] for answer in answers]
+    made = codes.count(1)
+    assert 0 < made < 3000
+    assert codes == [1] * made + [-1] * (3000 - made)
+    short: Any = await eve.client.call("system.multicall", calls[:2])
+    assert [answer[0][0] for answer in short] == [-1, -1]
+
+
+async def test_a_revoked_identity_does_not_end_its_multicall(world: World) -> None:
+    eve, other = await world.node("/eve"), await world.node("/other")
+    calls = [
+        {"methodName": "setParam", "params": ["/eve", f"/p{number}", 1]} for number in range(3000)
+    ]
+    asked = asyncio.ensure_future(eve.client.call("system.multicall", calls))
+    await until(lambda: int(world.server.status()["calls"]) > 2)
+    await other.ask("rossec.updateRevocations", world.site.revoke(eve.member))
+    await ends(asked)
+    assert not await other.ask("hasParam", "/p2999")
+
+
+async def test_the_limits_of_a_call_are_those_of_the_configuration(
+    world: World, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given: list[dict[str, Any]] = []
+
+    async def note(*args: Any, **limits: Any) -> None:
+        given.append(limits)
+        await serve_calls(*args, **limits)
+
+    monkeypatch.setattr("rossec.master.server.server.serve_calls", note)
+    world.server._limits = Limits(body=5000, request_seconds=7, idle_seconds=8)
+    client = await world.call_as(world.site.enroll("/node"))
+    assert isinstance(await client.ask("getPid", "/node"), int)
+    assert given == [{"limit": 5000, "request_deadline": 7, "idle_deadline": 8}]

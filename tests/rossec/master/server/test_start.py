@@ -1,0 +1,94 @@
+"""Making a master from its home: what survives a restart, what is bound and what is told."""
+
+import socket
+from pathlib import Path
+
+import pytest
+
+from ca.certificates import to_pem
+from ca.errors import CertificateExpired, RenewalRefused, RollbackRefused
+from grants.decision import Check
+from rossec.home import NodeHome
+from rossec.master.server.server import MasterServer
+from rossec.master.server.start import master_of
+from tests.support.authority import Site
+
+
+def make(home: NodeHome, host: str | None, now: int, newest: bytes | None = None) -> MasterServer:
+    return master_of(home, host=host, port=11311, newest=newest, now=now)
+
+
+def home_of_master(root: Path, site: Site) -> NodeHome:
+    home = NodeHome.of(root, "/master")
+    home.create_request(site.domain)
+    leaf = site.authority.issue(home.request(), now=site.now, serial=1)
+    home.install(to_pem(leaf, site.anchor.certificate), site.now)
+    return home
+
+
+async def test_a_restarted_master_remembers_the_revocations(tmp_path: Path) -> None:
+    site = Site()
+    home = home_of_master(tmp_path, site)
+    eve, old = site.enroll("/eve"), site.revoke()
+    newest = site.revoke(eve)
+    for expected in (b"", newest):
+        server = make(home, "127.0.0.1", site.now)
+        assert server._standing.current(site.now)[0] == expected
+        server._standing.update(newest, site.now)
+        with pytest.raises(RollbackRefused):
+            server._standing.update(old, site.now)
+    assert home.load_revocations() == newest
+
+
+@pytest.mark.parametrize(
+    ("host", "listens", "told"),
+    [
+        (None, None, socket.gethostname()),
+        ("localhost", "localhost", "localhost"),
+        ("::1", "::1", "[::1]"),
+        ("10.9.9.9", None, "10.9.9.9"),
+        ("robot", None, "robot"),
+    ],
+)
+async def test_what_is_told_is_not_always_what_is_bound(
+    tmp_path: Path, host: str | None, listens: str | None, told: str
+) -> None:
+    site = Site()
+    server = make(home_of_master(tmp_path, site), host, site.now)
+    assert server.uri == f"http://{told}:11311/"
+    assert server._listen == (listens, 11311)
+
+
+async def test_a_newer_list_beside_it_is_taken_and_saved(tmp_path: Path) -> None:
+    site = Site()
+    home = home_of_master(tmp_path, site)
+    old, newest = site.revoke(), site.revoke()
+    home.save_revocations(old)
+    server = make(home, None, site.now, newest)
+    assert server._standing.current(site.now)[0] == newest
+    assert home.load_revocations() == newest
+
+
+async def test_it_renews_itself_with_the_intermediate_it_renews_others_with(tmp_path: Path) -> None:
+    site = Site()
+    home = home_of_master(tmp_path, site)
+    asked: list[tuple[bytes, int]] = []
+
+    def renewer(request: bytes, now: int, check: Check) -> bytes:
+        asked.append((request, now))
+        check(home.identity(site.now).thumbprint, site.now)
+        raise RenewalRefused("seen")
+
+    server = master_of(home, host=None, port=0, newest=site.revoke(), now=site.now, renewer=renewer)
+    server._upkeep._looks[0](site.now)
+    assert asked == []
+    server._upkeep._looks[0](site.now + 29 * 86400)
+    [(_, now)] = asked
+    assert now == site.now + 29 * 86400
+
+
+async def test_an_expired_identity_is_no_masters(tmp_path: Path) -> None:
+    site = Site()
+    home = home_of_master(tmp_path, site)
+    with pytest.raises(CertificateExpired):
+        make(home, None, site.now + 40 * 86400)

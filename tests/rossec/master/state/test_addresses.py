@@ -1,0 +1,50 @@
+"""Where a node can be, in how many spellings, and what is the master's own host."""
+
+import pytest
+
+from rossec.master.state.addresses import endpoint, is_here, is_place
+
+
+@pytest.mark.parametrize(
+    "host", ["robot", "robot.local", "x_y-1.example.org.", "10.0.0.7", "fe80::1", "a.b1", "1a"]
+)
+def test_places(host: str) -> None:
+    assert is_place(host)
+    assert not is_here(host)
+
+
+@pytest.mark.parametrize(
+    "host",
+    [
+        "", "0.0.0.0", "::", "::ffff:0.0.0.0", "224.0.0.1", "ff02::1", "255.255.255.255",
+        "127.1", "2130706433", "0x7f000001", "0X7F.1", "017700000001", "127.0.0.01", "127.0.0.1.",
+        "1.2.3.4.5", "256.1.1.1", "a.b.1", "0x", ":1",
+    ],
+)  # fmt: skip
+def test_what_is_no_place_of_one_host_or_oddly_spelt(host: str) -> None:
+    assert not is_place(host)
+
+
+@pytest.mark.parametrize(
+    "host",
+    [
+        "127.0.0.1", "127.9.9.9", "::1", "::ffff:127.0.0.1", "localhost", "a.localhost",
+        "localhost.localdomain", "ip6-localhost", "localhost.",
+    ],
+)  # fmt: skip
+def test_the_masters_own_host(host: str) -> None:
+    assert is_here(host)
+
+
+@pytest.mark.parametrize(
+    ("one", "other"),
+    [
+        ("http://Robot:80/", "http://robot:080"),
+        ("http://[::1]:80/", "http://[0:0::1]:80/x"),
+        ("http://[::ffff:10.0.0.7]:80/", "http://10.0.0.7:80/"),
+        ("http://robot.local.:80/", "http://robot.local:80/"),
+    ],
+)
+def test_equal_places_are_equal(one: str, other: str) -> None:
+    assert endpoint(one) == endpoint(other)
+    assert endpoint(one) != endpoint(one.replace("80", "81"))

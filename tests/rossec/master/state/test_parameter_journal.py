@@ -1,0 +1,71 @@
+"""Parameter changes on paper: back the same, and never more than was written whole."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rossec.errors import XmlRpcRefused
+from rossec.master.state.parameter_journal import MAGIC, Change, decode, encode, replay, snapshot
+from rossec.master.state.parameters import Parameters
+from rossec.ros import xmlrpc
+
+CHANGES = [
+    Change("/a", 1),
+    Change("/b/c", {"d": [True, 2.5, "caf\u00e9"], "e": b"\0"}),
+    Change("/a", deleted=True),
+    Change("/", {"x": 1}),
+]
+WHOLE = MAGIC + b"".join(map(encode, CHANGES))
+
+
+def test_what_was_written_is_read() -> None:
+    assert decode(WHOLE) == (CHANGES, len(WHOLE))
+    assert decode(MAGIC) == ([], len(MAGIC))
+
+
+@given(st.integers(0, len(WHOLE) - 1))
+def test_half_a_record_ends_the_journal(size: int) -> None:
+    changes, good = decode(WHOLE[:size])
+    assert changes == CHANGES[: len(changes)]
+    assert good <= size
+    assert decode(WHOLE[:good]) == (changes, good)
+
+
+@given(st.integers(0, len(WHOLE) - 1), st.integers(1, 255))
+def test_a_damaged_record_ends_the_journal(at: int, flip: int) -> None:
+    damaged = bytearray(WHOLE)
+    damaged[at] ^= flip
+    changes, _ = decode(bytes(damaged))
+    assert changes == CHANGES[: len(changes)]
+    assert len(changes) < len(CHANGES)
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        b"no xml",
+        xmlrpc.dump_call("shutdown", ("/a",)),
+        xmlrpc.dump_call("setParam", ("/a",)),
+        xmlrpc.dump_call("setParam", (1, 2)),
+        xmlrpc.dump_call("deleteParam", ("/a", 2)),
+    ],
+)
+def test_anything_else_ends_the_journal(call: bytes) -> None:
+    import zlib
+
+    record = len(call).to_bytes(4) + zlib.crc32(call).to_bytes(4) + call
+    assert decode(MAGIC + record + encode(CHANGES[0])) == ([], len(MAGIC))
+
+
+def test_replay_and_snapshot_lead_to_the_same() -> None:
+    parameters, again = Parameters(), Parameters()
+    replay(parameters, [*CHANGES[:2], Change("/none", deleted=True), Change("/", 5)])
+    assert parameters.get("/") == {"a": 1, "b": {"c": CHANGES[1].value}}
+    replay(again, decode(snapshot(parameters))[0])
+    assert again.get("/") == parameters.get("/")
+    assert snapshot(Parameters()) == MAGIC
+
+
+def test_what_no_client_can_set_cannot_be_written() -> None:
+    with pytest.raises(XmlRpcRefused):
+        encode(Change("/a", None))

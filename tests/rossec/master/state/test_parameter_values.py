@@ -1,0 +1,84 @@
+"""What can be the value of a parameter, and how much room a value takes."""
+
+from datetime import datetime
+from decimal import Decimal
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rossec.master.state.parameter_values import DEPTH_LIMIT, check, exceeds, weight
+from rossec.ros import xmlrpc
+from rossec.ros.xmlwrite import Written
+
+_WHEN = datetime(2020, 1, 2, 3, 4, 5)  # noqa: DTZ001 - XML-RPC's times have no zone
+_GOOD = st.recursive(
+    st.booleans()
+    | st.integers(-(2**31), 2**31 - 1)
+    | st.floats()
+    | st.text("a<&\u20ac ")
+    | st.binary(max_size=9)
+    | st.just(_WHEN),
+    lambda below: st.lists(below, max_size=3) | st.dictionaries(st.text("ab", min_size=1), below),
+    max_leaves=9,
+)
+
+
+@given(_GOOD, st.integers(0, 300))
+def test_what_weighs_too_much_is_found_without_weighing_all(value: Any, limit: int) -> None:
+    assert exceeds(value, limit) == (weight(value) > limit)
+    assert exceeds({"much": "x" * limit, "never looked at": object()}, limit)
+
+
+@given(_GOOD)
+def test_what_is_taken_can_be_handed_out(value: Any) -> None:
+    check(value)
+    size = len(xmlrpc.dump_response(value)) - len(xmlrpc.dump_response([])) + weight([])
+    assert size < 2 * weight(value) + 100
+    assert weight(value) < 2 * size + 100
+
+
+@pytest.mark.parametrize(
+    ("value", "said"),
+    [
+        (2**31, "the number 2147483648"),
+        (-(2**31) - 1, "the number -2147483649"),
+        pytest.param(10**5000, "so long a number", id="str() refuses it"),
+        (None, "no value"),
+        (Decimal("1.5"), "a Decimal"),
+    ],
+)
+def test_what_no_answer_can_carry_is_refused_wherever_it_is(value: object, said: str) -> None:
+    for spoilt in (value, [1, value], {"a": {"b": [value]}}):
+        with pytest.raises(ValueError, match=f"XML-RPC cannot carry {said}"):
+            check(spoilt)
+
+
+@pytest.mark.parametrize("name", ["a/b", "", "~a"])
+def test_names_in_a_tree_are_one_segment(name: str) -> None:
+    with pytest.raises(ValueError, match="cannot be the name"):
+        check({"a": {name: 1}})
+
+
+def test_the_depth_is_bounded() -> None:
+    value: object = 1
+    for _ in range(DEPTH_LIMIT):
+        value = [value]
+    check(value)
+    with pytest.raises(ValueError, match=f"deeper than {DEPTH_LIMIT}"):
+        check([value])
+    with pytest.raises(ValueError, match="deeper"):
+        check(1, -1)
+
+
+def test_what_is_written_already_weighs_its_text() -> None:
+    state = Written([["/t", ["/node"]]])
+    assert weight([1, "", state]) - weight([1, ""]) == len(state.text)
+    assert weight((1, 2)) == weight([1, 2])
+
+
+def test_a_number_is_no_name() -> None:
+    """XML-RPC's structs can have one in the place of a member's name."""
+    with pytest.raises(ValueError, match="1 cannot be the name of a parameter"):
+        check({1: 2})

@@ -1,0 +1,48 @@
+"""Messages from a stream on a loop."""
+
+import asyncio
+
+import pytest
+
+from rossec import clock
+from rossec.errors import LimitExceeded
+from rossec.net.aio import arrivals
+from rossec.net.aio.arrivals import arrived
+from rossec.ros.framing import Framing
+from rossec.ros.header import FrameReader, frame
+
+
+class Script:
+    """Gives what it was told to, then nothing more."""
+
+    def __init__(self, *units: bytes) -> None:
+        self._units = list(units)
+
+    async def receive(self) -> bytes:
+        if not self._units:
+            await asyncio.Event().wait()
+        return self._units.pop(0)
+
+
+async def test_what_arrives_is_cut() -> None:
+    source, framing = Script(frame(b"a") + b"\1", frame(b"b")[1:]), Framing(FrameReader())
+    assert await arrived(source, framing) == [b"a"]
+    assert await arrived(source, framing) == [b"b"]
+
+
+async def test_who_is_silent_between_messages_may_be(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(arrivals, "PATIENCE", 0.0)
+    monkeypatch.setattr(clock, "now", lambda: pytest.fail("asked although nothing is begun"))
+    with pytest.raises(TimeoutError):
+        async with asyncio.timeout(0.05):
+            await arrived(Script(), Framing(FrameReader()))
+
+
+async def test_who_is_silent_within_one_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    ticks = iter(range(0, 10_000, 5))
+    monkeypatch.setattr(arrivals, "PATIENCE", 0.001)
+    monkeypatch.setattr(clock, "now", lambda: next(ticks))
+    source, framing = Script(frame(bytes(9))[:6]), Framing(FrameReader())
+    assert await arrived(source, framing) == []
+    with pytest.raises(LimitExceeded):
+        await arrived(source, framing)

@@ -1,0 +1,50 @@
+"""A connection that comes to nothing gives its socket back."""
+
+import asyncio
+import socket
+
+import pytest
+
+from rossec.errors import PeerUnreachable
+from rossec.net.aio import client as module
+from rossec.net.aio import connect
+from tests.support.wire import ALICE, trust
+
+
+@pytest.fixture
+def dialled(monkeypatch: pytest.MonkeyPatch) -> socket.socket:
+    """What `connect` gets from the dial: a socket whose peer is gone already."""
+    sock = socket.socket()
+
+    async def dial(host: str, port: int, within: float) -> socket.socket:
+        return sock
+
+    monkeypatch.setattr(module, "dial", dial)
+    return sock
+
+
+async def test_a_connection_that_is_reset_at_once(dialled: socket.socket) -> None:
+    with pytest.raises(PeerUnreachable, match="reset at once") as caught:
+        await connect("127.0.0.1", 1, ALICE, trust)
+    assert caught.value.hint
+    assert dialled.fileno() == -1
+
+
+async def test_a_handshake_that_cannot_begin(dialled: socket.socket) -> None:
+    with pytest.raises(IndexError):
+        await connect("127.0.0.1", 1, ALICE, trust, suites=())
+    assert dialled.fileno() == -1
+
+
+async def test_a_cancelled_handshake() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        port = listener.getsockname()[1]
+        calling = asyncio.get_running_loop().create_task(connect("127.0.0.1", port, ALICE, trust))
+        peer, _ = await asyncio.to_thread(listener.accept)
+        calling.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await calling
+        peer.settimeout(10)
+        with peer:
+            while peer.recv(4096):
+                pass  # until the end, which is there without a garbage collection

@@ -1,0 +1,60 @@
+"""A peer that begins a unit is asked whether it gets on, as long as it is read."""
+
+import asyncio
+import itertools
+
+import pytest
+
+from rossec.errors import LimitExceeded
+from rossec.net.aio import driver as driver_module
+from rossec.net.aio import serve
+from rossec.net.aio.driver import Driver
+from rossec.net.aio.server import SecureServer
+from rossec.progress import LEAST, STEP, WINDOW
+from tests.rossec.net.test_aio import Stream, call, echo, live
+from tests.support.wire import BOB, FakeIdentity
+
+WHOLE = bytes(4 * LEAST)
+
+
+async def begin(stream: Stream, server: SecureServer[FakeIdentity]) -> Driver[FakeIdentity]:
+    """Send the first record of a unit; the driver at the other end, which has it."""
+    await stream.send(b"x")
+    assert await stream.receive() == b"x"
+    (driver,) = server._drivers
+    for record in itertools.islice(stream._driver.connection.seal_unit(WHOLE), 1):
+        stream._driver.write(record)
+    async with asyncio.timeout(30):
+        while not driver.connection.has_unfinished_unit:  # noqa: ASYNC110 - nobody tells
+            await asyncio.sleep(0.001)
+    return driver
+
+
+async def test_a_peer_that_stands_still_in_a_unit_is_given_up(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    async with serve(echo, "127.0.0.1", 0, BOB, live) as server:
+        stream = await call(server)
+        driver = await begin(stream, server)
+        assert driver._timer is not None
+        assert driver._timer.when() <= driver._loop.time() + STEP
+        clock = itertools.count(driver_module.wall_clock(), STEP)
+        monkeypatch.setattr(driver_module, "wall_clock", lambda: next(clock))
+        for _ in range(2 * WINDOW // STEP):
+            if driver.error is None:
+                driver._tick()
+        assert isinstance(driver.error, LimitExceeded)
+        stream.abort("done")
+
+
+async def test_a_peer_that_is_not_read_is_not_blamed(monkeypatch: pytest.MonkeyPatch) -> None:
+    async with serve(echo, "127.0.0.1", 0, BOB, live) as server:
+        stream = await call(server)
+        driver = await begin(stream, server)
+        driver.transport.pause_reading()
+        clock = itertools.count(driver_module.wall_clock(), STEP)
+        monkeypatch.setattr(driver_module, "wall_clock", lambda: next(clock))
+        for _ in range(10 * WINDOW // STEP):
+            driver._tick()
+        assert driver.error is None
+        stream.abort("done")

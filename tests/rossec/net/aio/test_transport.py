@@ -1,0 +1,123 @@
+"""The socket by itself, between two ends of a socket pair."""
+
+import asyncio
+import socket
+
+from rossec.net.aio.transport import Transport
+
+
+class Recorder:
+    def __init__(self) -> None:
+        self.buffer = bytearray(1 << 20)
+        self.got = bytearray()
+        self.events: list[str] = []
+        self.changed = asyncio.Event()
+
+    def _note(self, event: str) -> None:
+        self.events.append(event)
+        self.changed.set()
+
+    def get_buffer(self) -> memoryview:
+        return memoryview(self.buffer)
+
+    def received(self, count: int) -> None:
+        self.got += self.buffer[:count]
+
+    def eof(self) -> None:
+        self._note("eof")
+
+    def drained(self) -> None:
+        self._note("drained")
+
+    def lost(self) -> None:
+        self._note("lost")
+
+
+def pair() -> tuple[Transport, Recorder, socket.socket]:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        other = socket.create_connection(server.getsockname())
+        mine, _ = server.accept()
+    recorder = Recorder()
+    transport = Transport(mine, recorder)
+    transport.resume_reading()
+    return transport, recorder, other
+
+
+async def until(recorder: Recorder, event: str) -> None:
+    async with asyncio.timeout(30):
+        while event not in recorder.events:
+            recorder.changed.clear()
+            await recorder.changed.wait()
+
+
+async def swallow(other: socket.socket, count: int) -> bytes:
+    loop, got = asyncio.get_running_loop(), bytearray()
+    other.setblocking(False)
+    while len(got) < count:
+        got += await loop.sock_recv(other, 1 << 20)
+    return bytes(got)
+
+
+async def test_what_the_kernel_does_not_take_is_sent_later() -> None:
+    transport, recorder, other = pair()
+    data = bytes(range(256)) * 40_000
+    transport.write(data)
+    transport.write(b"tail")
+    backlog = transport.backlog
+    assert backlog > 64 * 1024
+    transport.write_eof()
+    assert await swallow(other, len(data) + 4) == data + b"tail"
+    await until(recorder, "drained")
+    assert transport.writable
+    assert await asyncio.get_running_loop().sock_recv(other, 1) == b""
+    other.close()
+    await until(recorder, "lost")
+    assert recorder.events == ["drained", "eof", "lost"]
+
+
+async def test_the_peers_end_waits_for_what_is_still_to_be_sent() -> None:
+    transport, recorder, other = pair()
+    transport.write(bytes(10_000_000))
+    other.shutdown(socket.SHUT_WR)
+    await until(recorder, "eof")
+    transport.resume_reading()  # there is nothing more to read
+    assert not transport.closed
+    await swallow(other, 10_000_000)
+    await until(recorder, "lost")
+    other.close()
+
+
+async def test_a_reset_while_writing() -> None:
+    transport, recorder, other = pair()
+    transport.write(bytes(10_000_000))
+    other.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\x01\0\0\0\0\0\0\0")
+    other.close()
+    await until(recorder, "lost")
+    transport.write(b"nobody reads this")
+    transport.write_eof()
+    transport.resume_reading()
+    transport.abort()
+    assert recorder.events == ["lost"]
+    assert transport.backlog == 0
+
+
+async def test_a_write_to_a_peer_that_left() -> None:
+    transport, recorder, other = pair()
+    transport.pause_reading()
+    other.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\x01\0\0\0\0\0\0\0")
+    other.close()
+    transport.write(b"x")
+    transport.write(b"x")
+    transport.write_eof()
+    await until(recorder, "lost")
+
+
+async def test_nothing_to_read_after_all() -> None:
+    transport, recorder, other = pair()
+    transport._readable()
+    other.sendall(b"x")
+    await asyncio.sleep(0.01)
+    assert recorder.got == b"x"
+    transport.abort()
+    other.close()
+    await until(recorder, "lost")

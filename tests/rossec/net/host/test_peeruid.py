@@ -1,0 +1,179 @@
+"""Who is at the other end of a connection within this host."""
+
+import os
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Final
+
+import pytest
+
+from rossec.errors import PeerUserRefused
+from rossec.net.host import peeruid, sockdiag
+from rossec.net.host.peeruid import owner_in, require_user, user_of
+
+HEAD: Final = "  sl  local_address rem_address   st ..."
+V4: Final = "0100007F:1F90 0100007F:A0B0"
+V6: Final = "00000000000000000000000001000000:1F90 00000000000000000000000001000000:A0B0"
+MAPPED: Final = "0000000000000000FFFF00000100007F:1F90 0000000000000000FFFF00000100007F:A0B0"
+NEAR: Final = ("127.0.0.1", 0x1F90)
+FAR: Final = ("127.0.0.1", 0xA0B0)
+
+
+def row(pair: str = V4, state: str = "01", uid: int = 1000, inode: int = 77) -> str:
+    rest = "00000000:00000000 00:00000000 00000000"
+    return f"   0: {pair} {state} {rest} {uid:>5}        0 {inode} 1 0000000000000000 20 4 30 10 -1"
+
+
+def table(*rows: str) -> str:
+    return "\n".join((HEAD, *rows)) + "\n"
+
+
+little_endian = pytest.mark.skipif(sys.byteorder != "little", reason="rows of such a machine")
+
+
+@little_endian
+@pytest.mark.parametrize(
+    ("pair", "near", "far"),
+    [
+        (V4, NEAR, FAR),
+        (MAPPED, NEAR, FAR),
+        (V4, ("::ffff:127.0.0.1", 0x1F90), ("::ffff:127.0.0.1", 0xA0B0)),
+        (V6, ("::1", 0x1F90), ("::1", 0xA0B0)),
+    ],
+)
+def test_the_row_is_found(pair: str, near: tuple[str, int], far: tuple[str, int]) -> None:
+    other = row(V4.replace("1F90", "1F91"), uid=5)
+    assert owner_in([table(other), table(row(pair))], near, far) == 1000
+    assert owner_in([table(row(pair))], far, near) is None
+
+
+@little_endian
+@pytest.mark.parametrize(
+    "rows",
+    [
+        [],
+        [row(state="06", uid=0, inode=0)],  # TIME_WAIT
+        [row(uid=0, inode=0)],  # closed by its program, or not accepted yet
+        [row(state="0A")],
+        [row(state="05")],
+        [row(), row(MAPPED, uid=1001)],  # two answers are none
+        ["", "garbage", row()[:60]],
+    ],
+)
+def test_anything_else_is_nobody(rows: list[str]) -> None:
+    assert owner_in([table(*rows)], NEAR, FAR) is None
+
+
+@contextmanager
+def pair(family: int, address: str, client: int | None = None) -> Iterator[list[socket.socket]]:
+    with ExitStack() as stack:
+        dual = family == socket.AF_INET6 and address == "::"
+        server = socket.create_server((address, 0), family=family, dualstack_ipv6=dual)
+        stack.enter_context(server)
+        far = stack.enter_context(socket.socket(client or family))
+        far.connect(("127.0.0.1" if dual else address, server.getsockname()[1]))
+        near, _ = server.accept()
+        stack.enter_context(near)
+        yield [near, far]
+
+
+@pytest.mark.parametrize(
+    ("family", "address", "client"),
+    [
+        (socket.AF_INET, "127.0.0.1", None),
+        (socket.AF_INET6, "::1", None),
+        (socket.AF_INET6, "::", socket.AF_INET),
+    ],
+)
+def test_the_kernel_knows_this_user(family: int, address: str, client: int | None) -> None:
+    with pair(family, address, client) as (near, far):
+        assert user_of(near) == user_of(far) == os.getuid()
+        assert require_user(near, {os.getuid()}) == os.getuid()
+        with pytest.raises(PeerUserRefused, match="may not use this connection"):
+            require_user(near, {os.getuid() + 1})
+        far.close()
+        with pytest.raises(PeerUserRefused, match="belongs to no program"):
+            user_of(near)
+
+
+def test_a_unix_socket_tells_its_user() -> None:
+    near, far = socket.socketpair()
+    with near, far:
+        assert require_user(near, {os.getuid()}) == os.getuid()
+        with pytest.raises(PeerUserRefused):
+            require_user(near, ())
+
+
+def test_the_overflow_user_is_nobody(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    overflow = tmp_path / "overflowuid"
+    overflow.write_text(f"{os.getuid()}\n")
+    monkeypatch.setattr(peeruid, "_OVERFLOW", overflow)
+    near, far = socket.socketpair()
+    with near, far, pytest.raises(PeerUserRefused):
+        require_user(near, {os.getuid()})
+
+
+@pytest.mark.skipif(os.getuid() != 0, reason="only root can become somebody else")
+def test_another_user_is_told_apart() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        where = server.getsockname()[:2]
+        code = f"import socket; socket.create_connection({where}).recv(1)"
+        child = subprocess.Popen([sys.executable, "-I", "-c", code], user=1234)
+        try:
+            near, _ = server.accept()
+            with near:
+                assert user_of(near) == 1234
+                with pytest.raises(PeerUserRefused, match="user 1234"):
+                    require_user(near, {0})
+        finally:
+            child.wait(30)
+
+
+def test_a_kernel_that_cannot_be_asked_still_has_its_tables(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def unavailable(*_: object) -> None:
+        raise OSError("no such protocol")
+
+    monkeypatch.setattr(sockdiag, "find", unavailable)
+    monkeypatch.setattr(sockdiag, "listener", unavailable)
+    with pair(socket.AF_INET, "127.0.0.1") as (near, far):
+        inode = os.fstat(far.fileno()).st_ino
+        assert peeruid.holder_of(near) == (os.getuid(), inode)
+        place = near.getsockname()[:2]
+        with socket.create_server(("127.0.0.2", place[1])):  # another place
+            (holder,) = peeruid.listeners(place)
+        assert holder.user == os.getuid()
+        far.close()
+        with pytest.raises(PeerUserRefused):
+            peeruid.holder_of(near)
+
+
+def test_a_socket_that_nobody_holds_is_nobodys(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The kernel shows user 0 for it, who is somebody else."""
+    entry = sockdiag.Entry(1, (b"", 0), (b"", 0), 0, 0)
+    monkeypatch.setattr(sockdiag, "find", lambda *_: entry)
+    monkeypatch.setattr(sockdiag, "listener", lambda _: entry)
+    with pair(socket.AF_INET, "127.0.0.1") as (near, _), pytest.raises(PeerUserRefused):
+        peeruid.holder_of(near)
+    assert peeruid.listeners(("127.0.0.1", 1)) == []
+
+
+@pytest.mark.parametrize("asked", [True, False])
+def test_who_listens_at_a_place_of_ipv6(monkeypatch: pytest.MonkeyPatch, asked: bool) -> None:
+    """The kernel's answer, and what its tables say: a listener of IPv4 alone is beside the way."""
+    if not asked:
+
+        def unavailable(*_: object) -> None:
+            raise OSError("no such protocol")
+
+        monkeypatch.setattr(sockdiag, "listener", unavailable)
+    with socket.create_server(("::1", 0), family=socket.AF_INET6) as server:
+        port = server.getsockname()[1]
+        with socket.create_server(("127.0.0.1", port)):
+            (holder,) = peeruid.listeners(("::1", port))
+        assert holder == (os.getuid(), os.fstat(server.fileno()).st_ino)

@@ -1,0 +1,77 @@
+"""One line for each cause and peer in a minute."""
+
+import logging
+import threading
+
+import pytest
+
+from rossec.errors import FrameRefused, MessageError
+from rossec.net import withheld_log
+
+LOG = logging.getLogger("rossec.node")
+
+
+@pytest.fixture
+def now(monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    """The time of records, which the test sets."""
+    time = [1000.0]
+    make = LOG.makeRecord
+
+    def made(*arguments: object) -> logging.LogRecord:
+        record = make(*arguments)  # type: ignore[arg-type]  # as they were given
+        record.created = time[0]
+        return record
+
+    monkeypatch.setattr(LOG, "makeRecord", made)
+    return time
+
+
+def warn(cause: object, peer: str = "/eve", where: str = "/order") -> None:
+    withheld_log.warn(LOG, withheld_log.RECEIVED, where, peer, cause)
+
+
+def test_a_cause_is_said_once_in_a_minute(
+    now: list[float], caplog: pytest.LogCaptureFixture
+) -> None:
+    for number in range(1000):
+        warn(MessageError(f"a text of its choice: {number}"))
+    assert caplog.messages == ["/order: withheld a message of /eve: a text of its choice: 0"]
+    now[0] += 60
+    warn(MessageError("again"))
+    warn(MessageError("and again"))
+    assert caplog.messages[1:] == [
+        "/order: withheld a message of /eve: again (999 more like this since it was said last)"
+    ]
+    assert {record.name for record in caplog.records} == {"rossec.node"}
+
+
+def test_other_causes_peers_and_places_are_said(
+    now: list[float], caplog: pytest.LogCaptureFixture
+) -> None:
+    for _ in range(3):
+        warn(MessageError("one"))
+        warn(FrameRefused("two"))
+        warn(MessageError("three"), peer="/viewer")
+        warn(MessageError("four"), where="/map")
+        warn("five")
+    assert [text.rpartition(": ")[2] for text in caplog.messages] == [
+        "one", "two", "three", "four", "five",
+    ]  # fmt: skip
+
+
+def test_threads(now: list[float], caplog: pytest.LogCaptureFixture) -> None:
+    threads = [threading.Thread(target=warn, args=("one",)) for _ in range(8)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len(caplog.messages) == 1
+
+
+def test_nothing_is_counted_where_nothing_is_said(
+    now: list[float], caplog: pytest.LogCaptureFixture
+) -> None:
+    with caplog.at_level(logging.ERROR, "rossec.node"):
+        warn("one")
+    warn("one")
+    assert len(caplog.messages) == 1

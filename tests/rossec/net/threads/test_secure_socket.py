@@ -1,0 +1,521 @@
+"""The blocking driver: threads, timeouts, polls."""
+
+import contextlib
+import dataclasses
+import itertools
+import secrets
+import select
+import socket
+import struct
+import threading
+import time
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from rossec.channel.connection import Connection
+from rossec.channel.records import Limits
+from rossec.errors import (
+    ChannelClosed,
+    ChannelError,
+    ConnectionTruncated,
+    HandshakeTimeout,
+    IdentityExpired,
+    IdentityRefused,
+    PeerRefused,
+)
+from rossec.net.halfopen import HalfOpen
+from rossec.net.threads import carrier
+from rossec.net.threads.secure_socket import SecureSocket
+from tests.support.listener import SecureListener
+from tests.support.wire import ALICE, BOB, NOW, STRANGER, FakeIdentity, bob, trust
+
+Secure = SecureSocket[FakeIdentity]
+
+
+def live(chain: tuple[bytes, ...], now: int) -> FakeIdentity:
+    found = trust(chain, now)
+    return FakeIdentity(found.name, found.public_key, found.certificate, 1 << 40)
+
+
+def make_listener(**options: object) -> SecureListener[FakeIdentity]:
+    sock = socket.create_server(("127.0.0.1", 0))
+    return SecureListener(sock, BOB, live, **options)  # type: ignore[arg-type]  # passed on
+
+
+@pytest.fixture
+def listener() -> Iterator[SecureListener[FakeIdentity]]:
+    with make_listener() as made:
+        yield made
+
+
+def background(work: Callable[[], object]) -> threading.Thread:
+    thread = threading.Thread(target=work, daemon=True)
+    thread.start()
+    return thread
+
+
+def pair(listener: SecureListener[FakeIdentity], **options: object) -> tuple[Secure, Secure]:
+    accepted: list[Secure] = []
+
+    def accept() -> None:
+        sock, _ = listener.accept()
+        sock.do_handshake()
+        accepted.append(sock)
+
+    thread = background(accept)
+    left = Secure.connect(listener.getsockname(), ALICE, live, 5, **options)
+    thread.join(30)
+    return left, accepted[0]
+
+
+def read(sock: Secure, size: int) -> bytes:
+    got = bytearray()
+    while len(got) < size:
+        chunk = sock.recv(1 << 20)
+        assert chunk
+        got += chunk
+    return bytes(got)
+
+
+def readable(sock: Secure) -> bool:
+    poll = select.poll()
+    poll.register(sock, select.POLLIN)
+    return len(poll.poll(50)) > 0
+
+
+def test_bytes_there_and_back(listener: SecureListener[FakeIdentity]) -> None:
+    left, right = pair(listener)
+    with left, right:
+        assert left.peer is not None
+        assert right.peer is not None
+        assert (left.peer.name, right.peer.name) == ("/bob", "/alice")
+        assert left.send(b"hello") == 5
+        assert right.recv(3) == b"hel"
+        buffer = bytearray(10)
+        assert right.recv_into(buffer) == 2
+        assert buffer[:2] == b"lo"
+        right.sendall(b"world")
+        assert left.recv_into(buffer, 4) == 4
+        assert left.recv(10) == b"d"
+        assert left.getpeername() == right.getsockname()
+
+
+def test_large_both_ways_at_once(listener: SecureListener[FakeIdentity]) -> None:
+    left, right = pair(listener)
+    size = 20_000_000
+    with left, right:
+        threads = [background(lambda s=s: s.sendall(bytes(size))) for s in (left, right)]  # type: ignore[misc]  # a loop variable
+        other = background(lambda: read(left, size))
+        assert read(right, size) == bytes(size)
+        for thread in (*threads, other):
+            thread.join(30)
+            assert not thread.is_alive()
+
+
+def test_decrypted_bytes_are_never_hidden_from_a_poll(
+    listener: SecureListener[FakeIdentity],
+) -> None:
+    left, right = pair(listener)
+    with left, right:
+        assert not readable(right)
+        left.sendall(b"ab")
+        assert readable(right)
+        assert right.recv(1) == b"a"
+        assert readable(right)
+        assert right.recv(1) == b"b"
+        assert not readable(right)
+        left.close()
+        assert readable(right)
+        assert right.recv(1) == b""
+    assert right.fileno() == -1
+
+
+def test_timeouts(listener: SecureListener[FakeIdentity]) -> None:
+    left, right = pair(listener)
+    with left, right:
+        left.settimeout(0.01)
+        assert left.gettimeout() == 0.01
+        with pytest.raises(TimeoutError):
+            left.recv(1)
+        left.setblocking(False)
+        with pytest.raises(BlockingIOError):
+            left.recv(1)
+        left.setblocking(True)
+        right.sendall(b"x")
+        assert left.recv(1) == b"x"
+        right.settimeout(0.05)
+        with pytest.raises(TimeoutError):
+            right.sendall(bytes(50_000_000))
+        with pytest.raises(ChannelClosed, match="half-way"):
+            right.sendall(b"x")
+
+
+def test_options_go_to_the_socket(listener: SecureListener[FakeIdentity]) -> None:
+    listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    left, right = pair(listener)
+    with left, right:
+        left.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+        assert left.getsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE) == 1
+        assert left.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY) != 0
+
+
+def test_closing_in_order_and_not(listener: SecureListener[FakeIdentity]) -> None:
+    left, right = pair(listener)
+    with right:
+        left.shutdown(socket.SHUT_RD)
+        left.shutdown(socket.SHUT_WR)
+        assert right.recv(1) == b""
+        assert left.recv(1) == b""
+        with pytest.raises(ChannelClosed):
+            left.sendall(b"x")
+        left.close()
+        left.close()
+    left, right = pair(listener)
+    with left, right:
+        left._socket.close()
+        with pytest.raises(ConnectionTruncated):
+            right.recv(1)
+        with pytest.raises(ChannelError):
+            right.recv(1)
+
+
+def test_shutdown_wakes_a_reader(listener: SecureListener[FakeIdentity]) -> None:
+    left, right = pair(listener)
+    with left, right:
+        got: list[bytes] = []
+        thread = background(lambda: got.append(right.recv(1)))
+        thread.join(0.05)
+        right.shutdown()
+        thread.join(30)
+        assert got == [b""]
+
+
+def test_sending_first_makes_the_handshake(listener: SecureListener[FakeIdentity]) -> None:
+    def serve() -> None:
+        sock, _ = listener.accept()
+        with sock:
+            sock.sendall(b"first")
+            sock.recv(1)
+
+    thread = background(serve)
+    with Secure.connect(listener.getsockname(), ALICE, live, 5) as left:
+        assert left.recv(5) == b"first"
+    thread.join(30)
+
+
+def test_a_stranger_is_refused(listener: SecureListener[FakeIdentity]) -> None:
+    errors: list[BaseException] = []
+
+    def serve() -> None:
+        sock, _ = listener.accept()
+        with sock:
+            try:
+                sock.do_handshake()
+            except ChannelError as error:
+                errors.append(error)
+
+    thread = background(serve)
+    left = Secure.connect(listener.getsockname(), STRANGER, live, 5)
+    with left, pytest.raises(PeerRefused):
+        left.recv(1)
+    thread.join(30)
+    assert isinstance(errors[0], IdentityRefused)
+
+
+def test_a_false_responder(listener: SecureListener[FakeIdentity]) -> None:
+    def nobody(chain: tuple[bytes, ...], now: int) -> FakeIdentity:
+        return trust((STRANGER.chain[0],), now)
+
+    def serve() -> None:
+        sock, _ = listener.accept()
+        with sock, pytest.raises(PeerRefused):
+            sock.do_handshake()
+
+    thread = background(serve)
+    with pytest.raises(IdentityRefused):
+        Secure.connect(listener.getsockname(), ALICE, nobody, 5)
+    thread.join(30)
+
+
+def test_the_handshake_deadline() -> None:
+    listener = make_listener(limits=Limits(handshake_seconds=1))
+    with listener, socket.create_connection(listener.getsockname()):
+        sock, _ = listener.accept()
+        with sock, pytest.raises(HandshakeTimeout):
+            sock.recv(1)
+
+
+@pytest.mark.parametrize("use", ["sendall", "send_now", "recv"])
+def test_a_connection_nobody_used_for_longer_than_the_handshake_may_take(
+    listener: SecureListener[FakeIdentity], monkeypatch: pytest.MonkeyPatch, use: str
+) -> None:
+    """Its confirmation, message_4, has waited in the kernel: nobody had read meanwhile."""
+    left, right = pair(listener)
+    with left, right:
+        if use == "recv":
+            right.sendall(b"x")
+        select.select([left._socket], [], [])
+        monkeypatch.setattr(carrier, "_now", lambda: int(time.time()) + 60)
+        if use == "recv":
+            assert left.recv(1) == b"x"
+        elif use == "send_now":
+            assert left.send_now(b"x")
+            assert right.recv(1) == b"x"
+        else:
+            left.sendall(b"x")
+            assert right.recv(1) == b"x"
+
+
+def test_a_responder_that_never_confirms(monkeypatch: pytest.MonkeyPatch) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        core = bob()
+
+        def half_way() -> None:
+            sock, _ = server.accept()
+            with sock:
+                core.receive_data(sock.recv(65536), NOW)
+                sock.sendall(core.data_to_send())
+                done.wait()
+
+        done = threading.Event()
+        thread = background(half_way)
+        left = Secure.connect(server.getsockname(), ALICE, live, 5)
+        monkeypatch.setattr(carrier, "_now", lambda: int(time.time()) + 60)
+        with left, pytest.raises(HandshakeTimeout):
+            left.sendall(b"x")
+        done.set()
+        thread.join(30)
+
+
+def test_half_open_caps() -> None:
+    listener = make_listener(half_open=HalfOpen(per_address=1))
+    with listener, socket.create_connection(listener.getsockname()):
+        held, _ = listener.accept()
+        with socket.create_connection(listener.getsockname()) as refused:
+            listener.settimeout(0.05)
+            with pytest.raises(TimeoutError):
+                listener.accept()
+            assert refused.recv(1) == b""
+        held.close()
+        listener.settimeout(5)
+        left, right = pair(listener)
+        left.close()
+        right.close()
+
+
+def test_a_certificate_that_runs_out_cuts_a_waiting_reader() -> None:
+    def short(chain: tuple[bytes, ...], now: int) -> FakeIdentity:
+        found = trust(chain, now)
+        return FakeIdentity(found.name, found.public_key, found.certificate, now + 1)
+
+    with make_listener() as listener:
+        listener._verify = short
+        left, right = pair(listener)
+        with left, right, pytest.raises(IdentityExpired):
+            right.recv(1)
+
+
+def test_renewals_under_way(listener: SecureListener[FakeIdentity]) -> None:
+    left, right = pair(listener, limits=Limits(records=3))
+    with left, right:
+        for count in range(40):
+            left.sendall(b"%02d" % count)
+            assert right.recv(2) == b"%02d" % count
+            right.sendall(b"ok")
+            assert left.recv(2) == b"ok"
+
+
+def test_the_listener_is_a_socket_to_its_user(listener: SecureListener[FakeIdentity]) -> None:
+    assert listener.fileno() >= 0
+
+    def wait() -> None:
+        with pytest.raises(OSError, match=r"\[Errno"):
+            listener.accept()
+
+    thread = background(wait)
+    thread.join(0.05)
+    listener.shutdown(socket.SHUT_RDWR)
+    thread.join(30)
+    assert not thread.is_alive()
+
+
+def test_units_are_handed_out_whole(listener: SecureListener[FakeIdentity]) -> None:
+    left, right = pair(listener)
+    with left, right:
+        left.sendall(b"one ", b"unit")
+        left.sendall(b"another")
+        assert right.receive_unit() == b"one unit"
+        assert right.recv(3) == b"ano"
+        rest = right.receive_unit()
+        assert bytes(rest) == b"ther"
+        left.close()
+        assert right.receive_unit() == b""
+
+
+def test_a_side_that_only_sends_follows_its_peer(listener: SecureListener[FakeIdentity]) -> None:
+    """Renewals are answered, units are dropped, a close is noticed."""
+    left, right = pair(listener, limits=Limits(records=2))
+    with left, right:
+        for number in range(20):
+            while left.awaits_peer:
+                left.pump()
+            left.sendall(b"%d" % number)
+            assert right.recv(10) == b"%d" % number
+        right.sendall(b"nobody asks for this")
+        right.close()
+        while True:
+            left.pump()
+            try:
+                left.sendall(b"x")
+            except ChannelClosed:
+                break
+
+
+def test_a_socket_may_be_given_back(listener: SecureListener[FakeIdentity]) -> None:
+    with socket.create_connection(listener.getsockname()) as plain:
+        accepted, _ = listener.accept()
+        plain.sendall(b"hello")
+        with accepted.detach() as sock:
+            assert sock.recv(10) == b"hello"
+        assert accepted.fileno() == -1
+        accepted.close()
+
+
+def test_a_reader_without_a_deadline_meets_the_cores(
+    listener: SecureListener[FakeIdentity], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The kernel waits a slice at a time; between two the clock is looked at."""
+    monkeypatch.setattr("rossec.net.threads.carrier._SLICE", struct.pack("ll", 0, 20_000))
+    left, right = pair(listener)
+    with left, right:
+        left.settimeout(None)
+        expired = threading.Event()
+
+        def wait() -> None:
+            with contextlib.suppress(ChannelError):
+                left.recv(1)
+            expired.set()
+
+        thread = background(wait)
+        left._core._peer = dataclasses.replace(live(BOB.chain, 0), not_after=0)
+        assert expired.wait(30)
+        thread.join(30)
+
+
+def test_what_is_sent_at_once_waits_for_nobody(listener: SecureListener[FakeIdentity]) -> None:
+    left, right = pair(listener)
+    with left, right:
+        assert left.send_now(b"0000")
+        with left._writing:
+            assert not left.send_now(b"busy")
+        assert not left.send_now(bytes(100_000)), "more than one record"
+        number = 0
+        while not left.unsent:
+            number += 1
+            assert left.send_now(b"%04d" % number * 1000)
+        assert not left.send_now(b"later")
+        sender = background(left.sendall)
+        got = read(right, 4 + number * 4000)
+        sender.join(30)
+        assert not vars(left._core)["_out"]
+        assert got == b"0000" + b"".join(b"%04d" % count * 1000 for count in range(1, number + 1))
+        left.sendall(b"after")
+        assert right.recv(10) == b"after"
+
+
+def test_nothing_is_sent_at_once_without_a_peer(listener: SecureListener[FakeIdentity]) -> None:
+    sock = socket.create_connection(listener.getsockname())
+    core = Connection[FakeIdentity].initiator(ALICE, live, random=secrets.token_bytes, now=0)
+    with SecureSocket(sock, core) as secure:
+        assert not secure.send_now(b"x")
+
+
+def test_sending_at_once_notices_the_end(listener: SecureListener[FakeIdentity]) -> None:
+    left, right = pair(listener)
+    with right, left:
+        left._socket.shutdown(socket.SHUT_RDWR)
+        with pytest.raises(ChannelClosed, match="closed"):
+            left.send_now(b"x")
+        with pytest.raises(ChannelClosed):
+            left.send_now(b"x")
+
+
+def test_what_is_aborted_delivers_nothing_more(listener: SecureListener[FakeIdentity]) -> None:
+    """Neither what was decrypted, nor what waits in the kernel."""
+    left, right = pair(listener)
+    with left, right:
+        left.sendall(b"one")
+        assert right.recv(1) == b"o"
+        left.sendall(b"two")
+        assert readable(right)
+        right.abort()
+        assert right.recv(10) == b""
+        assert right.receive_unit() == b""
+        with pytest.raises(ChannelClosed):
+            right.sendall(b"x")
+
+
+def test_an_abort_wakes_a_reader(listener: SecureListener[FakeIdentity]) -> None:
+    left, right = pair(listener)
+    with left, right:
+        got: list[bytes] = []
+        thread = background(lambda: got.append(right.recv(1)))
+        thread.join(0.05)
+        right.abort()
+        thread.join(5)
+        assert got == [b""]
+
+
+def test_a_flood_holds_up_nobody(
+    listener: SecureListener[FakeIdentity], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A peer that talks without end to a side that only sends is read a bounded amount."""
+    monkeypatch.setattr("rossec.net.threads.secure_socket._PUMPED", 3)
+    left, right = pair(listener)
+    with left, right:
+        taken = itertools.count()
+        monkeypatch.setattr(left, "_take_in", lambda *_: next(taken) >= 0)
+        left.pump()
+        assert next(taken) == 3
+
+
+def test_the_core_looks_at_the_clock_once_in_a_second(
+    listener: SecureListener[FakeIdentity], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    left, right = pair(listener)
+    with left, right:
+        looks: list[int] = []
+        monkeypatch.setattr(left._core, "tick", looks.append)
+        start = int(time.time()) + 10
+        for second in (start, start, start + 1, start + 1, start + 9):
+            monkeypatch.setattr("rossec.net.threads.carrier._now", lambda second=second: second)
+            left.sendall(b"map")
+        assert looks == [start, start + 1, start + 9]
+
+
+def test_an_idle_connection_is_tended(listener: SecureListener[FakeIdentity]) -> None:
+    """Nobody reads or writes: renewals are begun and followed nevertheless, and units stay."""
+    left, right = pair(listener, limits=Limits(seconds=1))
+    with left, right:
+        left.sendall(b"map")
+        assert right.recv(10) == b"map"
+        for side in (left, right, left, right):
+            side._core._session.renew_at = 0  # type: ignore[union-attr]
+            side._ticked = -1
+            side.tend()
+        assert left._core._session.receive_epoch == 1  # type: ignore[union-attr]
+        left.sendall(b"kept")
+        select.poll().poll(50)
+        right.tend()
+        right.tend()
+        assert right.recv(10) == b"kept"
+        with left._writing:
+            left.tend()
+        with left._reading:
+            left.tend()
+        right.close()
+        with contextlib.suppress(ChannelError):
+            for _ in range(3):
+                left.tend()
+        assert left.recv(1) == b""

@@ -1,0 +1,92 @@
+"""The client's side of a service, over real sockets: connections kept, checked and given up."""
+
+import asyncio
+from typing import Any
+
+import pytest
+
+from grants.model import Right
+from rossec.errors import ChannelError, MessageError, ServiceRefused, TopicRefused
+from rossec.net.aio import SecureStream
+from rossec.node import Node
+from tests.support.lamp import BOOL, LAMP, called, only, switch
+from tests.support.site import Site
+from tests.support.witness import until
+
+TRIGGER = "std_srvs/Trigger"
+
+
+async def test_a_kept_connection(lamp: Node, hall: Node) -> None:
+    service = await lamp.service(LAMP, BOOL, switch)
+    async with hall.client(LAMP, BOOL, persistent=True) as client:
+        assert await called(client, data=True) == "on is True"
+        (link,) = service.links
+        async with asyncio.TaskGroup() as group:  # calls take turns
+            for _ in range(5):
+                group.create_task(called(client, data=True))
+        assert service.links == {link}
+        link.stream.abort("the network broke")
+        await until(lambda: not client.links)
+        assert await called(client, data=False) == "on is False"  # over a new one
+    await until(lambda: not service.links)
+    with pytest.raises(ChannelError, match="closed"):
+        await client(data=True)
+    await client.close()
+
+
+async def test_types_must_agree(lamp: Node, hall: Node) -> None:
+    await lamp.service(LAMP, BOOL, switch)
+    with pytest.raises(TopicRefused, match="has the checksum"):
+        await hall.client(LAMP, TRIGGER)()
+    with pytest.raises(MessageError, match="unknown service type"):
+        hall.client(LAMP, "std_srvs/SetBoool")
+
+
+async def test_restrictions_of_the_provider_are_the_caller_s_to_apply(
+    site: Site, hall: Node
+) -> None:
+    heard: list[bool] = []
+
+    def listen(request: Any) -> dict[str, object]:
+        heard.append(request.data)
+        return switch(request)
+
+    site.grant("/lamp", Right.PROVIDE, LAMP, restriction=only("SetBoolRequest", "!msg.data"))
+    site.grant("/lamp", Right.PROVIDE, LAMP, restriction=only("SetBoolResponse", message="clear"))
+    async with site.node("/lamp") as lamp:
+        await lamp.service(LAMP, BOOL, listen)
+        client = hall.client(LAMP, BOOL)
+        with pytest.raises(ServiceRefused, match="does not allow this request"):
+            await client(data=True)
+        assert await called(client, data=False) == ""
+    assert heard == [False]
+
+
+async def test_a_probe_asks_for_the_header_alone(lamp: Node, hall: Node) -> None:
+    await lamp.service(LAMP, BOOL, switch)
+    fields, provider = await hall.services.probe(LAMP)
+    assert provider.name == "/lamp"
+    assert fields["type"] == b"std_srvs/SetBool"
+    assert (fields["request_type"], fields["response_type"]) == (
+        b"std_srvs/SetBoolRequest",
+        b"std_srvs/SetBoolResponse",
+    )
+
+
+async def test_messages_that_arrive_in_parts(
+    site: Site, lamp: Node, hall: Node, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Units are what somebody sent at once: a frame may need several of them."""
+    service = await lamp.service(LAMP, BOOL, switch)
+    client = hall.client(LAMP, BOOL, persistent=True)
+    send = SecureStream.send
+
+    async def crumble(stream: SecureStream[Any], *pieces: bytes) -> None:
+        data = b"".join(pieces)
+        for at in range(0, len(data), 3):
+            await send(stream, data[at : at + 3])
+            await asyncio.sleep(0)
+
+    monkeypatch.setattr(SecureStream, "send", crumble)
+    assert await called(client, data=True) == "on is True"
+    await service.close()

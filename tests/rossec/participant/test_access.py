@@ -1,0 +1,226 @@
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from ca.encoding import Value, encode
+from ca.errors import CAError, RevocationsStale, Revoked
+from ca.revocation.state import Revocations, Timestamp, digest, sign_timestamp
+from grants.errors import (
+    GrantExpired,
+    GrantForged,
+    GrantMalformed,
+    GrantMissing,
+    GrantNotHeld,
+    GrantRevoked,
+)
+from grants.model import Right
+from rossec.participant import access
+from rossec.participant.access import Access
+from tests.support.site import Site
+
+NOW = int(time.time())
+TOPIC = "/robot/pose"
+
+
+@pytest.fixture
+def site(tmp_path: Path) -> Site:
+    site = Site(tmp_path / "site", clock=lambda: NOW)
+    site.enroll("/viewer")
+    return site
+
+
+def revocations(site: Site, now: int = NOW) -> Revocations:
+    held = Revocations(site.anchor.public_key)
+    data = site.authority.store.newest_list()
+    assert data is not None
+    held.update(data, now)
+    assert held.held is not None
+    held.confirm(Timestamp(held.held.seq, digest(data), now, 30), now)
+    return held
+
+
+def judge(site: Site, presented: bytes | None, *, topic: str = TOPIC, now: int = NOW) -> None:
+    Access(site.anchor, revocations(site, now)).authorize(
+        site.identity("/viewer"), presented, Right.SUBSCRIBE, topic, now
+    )
+
+
+def field(*grants: Value) -> bytes:
+    return encode(list(grants))
+
+
+def test_a_peer_with_a_grant_may(site: Site) -> None:
+    judge(site, field(site.subscribe("/viewer", TOPIC)))
+
+
+def test_nothing_shown_is_nothing_allowed(site: Site) -> None:
+    with pytest.raises(GrantMissing, match="/viewer shows no grant to subscribe /robot/pose") as no:
+        judge(site, None)
+    assert "rossec grant sign /viewer --subscribe /robot/pose" in no.value.hint
+    with pytest.raises(GrantMissing):
+        judge(site, field())
+
+
+def test_another_topic_is_another_right(site: Site) -> None:
+    grant = site.subscribe("/viewer", TOPIC)
+    with pytest.raises(GrantMissing) as caught:
+        judge(site, field(grant), topic="/robot/camera")
+    assert TOPIC in caught.value.hint
+
+
+def test_a_right_to_publish_is_none_to_subscribe(site: Site) -> None:
+    with pytest.raises(GrantMissing, match="subscribe"):
+        judge(site, field(site.publish("/viewer", TOPIC)))
+
+
+def test_a_grant_of_another_key(site: Site) -> None:
+    with pytest.raises(GrantNotHeld):
+        judge(site, field(site.subscribe("/other", TOPIC)))
+
+
+def test_an_expired_grant_stays_expired_though_it_was_good_once(site: Site) -> None:
+    grant = site.subscribe("/viewer", TOPIC, lifetime=5)
+    judged = Access(site.anchor, revocations(site))
+    viewer = site.identity("/viewer")
+    judged.authorize(viewer, field(grant), Right.SUBSCRIBE, TOPIC, NOW + 1)
+    with pytest.raises(GrantExpired):
+        judged.authorize(viewer, field(grant), Right.SUBSCRIBE, TOPIC, NOW + 10)
+
+
+def test_a_grant_of_another_authority(site: Site, tmp_path: Path) -> None:
+    stranger = Site(tmp_path / "stranger", clock=lambda: NOW)
+    with pytest.raises(GrantForged):
+        judge(site, field(stranger.subscribe("/viewer", TOPIC)))
+
+
+def test_a_revoked_grant(site: Site) -> None:
+    grant = site.subscribe("/viewer", TOPIC)
+    site.revoke(grant)
+    with pytest.raises(GrantRevoked):
+        judge(site, field(grant))
+
+
+def test_a_revoked_key(site: Site) -> None:
+    grant = site.subscribe("/viewer", TOPIC)
+    site.revoke(site.identity("/viewer").thumbprint)
+    with pytest.raises(Revoked):
+        judge(site, field(grant))
+
+
+def test_unknown_revocations_refuse_everyone(site: Site) -> None:
+    grant = site.subscribe("/viewer", TOPIC)
+    judged = Access(site.anchor, revocations(site))
+    with pytest.raises(RevocationsStale):
+        judged.authorize(site.identity("/viewer"), field(grant), Right.SUBSCRIBE, TOPIC, NOW + 60)
+
+
+@pytest.mark.parametrize(
+    ("presented", "said"),
+    [
+        (b"", "unreadable list"),
+        (b"\xff", "unreadable list"),
+        (encode({1: b"x"}), "expected a list"),
+        (encode([b"x"] * 17), "expected a list of at most 16"),
+        (encode([b"x", "y"]), "holds something else"),
+        (encode([b"x" * (access.MAX_PRESENTED + 1)]), "unreadable list"),
+    ],
+)
+def test_what_is_no_list_of_grants(site: Site, presented: bytes, said: str) -> None:
+    with pytest.raises(GrantMalformed, match=said):
+        judge(site, presented)
+
+
+def test_only_what_is_asked_for_is_shown(site: Site) -> None:
+    pose, camera = site.subscribe("/viewer", TOPIC), site.subscribe("/viewer", "/robot/camera")
+    own = Access(site.anchor, revocations(site), [pose])
+    own.hold(camera)
+    assert set(own.current(NOW)) == {pose, camera}
+    assert own.present(Right.SUBSCRIBE, TOPIC, NOW) == field(pose)
+    assert own.present(Right.PUBLISH, TOPIC, NOW) == field()
+
+
+def test_the_memory_of_verified_grants_is_bounded(
+    site: Site, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(access, "_CACHE_SIZE", 2)
+    judged = Access(site.anchor, revocations(site))
+    viewer = site.identity("/viewer")
+    for _ in range(4):
+        grant = site.subscribe("/viewer", TOPIC)
+        judged.authorize(viewer, field(grant), Right.SUBSCRIBE, TOPIC, NOW)
+    assert len(judged._opened) == 2
+
+
+def test_a_refused_grant_does_not_spoil_a_good_one(site: Site) -> None:
+    good = site.subscribe("/viewer", TOPIC)
+    judge(site, field(b"garbage", good, good[:-1] + bytes([good[-1] ^ 1])))
+
+
+def test_the_refusal_of_a_grant_says_more_than_that_none_fits(site: Site) -> None:
+    expired = site.grant("/viewer", Right.SUBSCRIBE, TOPIC, begin=NOW - 100, lifetime=-10)
+    with pytest.raises(GrantExpired):
+        judge(site, field(site.subscribe("/viewer", "/robot/camera"), expired))
+
+
+def test_what_has_ended_is_not_shown_and_what_is_shown_is_bounded(site: Site) -> None:
+    ended = site.grant("/viewer", Right.SUBSCRIBE, TOPIC, begin=NOW - 100, lifetime=-10)
+    revoked = site.subscribe("/viewer", TOPIC, lifetime=10_000)
+    site.revoke(revoked)
+    later = [site.subscribe("/viewer", TOPIC, lifetime=100 + n) for n in range(20)]
+    own = Access(site.anchor, revocations(site), [ended, revoked, *later])
+    shown = own.present(Right.SUBSCRIBE, TOPIC, NOW)
+    assert shown == field(*reversed(later[-access.MAX_GRANTS :]))
+    judge(site, shown)
+    assert own.current(NOW) == later[::-1]
+
+
+async def test_a_master_without_a_list_is_said_with_what_makes_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    site = Site(tmp_path / "listless")
+    monkeypatch.setattr(site.authority.store, "newest_list", lambda: None)
+    async with site.running():
+        with pytest.raises(CAError, match="the master has no revocation list") as caught:
+            async with site.node("/viewer"):
+                pass
+    assert "rossec ca refresh" in caught.value.hint
+    assert "rossec ca publish" in caught.value.hint
+
+
+def test_a_list_without_its_confirmation_ends_all_reliance(site: Site) -> None:
+    """So the master speaks to an identity that is revoked: what it tells counts, and no more."""
+    held, saved = revocations(site), list[bytes]()
+    own = Access(site.anchor, held)
+    master = site.identity("/master")
+    held.check_fresh(NOW)
+    told = site.revoke(bytes(32))
+    for data in (told, told):  # also when there is nothing new
+        with pytest.raises(RevocationsStale, match="what is revoked, and nothing more") as stale:
+            own.take_news(data, b"", master, NOW, saved.append)
+        assert "enroll the node anew" in stale.value.hint
+        assert (held.data, held.fresh_until) == (told, 0)
+    assert saved == [told]
+    assert bytes(32) in held.entries
+
+
+def test_that_the_news_are_stale_does_not_hide_a_revoked_intermediate(site: Site) -> None:
+    """Else a master below it would end the staleness with its word."""
+    held = revocations(site)
+    own, above = Access(site.anchor, held), bytes(32)
+    master = replace(site.identity("/master"), issuers=(above,))
+    own.check_peer(master, NOW)
+    held.update(site.revoke(above), NOW)
+    with pytest.raises(Revoked):
+        own.check_peer(master, NOW)
+    word = sign_timestamp(
+        site.enroll("/master").credentials().signer,
+        Timestamp(held.floor[1], digest(held.data), NOW, 30),
+    )
+    with pytest.raises(Revoked):
+        own.take_news(b"", word, master, NOW, list[bytes]().append)
+    assert held.fresh_until == 0
+    other = replace(master, issuers=(bytes([1]) * 32,))
+    with pytest.raises(RevocationsStale):
+        own.check_peer(other, NOW)

@@ -1,0 +1,152 @@
+"""Whose word about a message type a guard is built from."""
+
+from dataclasses import replace
+from typing import Final
+
+import pytest
+
+from grants.decision import Decision
+from grants.errors import DefinitionRefused, RestrictionMismatch
+from grants.model import Restriction, Right
+from rossec.errors import TopicRefused
+from rossec.participant.definitions import (
+    Definition,
+    as_received,
+    as_sent,
+    described,
+    from_header,
+    size_of,
+    told,
+)
+from rossec.participant.message_types import message_type
+
+PATH: Final = message_type("nav_msgs/Path")
+WORD: Final = Definition("std_msgs/String", "992ce8a1687cec8c8bd883ec73ca41d1", "string data\n")
+ANY: Final = Definition("*", "*", "")
+FORGED: Final = Definition(
+    PATH.name, PATH.md5sum, PATH.definition.replace("PoseStamped[] poses", "PoseStamped[0] poses")
+)
+
+
+def restricted(*types: str | None) -> Decision:
+    limits = tuple(Restriction(kind, ("true",)) for kind in types)
+    return Decision(Right.PUBLISH, "/path", (), 1, limits)
+
+
+def undefined(kind: Definition) -> Definition:
+    return Definition(kind.name, kind.md5sum, "")
+
+
+def nothing(_: str) -> None:
+    return None
+
+
+def unasked(name: str) -> Definition:
+    raise AssertionError(name)
+
+
+def host(name: str) -> Definition | None:
+    return {PATH.name: Definition(PATH.name, PATH.md5sum, PATH.definition), WORD.name: WORD}.get(
+        name
+    )
+
+
+def test_the_forgery_has_the_same_md5sum() -> None:
+    assert FORGED.layout.md5 == PATH.layout.md5
+    assert FORGED.layout.digest != PATH.layout.digest
+
+
+def test_a_header_says_what_it_says() -> None:
+    fields = {"type": b"std_msgs/String", "md5sum": WORD.md5sum.encode()}
+    assert from_header(fields) == undefined(WORD)
+    defined = from_header({**fields, "message_definition": b"string data\n"})
+    assert defined == WORD
+    odd = from_header({**fields, "message_definition": b"# caf\xe9\nstring data"})
+    with pytest.raises(DefinitionRefused, match="not text"):
+        _ = odd.layout
+    with pytest.raises(TopicRefused, match="'md5sum'"):
+        from_header({"type": b"*"})
+
+
+def test_a_receiver_reads_by_its_own_definition() -> None:
+    """Whatever the publisher says of the same md5sum."""
+    assert as_received(PATH, FORGED, restricted(PATH.name), nothing) is PATH
+    assert as_received(PATH, FORGED, restricted(PATH.name), host) is PATH
+    assert as_received(WORD, FORGED, restricted(WORD.name), unasked) is WORD
+
+
+def test_a_receiver_without_a_definition_reads_as_its_host_does() -> None:
+    for own in (undefined(PATH), ANY, replace(ANY, name=PATH.name)):
+        found = as_received(own, FORGED, restricted(PATH.name), host)
+        assert found.definition == PATH.definition
+
+
+def test_what_the_receivers_md5sum_proves_may_be_said_by_the_publisher() -> None:
+    wanted = restricted(WORD.name)
+    assert as_received(undefined(WORD), WORD, wanted, unasked) == WORD
+    assert as_received(undefined(WORD), undefined(WORD), wanted, host) == WORD
+    lie = replace(WORD, definition="string[] data")
+    assert as_received(undefined(WORD), lie, wanted, host) == WORD
+    for own, said in ((undefined(WORD), lie), (ANY, WORD), (replace(ANY, name=WORD.name), WORD)):
+        with pytest.raises(TopicRefused, match="how this subscriber reads a std_msgs/String"):
+            as_received(own, said, wanted, nothing)
+
+
+def test_what_nobody_vouches_for_is_refused() -> None:
+    other = replace(PATH, md5sum="0" * 32)
+    for own, known in ((undefined(PATH), nothing), (ANY, nothing), (undefined(other), host)):
+        with pytest.raises(TopicRefused, match="is not known here") as caught:
+            as_received(own, FORGED, restricted(PATH.name), known)
+        assert "ROS_PACKAGE_PATH" in str(caught.value.hint)
+
+
+def test_a_right_for_another_type_is_refused_before_anybody_is_asked() -> None:
+    for own in (ANY, WORD, undefined(WORD)):
+        with pytest.raises(RestrictionMismatch, match="these are std_msgs/String"):
+            as_received(own, WORD, restricted(PATH.name), unasked)
+    with pytest.raises(RestrictionMismatch):
+        as_sent(WORD, restricted(WORD.name, PATH.name), unasked)
+
+
+def test_a_sender_reads_by_its_own_unless_the_host_knows_better() -> None:
+    wanted = restricted(PATH.name)
+    assert as_sent(PATH, wanted, host) is PATH
+    assert as_sent(FORGED, wanted, nothing) is FORGED
+    assert as_sent(WORD, restricted(WORD.name), unasked) is WORD
+    newer = Definition(PATH.name, "f" * 32, PATH.definition)
+    assert as_sent(FORGED, wanted, lambda _: newer) is FORGED
+    with pytest.raises(TopicRefused, match="not the one this host knows"):
+        as_sent(FORGED, wanted, host)
+    with pytest.raises(TopicRefused, match="does not have the md5sum"):
+        as_sent(newer, wanted, host)
+
+
+def test_where_nothing_looks_inside_nothing_is_asked() -> None:
+    for decision in (restricted(), restricted(None)):
+        assert as_received(ANY, ANY, decision, unasked) is ANY
+        assert as_sent(ANY, decision, unasked) is ANY
+        assert told(ANY, decision) == {}
+
+
+def test_the_size_of_every_message() -> None:
+    twist = message_type("geometry_msgs/Twist")
+    assert size_of(twist) == 48
+    assert [size_of(kind) for kind in (WORD, ANY, undefined(twist), PATH)] == [None] * 4
+
+
+def test_what_is_known_of_a_type_where_no_guard_depends_on_it() -> None:
+    """A bound may be as wide as if nothing were known; never as a publisher likes it."""
+    number = message_type("std_msgs/Int32")
+    assert described(number, FORGED) is number
+    assert size_of(described(undefined(number), number)) == 4
+    assert described(undefined(number), WORD) == undefined(number)
+    assert described(ANY, number) is ANY
+    assert described(undefined(PATH), FORGED) == undefined(PATH)
+
+
+def test_what_a_subscriber_is_told() -> None:
+    assert told(WORD, restricted(WORD.name)) == {
+        "type": b"std_msgs/String",
+        "md5sum": WORD.md5sum.encode(),
+        "message_definition": b"string data\n",
+    }

@@ -1,0 +1,241 @@
+"""When grants are renewed, and that only good tokens are held."""
+
+import time
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from ca.errors import RevocationRefused, RevocationsStale, Revoked
+from ca.keys.signer import KeySigner
+from ca.revocation.state import (
+    RevocationList,
+    Revocations,
+    Timestamp,
+    digest,
+    sign_list,
+    sign_timestamp,
+)
+from grants.errors import GrantError, GrantMissing
+from grants.model import Right
+from grants.renewal import MIN_TICKET, Delegation, sign_delegation
+from rossec.errors import AnswerMalformed
+from rossec.master.rights.delegation import Delegate
+from rossec.participant.access import Access
+from rossec.participant.grant_renewal import AT_ONCE, RETRY, Renewals, due_at, renew, renew_blocking
+from tests.support.authority import DAY, Member, Site
+
+HOUR = 3600
+P = {"/t": Right.PUBLISH}
+
+
+class World:
+    """A node with grants, and a master that renews them."""
+
+    def __init__(self) -> None:
+        self.site = Site()
+        self.now = self.site.now
+        self.master, self.node = self.site.enroll("/master"), self.site.enroll("/node")
+        self.revocations = Revocations(self.site.anchor.public_key)
+        self.access = Access(self.site.anchor, self.revocations)
+        self.renewals = Renewals(self.access)
+        self.list = b""
+        self.at(0, self.site.revoke())
+        self.calls: list[tuple[str, Any]] = []
+        self.delegate = Delegate(self.site.anchor, self.master.credentials.signer)
+        self.delegate.take(self.site.delegation(self.master))
+        self.later = 0
+
+    def at(self, later: int, data: bytes = b"", master: Member | None = None) -> int:
+        """Let time pass, with a fresh timestamp."""
+        master = master or self.master
+        self.list = data or self.list
+        self.later = later
+        now = self.now + later
+        seq = 1 if self.revocations.held is None else self.revocations.held.seq + bool(data)
+        signer = master.credentials.signer
+        assert isinstance(signer, KeySigner)
+        stamp = sign_timestamp(signer, Timestamp(seq, digest(self.list), now, 30))
+        self.access.take_news(data, stamp, master.identity, now, lambda _: None)
+        return now
+
+    def hold(self, lifetime: int = HOUR, cap: int = DAY, holder: Member | None = None) -> bytes:
+        data = self.site.grant(holder or self.node, P, lifetime=lifetime, cap=cap)
+        self.access.hold(data)
+        return data
+
+    def answer(self, method: str, originals: Any) -> list[bytes]:
+        self.calls.append((method, originals))
+        return [self.renewed(data) for data in originals]
+
+    def renewed(self, data: bytes) -> bytes:
+        held = self.revocations.held
+        assert held is not None
+        now = self.now + self.later
+        _, token = self.delegate.renew(
+            data, self.node.thumbprint, now, seq=held.seq, check=self.revocations.check
+        )
+        return token
+
+
+@pytest.fixture
+def world() -> World:
+    return World()
+
+
+def test_due_at_about_two_thirds_of_a_life(world: World) -> None:
+    world.hold()
+    [held] = world.access.holdings()
+    assert 0.55 * HOUR <= due_at(held) - world.now <= 0.77 * HOUR
+    assert world.renewals.due(due_at(held) - 1) == []
+    assert world.renewals.due(due_at(held)) == [held]
+    assert world.renewals.due(due_at(held) + RETRY - 1) == []
+    assert world.renewals.due(due_at(held) + RETRY) == [held]
+
+
+def test_what_was_refused_is_asked_for_again_in_time(world: World) -> None:
+    """Of a ticket of a minute some 20 s are left then: a pause of a minute would be its end."""
+    world.hold(lifetime=60)
+    [held] = world.access.holdings()
+    asked = [second for second in range(60) if world.renewals.due(world.now + second)]
+    assert asked[0] == due_at(held) - world.now
+    assert len(asked) >= 4
+    assert max(late - early for early, late in pairwise(asked)) <= 7
+    assert world.renewals.due(world.now + 60) == [held]  # and now that it has expired: no hurry
+    assert world.renewals.due(world.now + 60 + RETRY - 1) == []
+    assert world.renewals.due(world.now + 60 + RETRY) == [held]
+
+
+def test_with_tickets_of_a_minute_there_is_always_one_that_holds(world: World) -> None:
+    """What was renewed a moment ago is not held back as if it had been refused."""
+    delegation = Delegation(
+        "home", world.master.thumbprint, world.now - 1, world.now + DAY, MIN_TICKET, bytes(16)
+    )
+    world.delegate = Delegate(world.site.anchor, world.master.credentials.signer)
+    world.delegate.take(sign_delegation(world.site.signer, delegation))
+    world.hold(lifetime=50)
+    least = 60
+    for second in range(600):
+        now = world.at(second)
+        renew_blocking(world.answer, world.renewals, now)
+        [held] = world.access.holdings()
+        least = min(least, held.grant.expires - now)
+    assert least >= 12  # seconds: some tries more, had the master been out of reach
+    assert 13 <= len(world.calls) <= 22
+
+
+def test_never_beyond_the_cap_and_never_when_revoked(world: World) -> None:
+    data = world.hold()
+    assert world.renewals.due(world.now + DAY) == []
+    world.at(0, world.site.revoke(data))
+    assert world.renewals.due(world.now + 2 * HOUR) == []
+    world.hold(cap=0)
+    assert world.renewals.due(world.now + 2 * HOUR) == []
+
+
+def test_a_new_epoch_makes_all_that_was_renewed_due(world: World) -> None:
+    world.hold()
+    assert renew_blocking(world.answer, world.renewals, world.at(HOUR)) == 1
+    assert world.renewals.due(world.now + HOUR + 1) == []
+    listed = RevocationList(2, 1, world.now + HOUR, world.now + DAY, frozenset())
+    data = sign_list(world.site.signer, listed)
+    stamp = Timestamp(1, digest(data), world.now + HOUR, 30)
+    world.revocations.update(data, world.now + HOUR)
+    world.revocations.confirm(stamp, world.now + HOUR)
+    assert renew_blocking(world.answer, world.renewals, world.now + HOUR + 2) == 1
+    assert world.renewals.due(world.now + HOUR + 3 * RETRY) == []
+
+
+def test_so_many_at_once_the_most_urgent_first(world: World) -> None:
+    for n in range(AT_ONCE + 1):
+        world.hold(lifetime=HOUR + n)
+    due = world.renewals.due(world.now + 2 * HOUR)
+    assert [held.grant.expires - world.now for held in due] == [HOUR + n for n in range(AT_ONCE)]
+    assert len(world.renewals.due(world.now + 2 * HOUR)) == 1
+
+
+def test_a_grant_that_has_expired_lives_again(world: World) -> None:
+    data = world.hold()
+    now = world.at(2 * HOUR)
+    assert world.access.current(now) == []
+    assert renew_blocking(world.answer, world.renewals, now) == 1
+    assert world.calls == [("rossec.renewGrants", [data])]
+    [token] = world.access.current(now)
+    assert token != data
+    [held] = world.access.holdings()
+    assert (held.original, held.since) == (data, now)
+    assert renew_blocking(world.answer, world.renewals, now + RETRY) == 0
+    decision = world.access.authorize(
+        world.node.identity,
+        world.access.present(Right.PUBLISH, "/t", now),
+        Right.PUBLISH,
+        "/t",
+        now,
+    )
+    assert decision.expires == held.grant.expires
+
+
+async def test_the_same_without_blocking(world: World) -> None:
+    async def call(method: str, *params: object) -> object:
+        return world.answer(method, *params)
+
+    world.hold()
+    assert await renew(call, world.renewals, world.now) == 0
+    assert await renew(call, world.renewals, world.at(HOUR)) == 1
+
+
+@pytest.mark.parametrize("answer", [5, [], [b"", b""]])
+def test_an_answer_that_is_none(world: World, answer: object) -> None:
+    world.hold()
+    with pytest.raises(AnswerMalformed):
+        renew_blocking(lambda *_: answer, world.renewals, world.at(HOUR))
+
+
+@pytest.mark.parametrize("token", [b"", 5, b"garbage"])
+def test_what_is_not_renewed_is_not_held(
+    world: World, token: object, caplog: pytest.LogCaptureFixture
+) -> None:
+    world.hold()
+    now = world.at(HOUR)
+    assert renew_blocking(lambda *_: [token], world.renewals, now) == 0
+    assert world.access.current(now) == []
+    assert ("in vain" in caplog.text) == (token == b"garbage")
+
+
+def test_only_grants_of_this_node_come_back(world: World) -> None:
+    stray = world.site.grant(world.node, P, lifetime=60, cap=DAY)
+    with pytest.raises(GrantMissing, match="never held here"):
+        world.access.hold_renewed(world.renewed(stray), world.now)
+
+
+def test_tokens_of_a_revoked_delegation_or_master_are_nothing(world: World) -> None:
+    data = world.hold(lifetime=60)
+    token = world.renewed(data)
+    assert world.delegate.id is not None
+    world.at(0, world.site.revoke(world.delegate.id))
+    with pytest.raises(GrantError, match="delegation"):
+        world.access.hold_renewed(token, world.now)
+    with pytest.raises(RevocationRefused):
+        world.access.take_news(b"", b"no stamp", world.master.identity, world.now, lambda _: None)
+
+
+def test_a_revoked_master_confirms_nothing(world: World) -> None:
+    """Whoever stole its key could otherwise keep the list fresh that a new one would replace."""
+    fresh = world.revocations.fresh_until
+    with pytest.raises(Revoked):
+        world.at(20, world.site.revoke(world.master.identity.thumbprint))
+    with pytest.raises(Revoked):
+        world.at(25)
+    assert world.revocations.fresh_until <= fresh
+    assert world.revocations.held is not None
+    with pytest.raises(RevocationsStale):
+        world.revocations.check_fresh(world.now + 25)
+
+
+def test_a_peer_that_does_not_know_the_master_takes_no_renewed_grant(tmp_path: Path) -> None:
+    world = World()
+    token = world.renewed(world.site.grant(world.node, P, lifetime=60, cap=DAY))
+    stranger = Access(world.site.anchor, world.revocations)
+    with pytest.raises(GrantError, match="the master is not known"):
+        stranger.hold_renewed(token, int(time.time()))

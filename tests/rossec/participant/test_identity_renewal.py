@@ -1,0 +1,169 @@
+"""An identity renewed by its node: on the disk in one step, live from the next connection on."""
+
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from ca.authority import Authority
+from ca.certificates import from_pem
+from ca.intermediates import build_intermediate_request
+from ca.keys.key_files import generate
+from ca.keys.signer import KeySigner
+from ca.store.record import Store
+from rossec.authority.renewals import renew, sign_intermediate
+from rossec.authority.signing import OpenAuthority
+from rossec.channel.edhoc.credentials import LiveCredentials
+from rossec.errors import AnswerMalformed, AnswerRefused
+from rossec.home import NodeHome
+from rossec.participant.identity_renewal import (
+    METHOD,
+    RETRY,
+    IdentityRenewal,
+    renew_identity,
+    renew_identity_blocking,
+)
+from tests.rossec.node.test_node import POSE, first, pose, until
+from tests.support.site import DAY, Site
+
+LIFE = 20 * DAY
+NOW = int(time.time())
+BEGIN = NOW - 15 * DAY
+
+
+@pytest.fixture
+def site(tmp_path: Path) -> Site:
+    """A site whose nodes were enrolled 15 days ago for 20."""
+    return Site(tmp_path / "site", clock=lambda: BEGIN)
+
+
+def renewal(site: Site, name: str = "/robot") -> tuple[NodeHome, LiveCredentials, IdentityRenewal]:
+    home = site.enroll(name, LIFE)
+    credentials = LiveCredentials(home.credentials())
+    return home, credentials, IdentityRenewal(home, credentials, BEGIN)
+
+
+def test_due_after_two_thirds_of_its_life(site: Site) -> None:
+    _, _, asks = renewal(site)
+    due = BEGIN + LIFE * 2 // 3
+    assert asks.request(due - 1) is None
+    assert asks.request(NOW) is not None
+    assert asks.request(NOW + RETRY - 1) is None
+    assert asks.request(NOW + RETRY) is not None
+
+
+def test_a_short_life_is_asked_for_more_often(site: Site) -> None:
+    home = site.enroll("/brief", 120)
+    asks = IdentityRenewal(home, LiveCredentials(home.credentials()), BEGIN)
+    assert asks.request(BEGIN + 79) is None
+    asked = [at for at in range(BEGIN + 79, BEGIN + 120) if asks.request(at) is not None]
+    assert asked == list(range(BEGIN + 80, BEGIN + 120, 6))
+
+
+async def test_the_new_identity_is_on_the_disk_and_in_use(site: Site) -> None:
+    home, credentials, asks = renewal(site)
+    before = credentials.certificate
+
+    async def call(method: str, *params: Any) -> object:
+        assert method == METHOD
+        return renew(site.authority, params[0], NOW)
+
+    assert await renew_identity(call, asks, NOW)
+    assert credentials.certificate != before
+    assert home.credentials().chain == credentials.current.chain
+    assert home.identity(NOW).not_after > NOW + 10 * DAY
+    assert home.identity(NOW).thumbprint == asks._identity.thumbprint
+    assert not await renew_identity(call, asks, NOW)
+    assert not credentials.shared
+    assert len(credentials.sign(b"x")) == 64
+    assert credentials.id_cred == home.credentials().id_cred
+
+
+def test_a_lost_answer_is_asked_for_again(site: Site) -> None:
+    _, credentials, asks = renewal(site)
+    answers = [renew(site.authority, asks.request(at) or b"", at) for at in (NOW, NOW + RETRY)]
+    assert answers[0] == answers[1]
+    assert renew_identity_blocking(lambda *_: answers[1], asks, NOW + 2 * RETRY)
+    assert credentials.current.chain[0] == from_pem(answers[0])[0]
+
+
+def test_what_an_operator_installed_meanwhile_is_taken_up(site: Site) -> None:
+    home, credentials, asks = renewal(site)
+    before = credentials.certificate
+    site._clock = lambda: NOW
+    site.renew("/robot", LIFE)
+    assert asks.request(NOW) is None
+    assert credentials.certificate == home.credentials().certificate != before
+    assert asks.request(NOW + 13 * DAY) is None
+    assert asks.request(NOW + 14 * DAY) is not None
+
+
+def test_what_is_no_successor_is_not_taken_up(site: Site) -> None:
+    home, credentials, asks = renewal(site)
+    before = credentials.certificate
+    site.renew("/robot", DAY)  # shorter, and over by now
+    assert asks.request(NOW) is not None
+    site._clock = lambda: NOW
+    site.renew("/robot", DAY)
+    assert asks.request(NOW + RETRY) is not None
+    (home.path / "node.pem").unlink()
+    assert asks.request(NOW + 2 * RETRY) is not None
+    assert credentials.certificate == before
+
+
+@pytest.mark.parametrize("bundle", [b"garbage", b""])
+async def test_what_is_no_identity_changes_nothing(
+    site: Site, bundle: bytes, caplog: pytest.LogCaptureFixture
+) -> None:
+    home, credentials, asks = renewal(site)
+    before = (home.path / "node.pem").read_bytes(), credentials.certificate
+
+    async def call(method: str, *params: object) -> object:
+        return bundle
+
+    assert not await renew_identity(call, asks, NOW)
+    assert not renew_identity_blocking(lambda *_: bundle, asks, NOW + RETRY)
+    assert ((home.path / "node.pem").read_bytes(), credentials.certificate) == before
+    assert "the identity is not renewed" in caplog.text
+    with pytest.raises(AnswerMalformed):
+        asks.take(5, NOW)
+
+
+def test_a_master_that_renews_nothing(site: Site, caplog: pytest.LogCaptureFixture) -> None:
+    def call(*_: object) -> object:
+        raise AnswerRefused("rossec: this master renews no identities")
+
+    _, _, asks = renewal(site)
+    assert not renew_identity_blocking(call, asks, BEGIN)
+    assert not renew_identity_blocking(call, asks, NOW)
+    assert "this master renews no identities" in caplog.text
+
+
+def below(site: Site) -> OpenAuthority:
+    """The intermediate on the master's host."""
+    signer = KeySigner(generate())
+    request = build_intermediate_request(signer, site.anchor.domain)
+    _, bundle = sign_intermediate(site.authority, request, BEGIN, may_enroll=False)
+    der, root = from_pem(bundle)
+    path = site.root / "below"
+    path.mkdir()
+    return OpenAuthority(Authority(signer, root, der), Store.create(path / "ca.db"), path)
+
+
+async def test_nodes_go_on_with_what_the_master_signed(site: Site) -> None:
+    for name in ("/robot", "/viewer", "/master"):
+        site.enroll(name, LIFE)
+    site.publish("/robot", "/robot/pose", lifetime=LIFE)
+    site.subscribe("/viewer", "/robot/pose", lifetime=LIFE)
+    site._clock = time.time
+    site.intermediate = below(site)
+    async with site.running(), site.node("/robot") as robot:
+        await until(lambda: len(robot.credentials.current.chain) == 2, within=20)
+        async with site.node("/viewer") as viewer:
+            publisher = await robot.publisher("/robot/pose", POSE, latch=True)
+            publisher.publish(pose(publisher))
+            subscriber = await viewer.subscriber("/robot/pose", POSE)
+            await first(subscriber, within=20)
+            [link] = subscriber.links
+            assert link.stream.peer.issuers == (site.intermediate.authority.issuer.thumbprint,)

@@ -1,0 +1,38 @@
+"""What a latching publisher shows a newcomer."""
+
+import struct
+
+from grants.decision import Decision
+from grants.guard import Guard
+from grants.memory import Memory
+from grants.model import Restriction, Right
+from rossec.participant.latch import Latch, Sample
+
+NOW = 1_800_000_000
+
+
+def guard(memory: Memory | None) -> Guard:
+    restrictions = () if memory is None else (Restriction(rate=0.1),)
+    decision = Decision(Right.SUBSCRIBE, "/a", (), NOW + 100, restrictions)
+    return Guard(None, decision, None, lambda _: memory or Memory())
+
+
+def shown(latch: Latch[bytes], receiver: Guard, now: int = NOW) -> bytes | None:
+    """What a newcomer gets."""
+    for sample in latch.shown(receiver):
+        if receiver.treat(sample.data, now, sample.mark) is not None:
+            latch.passed(receiver, sample)
+            return sample.data
+    return None
+
+
+def test_the_newest_or_what_was_seen() -> None:
+    latch: Latch[bytes] = Latch()
+    memory, other = Memory(), Memory()
+    assert shown(latch, guard(memory)) is None
+    for number in range(3):
+        latch.newest = Sample(struct.pack("<I", number))
+        assert shown(latch, guard(memory)) == struct.pack("<I", 0)
+        assert shown(latch, guard(None)) == latch.newest.data
+    assert shown(latch, guard(other)) == struct.pack("<I", 2)
+    assert shown(latch, guard(memory), NOW + 10) == struct.pack("<I", 2)

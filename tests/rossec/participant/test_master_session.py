@@ -1,0 +1,50 @@
+"""The session with the master: what a node does with a master that knows less than it does."""
+
+from pathlib import Path
+
+import pytest
+
+from ca.errors import RevocationRefused
+from ca.revocation.tree import RevocationTree, sign_tree
+from rossec.participant.slave_api import MASTER
+from rossec.ros.settings import parse_uri
+from tests.support.site import DAY, Site
+from tests.support.witness import until
+
+
+async def test_a_master_that_lost_its_list_gets_it_back(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    site = Site(tmp_path / "site")
+    home = site.enroll(MASTER)
+    async with site.running(), site.node("/robot") as robot:
+        assert site.master is not None
+        _, port = parse_uri(site.master.uri)
+        await site.master.close()
+        (home.path / "revocations.cose").unlink()
+        monkeypatch.setattr(site.authority.store, "newest_list", lambda: None)
+        await site.start_master(port)
+        await until(lambda: home.load_revocations() == robot.revocations.data)
+        await until(lambda: "handed it over: was its home restored from a backup?" in caplog.text)
+
+
+async def test_what_cannot_be_handed_over_is_not(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    async with Site(tmp_path / "site").running() as site, site.node("/robot") as robot:
+        session, now = robot._session, site.now()
+        tree = sign_tree(site.authority.signer, RevocationTree(9, 9, now, now + DAY, 1, bytes(32)))
+        for held in (None, lambda: b"", lambda: tree, lambda: robot.revocations.data):
+            monkeypatch.setattr(session, "_held", held)
+            assert not await session._hand_over()
+        assert "the master refuses" not in caplog.text
+        monkeypatch.setattr(session, "_held", lambda: b"forged")
+        assert not await session._hand_over()
+        assert "/robot: the master refuses the list held here" in caplog.text
+
+        def refuse(*_: object) -> None:
+            raise RevocationRefused("something else is wrong with it")
+
+        monkeypatch.setattr(session, "_refresh", refuse)
+        with pytest.raises(RevocationRefused, match="something else"):
+            await session._beat()

@@ -1,0 +1,26 @@
+"""The pauses after a loss."""
+
+import pytest
+
+from rossec.participant.retry import EAGER, FIRST, Retry
+
+
+@pytest.mark.parametrize("dice", [0.0, 0.5, 0.999])
+def test_for_half_a_minute_a_second_at_most_and_then_five(dice: float) -> None:
+    retry, now, pauses = Retry(lambda: dice), 1000.0, []
+    while now < 1000 + 2 * EAGER:
+        pauses.append((now, retry.pause(now)))
+        now += pauses[-1][1]
+    cut = 1 - dice / 2
+    assert pauses[0][1] == FIRST * cut
+    assert [pause for at, pause in pauses if at < 1000 + EAGER][2:] == pytest.approx(
+        [cut] * (len([at for at, _ in pauses if at < 1000 + EAGER]) - 2)
+    )
+    assert pauses[-1][1] == 5 * cut
+
+
+def test_a_success_ends_the_loss() -> None:
+    retry = Retry(lambda: 0)
+    assert [retry.pause(now) for now in (0.0, 40, 41, 42, 43, 44)] == [0.25, 0.5, 1, 2, 4, 5]
+    retry.succeeded()
+    assert [retry.pause(now) for now in (50.0, 51, 52, 53)] == [0.25, 0.5, 1, 1]

@@ -1,0 +1,117 @@
+"""Where revocations are a tree: what a node asks for, and a whole site that runs on proofs."""
+
+import time
+from collections.abc import AsyncIterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from ca.errors import RevocationsStale, Revoked
+from ca.revocation.state import Revocations, Timestamp, digest
+from ca.revocation.tree import Listing, RevocationTree, sign_tree
+from grants.model import Right
+from rossec.errors import AnswerMalformed
+from rossec.participant.connections import STALE_GRACE, why_cut
+from rossec.participant.revocation_proofs import AT_ONCE, METHOD, prove, prove_blocking
+from tests.rossec.node.test_node import POSE, first, pose, tell_master, until
+from tests.rossec.participant.test_connections import Linked
+from tests.support.authority import Site as Authority
+from tests.support.site import Site
+
+LISTING = Listing([n.to_bytes(16) for n in range(1, 9)])
+HERE, ABSENT = (1).to_bytes(16), b"x" * 16
+
+
+@pytest.fixture
+def held() -> Revocations:
+    site = Authority(now=int(time.time()))
+    tree = RevocationTree(1, 1, site.now, site.now + 5000, *LISTING.size_and_root)
+    data = sign_tree(site.signer, tree)
+    revocations = site.revocations()
+    revocations.update(data, site.now)
+    revocations.confirm(Timestamp(1, digest(data), site.now, 30), site.now)
+    for entry in (HERE, ABSENT):
+        with pytest.raises(RevocationsStale):
+            revocations.check(entry, site.now)
+    return revocations
+
+
+def answer(method: str, wanted: Any) -> list[bytes]:
+    assert method == METHOD
+    return [LISTING.prove(entry) for entry in wanted]
+
+
+async def test_what_is_wanted_is_asked_for_once(held: Revocations) -> None:
+    async def call(method: str, *params: object) -> object:
+        return answer(method, *params)
+
+    assert await prove(call, held) == 2
+    assert await prove(call, held) == 0
+    assert prove_blocking(answer, held) == 0
+    now = int(time.time())
+    held.check(ABSENT, now)
+    with pytest.raises(Revoked):
+        held.check(HERE, now)
+
+
+def test_only_so_many_at_once(held: Revocations) -> None:
+    for n in range(100, 100 + AT_ONCE):
+        with pytest.raises(RevocationsStale):
+            held.check(n.to_bytes(16), int(time.time()))
+    assert prove_blocking(answer, held) == AT_ONCE
+    assert prove_blocking(answer, held) == 2
+
+
+@pytest.mark.parametrize("said", [5, [b"one"], [b"", b"", b""]])
+def test_an_answer_that_is_none(held: Revocations, said: object) -> None:
+    with pytest.raises(AnswerMalformed):
+        prove_blocking(lambda *_: said, held)
+
+
+@pytest.mark.parametrize("said", [[], [b"", 5], [b"x", b"y"]])
+def test_without_proof_nothing_is_known(held: Revocations, said: object) -> None:
+    assert prove_blocking(lambda *_: said, held) == 0
+    with pytest.raises(RevocationsStale):
+        held.check(ABSENT, int(time.time()))
+
+
+def test_a_link_lives_as_long_without_a_proof_as_without_news(held: Revocations) -> None:
+    now = int(time.time())
+    last = held.known_until(b"g" * 16) + STALE_GRACE
+    assert why_cut(Linked(ends=last + 99), held, now) is None
+    assert held.held is not None
+    held.confirm(Timestamp(1, digest(held.data), last, 30), last)  # news go on, proofs do not
+    assert why_cut(Linked(ends=last + 99), held, last - 1) is None
+    assert "no proof" in (why_cut(Linked(ends=last + 99), held, last) or "")
+
+
+@pytest.fixture
+async def site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[Site]:
+    """A site whose authority signs trees, as from the 4097th revocation on."""
+    monkeypatch.setattr("rossec.authority.signing.MAX_ENTRIES", 0)
+    site = Site(tmp_path / "site")
+    site.revoke(bytes(32))
+    async with site.running():
+        yield site
+
+
+async def test_a_whole_site_runs_on_proofs(site: Site) -> None:
+    site.publish("/robot", "/robot/pose")
+    right = site.subscribe("/viewer", "/robot/pose")
+    site.grant("/other", Right.SUBSCRIBE, "/robot/pose")
+    nodes = site.node("/robot"), site.node("/viewer"), site.node("/other")
+    async with nodes[0] as robot, nodes[1] as viewer, nodes[2] as other:
+        publisher = await robot.publisher("/robot/pose", POSE, latch=True)
+        publisher.publish(pose(publisher))
+        for node in (viewer, other):
+            await first(await node.subscriber("/robot/pose", POSE), within=20)
+        assert len(publisher.links) == 2
+        await tell_master(site, robot, site.revoke(right))
+        await until(lambda: len(publisher.links) == 1, within=20)
+        [link] = publisher.links
+        assert link.stream.peer.name == "/other"
+    assert site.master is not None
+    await site.restart_master()
+    async with site.node("/robot") as robot:
+        await robot.publisher("/robot/pose", POSE)

@@ -1,0 +1,142 @@
+import time
+from pathlib import Path
+
+import pytest
+
+from ca.certificates import Identity
+from ca.revocation.state import Revocations, Timestamp, digest
+from grants.errors import GrantMissing
+from grants.model import Right
+from rossec.errors import CallerMismatch, TopicRefused
+from rossec.participant import service_handshake
+from rossec.participant.access import Access
+from rossec.participant.header_fields import Fields
+from tests.support.site import Site
+
+NOW = int(time.time())
+SERVICE = "/door/open"
+
+
+class Pair:
+    """A server and a client that hold the grants they need."""
+
+    def __init__(self, root: Path) -> None:
+        site = Site(root, clock=lambda: NOW)
+        site.grant("/door", Right.PROVIDE, SERVICE)
+        site.grant("/hall", Right.CALL, SERVICE)
+        self.door, self.hall = site.identity("/door"), site.identity("/hall")
+        self.door_access, self.hall_access = (
+            self._access(site, "/door"),
+            self._access(site, "/hall"),
+        )
+
+    def _access(self, site: Site, name: str) -> Access:
+        held = Revocations(site.anchor.public_key)
+        data = site.authority.store.newest_list()
+        assert data is not None
+        held.update(data, NOW)
+        held.confirm(Timestamp(1, digest(data), NOW, 30), NOW)
+        return Access(site.anchor, held, site.enroll(name).grants())
+
+    def question(self) -> Fields:
+        proof = service_handshake.caller_proof(SERVICE, self.hall_access, NOW)
+        return {"callerid": b"/hall", "service": SERVICE.encode(), **proof}
+
+    def answer(self) -> Fields:
+        return {
+            "callerid": b"/door",
+            **service_handshake.provider_proof(SERVICE, self.door_access, NOW),
+        }
+
+    def admit_hall(self, fields: Fields, peer: Identity | None = None) -> None:
+        service_handshake.admit_caller(fields, peer or self.hall, self.door_access, NOW)
+
+    def admit_door(self, fields: Fields) -> None:
+        service_handshake.admit_provider(fields, self.door, SERVICE, self.hall_access, NOW)
+
+
+@pytest.fixture
+def pair(tmp_path: Path) -> Pair:
+    return Pair(tmp_path / "site")
+
+
+def test_the_two_headers_admit_each_other(pair: Pair) -> None:
+    pair.admit_hall(pair.question())
+    pair.admit_door(pair.answer())
+    assert service_handshake.requested_service(pair.question()) == SERVICE
+
+
+def test_a_client_needs_the_right_to_call(pair: Pair) -> None:
+    other = {**pair.question(), "service": b"/door/lock"}
+    with pytest.raises(GrantMissing):
+        pair.admit_hall(other)
+    with pytest.raises(GrantMissing):
+        pair.admit_hall({**pair.answer(), "service": SERVICE.encode()}, pair.door)
+
+
+def test_a_server_needs_the_right_to_provide(pair: Pair) -> None:
+    bare = pair.answer()
+    del bare["rossec_grants"]
+    with pytest.raises(GrantMissing):
+        pair.admit_door(bare)
+
+
+def test_names_are_those_of_the_certificates(pair: Pair) -> None:
+    with pytest.raises(CallerMismatch):
+        pair.admit_hall({**pair.question(), "callerid": b"/door"})
+    with pytest.raises(CallerMismatch):
+        pair.admit_door({**pair.answer(), "callerid": b"/hall"})
+
+
+def test_a_refusal_is_passed_on(pair: Pair) -> None:
+    with pytest.raises(TopicRefused, match=r"^/door refuses: closed$"):
+        pair.admit_door({"error": b"closed"})
+
+
+def test_a_header_without_a_service(pair: Pair) -> None:
+    question = pair.question()
+    del question["service"]
+    with pytest.raises(TopicRefused, match="'service'"):
+        pair.admit_hall(question)
+
+
+def test_headers_of_both_sides_fit_each_other(pair: Pair) -> None:
+    kind = service_handshake.Expected("std_srvs/SetBool", "09fb03525b03e7ea1fd3992bafd87e16")
+    asked = service_handshake.client_header(
+        "/hall", SERVICE, kind, pair.hall_access, NOW, persistent=True
+    )
+    pair.admit_hall(asked)
+    assert service_handshake.is_set(asked, "persistent")
+    assert not service_handshake.is_set(asked, "probe")
+    answer = service_handshake.server_header("/door", SERVICE, kind, pair.door_access, NOW)
+    service_handshake.admit_provider(answer, pair.door, SERVICE, pair.hall_access, NOW)
+    for fields in (asked, answer):
+        service_handshake.check_md5(fields, SERVICE, kind.md5sum)
+        assert fields["type"] == b"std_srvs/SetBool"
+    assert answer["request_type"] == b"std_srvs/SetBoolRequest"
+
+
+def test_a_probe_expects_nothing(pair: Pair) -> None:
+    asked = service_handshake.client_header(
+        "/hall", SERVICE, service_handshake.ANY, pair.hall_access, NOW, probe=True
+    )
+    assert service_handshake.is_set(asked, "probe")
+    assert asked["md5sum"] == b"*"
+    service_handshake.check_md5(asked, SERVICE, "0" * 32)
+
+
+@pytest.mark.parametrize(
+    ("value", "means"),
+    [(b"1", True), (b"true", True), (b"True", True), (b"0", False), (b"", False)],
+)
+def test_flags_as_stock_clients_write_them(value: bytes, means: bool) -> None:
+    assert service_handshake.is_set({"probe": value}, "probe") is means
+    assert not service_handshake.is_set({}, "probe")
+
+
+def test_checksums_must_agree() -> None:
+    service_handshake.check_md5({"md5sum": b"a"}, SERVICE, "*")
+    with pytest.raises(TopicRefused, match="/door/open has the checksum b here, a at the peer"):
+        service_handshake.check_md5({"md5sum": b"a"}, SERVICE, "b")
+    with pytest.raises(TopicRefused, match="has no 'md5sum'"):
+        service_handshake.check_md5({}, SERVICE, "b")

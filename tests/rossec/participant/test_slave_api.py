@@ -1,0 +1,144 @@
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from ca.certificates import Identity
+from ca.errors import RollbackRefused
+from rossec.participant.slave_api import SlaveApi
+from tests.support.site import Site
+
+Call = tuple[object, ...]
+
+
+class Node:
+    """Records what the slave API asks of the node."""
+
+    def __init__(self) -> None:
+        self.heard: list[Call] = []
+
+    def publishers_changed(self, topic: str, uris: list[str]) -> None:
+        self.heard.append((topic, uris))
+
+    def parameter_changed(self, key: str, value: object) -> None:
+        self.heard.append((key, value))
+
+    def revocations_arrived(self, revocations: bytes, timestamp: bytes, master: Identity) -> None:
+        if revocations == b"older":
+            raise RollbackRefused("older than one seen")
+        self.heard.append((revocations, timestamp, master.name))
+
+    def shutdown_requested(self, reason: str) -> None:
+        self.heard.append((reason,))
+
+    def topic_endpoint(self) -> tuple[str, int]:
+        return "robot.local", 40000
+
+    def describe(self) -> Mapping[str, object]:
+        return {"getName": "/n", "getUri": "http://n:1/", "getPid": 7,
+                "getMasterUri": "http://m:1", "getBusStats": [], "getBusInfo": [],
+                "getSubscriptions": [["/t", "p/T"]], "getPublications": []}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def identity(tmp_path_factory: pytest.TempPathFactory) -> Identity:
+    return Site(Path(tmp_path_factory.mktemp("slave")) / "site").identity("/viewer")
+
+
+@pytest.fixture
+def node() -> Node:
+    return Node()
+
+
+async def call(node: Node, peer: Identity, method: str, *params: object) -> object:
+    return await SlaveApi(node)(method, params, peer)
+
+
+MASTER_CALLS: list[Call] = [
+    ("publisherUpdate", "/t", ["http://a:1"]),
+    ("paramUpdate", "/k", 3),
+    ("shutdown", "replaced"),
+    ("rossec.revocationUpdate", b"list", b"stamp"),
+    ("getName",),
+    ("getUri",),
+    ("getPid",),
+    ("getMasterUri",),
+    ("getBusStats",),
+    ("getBusInfo",),
+    ("getSubscriptions",),
+    ("getPublications",),
+]
+
+
+@pytest.mark.parametrize("given", MASTER_CALLS)
+async def test_the_master_may_steer_the_node(node: Node, identity: Identity, given: Call) -> None:
+    master = replace(identity, name="/master")
+    answer = await call(node, master, str(given[0]), "/master", *given[1:])
+    assert isinstance(answer, list)
+    assert answer[0] == 1
+
+
+@pytest.mark.parametrize("given", MASTER_CALLS)
+async def test_nobody_else_may(node: Node, identity: Identity, given: Call) -> None:
+    for claimed in ("/viewer", "/master"):
+        answer = await call(node, identity, str(given[0]), claimed, *given[1:])
+        assert isinstance(answer, list)
+        assert (answer[0], "for the master alone" in str(answer[1])) == (-1, True)
+    assert node.heard == []
+
+
+async def test_what_the_master_says_arrives(node: Node, identity: Identity) -> None:
+    master = replace(identity, name="/master")
+    await call(node, master, "publisherUpdate", "/master", "/t", ["http://a:1", 5])
+    await call(node, master, "rossec.revocationUpdate", "/master", b"list", b"stamp")
+    await call(node, master, "shutdown", "/master", "replaced")
+    assert node.heard == [("/t", ["http://a:1"]), (b"list", b"stamp", "/master"), ("replaced",)]
+
+
+async def test_any_node_may_ask_where_topics_are(node: Node, identity: Identity) -> None:
+    asked = "requestTopic", "/viewer", "/whatever"
+    assert await call(node, identity, *asked, [["TCPROS"]]) == [
+        1, "ready", ["TCPROS", "robot.local", 40000],
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("protocols", [[], [["UDPROS", b"", "h", 1, 1500]], ["TCPROS"]])
+async def test_no_transport_but_tcpros(
+    node: Node, identity: Identity, protocols: list[object]
+) -> None:
+    answer = await call(node, identity, "requestTopic", "/viewer", "/t", protocols)
+    assert answer == [-1, "rossec: only TCPROS, inside the secure channel", []]
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        (("requestTopic", "/other", "/t", []), "caller_id is not /viewer"),
+        (("requestTopic", "/viewer", "/t"), "bad call arity"),
+        (("requestTopic", "/viewer", 7, []), "bad call arity or types"),
+        (("requestTopic",), "missing required caller_id parameter"),
+        (("requestTopic", 7), "caller_id must be a string"),
+        (("format", "/viewer"), "no such method"),
+    ],
+)
+async def test_calls_that_are_none(node: Node, identity: Identity, given: Call, said: str) -> None:
+    answer = await call(node, identity, str(given[0]), *given[1:])
+    assert isinstance(answer, list)
+    assert (answer[0], said in str(answer[1])) == (-1, True)
+
+
+async def test_a_refused_list_is_an_answer_not_a_crash(node: Node, identity: Identity) -> None:
+    master = replace(identity, name="/master")
+    answer = await call(node, master, "rossec.revocationUpdate", "/master", b"older", b"")
+    assert answer == [-1, "rossec: older than one seen", 0]
+
+
+async def test_an_anonymous_node_asks_under_its_own_names(node: Node, identity: Identity) -> None:
+    rviz = replace(identity, wildcard=True)
+    for name, code in (("/viewer_17", 1), ("/viewer", 1), ("/robot", -1), ("/master", -1)):
+        answer = await call(node, rviz, "requestTopic", name, "/t", [["TCPROS"]])
+        assert isinstance(answer, list)
+        assert answer[0] == code
+    answer = await call(node, identity, "requestTopic", "/viewer_17", "/t", [["TCPROS"]])
+    assert answer == [-1, "rossec: caller_id is not /viewer", []]

@@ -1,0 +1,161 @@
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from ca.certificates import Identity
+from ca.revocation.state import Revocations, Timestamp, digest
+from grants.errors import GrantMissing
+from rossec.errors import CallerMismatch, TopicRefused
+from rossec.participant import topic_handshake
+from rossec.participant.access import Access
+from rossec.participant.header_fields import Fields
+from rossec.participant.message_types import message_type
+from rossec.participant.topic_handshake import Endpoint
+from tests.support.site import Site
+
+NOW = int(time.time())
+ENDPOINT = Endpoint("/robot/pose", message_type("geometry_msgs/PoseStamped"))
+
+
+class Pair:
+    """A publisher and a subscriber that hold the grants they need."""
+
+    def __init__(self, root: Path) -> None:
+        site = Site(root, clock=lambda: NOW)
+        site.publish("/robot", ENDPOINT.topic)
+        site.subscribe("/viewer", ENDPOINT.topic)
+        self.robot, self.viewer = site.identity("/robot"), site.identity("/viewer")
+        self.robot_access = self._access(site, "/robot")
+        self.viewer_access = self._access(site, "/viewer")
+
+    def _access(self, site: Site, name: str) -> Access:
+        held = Revocations(site.anchor.public_key)
+        data = site.authority.store.newest_list()
+        assert data is not None
+        held.update(data, NOW)
+        held.confirm(Timestamp(1, digest(data), NOW, 30), NOW)
+        return Access(site.anchor, held, site.enroll(name).grants())
+
+    def question(self) -> Fields:
+        return topic_handshake.subscriber_header("/viewer", ENDPOINT, self.viewer_access, NOW)
+
+    def answer(self) -> Fields:
+        return topic_handshake.publisher_header(
+            "/robot", ENDPOINT, self.robot_access, NOW, latching=False
+        )
+
+    def admit_viewer(self, fields: Fields, peer: Identity | None = None) -> None:
+        topic_handshake.admit_subscriber(fields, peer or self.viewer, self.robot_access, NOW)
+
+    def admit_robot(self, fields: Fields) -> None:
+        topic_handshake.admit_publisher(
+            fields, self.robot, ENDPOINT.expected, self.viewer_access, NOW
+        )
+
+
+@pytest.fixture
+def pair(tmp_path: Path) -> Pair:
+    return Pair(tmp_path / "site")
+
+
+def test_the_two_headers_admit_each_other(pair: Pair) -> None:
+    pair.admit_viewer(pair.question())
+    pair.admit_robot(pair.answer())
+    topic_handshake.check_type(pair.question(), ENDPOINT.expected)
+    assert topic_handshake.requested_topic(pair.question()) == ENDPOINT.topic
+
+
+def test_headers_hold_what_ros_expects(pair: Pair) -> None:
+    assert pair.question() | {"rossec_grants": b""} == {
+        "callerid": b"/viewer",
+        "topic": b"/robot/pose",
+        "type": b"geometry_msgs/PoseStamped",
+        "md5sum": b"d3812c3cbc69362b77dc0b19b345f8f5",
+        "message_definition": ENDPOINT.type.definition.encode(),
+        "tcp_nodelay": b"1",
+        "rossec_grants": b"",
+    }
+    assert pair.answer()["latching"] == b"0"
+    latched = topic_handshake.publisher_header(
+        "/robot", ENDPOINT, pair.robot_access, NOW, latching=True
+    )
+    assert latched["latching"] == b"1"
+
+
+def test_a_name_is_what_the_certificate_says(pair: Pair) -> None:
+    with pytest.raises(CallerMismatch, match="certified as /robot calls itself /viewer"):
+        pair.admit_viewer(pair.question(), pair.robot)
+    with pytest.raises(CallerMismatch):
+        pair.admit_robot(pair.answer() | {"callerid": b"/viewer"})
+
+
+@pytest.mark.parametrize("key", ["callerid", "topic"])
+@pytest.mark.parametrize(
+    ("value", "said"),
+    [(None, "has no"), (b"\xff\xfe", "is not text"), (b"/a\n/b", "control characters")],
+)
+def test_a_header_that_is_not_in_order(
+    pair: Pair, key: str, value: bytes | None, said: str
+) -> None:
+    fields = pair.question()
+    del fields[key]
+    if value is not None:
+        fields[key] = value
+    with pytest.raises(TopicRefused, match=said):
+        pair.admit_viewer(fields)
+
+
+def test_a_grant_for_another_topic_does_not_help(pair: Pair) -> None:
+    with pytest.raises(GrantMissing):
+        pair.admit_viewer(pair.question() | {"topic": b"/robot/camera"})
+
+
+def test_a_publisher_must_prove_its_right_too(pair: Pair) -> None:
+    fields = pair.answer()
+    del fields["rossec_grants"]
+    with pytest.raises(GrantMissing):
+        pair.admit_robot(fields)
+
+
+def test_a_publisher_must_answer_what_was_asked(pair: Pair) -> None:
+    with pytest.raises(TopicRefused, match="another topic"):
+        pair.admit_robot(pair.answer() | {"topic": b"/robot/camera"})
+
+
+def test_an_error_of_the_publisher_is_quoted_on_one_line(pair: Pair) -> None:
+    with pytest.raises(TopicRefused, match=r"^/robot refuses: no \[2J way$"):
+        pair.admit_robot({"error": b"no\x1b[2J\nway"})
+    with pytest.raises(TopicRefused, match="is not text"):
+        pair.admit_robot({"error": b"\xff"})
+
+
+@pytest.mark.parametrize(
+    ("change", "fits"),
+    [
+        ({"type": b"*", "md5sum": b"*"}, True),
+        ({"md5sum": b"*"}, True),
+        ({"type": b"geometry_msgs/Pose"}, False),
+        ({"md5sum": b"0" * 32}, False),
+        ({"md5sum": b""}, False),
+    ],
+)
+def test_types_are_compared_as_in_ros(pair: Pair, change: Fields, fits: bool) -> None:
+    fields = pair.question() | change
+    if fits:
+        topic_handshake.check_type(fields, ENDPOINT.expected)
+        return
+    with pytest.raises(TopicRefused, match="the peer expects") as caught:
+        topic_handshake.check_type(fields, ENDPOINT.expected)
+    assert "same version" in caught.value.hint
+
+
+def test_an_anonymous_node_goes_by_a_name_its_certificate_covers(pair: Pair) -> None:
+    rviz = replace(pair.viewer, wildcard=True)
+    pair.admit_viewer(pair.question() | {"callerid": b"/viewer_17"}, rviz)
+    for name in (b"/robot", b"/master", b"/viewer_", b"/viewer_1/a"):
+        with pytest.raises(CallerMismatch, match="certified as /viewer calls itself"):
+            pair.admit_viewer(pair.question() | {"callerid": name}, rviz)
+    with pytest.raises(CallerMismatch):
+        pair.admit_viewer(pair.question() | {"callerid": b"/viewer_17"})

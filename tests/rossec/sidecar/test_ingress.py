@@ -1,0 +1,126 @@
+"""Doors to the network: what passes to peers, what does not."""
+
+import asyncio
+
+import pytest
+
+from grants.model import Restriction, Right, filter_rules
+from rossec.channel.opening import Flavour
+from rossec.errors import RossecError
+from rossec.net.aio.dial import dial
+from rossec.net.rpc.client import RpcClient
+from rossec.participant.access import FIELD
+from rossec.ros import header
+from rossec.ros.settings import parse_uri
+from rossec.sidecar.agent import Agent
+from rossec.sidecar.core.endpoints import Endpoint
+from rossec.sidecar.pump import split_header
+from tests.rossec.sidecar.conversation import Pair, connect, ends, heard
+from tests.rossec.sidecar.program import word
+
+
+async def test_messages_pass_unchanged_and_large_ones_in_pieces(pair: Pair) -> None:
+    stream, source = await connect(pair)
+    message = word("hello") + word("x" * 3_000_000)
+    sending = asyncio.ensure_future(source.send(message))
+    assert await heard(stream, len(message)) == message
+    await sending
+    assert b"rossec_grants" not in str(pair.talker.headers).encode()
+
+
+async def test_both_ends_go_together(pair: Pair) -> None:
+    stream, source = await connect(pair)
+    await source.close()
+    await ends(stream)
+    stream, source = await connect(pair)
+    stream.abort()
+    await ends(source)
+
+
+async def test_a_restricted_subscriber_sees_what_it_may(pair: Pair) -> None:
+    rules = filter_rules({"data": {"truncate": {"length": 2}}})
+    for file in pair.site.enroll("/listener").path.glob("grants/*"):
+        file.unlink()
+    restriction = Restriction("std_msgs/String", ('msg.data != "secret"',), rules)
+    pair.site.subscribe("/listener", "/word", restriction)
+    stream, source = await connect(pair)
+    await source.send(word("hello") + word("secret") + word("world"))
+    expected = word("he") + word("wo")
+    assert await heard(stream, len(expected)) == expected
+
+
+async def test_a_guard_that_crashes_lets_nothing_through(
+    pair: Pair, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for file in pair.site.enroll("/listener").path.glob("grants/*"):
+        file.unlink()
+    rules = filter_rules({"data": {"truncate": {"length": 2}}})
+    pair.site.subscribe("/listener", "/word", Restriction("std_msgs/String", (), rules))
+    stream, source = await connect(pair)
+
+    def crash(*_: object) -> None:
+        raise ArithmeticError
+
+    monkeypatch.setattr("grants.guard.Guard.treat", crash)
+    await source.send(word("hello"))
+    with pytest.raises(RossecError):
+        await heard(stream, 1)
+    await ends(source)
+
+
+async def test_services_pass_both_ways(pair: Pair) -> None:
+    uri = f"rosrpc://127.0.0.1:{pair.talker.topics.port}"
+    await pair.talker.register("registerService", "/say", uri)
+    answer = await pair.listener.ask(pair.listener.master_uri, "lookupService", "/say")
+    assert isinstance(answer, list)
+    stream, fields = await pair.listener.call(answer[2], "/say")
+    assert "error" not in fields
+    for text in ("echo", "a longer one than a header" * 100_000):
+        await stream.send(word(text))
+        assert await heard(stream, len(word(text))) == word(text)
+
+
+async def test_a_program_that_died_is_refused_as_a_dead_node_is(pair: Pair) -> None:
+    site = pair.site
+    site.grant("/listener", Right.GRAPH, "/talker")
+    await pair.talker.register("registerPublisher", "/word", "std_msgs/String")
+    ask = pair.listener.ask
+    answer = await ask(pair.listener.master_uri, "lookupNode", "/talker")
+    assert isinstance(answer, list)
+    assert await ask(answer[2], "getPid") == [1, "", 4711]
+    await pair.talker.close()
+    again = await ask(pair.listener.master_uri, "lookupNode", "/talker")
+    assert isinstance(again, list)
+    assert again[2] == answer[2], "the number must not change"
+    with pytest.raises(ConnectionRefusedError):
+        await dial(*parse_uri(again[2]), 10)
+
+
+async def door(pair: Pair, flavour: Flavour) -> tuple[Agent, Endpoint]:
+    """The listener's identity, and where peers meet the talker."""
+    await connect(pair)
+    exports = pair.near._agent_for("/talker")._exports.doorways
+    (port,) = (server.port for place, server in exports._doors.items() if place.flavour is flavour)
+    return pair.far._agent_for("/listener"), Endpoint(flavour, "127.0.0.1", port)
+
+
+async def test_a_subscriber_that_says_more_than_its_header_is_cut(pair: Pair) -> None:
+    agent, place = await door(pair, Flavour.TCPROS)
+    asked = {"callerid": b"/listener", "topic": b"/word", "type": b"*", "md5sum": b"*"}
+    proof = {FIELD: agent.proof(Right.SUBSCRIBE, "/word")}
+    for fields, more in ((asked | proof, b"more"), (asked, b"")):
+        stream = await agent.dial(place)
+        await stream.send(header.encode(fields) + more)
+        answer, _ = await split_header(stream)
+        assert ("error" in answer) is (fields == asked)
+        with pytest.raises(RossecError):
+            await stream.receive()
+
+
+async def test_what_is_for_the_master_alone(pair: Pair) -> None:
+    agent, place = await door(pair, Flavour.HTTP)
+    client = RpcClient(await agent.dial(place))
+    params = ("/master", b"list", b"timestamp")
+    answer = await client.call("rossec.revocationUpdate", *params)
+    assert answer == [-1, "rossec: rossec.revocationUpdate is for the master alone", 0]
+    await client.close()

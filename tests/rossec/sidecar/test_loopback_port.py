@@ -1,0 +1,244 @@
+import asyncio
+import contextlib
+import errno
+import os
+import socket
+
+import pytest
+
+from rossec.errors import ChannelClosed, ConfigurationError
+from rossec.net.aio.dial import dial
+from rossec.sidecar import loopback_port
+from rossec.sidecar.callers import Callers
+from rossec.sidecar.core.endpoints import LOOPBACK, Loopback
+from rossec.sidecar.loopback_port import LoopbackPort, reserve
+from rossec.sidecar.plain_stream import PlainStream
+
+ANYBODY = Callers({os.getuid()})
+
+
+async def echo(stream: PlainStream) -> None:
+    while True:
+        await stream.send(await stream.receive())
+
+
+async def greeted(port: int) -> bytes:
+    stream = PlainStream(await dial("127.0.0.1", port, 10))
+    await stream.send(b"hello")
+    try:
+        return await stream.receive()
+    finally:
+        await stream.close()
+
+
+async def test_a_port_at_rest_refuses_and_keeps_its_number() -> None:
+    door = LoopbackPort(ANYBODY, echo)
+    kept: list[PlainStream] = []
+    try:
+        for _ in range(2):
+            with pytest.raises(ConnectionRefusedError):
+                await dial("127.0.0.1", door.port, 10)
+            with pytest.raises(OSError, match="in use"):
+                reserve(door.port)
+            door.open()
+            door.open()
+            assert await greeted(door.port) == b"hello"
+            kept.append(PlainStream(await dial("127.0.0.1", door.port, 10)))
+            await kept[-1].send(b"x")
+            assert await kept[-1].receive() == b"x"
+            door.rest()
+            with socket.socket() as thief:
+                thief.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+                with pytest.raises(OSError, match="in use"):
+                    thief.bind(("127.0.0.1", door.port))
+    finally:
+        await door.close()
+        for stream in kept:
+            await stream.close()
+    reserve(door.port).close()
+
+
+async def test_programs_of_others_are_dropped_before_a_byte_is_read() -> None:
+    door = LoopbackPort(Callers({os.getuid() + 1}), echo)
+    door.open()
+    try:
+        with pytest.raises((ChannelClosed, ConnectionError)):
+            await greeted(door.port)
+    finally:
+        await door.close()
+
+
+async def test_the_connections_of_a_port_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(loopback_port, "_CONNECTIONS", 1)
+    door = LoopbackPort(ANYBODY, echo)
+    door.open()
+    first = PlainStream(await dial("127.0.0.1", door.port, 10))
+    await first.send(b"x")
+    assert await first.receive() == b"x"
+    assert door.connections == 1
+    with pytest.raises((ChannelClosed, ConnectionError)):
+        await greeted(door.port)
+    first.abort()
+    await door.close()
+
+
+class Exhausted(socket.socket):
+    """Out of descriptors for a while; counts how often it is asked."""
+
+    asked = 0
+
+    def accept(self) -> tuple[socket.socket, object]:
+        Exhausted.asked += 1
+        if Exhausted.asked <= 3:
+            raise OSError(errno.EMFILE, "too many open files")
+        return super().accept()
+
+
+async def test_without_descriptors_it_rests(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Whoever waits is told of again at once: to try again at once would take all the time."""
+    monkeypatch.setattr(loopback_port, "reserve", lambda *_: Exhausted(fileno=reserve().detach()))
+    monkeypatch.setattr(loopback_port, "_REST", 0.05)
+    door = LoopbackPort(ANYBODY, echo)
+    door.open()
+    assert await greeted(door.port) == b"hello"
+    assert Exhausted.asked == 4
+    assert "too many open files" in caplog.text
+    door.rest()
+    door._watch()  # it rests
+    with pytest.raises(ConnectionRefusedError):
+        await dial("127.0.0.1", door.port, 10)
+    await door.close()
+
+
+async def test_a_slow_program_slows_the_sender() -> None:
+    """Back-pressure: what is not taken stays with the sender, not in our memory."""
+    taken = asyncio.Event()
+    received = 0
+
+    async def lazy(stream: PlainStream) -> None:
+        nonlocal received
+        await taken.wait()
+        while True:
+            received += len(await stream.receive())
+
+    door = LoopbackPort(ANYBODY, lazy)
+    door.open()
+    stream = PlainStream(await dial("127.0.0.1", door.port, 10))
+    sending = asyncio.ensure_future(stream.send(b"x" * 32_000_000))
+    done, _ = await asyncio.wait({sending}, timeout=0.3)
+    assert not done
+    taken.set()
+    await sending
+    await stream.close()
+    await door.close()
+    assert received == 32_000_000
+
+
+async def test_too_many_at_once_are_let_go(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(loopback_port, "_CONNECTIONS", 1)
+    door = LoopbackPort(ANYBODY, echo)
+    door.open()
+    stream = PlainStream(await dial("127.0.0.1", door.port, 10))
+    await stream.send(b"hello")
+    assert await stream.receive() == b"hello"
+    with pytest.raises(ChannelClosed):
+        await greeted(door.port)
+    assert f"too many connections at loopback port {door.port}" in caplog.text
+    await stream.close()
+    await door.close()
+
+
+async def test_a_mistake_of_ours_lets_nobody_in(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def crash(_: socket.socket) -> None:
+        raise ArithmeticError
+
+    monkeypatch.setattr(ANYBODY, "check", crash)
+    door = LoopbackPort(ANYBODY, echo)
+    door.open()
+    with pytest.raises(ChannelClosed):
+        await greeted(door.port)
+    await door.close()
+
+
+async def test_another_free_port_where_one_is_taken_meanwhile(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        monkeypatch.setattr(loopback_port, "free_port", lambda: port)
+        with pytest.raises(OSError, match="in use"):
+            reserve()
+
+
+def resolving(monkeypatch: pytest.MonkeyPatch, here: set[str], names: dict[str, set[str]]) -> None:
+    monkeypatch.setattr(loopback_port, "_is_here", here.__contains__)
+    monkeypatch.setattr(loopback_port, "_addresses", lambda name: names.get(name, set()))
+
+
+def test_loopback_is_ipv4_wherever_it_can_be(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert loopback_port.find() == LOOPBACK
+    resolving(monkeypatch, {"127.0.0.1", "::1"}, {"localhost": {"::1"}})
+    assert loopback_port.find() == LOOPBACK
+
+
+@pytest.mark.parametrize(
+    ("names", "name"),
+    [
+        ({"localhost": {"::1"}, "ip6-localhost": {"::1"}}, "localhost"),
+        ({"localhost": {"::1", "2001:db8::1"}, "ip6-localhost": {"::1"}}, "ip6-localhost"),
+    ],
+)
+def test_without_ipv4_it_is_a_name_that_leads_to_ipv6_alone(
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+    names: dict[str, set[str]],
+    name: str,
+) -> None:
+    resolving(monkeypatch, {"::1"}, names)
+    assert loopback_port.find() == ("::1", name)
+    assert f"no 127.0.0.1: programs are told {name}, and ROS_IPV6=on" in caplog.text
+
+
+def test_a_host_without_loopback_is_told_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    resolving(monkeypatch, set(), {"localhost": {"::1"}})
+    with pytest.raises(ConfigurationError, match="this host has no loopback address") as caught:
+        loopback_port.find()
+    assert caught.value.hint == "ip link set lo up"
+    resolving(monkeypatch, {"::1"}, {"localhost": {"::ffff:127.0.0.1"}})
+    with pytest.raises(ConfigurationError, match="no name for ::1") as caught:
+        loopback_port.find()
+    assert caught.value.hint == "write in /etc/hosts: ::1 localhost ip6-localhost"
+
+
+def test_what_a_name_leads_to(monkeypatch: pytest.MonkeyPatch) -> None:
+    def found(*_: object) -> list[tuple[object, ...]]:
+        return [(socket.AF_INET6, socket.SOCK_STREAM, 6, "", ("::1", 0, 0, 0))]
+
+    def missing(*_: object) -> list[tuple[object, ...]]:
+        raise socket.gaierror(socket.EAI_NONAME, "no such name")
+
+    monkeypatch.setattr(socket, "getaddrinfo", found)
+    assert loopback_port._addresses("localhost") == {"::1"}
+    monkeypatch.setattr(socket, "getaddrinfo", missing)
+    assert loopback_port._addresses("localhost") == set()
+    assert loopback_port._is_here("127.0.0.1")
+    assert not loopback_port._is_here("192.0.2.1")
+
+
+async def test_a_port_of_ipv6_is_for_programs_that_may(caplog: pytest.LogCaptureFixture) -> None:
+    """The kernel says who is at the other end there as well."""
+    six = Loopback("::1", "localhost")
+    for users, answer in ((os.getuid(), b"hello"), (os.getuid() + 1, b"")):
+        door = LoopbackPort(Callers({users}, None, six), echo)
+        door.open()
+        reader, writer = await asyncio.open_connection("::1", door.port)
+        writer.write(b"hello")
+        with contextlib.suppress(ConnectionError):
+            assert await reader.read(5) == answer
+        writer.close()
+        await door.close()
+    assert "may not use this sidecar" in caplog.text

@@ -1,0 +1,126 @@
+"""Whose a socket is: searched for together, proved each time."""
+
+import asyncio
+import os
+from collections.abc import Iterator
+
+import pytest
+
+from rossec.net.host import peeruid
+from rossec.sidecar import processes, socket_owners
+from rossec.sidecar.processes import Process
+from rossec.sidecar.socket_owners import Holders
+from tests.rossec.sidecar.manyprograms import programs
+
+
+@pytest.fixture
+def ours() -> Holders:
+    return Holders(os.getpid())
+
+
+@pytest.fixture
+def searches(monkeypatch: pytest.MonkeyPatch) -> list[None]:
+    """One for each search that begins."""
+    begun: list[None] = []
+    parents = processes.parents
+
+    def counted() -> Iterator[tuple[int, int]]:
+        begun.append(None)
+        return parents()
+
+    monkeypatch.setattr(socket_owners, "parents", counted)
+    return begun
+
+
+async def test_those_who_wait_share_a_search(
+    ours: Holders, searches: list[None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(socket_owners, "_TURN", 0.0)  # a fast search would end before the next asks
+    with programs(4) as several:
+        ends = [several.connection(which) for which in range(4) for _ in range(5)]
+        inodes = [peeruid.holder_of(end).inode for end in ends]
+        assert all(await asyncio.gather(*map(ours.have, inodes)))
+        assert len(searches) == 2  # one that all but the first came too late for
+        assert all([await ours.have(inode) for inode in inodes])
+        assert len(searches) == 2
+        for end in ends:
+            end.close()
+
+
+async def test_the_socket_of_another_program_is_searched_for_and_not_found(ours: Holders) -> None:
+    with programs() as one, one.connection(0) as end:
+        inode = peeruid.holder_of(end).inode
+        assert not await Holders(one.running[0].pid).have(inode)  # it is not its own child
+        assert await ours.have(inode)
+        assert not await ours.have(os.fstat(end.fileno()).st_ino)
+        assert not await ours.have(0)
+
+
+async def test_what_is_remembered_is_read_again(ours: Holders, searches: list[None]) -> None:
+    """The next connection takes the descriptor of one that was closed."""
+    with programs() as one:
+        with one.connection(0) as end:
+            first = peeruid.holder_of(end).inode
+            assert await ours.have(first)
+        one.tell(0, "close")
+        with one.connection(0) as end:
+            assert not await ours.have(first)
+            assert await ours.have(peeruid.holder_of(end).inode)
+    assert len(searches) == 3
+
+
+async def test_a_number_that_is_given_again_proves_nothing(
+    ours: Holders, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with programs() as one, one.connection(0) as end:
+        inode = peeruid.holder_of(end).inode
+        assert await ours.have(inode)
+        started = [1, 2, 1]  # found by a search, then gone when it is to be proved
+        monkeypatch.setattr(socket_owners, "process", lambda number: Process(number, started.pop()))
+        monkeypatch.setattr(socket_owners, "parents", lambda: [(one.running[0].pid, os.getpid())])
+        assert not await ours.have(inode)
+        assert started == []
+
+
+async def test_a_number_given_again_while_it_is_read_proves_nothing(
+    ours: Holders, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Before, it is the process that was found; afterwards another one is."""
+    with programs() as one, one.connection(0) as end:
+        inode = peeruid.holder_of(end).inode
+        asked: list[None] = []
+        found = processes.process(one.running[0].pid)
+        assert found is not None
+
+        def changing(_: int) -> Process:
+            asked.append(None)
+            return found if len(asked) < 3 else Process(found.number, found.started + 1)
+
+        monkeypatch.setattr(socket_owners, "process", changing)
+        monkeypatch.setattr(socket_owners, "parents", lambda: [(found.number, os.getpid())])
+        assert not await ours.have(inode)
+        assert len(asked) == 3
+
+
+async def test_who_gives_up_takes_nobody_along(
+    ours: Holders, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(socket_owners, "_TURN", 0.0)  # it gives way after each descriptor
+    with programs(2, files=20) as two, two.connection(0) as one, two.connection(1) as other:
+        inodes = [peeruid.holder_of(end).inode for end in (one, other)]
+        first, second = (asyncio.ensure_future(ours.have(inode)) for inode in inodes)
+        await asyncio.sleep(0)
+        await asyncio.sleep(0)
+        first.cancel()
+        assert await second
+        assert first.cancelled()
+
+
+async def test_what_is_remembered_is_bounded(
+    ours: Holders, monkeypatch: pytest.MonkeyPatch, searches: list[None]
+) -> None:
+    monkeypatch.setattr(socket_owners, "_REMEMBERED", 1)
+    with programs() as one, one.connection(0) as end, one.connection(0) as other:
+        for each in (end, other, end):
+            assert await ours.have(peeruid.holder_of(each).inode)
+    assert len(searches) == 3
