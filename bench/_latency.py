@@ -18,12 +18,12 @@ from ca.encoding import encode
 from grants.document import grant_id
 from grants.model import Right
 from rossec.errors import ChannelError
-from rossec.net.aio import Flavour, SecureStream, connect, serve
+from rossec.net.aio import SecureStream, WireProtocol, connect, serve
 from rossec.net.rpc.client import RpcClient, serve_calls
 from rossec.node import Node
 from rossec.participant.access import FIELD
 from rossec.participant.message_types import message_type
-from rossec.participant.topic_handshake import Endpoint
+from rossec.participant.topic_handshake import TopicEndpoint
 from rossec.ros import header
 from tests.support.site import Site
 
@@ -105,7 +105,11 @@ async def secure_updates(site: Site, master: Master, dead: int) -> float:
     async def client(name: str) -> tuple[Member, RpcClient]:
         member = enroll(site, name, {TOPIC: Right.PUBLISH | Right.SUBSCRIBE})
         stream = await connect(
-            "127.0.0.1", master.port, member.credentials, site.anchor.verify, opening=Flavour.HTTP
+            "127.0.0.1",
+            master.port,
+            member.credentials,
+            site.anchor.verify,
+            opening=WireProtocol.HTTP,
         )
         found = RpcClient(stream)
         await found.ask("rossec.presentGrants", name, [member.grant])
@@ -138,7 +142,7 @@ async def revocation(site: Site, environ: dict[str, str], count: int) -> list[fl
     site.grant("/robot", Right.PUBLISH, TOPIC)
     members = [enroll(site, f"/viewer{n}", {TOPIC: Right.SUBSCRIBE}) for n in range(count)]
     kind = message_type(KIND)
-    endpoint = Endpoint(TOPIC, kind)
+    endpoint = TopicEndpoint(TOPIC, kind)
     async with Node("/robot", environ=environ) as robot:
         publisher = await robot.publisher(TOPIC, KIND)
         host, port = robot.topic_endpoint()

@@ -14,7 +14,7 @@ from collections.abc import Iterable, Sequence
 from ca.certificates import Identity
 from rossec.channel.connection import Connection
 from rossec.channel.edhoc.credentials import Credentials, Verify
-from rossec.channel.opening import Flavour
+from rossec.channel.opening import WireProtocol
 from rossec.channel.records import HEADER, Frame
 from rossec.channel.states import Authenticated, UnitReceived
 from rossec.ros import xmlrpc
@@ -79,7 +79,7 @@ class SecureLine(Line):
     def __init__(self, port: int, own: Credentials, verify: Verify[Identity]) -> None:
         super().__init__(port)
         self._core = Connection[Identity].initiator(
-            own, verify, random=secrets.token_bytes, now=int(time.time()), opening=Flavour.HTTP
+            own, verify, random=secrets.token_bytes, now=int(time.time()), opening=WireProtocol.HTTP
         )
         authenticated = False
         while not authenticated:

@@ -11,7 +11,7 @@ from bench._lines import Line, request
 from bench._masters import Member
 from ca.certificates import Identity, TrustAnchor
 from rossec.errors import RossecError
-from rossec.net.aio import Flavour, SecureStream, connect, serve
+from rossec.net.aio import SecureStream, WireProtocol, connect, serve
 from rossec.net.rpc.client import RpcClient, serve_calls
 
 TYPE = "std_msgs/String"
@@ -38,7 +38,7 @@ async def join(member: Member, port: int, anchor: TrustAnchor) -> RpcClient:
 
 async def _register(member: Member, uri: str, port: int, anchor: TrustAnchor) -> RpcClient:
     stream = await connect(
-        "127.0.0.1", port, member.credentials, anchor.verify, opening=Flavour.HTTP
+        "127.0.0.1", port, member.credentials, anchor.verify, opening=WireProtocol.HTTP
     )
     client = RpcClient(stream, deadline=60)
     await client.ask("rossec.presentGrants", member.name, [member.grant])

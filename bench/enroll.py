@@ -20,7 +20,7 @@ from ca.revocation import merkle
 from ca.revocation.merkle import Tree
 from ca.store.log_entries import digest_of
 from ca.store.record import Store
-from rossec.authority.signing import OpenAuthority
+from rossec.authority.signing import SigningAuthority
 
 NOW = 1_800_000_000
 SIZES = (100, 10_000)
@@ -35,7 +35,7 @@ class Desk:
         root = create_root(self.signer, "home", now=NOW, serial=1)
         self.authority = Authority(self.signer, root)
         self.store = Store.create(directory / "ca.db")
-        self.open = OpenAuthority(self.authority, self.store, directory)
+        self.open = SigningAuthority(self.authority, self.store, directory)
         self.open.sign_list(NOW)
         self.node = KeySigner(generate())
         self.count = 0

@@ -27,11 +27,11 @@ from ca.errors import (
 from ca.intermediates import Intermediate, read_intermediate
 from ca.keys.publickey import thumbprint
 from ca.names import check_wildcard, covers, parse_spiffe_id
-from ca.requests import MAX_REQUEST, Request, build_request, check_request
+from ca.requests import MAX_REQUEST, IdentityRequest, build_request, check_request
 from ca.svid import MAX_CERTIFICATE
 
 __all__ = [
-    "MAX_CERTIFICATE", "MAX_REQUEST", "Identity", "Request", "TrustAnchor",
+    "MAX_CERTIFICATE", "MAX_REQUEST", "Identity", "IdentityRequest", "TrustAnchor",
     "build_request", "check_request", "from_pem", "to_pem",
 ]  # fmt: skip
 

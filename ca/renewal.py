@@ -19,7 +19,7 @@ from ca.cose import Profile
 from ca.encoding import Value
 from ca.errors import EncodingError, RenewalRefused, SignatureError
 from ca.keys.signer import Signer
-from ca.requests import MAX_REQUEST, Request, check_request
+from ca.requests import MAX_REQUEST, IdentityRequest, check_request
 from ca.svid import MAX_CERTIFICATE
 
 PROFILE: Final = Profile("rossec-renewal+cwt")
@@ -37,7 +37,7 @@ class Renewal:
     """A checked renewal: who it is now, and what it asks for."""
 
     identity: Identity
-    request: Request
+    request: IdentityRequest
     csr: bytes
 
     @property

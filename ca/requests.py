@@ -29,7 +29,7 @@ _HINT: Final = "make the request on the node with `rossec node request`"
 
 
 @dataclass(frozen=True)
-class Request:
+class IdentityRequest:
     """A checked request.
 
     `digest` is the SHA-256 of the DER bytes, as in the enrollment code. `wildcard`: it asks for a
@@ -62,7 +62,7 @@ def build_request(signer: Signer, domain: str, name: str, *, wildcard: bool = Fa
     return builder.sign(X509Signer(signer), hashes.SHA256()).public_bytes(Encoding.DER)
 
 
-def check_request(csr: bytes, domain: str, *, wildcard: bool = False) -> Request:
+def check_request(csr: bytes, domain: str, *, wildcard: bool = False) -> IdentityRequest:
     """Return what the CSR asks for, if it is one name in `domain` for one proven P-256 key.
 
     Args:
@@ -89,7 +89,7 @@ def check_request(csr: bytes, domain: str, *, wildcard: bool = False) -> Request
             f"the request asks for all names that begin with {name}_",
             "only for anonymous nodes: if that is meant, sign it with --anonymous",
         )
-    return Request(domain, name, key, thumbprint(key), hashlib.sha256(csr).digest(), asks)
+    return IdentityRequest(domain, name, key, thumbprint(key), hashlib.sha256(csr).digest(), asks)
 
 
 def proven_key(request: x509.CertificateSigningRequest) -> ec.EllipticCurvePublicKey:

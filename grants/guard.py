@@ -16,7 +16,7 @@ from grants.filters.codegen import Buffer
 from grants.filters.compile import Filter, compile_filter
 from grants.filters.hashing import Keys, key_names
 from grants.filters.layout import Layout
-from grants.memory import Bucket, Cell, CellName, Memory
+from grants.memory import Cell, CellName, Memory, RateBucket
 from grants.model import FilterRule, Restriction
 from grants.validity import moment
 
@@ -78,7 +78,7 @@ class Guard:
             for number, stage in enumerate(_stages(restrictions))
         )
 
-    def _limited(self, restrictions: Iterable[Restriction]) -> Bucket | None:
+    def _limited(self, restrictions: Iterable[Restriction]) -> RateBucket | None:
         """The tightest of the rates: what it lets through, the others do too."""
         rates = [restriction.rate for restriction in restrictions if restriction.rate is not None]
         return self._remembering().bucket(min(rates)) if rates else None

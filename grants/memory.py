@@ -35,7 +35,7 @@ class Cell:
         self.held: float | None = None
 
 
-class Bucket:
+class RateBucket:
     """A token bucket: over any time, `rate` messages a second and `max(1, rate)` more at most."""
 
     def __init__(self, rate: float, tokens: float) -> None:
@@ -67,10 +67,10 @@ class Memory:
 
     def __init__(self, lock: AbstractContextManager[Any] | None = None) -> None:
         self.lock: Final = nullcontext() if lock is None else lock
-        self._buckets: dict[float, Bucket] = {}
+        self._buckets: dict[float, RateBucket] = {}
         self._cells: dict[CellName, Cell] = {}
 
-    def bucket(self, rate: float) -> Bucket:
+    def bucket(self, rate: float) -> RateBucket:
         """The bucket for a rate; a further one begins with no more than the others have left.
 
         Raises:
@@ -80,7 +80,7 @@ class Memory:
             if rate not in self._buckets:
                 _check_room(len(self._buckets), _MOST_RATES, "rates")
                 left = max((other.tokens for other in self._buckets.values()), default=rate + 1)
-                self._buckets[rate] = Bucket(rate, left)
+                self._buckets[rate] = RateBucket(rate, left)
             return self._buckets[rate]
 
     def cell(self, name: CellName) -> Cell:
@@ -95,7 +95,7 @@ class Memory:
                 self._cells[name] = Cell()
             return self._cells[name]
 
-    def take(self, bucket: Bucket, mark: object, now: int) -> bool:
+    def take(self, bucket: RateBucket, mark: object, now: int) -> bool:
         """Whether the message with this mark may pass at `now`; all rates of the key count it.
 
         So two grants with rates, shown on two connections, let through no more messages than the
@@ -111,7 +111,7 @@ class Memory:
             each.charge(mark)
         return True
 
-    def ready(self, bucket: Bucket, now: int) -> bool:
+    def ready(self, bucket: RateBucket, now: int) -> bool:
         """Whether a new message may pass at `now`."""
         bucket.refill(now)
         return bucket.tokens >= 1

@@ -23,7 +23,7 @@ MAX_TOKEN: Final = MAX_GRANT + 2 * MAX_STATEMENT + 16
 _ARRAY_OF_3: Final = b"\x83"  # a grant begins with its tag, 0xd2
 
 
-class Parts(NamedTuple):
+class TokenParts(NamedTuple):
     """A token taken apart; a grant that was not renewed has empty `ticket` and `delegation`."""
 
     grant: bytes
@@ -73,20 +73,20 @@ def pack(grant: bytes, ticket: bytes, delegation: bytes) -> bytes:
     return encode([grant, ticket, delegation])
 
 
-def unpack(token: bytes) -> Parts:
+def unpack(token: bytes) -> TokenParts:
     """Take a token apart; nothing is verified.
 
     Raises:
         GrantMalformed: an array that is not one of a grant, a ticket and a delegation.
     """
     if not token.startswith(_ARRAY_OF_3):
-        return Parts(token)
+        return TokenParts(token)
     try:
         value = decode(token, limit=MAX_TOKEN)
     except EncodingError as error:
         raise GrantMalformed(f"not a renewed grant: {error}") from None
     match value:
         case [bytes() as grant, bytes() as ticket, bytes() as delegation] if all(value):
-            return Parts(grant, ticket, delegation)
+            return TokenParts(grant, ticket, delegation)
         case _:
             raise GrantMalformed("a renewed grant is [grant, ticket, delegation]")

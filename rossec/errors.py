@@ -23,11 +23,11 @@ class NotWritten(RossecError):
     """A file the disk does not take; what was there before is unchanged."""
 
 
-class TopicRefused(RossecError):
+class ConnectionHeaderRefused(RossecError):
     """A peer's TCPROS header that does not fit what this node publishes or subscribes."""
 
 
-class CallerMismatch(TopicRefused):
+class CallerMismatch(ConnectionHeaderRefused):
     """A peer that calls itself by another name than its certificate says."""
 
 
@@ -110,10 +110,6 @@ class PeerUserRefused(RossecError):
     """A program of another user of this host, or of nobody who can be named."""
 
 
-class SettingsRefused(RossecError):
-    """The command line or the environment of this program says something that cannot be meant."""
-
-
 class ChannelError(RossecError):
     """The secure connection cannot be made, or has ended."""
 
@@ -142,11 +138,11 @@ class PeerRefused(ChannelError):
     """The peer ended the handshake with an error. Unauthenticated, so only a hint."""
 
 
-class UnknownCredential(HandshakeFailed):
+class PeerCredentialUnknown(HandshakeFailed):
     """The peer named its certificate by a hash this node does not know; it is told so."""
 
 
-class CredentialUnknown(PeerRefused):
+class OwnCredentialUnknown(PeerRefused):
     """The peer does not know the certificate this node named: begin again, by value."""
 
 

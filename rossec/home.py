@@ -13,7 +13,7 @@ from typing import Final, Self
 from ca import svid
 from ca.certificates import (
     Identity,
-    Request,
+    IdentityRequest,
     TrustAnchor,
     build_request,
     check_request,
@@ -106,7 +106,7 @@ class NodeHome:
         """The request for an identity, to carry to the authority."""
         return self.path / "node.csr"
 
-    def create_request(self, domain: str, *, wildcard: bool = False) -> Request:
+    def create_request(self, domain: str, *, wildcard: bool = False) -> IdentityRequest:
         """Make the key and the request for an identity; with `wildcard`, for anonymous nodes too.
 
         Raises:

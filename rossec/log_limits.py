@@ -16,7 +16,7 @@ _FIRST: Final = 1024  # beyond what is remembered, the first of each is said
 CAUSE: Final = "rossec_cause"  # of a record: what counts instead of its text, and whom it is about
 
 
-class Quiet(logging.Filter):
+class LogRateLimit(logging.Filter):
     """Lets the same text through once a minute, and so many texts about one and about all."""
 
     def __init__(self) -> None:

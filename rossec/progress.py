@@ -16,7 +16,7 @@ LEAST: Final = 256 * 1024  # 35 kbit/s
 LONGEST: Final = 600
 
 
-class Unfinished:
+class Progress:
     """One thing that arrives in parts, and then the next one."""
 
     __slots__ = ("_age", "_at", "_mark_age", "_mark_length")

@@ -7,7 +7,7 @@ import signal
 import pytest
 from hypothesis import HealthCheck, settings
 
-from rossec.log_limits import Quiet
+from rossec.log_limits import LogRateLimit
 from rossec.net import withheld_log
 
 # A loaded machine is slow, not wrong: no example is judged by the time it takes.
@@ -26,7 +26,7 @@ _ROS = all(
 @pytest.fixture(autouse=True)
 def _nothing_was_said(monkeypatch: pytest.MonkeyPatch) -> None:
     """What a process says once a minute, each test may hear."""
-    monkeypatch.setattr(withheld_log, "_QUIET", Quiet())
+    monkeypatch.setattr(withheld_log, "_QUIET", LogRateLimit())
 
 
 def pytest_make_parametrize_id(val: object, argname: str) -> str | None:

@@ -15,7 +15,7 @@ from ca.enrollment.messages import (
     Abort,
     Acknowledgement,
     Delivery,
-    Done,
+    EnrollmentDone,
     Fetch,
     Message,
     Offer,
@@ -33,7 +33,7 @@ from ca.errors import (
     RequestSwapped,
     RivalOffer,
 )
-from ca.requests import Request, check_request
+from ca.requests import IdentityRequest, check_request
 
 _SAID: Final[dict[Reason, tuple[type[EnrollmentRefused], str, str]]] = {
     Reason.REFUSED: (
@@ -50,7 +50,7 @@ _SAID: Final[dict[Reason, tuple[type[EnrollmentRefused], str, str]]] = {
 }  # fmt: skip
 
 
-class State(Enum):
+class AuthorityState(Enum):
     """Where the authority is with one node."""
 
     FETCHING = "asks for the request"
@@ -62,25 +62,37 @@ class State(Enum):
     OVER = "over"
 
 
-TABLE: Final[dict[tuple[State, type[Message]], tuple[str, tuple[State, ...]]]] = {
-    (State.FETCHING, Delivery): ("_compare", (State.COMPARED, State.OVER)),
-    (State.FETCHING, Abort): ("_aborted", (State.OVER,)),
-    (State.OFFERED, Acknowledgement): ("_acknowledged", (State.ACKNOWLEDGED, State.OVER)),
-    (State.OFFERED, Abort): ("_aborted", (State.OVER,)),
-    (State.ACKNOWLEDGED, Acknowledgement): ("_acknowledged_again", (State.ACKNOWLEDGED,)),
-    (State.ACKNOWLEDGED, Done): ("_done", (State.ENROLLED, State.OVER)),
-    (State.ACKNOWLEDGED, Abort): ("_aborted", (State.OVER,)),
-    (State.ENROLLED, Acknowledgement): ("_acknowledged_again", (State.ENROLLED,)),
-    (State.ENROLLED, Done): ("_done", (State.ENROLLED,)),
+TABLE: Final[dict[tuple[AuthorityState, type[Message]], tuple[str, tuple[AuthorityState, ...]]]] = {
+    (AuthorityState.FETCHING, Delivery): (
+        "_compare",
+        (AuthorityState.COMPARED, AuthorityState.OVER),
+    ),
+    (AuthorityState.FETCHING, Abort): ("_aborted", (AuthorityState.OVER,)),
+    (AuthorityState.OFFERED, Acknowledgement): (
+        "_acknowledged",
+        (AuthorityState.ACKNOWLEDGED, AuthorityState.OVER),
+    ),
+    (AuthorityState.OFFERED, Abort): ("_aborted", (AuthorityState.OVER,)),
+    (AuthorityState.ACKNOWLEDGED, Acknowledgement): (
+        "_acknowledged_again",
+        (AuthorityState.ACKNOWLEDGED,),
+    ),
+    (AuthorityState.ACKNOWLEDGED, EnrollmentDone): (
+        "_done",
+        (AuthorityState.ENROLLED, AuthorityState.OVER),
+    ),
+    (AuthorityState.ACKNOWLEDGED, Abort): ("_aborted", (AuthorityState.OVER,)),
+    (AuthorityState.ENROLLED, Acknowledgement): ("_acknowledged_again", (AuthorityState.ENROLLED,)),
+    (AuthorityState.ENROLLED, EnrollmentDone): ("_done", (AuthorityState.ENROLLED,)),
 }
 WITHOUT_MESSAGE: Final = (
-    (State.COMPARED, State.APPROVED, "approve()"),
-    (State.APPROVED, State.OFFERED, "offer()"),
-    (State.FETCHING, State.OVER, "too late"),
-    (State.COMPARED, State.OVER, "too late, or denied"),
-    (State.APPROVED, State.OVER, "too late"),
-    (State.OFFERED, State.OVER, "too late"),
-    (State.ACKNOWLEDGED, State.OVER, "too late"),
+    (AuthorityState.COMPARED, AuthorityState.APPROVED, "approve()"),
+    (AuthorityState.APPROVED, AuthorityState.OFFERED, "offer()"),
+    (AuthorityState.FETCHING, AuthorityState.OVER, "too late"),
+    (AuthorityState.COMPARED, AuthorityState.OVER, "too late, or denied"),
+    (AuthorityState.APPROVED, AuthorityState.OVER, "too late"),
+    (AuthorityState.OFFERED, AuthorityState.OVER, "too late"),
+    (AuthorityState.ACKNOWLEDGED, AuthorityState.OVER, "too late"),
 )
 """What moves the authority besides messages."""
 
@@ -90,12 +102,12 @@ class AuthorityEnrollment:
 
     def __init__(self, code: Code, domain: str, *, wildcard: bool = False) -> None:
         """Enroll the node with this `code`; `wildcard`: it may ask for a wildcard tail."""
-        self.state = State.FETCHING
+        self.state = AuthorityState.FETCHING
         self.digits = ""
         self._code = code
         self._domain = domain
         self._wildcard = wildcard
-        self._request: Request | None = None
+        self._request: IdentityRequest | None = None
         self._csr = b""
         self._agreed = b""
         self._statement = b""
@@ -106,7 +118,7 @@ class AuthorityEnrollment:
         return write(Fetch())
 
     @property
-    def request(self) -> Request:
+    def request(self) -> IdentityRequest:
         """Who asks: compared with the code, the key proven.
 
         Raises:
@@ -142,11 +154,11 @@ class AuthorityEnrollment:
     def approve(self, now: int) -> None:
         """A person, or whoever speaks for one, has seen `request` and said yes."""
         self.tick(now)
-        self._move(State.COMPARED, State.APPROVED)
+        self._move(AuthorityState.COMPARED, AuthorityState.APPROVED)
 
     def deny(self) -> None:
         """A person said no."""
-        self._move(State.COMPARED, State.OVER)
+        self._move(AuthorityState.COMPARED, AuthorityState.OVER)
 
     def offer(self, chain: Sequence[bytes], root: bytes, nonce: bytes, now: int) -> bytes:
         """What to send now, and again, to the letter, when the connection breaks.
@@ -167,7 +179,7 @@ class AuthorityEnrollment:
             raise EnrollmentRefused("the certificate is not the one that was asked for")
         if len(nonce) != NONCE_SIZE:
             raise EnrollmentRefused(f"a nonce has {NONCE_SIZE} octets")
-        self._move(State.APPROVED, State.OFFERED)
+        self._move(AuthorityState.APPROVED, AuthorityState.OFFERED)
         self._deadline = now + WINDOW
         self._agreed = transcript.transcript(self._csr, chain, root, nonce)
         secret = self._code.secret
@@ -185,22 +197,22 @@ class AuthorityEnrollment:
         Raises:
             EnrollmentExpired: too much of it.
         """
-        if self.state in {State.ENROLLED, State.OVER}:
+        if self.state in {AuthorityState.ENROLLED, AuthorityState.OVER}:
             return
         if self._deadline and now > self._deadline:
-            self.state = State.OVER
+            self.state = AuthorityState.OVER
             raise EnrollmentExpired(
                 "the enrollment was not finished in time", "have the node show a new code"
             )
 
-    def _move(self, begin: State, end: State) -> None:
+    def _move(self, begin: AuthorityState, end: AuthorityState) -> None:
         if self.state is not begin:
             raise EnrollmentOver(f"not while the authority {self.state.value}")
         self.state = end
 
     def _compare(self, message: Delivery, _: int) -> None:
         """The hash first: nothing is parsed that the code does not vouch for."""
-        self.state = State.OVER
+        self.state = AuthorityState.OVER
         if not self._code.matches(message.csr):
             raise RequestSwapped(
                 "the request is not the one the code was made for",
@@ -208,29 +220,29 @@ class AuthorityEnrollment:
             )
         self._request = check_request(message.csr, self._domain, wildcard=self._wildcard)
         self._csr = message.csr
-        self.state = State.COMPARED
+        self.state = AuthorityState.COMPARED
 
     def _acknowledged(self, message: Acknowledgement, now: int) -> None:
-        self.state = State.OVER
+        self.state = AuthorityState.OVER
         contribution = transcript.open_acknowledgement(
             message.statement, self.request.public_key, self._agreed
         )
         self.digits = transcript.digits(self._agreed, contribution)
         self._statement = message.statement
         self._deadline = now + WINDOW
-        self.state = State.ACKNOWLEDGED
+        self.state = AuthorityState.ACKNOWLEDGED
 
     def _acknowledged_again(self, message: Acknowledgement, _: int) -> None:
         if message.statement != self._statement:
             raise AcknowledgementRefused("a second, different answer of the node", "start again")
 
-    def _done(self, message: Done, _: int) -> None:
-        if self.state is State.ACKNOWLEDGED:  # a false word takes nothing back later
-            self.state = State.OVER
+    def _done(self, message: EnrollmentDone, _: int) -> None:
+        if self.state is AuthorityState.ACKNOWLEDGED:  # a false word takes nothing back later
+            self.state = AuthorityState.OVER
         transcript.check_done(message.statement, self.request.public_key, self._agreed)
-        self.state = State.ENROLLED
+        self.state = AuthorityState.ENROLLED
 
     def _aborted(self, message: Abort, _: int) -> None:
-        self.state = State.OVER
+        self.state = AuthorityState.OVER
         error, text, hint = _SAID[message.reason]
         raise error(text, hint)

@@ -16,7 +16,7 @@ from ca.enrollment import NONCE_SIZE, WINDOW, qr, transcript
 from ca.enrollment.messages import (
     Acknowledgement,
     Delivery,
-    Done,
+    EnrollmentDone,
     Fetch,
     Message,
     Offer,
@@ -42,7 +42,7 @@ MAX_BAD_DIGITS: Final = 3
 _AGAIN: Final = "start again: rossec node enroll"
 
 
-class State(Enum):
+class NodeState(Enum):
     """Where the node is."""
 
     SHOWING = "shows its code"
@@ -52,21 +52,24 @@ class State(Enum):
     OVER = "over"
 
 
-TABLE: Final[dict[tuple[State, type[Message]], tuple[str, tuple[State, ...]]]] = {
-    (State.SHOWING, Fetch): ("_deliver", (State.SHOWING,)),
-    (State.SHOWING, Offer): ("_consider", (State.SHOWING, State.PENDING, State.OVER)),
-    (State.PENDING, Fetch): ("_deliver", (State.PENDING,)),
-    (State.PENDING, Offer): ("_compare", (State.PENDING, State.OVER)),
-    (State.CONFIRMED, Offer): ("_compare", (State.CONFIRMED, State.OVER)),
-    (State.ENROLLED, Offer): ("_repeat", (State.ENROLLED,)),
+TABLE: Final[dict[tuple[NodeState, type[Message]], tuple[str, tuple[NodeState, ...]]]] = {
+    (NodeState.SHOWING, Fetch): ("_deliver", (NodeState.SHOWING,)),
+    (NodeState.SHOWING, Offer): (
+        "_consider",
+        (NodeState.SHOWING, NodeState.PENDING, NodeState.OVER),
+    ),
+    (NodeState.PENDING, Fetch): ("_deliver", (NodeState.PENDING,)),
+    (NodeState.PENDING, Offer): ("_compare", (NodeState.PENDING, NodeState.OVER)),
+    (NodeState.CONFIRMED, Offer): ("_compare", (NodeState.CONFIRMED, NodeState.OVER)),
+    (NodeState.ENROLLED, Offer): ("_repeat", (NodeState.ENROLLED,)),
 }
 WITHOUT_MESSAGE: Final = (
-    (State.PENDING, State.CONFIRMED, "confirm()"),
-    (State.CONFIRMED, State.ENROLLED, "activated()"),
-    (State.PENDING, State.OVER, "third wrong digits"),
-    (State.SHOWING, State.OVER, "stop(), or too late"),
-    (State.PENDING, State.OVER, "stop(), or too late"),
-    (State.CONFIRMED, State.OVER, "stop()"),
+    (NodeState.PENDING, NodeState.CONFIRMED, "confirm()"),
+    (NodeState.CONFIRMED, NodeState.ENROLLED, "activated()"),
+    (NodeState.PENDING, NodeState.OVER, "third wrong digits"),
+    (NodeState.SHOWING, NodeState.OVER, "stop(), or too late"),
+    (NodeState.PENDING, NodeState.OVER, "stop(), or too late"),
+    (NodeState.CONFIRMED, NodeState.OVER, "stop()"),
 )
 """What moves the node besides messages."""
 
@@ -114,7 +117,7 @@ class NodeEnrollment:
         if len(secret) not in {0, qr.SECRET_SIZE} or len(contribution) != NONCE_SIZE:
             raise EnrollmentRefused("an enrollment needs 16 octets of each random value")
         self.request = check_request(csr, domain, wildcard=wildcard)
-        self.state = State.SHOWING
+        self.state = NodeState.SHOWING
         self.why_over: EnrollmentRefused | None = None
         self.expires = expires
         self._signer = signer
@@ -171,32 +174,32 @@ class NodeEnrollment:
         self.tick(now)
         self._check_not_over()
         pending = self.pending
-        if self.state is not State.PENDING:
+        if self.state is not NodeState.PENDING:
             raise EnrollmentOver("this was confirmed already")
         if digits != pending.digits:  # no secret: they can be computed from what travelled
             self._count_bad_digits()
-        self.state = State.CONFIRMED
+        self.state = NodeState.CONFIRMED
         return pending
 
     def activated(self) -> list[bytes]:
         """What was confirmed is on the disk; returns what to tell the authority."""
-        if self.state is not State.CONFIRMED:
+        if self.state is not NodeState.CONFIRMED:
             raise EnrollmentOver("nothing was confirmed")
-        self.state = State.ENROLLED
+        self.state = NodeState.ENROLLED
         return [self._done()]
 
     def stop(self, why: EnrollmentRefused) -> None:
         """Drop everything; an enrolled node stays enrolled."""
-        if self.state not in {State.ENROLLED, State.OVER}:
-            self.state, self.why_over, self._pending = State.OVER, why, None
+        if self.state not in {NodeState.ENROLLED, NodeState.OVER}:
+            self.state, self.why_over, self._pending = NodeState.OVER, why, None
 
     def tick(self, now: int) -> None:
         """Time has passed."""
-        if self.state in {State.SHOWING, State.PENDING} and now > self.expires:
+        if self.state in {NodeState.SHOWING, NodeState.PENDING} and now > self.expires:
             self.stop(EnrollmentExpired("nobody finished the enrollment in time", _AGAIN))
 
     def _check_not_over(self) -> None:
-        if self.state is State.OVER:
+        if self.state is NodeState.OVER:
             raise EnrollmentOver(f"the enrollment is over: {self.why_over}", _AGAIN)
 
     def _count_bad_digits(self) -> None:
@@ -224,7 +227,7 @@ class NodeEnrollment:
             agreed,
             transcript.acknowledge(self._signer, agreed, self._contribution),
         )
-        self.state, self.expires = State.PENDING, now + WINDOW
+        self.state, self.expires = NodeState.PENDING, now + WINDOW
         return [self._acknowledged()]
 
     def _compare(self, offer: Offer, now: int) -> list[bytes]:
@@ -255,7 +258,7 @@ class NodeEnrollment:
         return write(Acknowledgement(self.pending.acknowledgement))
 
     def _done(self) -> bytes:
-        return write(Done(transcript.finish(self._signer, self.pending.transcript)))
+        return write(EnrollmentDone(transcript.finish(self._signer, self.pending.transcript)))
 
     def _check_tag(self, offer: Offer) -> bytes:
         agreed = self._agreed(offer)
@@ -267,7 +270,9 @@ class NodeEnrollment:
         return agreed
 
     def _count_bad_tag(self) -> None:
-        if self.state is State.SHOWING:  # an offer that waits for a person is not to be disturbed
+        if (
+            self.state is NodeState.SHOWING
+        ):  # an offer that waits for a person is not to be disturbed
             self._bad_tags += 1
         if self._bad_tags >= MAX_BAD_TAGS:
             error = EnrollmentLocked(f"{MAX_BAD_TAGS} offers without the code's secret", _AGAIN)

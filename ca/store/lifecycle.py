@@ -17,7 +17,7 @@ DAY: Final = 24 * HOUR
 MAX_OPEN: Final = 256  # strangers can ask: what they leave here is bounded
 
 
-class State(StrEnum):
+class RequestState(StrEnum):
     """Where a request stands."""
 
     PENDING = "pending"
@@ -33,26 +33,26 @@ class State(StrEnum):
         )
 
 
-TRANSITIONS: Final[dict[State, frozenset[State]]] = {
-    State.PENDING: frozenset({State.APPROVED, State.DENIED}),
-    State.APPROVED: frozenset({State.ISSUED, State.DENIED}),
-    State.DENIED: frozenset(),
-    State.ISSUED: frozenset(),
+TRANSITIONS: Final[dict[RequestState, frozenset[RequestState]]] = {
+    RequestState.PENDING: frozenset({RequestState.APPROVED, RequestState.DENIED}),
+    RequestState.APPROVED: frozenset({RequestState.ISSUED, RequestState.DENIED}),
+    RequestState.DENIED: frozenset(),
+    RequestState.ISSUED: frozenset(),
 }
 OPEN: Final = frozenset(state for state, following in TRANSITIONS.items() if following)
 # Seconds after its last change. A day is a person's evening and morning; an answer is kept for a
 # week, so that who asked can still be told.
-KEEP: Final[dict[State, int]] = {
-    State.PENDING: DAY,
-    State.APPROVED: DAY,
-    State.DENIED: 7 * DAY,
-    State.ISSUED: 7 * DAY,
+KEEP: Final[dict[RequestState, int]] = {
+    RequestState.PENDING: DAY,
+    RequestState.APPROVED: DAY,
+    RequestState.DENIED: 7 * DAY,
+    RequestState.ISSUED: 7 * DAY,
 }
 _HINTS: Final = {
-    State.PENDING: "first approve it: rossec ca approve",
-    State.APPROVED: "",
-    State.DENIED: "if that was a mistake, have the node make a new request",
-    State.ISSUED: "one request gets one certificate; to have another: rossec ca renew NAME",
+    RequestState.PENDING: "first approve it: rossec ca approve",
+    RequestState.APPROVED: "",
+    RequestState.DENIED: "if that was a mistake, have the node make a new request",
+    RequestState.ISSUED: "one request gets one certificate; to have another: rossec ca renew NAME",
 }
 
 
@@ -69,7 +69,7 @@ class RequestRow(NamedTuple):
     der: bytes
     source: str
     arrived: int
-    state: State
+    state: RequestState
     reason: str
     changed: int
     replaces: bool = False
@@ -81,7 +81,7 @@ class RequestRow(NamedTuple):
         return self.changed + KEEP[self.state]
 
 
-def advance(row: RequestRow, state: State, now: int, reason: str = "") -> RequestRow:
+def advance(row: RequestRow, state: RequestState, now: int, reason: str = "") -> RequestRow:
     """Return the request in its next state.
 
     Raises:

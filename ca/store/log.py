@@ -14,10 +14,10 @@ from ca.errors import LogDamaged
 from ca.revocation.merkle import Tree, root_of
 from ca.store import schema
 from ca.store.database import Database
-from ca.store.lifecycle import TRANSITIONS, State
+from ca.store.lifecycle import TRANSITIONS, RequestState
 from ca.store.log_entries import (
-    Entry,
     Head,
+    LogEntry,
     check_entries,
     check_head,
     digest_of,
@@ -36,12 +36,12 @@ class Journal:
     def __init__(self, database: Database) -> None:
         self._database = database
 
-    def entries(self) -> list[Entry]:
+    def entries(self) -> list[LogEntry]:
         """Everything that was done, oldest first."""
         rows = self._database.rows(
             "SELECT number, at, what, subject, detail, digest FROM log ORDER BY number"
         )
-        return [Entry(*row) for row in rows]
+        return [LogEntry(*row) for row in rows]
 
     def head(self, now: int) -> Head:
         """The state of the log now, to be signed."""
@@ -87,13 +87,13 @@ class Journal:
             newest = max(newest, head, key=lambda each: each.size)
         return newest
 
-    def _recorded(self) -> list[tuple[Entry, bytes]]:
+    def _recorded(self) -> list[tuple[LogEntry, bytes]]:
         rows = self._database.rows(
             "SELECT number, at, what, subject, detail, digest, peaks FROM log ORDER BY number"
         )
-        return [(Entry(*row[:-1]), row[-1]) for row in rows]
+        return [(LogEntry(*row[:-1]), row[-1]) for row in rows]
 
-    def _check_rows(self, what: str, entries: list[Entry]) -> None:
+    def _check_rows(self, what: str, entries: list[LogEntry]) -> None:
         """The rows of a table are those the log announced, in the same order."""
         table, columns = schema.RECORDED[what]
         rows = self._database.rows(f"SELECT {columns} FROM {table} ORDER BY rowid")  # noqa: S608  (constants)
@@ -105,31 +105,31 @@ class Journal:
                     f"the {what} of log entry {entry.number} is missing or was changed", _HINT
                 )
 
-    def _check_requests(self, entries: list[Entry]) -> None:
+    def _check_requests(self, entries: list[LogEntry]) -> None:
         """Every request went the way the table allows, and is where the log says."""
         states = _replay(entries)
         rows = self._database.rows("SELECT digest, state, der FROM csr")
-        found = {bytes(digest): State(state) for digest, state, _ in rows}
+        found = {bytes(digest): RequestState(state) for digest, state, _ in rows}
         if found != states:
             raise LogDamaged("the requests are not where the log says", _HINT)
 
 
-def _replay(entries: list[Entry]) -> dict[bytes, State]:
+def _replay(entries: list[LogEntry]) -> dict[bytes, RequestState]:
     """Where every request must be that is not collected."""
-    states: dict[bytes, State] = {}
+    states: dict[bytes, RequestState] = {}
     for entry in entries:
         held = states.get(entry.digest)
         if entry.what == COLLECTED and held is not None:
             del states[entry.digest]
         elif entry.what in _STATES:
-            state = State(entry.what)
-            if not (state is State.PENDING if held is None else state in TRANSITIONS[held]):
+            state = RequestState(entry.what)
+            if not (state is RequestState.PENDING if held is None else state in TRANSITIONS[held]):
                 raise LogDamaged(f"log entry {entry.number} is no way a request can go", _HINT)
             states[entry.digest] = state
     return states
 
 
-_STATES = frozenset(State)
+_STATES = frozenset(RequestState)
 
 
 def record(

@@ -26,7 +26,7 @@ _IAT, _SIZE, _ROOT = 6, -70011, -70012
 _INT_LIMIT: Final = 1 << 53
 
 
-class Entry(NamedTuple):
+class LogEntry(NamedTuple):
     """One thing that was done: the how-many-th, when, what, to whom, more of it, and its data.
 
     `digest` is `digest_of` the row this entry speaks of, or empty.
@@ -49,7 +49,7 @@ class Head:
     issued: int
 
 
-def leaf(entry: Entry) -> bytes:
+def leaf(entry: LogEntry) -> bytes:
     """The content of the entry's leaf."""
     return encode(list(entry))
 
@@ -59,7 +59,7 @@ def digest_of(row: Sequence[int | str | bytes]) -> bytes:
     return hashlib.sha256(encode(list(row))).digest()
 
 
-def grow(peaks: bytes, entry: Entry) -> bytes:
+def grow(peaks: bytes, entry: LogEntry) -> bytes:
     """The peaks, joined, after `entry`; those before it are `peaks`."""
     return b"".join(merkle.extend(split(peaks), entry.number, leaf(entry)))
 
@@ -69,7 +69,7 @@ def split(peaks: bytes) -> tuple[bytes, ...]:
     return tuple(peaks[start : start + HASH_SIZE] for start in range(0, len(peaks), HASH_SIZE))
 
 
-def check_entries(rows: Iterable[tuple[Entry, bytes]]) -> merkle.Tree:
+def check_entries(rows: Iterable[tuple[LogEntry, bytes]]) -> merkle.Tree:
     """Return the tree of all entries, each given with the peaks recorded beside it.
 
     Raises:

@@ -9,10 +9,10 @@ import sqlite3
 
 from ca.errors import NameContested, RequestClosed, StoreError
 from ca.names import covers
-from ca.requests import Request
+from ca.requests import IdentityRequest
 from ca.store.database import Database
 from ca.store.identities import IdentityBook
-from ca.store.lifecycle import KEEP, MAX_OPEN, OPEN, RequestRow, State, advance
+from ca.store.lifecycle import KEEP, MAX_OPEN, OPEN, RequestRow, RequestState, advance
 from ca.store.log import COLLECTED, record
 
 _COLUMNS = (
@@ -30,7 +30,7 @@ class RequestBook:
         self._database = database
         self._identities = identities
 
-    def add(self, request: Request, der: bytes, source: str, now: int) -> RequestRow:
+    def add(self, request: IdentityRequest, der: bytes, source: str, now: int) -> RequestRow:
         """Record a checked request as pending; one that is recorded already is returned as it is.
 
         `source` is where it came from, for the person who decides.
@@ -47,10 +47,10 @@ class RequestBook:
             self._check_new(request)
             row = RequestRow(
                 request.digest, request.name, request.thumbprint, der, source, now,
-                State.PENDING, "", now,
+                RequestState.PENDING, "", now,
             )  # fmt: skip
             db.execute("INSERT INTO csr VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)", row)
-            record(db, now, State.PENDING, row.name, source, row.digest)
+            record(db, now, RequestState.PENDING, row.name, source, row.digest)
         return row
 
     def all(self) -> list[RequestRow]:
@@ -92,7 +92,7 @@ class RequestBook:
             row = self.get(digest)
             self._check_name(row, now, replace_key, wildcard=wildcard)
             said = row._replace(replaces=replace_key is not None, wildcard=wildcard)
-            return self._advance(said, State.APPROVED, now, reason)
+            return self._advance(said, RequestState.APPROVED, now, reason)
 
     def deny(self, digest: bytes, now: int, reason: str = "") -> RequestRow:
         """Say no, also to what was approved and not yet issued.
@@ -101,7 +101,7 @@ class RequestBook:
             RequestClosed: it was issued, or denied before.
         """
         with self._database.changing():
-            return self._advance(self.get(digest), State.DENIED, now, reason)
+            return self._advance(self.get(digest), RequestState.DENIED, now, reason)
 
     def collect(self, now: int) -> list[RequestRow]:
         """Forget every request whose time is over; returns what was forgotten."""
@@ -123,7 +123,7 @@ class RequestBook:
         held = self._find(digest)
         if held is None:
             raise RequestClosed("the request is not recorded", "first: rossec ca approve")
-        _move(db, advance(held, State.ISSUED, now))
+        _move(db, advance(held, RequestState.ISSUED, now))
 
     def _over(self, now: int) -> list[RequestRow]:
         return self._rows(f"WHERE changed + CASE state {_KEPT} END < ?", now)
@@ -143,7 +143,7 @@ class RequestBook:
         )
         self._identities.check_key(row.name, row.thumbprint, now, replace_key=replace_key)
 
-    def _check_new(self, request: Request) -> None:
+    def _check_new(self, request: IdentityRequest) -> None:
         if self._identities.answer(request.digest) is not None:
             raise RequestClosed(
                 f"this request of {request.name} has its certificate already",
@@ -155,7 +155,7 @@ class RequestBook:
                 "look at them with: rossec ca requests, and deny what nobody knows",
             )
 
-    def _advance(self, row: RequestRow, state: State, now: int, reason: str) -> RequestRow:
+    def _advance(self, row: RequestRow, state: RequestState, now: int, reason: str) -> RequestRow:
         moved = advance(row, state, now, reason)
         with self._database.changing() as db:
             _move(db, moved)
@@ -171,7 +171,7 @@ class RequestBook:
         rows = self._database.rows(f"SELECT {_COLUMNS} FROM csr {clause}", *values)  # noqa: S608  (constants)
         return [
             RequestRow(*row)._replace(
-                state=State(row[6]), replaces=row[9] != 0, wildcard=row[10] != 0
+                state=RequestState(row[6]), replaces=row[9] != 0, wildcard=row[10] != 0
             )
             for row in rows
         ]

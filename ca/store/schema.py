@@ -11,8 +11,8 @@ from collections.abc import Iterator
 from typing import Final
 
 from ca.errors import LogDamaged, StoreError
-from ca.store.lifecycle import TRANSITIONS, State
-from ca.store.log_entries import Entry, digest_of, grow
+from ca.store.lifecycle import TRANSITIONS, RequestState
+from ca.store.log_entries import LogEntry, digest_of, grow
 
 APPLICATION_ID: Final = 0x524F5343  # "ROSC"
 VERSION: Final = 2
@@ -66,7 +66,7 @@ CREATE TRIGGER {table}_no_{verb} BEFORE {verb} ON {table}
 BEGIN SELECT RAISE(ABORT, 'the record is append-only'); END;
 """
 _NEW_REQUEST: Final = f"""
-CREATE TRIGGER csr_begins BEFORE INSERT ON csr WHEN NEW.state <> '{State.PENDING}'
+CREATE TRIGGER csr_begins BEFORE INSERT ON csr WHEN NEW.state <> '{RequestState.PENDING}'
 BEGIN SELECT RAISE(ABORT, 'a request begins pending'); END;
 """
 _REQUEST_FIXED: Final = """
@@ -197,7 +197,7 @@ def append(
     """Add an entry to the log."""
     last = db.execute("SELECT number, peaks FROM log ORDER BY number DESC LIMIT 1").fetchone()
     number, peaks = (0, b"") if last is None else (last[0] + 1, last[1])
-    entry = Entry(number, at, what, subject, detail, digest)
+    entry = LogEntry(number, at, what, subject, detail, digest)
     db.execute("INSERT INTO log VALUES (?, ?, ?, ?, ?, ?, ?)", (*entry, grow(peaks, entry)))
 
 

@@ -28,7 +28,7 @@ from grants.conditions.syntax import (
     parse_expression,
 )
 from grants.errors import ConditionRefused
-from grants.filters.codegen import MISFIT, Buffer, Cursor, Source, expression
+from grants.filters.codegen import MISFIT, Buffer, Cursor, SourceWriter, expression
 from grants.filters.layout import Layout, Primitive, Struct, Text, Type
 
 _METHODS: Final[dict[str, Callable[[str, str], bool]]] = {
@@ -83,7 +83,7 @@ class _Compiler:
 
     def __init__(self, layout: Layout | None) -> None:
         self._layout = layout
-        self._source = Source("b,now")
+        self._source = SourceWriter("b,now")
         self.fields: dict[tuple[str, ...], str] = {}
 
     def finish(self, code: str) -> Callable[[Buffer, int], object]:
@@ -182,7 +182,7 @@ class _Compiler:
 class _Reader(Cursor):
     """Reads the named fields into their variables and moves over the rest, up to the last one."""
 
-    def __init__(self, source: Source, fields: dict[tuple[str, ...], str]) -> None:
+    def __init__(self, source: SourceWriter, fields: dict[tuple[str, ...], str]) -> None:
         super().__init__(source)
         self._fields = fields
         self._left = len(fields)

@@ -54,7 +54,7 @@ class Now:
 
 
 @dataclass(frozen=True)
-class Call:
+class FunctionCall:
     """`target.name(arguments)`, or `name(arguments)` without a target."""
 
     target: "Expression | None"
@@ -87,7 +87,7 @@ class Among:
     items: tuple["Expression", ...]
 
 
-Expression: TypeAlias = Literal | Path | Now | Call | Unary | Binary | Among
+Expression: TypeAlias = Literal | Path | Now | FunctionCall | Unary | Binary | Among
 
 
 class Token(NamedTuple):
@@ -212,7 +212,7 @@ class _Parser:
         while self._take("."):
             name = self._word()
             if self._take("("):
-                result = self._node(Call(result, name, self._items(")")))
+                result = self._node(FunctionCall(result, name, self._items(")")))
             elif isinstance(result, Path):
                 result = Path((*result.names, name))
             else:
@@ -244,7 +244,7 @@ class _Parser:
         if token.text == "now":
             return Now()
         if self._take("("):
-            return Call(None, token.text, self._items(")"))
+            return FunctionCall(None, token.text, self._items(")"))
         raise ConditionRefused(
             f"unknown name {token.text!r} at character {token.at}",
             "there are msg, now, timestamp()",

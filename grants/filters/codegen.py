@@ -23,7 +23,7 @@ MAX_LOOPS: Final = 12  # Python itself allows 20 nested blocks
 MISFIT: Final = (struct.error, ValueError, IndexError, OverflowError)
 
 
-class Source:
+class SourceWriter:
     """Source text under construction, and the values bound to names in it."""
 
     def __init__(self, arguments: str) -> None:
@@ -90,7 +90,7 @@ class Cursor:
     loops end, and comparing the last position with the length of `b` checks all of them.
     """
 
-    def __init__(self, source: Source) -> None:
+    def __init__(self, source: SourceWriter) -> None:
         self.source = source
         self.position: Position = ("", 0)
 

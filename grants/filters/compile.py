@@ -22,8 +22,8 @@ from grants.filters.treatments import (
     Keep,
     Node,
     Numbers,
-    Parts,
     Remembering,
+    StructTreatment,
     Treated,
     remembers,
 )
@@ -137,9 +137,9 @@ def _bound(node: Node, cells: Callable[[CellName], Cell], path: CellName) -> Nod
         case Treated(kind, Numbers(remembering=Remembering(name, bind)) as numbers):
             cell = cells((*path, kind.name, *name))
             return Treated(kind, replace(numbers, scalar=bind(cell)))
-        case Parts(kind, parts):
+        case StructTreatment(kind, parts):
             fields = zip(kind.fields, parts, strict=True)
-            return Parts(
+            return StructTreatment(
                 kind, tuple(_bound(part, cells, (*path, name)) for (name, _), part in fields)
             )
         case _:
@@ -191,7 +191,7 @@ def _descend(treat: Treat, kind: Type, path: str, memo: _Memo) -> Node:
 
 def _parts(kind: Struct, parts: list[Node]) -> Node:
     kept = all(isinstance(part, Keep) for part in parts)
-    return Keep(kind) if kept else Parts(kind, tuple(parts))
+    return Keep(kind) if kept else StructTreatment(kind, tuple(parts))
 
 
 def _each(kind: Array, element: Node) -> Node:

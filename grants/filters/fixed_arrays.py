@@ -11,7 +11,7 @@ from typing import Any
 from grants.filters.codegen import Buffer
 from grants.filters.layout import Primitive
 from grants.filters.lazy_numpy import Vector, np
-from grants.filters.treatments import Constant, Each, Node, Numbers, Parts, Treated
+from grants.filters.treatments import Constant, Each, Node, Numbers, StructTreatment, Treated
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class Column:
 def columns(node: Node, offset: int) -> list[Column]:
     """What is treated inside one fixed-size element that begins at `offset`."""
     match node:
-        case Parts(kind, parts):
+        case StructTreatment(kind, parts):
             found = []
             for (_, member), part in zip(kind.fields, parts, strict=True):
                 found += columns(part, offset)

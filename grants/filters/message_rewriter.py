@@ -11,21 +11,21 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-from grants.filters.codegen import Buffer, Cursor, Position, Source, expression
+from grants.filters.codegen import Buffer, Cursor, Position, SourceWriter, expression
 from grants.filters.fixed_arrays import table_rewriter
 from grants.filters.layout import Array, Primitive, Struct, Type
 from grants.filters.treatments import (
-    Body,
     Constant,
+    ContentTreatment,
     Each,
     Inside,
     Keep,
     Node,
     Numbers,
-    Parts,
+    StructTreatment,
     Treated,
 )
-from grants.filters.variable_arrays import Collector, gathers
+from grants.filters.variable_arrays import ArrayCollector, gathers
 
 MAX_PIECES: Final = 64  # far below IOV_MAX (1024); more of them cost more than they save
 _UNROLL: Final = range(1, 9)  # fixed arrays of these lengths are cheaper without numpy
@@ -34,7 +34,7 @@ _GATHER: Final = 24  # from so many elements on, numpy's fixed costs pay
 
 def generate(node: Node) -> Callable[[Buffer], list[Buffer]]:
     """The function from a message to the pieces of the treated message."""
-    source = Source("b")
+    source = SourceWriter("b")
     writer = _Writer(source)
     writer.write(node)
     pieces = writer.finish()
@@ -62,7 +62,7 @@ class _Run:
 class _Writer(Cursor):
     """A cursor that collects pieces; `_kept` is where the part not yet collected begins."""
 
-    def __init__(self, source: Source) -> None:
+    def __init__(self, source: SourceWriter) -> None:
         super().__init__(source)
         self._kept: Position = ("", 0)
         self._run: _Run | None = None
@@ -72,7 +72,7 @@ class _Writer(Cursor):
         match node:
             case Keep(kind):
                 self.skip(kind)
-            case Parts(kind, parts):
+            case StructTreatment(kind, parts):
                 self._parts(kind, parts)
             case Each(kind, element):
                 self._array(kind, element)
@@ -110,7 +110,9 @@ class _Writer(Cursor):
             pieces.append(f"b[{expression(self._kept)}:]")
         return pieces
 
-    def _treated(self, kind: Type, treatment: Constant | Numbers | Body | Inside) -> None:
+    def _treated(
+        self, kind: Type, treatment: Constant | Numbers | ContentTreatment | Inside
+    ) -> None:
         match treatment:
             case Constant(data):
                 if kind.size is None:
@@ -241,7 +243,7 @@ class _Writer(Cursor):
 
     def _gathered(self, element: Node, count: str, mark: str, pieces: str, kept: str) -> None:
         """Only find the places in the loop; numpy treats all of them in one copy after it."""
-        collector = Collector(self.source)
+        collector = ArrayCollector(self.source)
         collector.position = (mark, 0)
         with collector.times(count, mark):
             collector.collect(element)

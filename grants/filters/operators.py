@@ -22,8 +22,8 @@ from grants.filters.pictures import BESIDE, MAX_SIDE, pixelation
 from grants.filters.rounding import hold, round_floats, round_integers, round_times
 from grants.filters.treatments import (
     DESCEND,
-    Body,
     Constant,
+    ContentTreatment,
     Inside,
     Numbers,
     Remembering,
@@ -73,7 +73,9 @@ def _zero(parameters: Parameters) -> Treat:
         if kind.size is not None:
             return Constant(bytes(kind.size))
         size = kind.element.size
-        return Body(lambda content: (bytes(len(content)), len(content) // size if size else 0))
+        return ContentTreatment(
+            lambda content: (bytes(len(content)), len(content) // size if size else 0)
+        )
 
     return treat
 
@@ -184,10 +186,10 @@ def _truncate(parameters: Parameters) -> Treat:
 
     def treat(kind: Type) -> Treatment:
         if isinstance(kind, Text):
-            return Body(lambda content: _first_characters(content, length))
+            return ContentTreatment(lambda content: _first_characters(content, length))
         if isinstance(kind, Array) and kind.length is None and kind.element.size:
             size = kind.element.size
-            return Body(lambda content: _first_elements(content, length, size))
+            return ContentTreatment(lambda content: _first_elements(content, length, size))
         raise FilterRefused(f"truncate needs a string or an array, not {kind.name}")
 
     return treat
@@ -214,7 +216,7 @@ def _hash(parameters: Parameters, keys: Keys | None) -> Treat:
     """A pseudonym instead of a text: the same for the same text and key (`filters.hashing`)."""
     length = _whole(parameters, "length", 64) if "length" in parameters else DEFAULT_LENGTH
     _expect(parameters, "key", *(["length"] if "length" in parameters else []))
-    pseudonym = Body(pseudonyms(parameters["key"], length, keys))
+    pseudonym = ContentTreatment(pseudonyms(parameters["key"], length, keys))
 
     def treat(kind: Type) -> Treatment:
         if isinstance(kind, Text):

@@ -49,7 +49,7 @@ class Numbers:
 
 
 @dataclass(frozen=True)
-class Body:
+class ContentTreatment:
     """The content of a string or of an array, without its length, goes through `rewrite`.
 
     `rewrite(content)` returns the new content and the new length, in bytes or elements.
@@ -60,7 +60,7 @@ class Body:
 
 @dataclass(frozen=True)
 class Inside:
-    """Like `Body`, for a field that can only be read with others of its message beside it.
+    """Like `ContentTreatment`, for a field that can only be read with others of its message.
 
     `rewrite(content, *values)` gets the values of the fields `beside` (names and type names, in
     this order and before the field) as they were, in a message of type `message`.
@@ -71,7 +71,7 @@ class Inside:
     rewrite: Callable[..., tuple[Buffer, int]]
 
 
-Treatment: TypeAlias = Constant | Numbers | Body | Inside | Literal["descend"]
+Treatment: TypeAlias = Constant | Numbers | ContentTreatment | Inside | Literal["descend"]
 
 
 @dataclass(frozen=True)
@@ -86,11 +86,11 @@ class Treated:
     """A whole value of `kind` under one treatment (`Numbers` only for a `Primitive`)."""
 
     kind: Type
-    treatment: Constant | Numbers | Body | Inside
+    treatment: Constant | Numbers | ContentTreatment | Inside
 
 
 @dataclass(frozen=True)
-class Parts:
+class StructTreatment:
     """A message, field by field."""
 
     kind: Struct
@@ -105,7 +105,7 @@ class Each:
     element: "Node"
 
 
-Node: TypeAlias = Keep | Treated | Parts | Each
+Node: TypeAlias = Keep | Treated | StructTreatment | Each
 
 
 def remembers(node: Node) -> bool:
@@ -113,7 +113,7 @@ def remembers(node: Node) -> bool:
     match node:
         case Treated(_, Numbers(remembering=remembering)):
             return remembering is not None
-        case Parts(_, parts):
+        case StructTreatment(_, parts):
             return any(map(remembers, parts))
         case _:
             return False

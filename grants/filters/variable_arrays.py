@@ -10,17 +10,17 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
-from grants.filters.codegen import Buffer, Cursor, Position, Source
+from grants.filters.codegen import Buffer, Cursor, Position, SourceWriter
 from grants.filters.fixed_arrays import Column, Table, columns, table_of
 from grants.filters.lazy_numpy import Vector, np
-from grants.filters.treatments import Each, Keep, Node, Parts
+from grants.filters.treatments import Each, Keep, Node, StructTreatment
 
 
 def gathers(node: Node) -> bool:
     """Whether all treatments in `node` leave every size as it is."""
     if isinstance(node, Keep) or node.kind.size is not None:
         return True
-    if isinstance(node, Parts):
+    if isinstance(node, StructTreatment):
         return all(map(gathers, node.parts))
     if isinstance(node, Each):
         return node.kind.element.size is None and gathers(node.element)
@@ -37,10 +37,10 @@ class _Region:
     columns: list[Column]
 
 
-class Collector(Cursor):
+class ArrayCollector(Cursor):
     """A cursor that notes where the treated values of elements begin."""
 
-    def __init__(self, source: Source) -> None:
+    def __init__(self, source: SourceWriter) -> None:
         super().__init__(source)
         self._declared = source.line("")
         self._regions: list[_Region] = []
@@ -49,7 +49,7 @@ class Collector(Cursor):
         """Move over `node`, writing what notes its places. Only for what `gathers`."""
         size = node.kind.size
         match node:
-            case Parts(_, parts) if size is None:
+            case StructTreatment(_, parts) if size is None:
                 for part in parts:
                     self.collect(part)
             case Each(kind, element) if size is None:

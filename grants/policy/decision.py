@@ -14,7 +14,7 @@ from grants.errors import PolicyRefused
 from grants.model import KEPT, Restriction, Right, merge
 from grants.names import check_pattern
 from grants.policy.index import Hit, Index, hits
-from grants.policy.model import DAY, HOUR, MINUTE, Clause, Effect, Policy, Rule, Subject
+from grants.policy.model import DAY, HOUR, MINUTE, Clause, Effect, Policy, PolicyRule, Subject
 from grants.policy.patterns import concerns, gives
 
 MAX_NEAR_MISSES: Final = 5
@@ -35,7 +35,7 @@ class Verdict:
     subject: Subject
     right: Right
     name: str
-    rules: tuple[Rule, ...] = ()
+    rules: tuple[PolicyRule, ...] = ()
     clauses: tuple[Clause, ...] = ()
     lifetime: int = 0
     renew_until: int = 0
@@ -179,7 +179,7 @@ def _by(verdict: Verdict) -> str:
     return f", by {ids}" if ids else ", by default"
 
 
-def _miss(rule: Rule, verdict: Verdict) -> str:
+def _miss(rule: PolicyRule, verdict: Verdict) -> str:
     """Why a rule that gives something did not match, if only one thing was different."""
     if rule.effect is Effect.DENY:
         return ""

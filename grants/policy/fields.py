@@ -15,8 +15,8 @@ from grants.filters.layout import Array, Layout, Struct, Type
 from grants.filters.operators import OPERATORS, treatment
 from grants.filters.presets import preset
 from grants.model import FilterRule, Scalar
-from grants.policy.mistakes import Mistakes, Place, nearest
-from grants.policy.source import Part, Row, Table, Word
+from grants.policy.mistakes import Mistakes, SourcePosition, nearest
+from grants.policy.source import Part, YamlMapping, YamlScalar, YamlSequence
 
 _SHORT: Final = {
     "round": ("step",),
@@ -34,7 +34,7 @@ _FIELD: Final = re.compile(r"\bmsg((?:\.[A-Za-z]\w*)+)", re.ASCII)
 class FieldRule:
     """A filter rule and where it stands."""
 
-    place: Place
+    place: SourcePosition
     rule: FilterRule
 
 
@@ -42,20 +42,20 @@ class FieldRule:
 class When:
     """A condition and where it stands; `message` says whether it looks into the message."""
 
-    place: Place
+    place: SourcePosition
     text: str
     message: bool
 
 
-def read_fields(part: Table, mistakes: Mistakes) -> tuple[FieldRule, ...]:
+def read_fields(part: YamlMapping, mistakes: Mistakes) -> tuple[FieldRule, ...]:
     """Read `{path: {operator: parameter}}`."""
     rules = (_read_field(key, value, mistakes) for key, value in part.entries.values())
     return tuple(rule for rule in rules if rule is not None)
 
 
-def _read_field(key: Word, part: Part, mistakes: Mistakes) -> FieldRule | None:
+def _read_field(key: YamlScalar, part: Part, mistakes: Mistakes) -> FieldRule | None:
     path = str(key.value)
-    if not isinstance(part, Table) or len(part.entries) != 1:
+    if not isinstance(part, YamlMapping) or len(part.entries) != 1:
         hint = "for example {round: 0.5} or {clear: true}"
         mistakes.add(part, f"{path}: exactly one operator per field", hint)
         return None
@@ -79,18 +79,18 @@ def _read_field(key: Word, part: Part, mistakes: Mistakes) -> FieldRule | None:
 
 def _parameters(operator: str, part: Part) -> dict[str, Scalar] | None:
     """By name; a bare value is the operator's first parameter, a list all of them."""
-    if isinstance(part, Table):
+    if isinstance(part, YamlMapping):
         named = {name: value for name, (_, value) in part.entries.items()}
-        if not named or not all(isinstance(value, Word) for value in named.values()):
+        if not named or not all(isinstance(value, YamlScalar) for value in named.values()):
             return None
-        return {name: value.value for name, value in named.items() if isinstance(value, Word)}
+        return {name: value.value for name, value in named.items() if isinstance(value, YamlScalar)}
     short = _SHORT.get(operator, ())
-    if isinstance(part, Word) and part.value is True and not short:
+    if isinstance(part, YamlScalar) and part.value is True and not short:
         return {}
-    items = part.items if isinstance(part, Row) else (part,)
-    if not short or len(items) != (len(short) if isinstance(part, Row) else 1):
+    items = part.items if isinstance(part, YamlSequence) else (part,)
+    if not short or len(items) != (len(short) if isinstance(part, YamlSequence) else 1):
         return None
-    values = [item.value for item in items if isinstance(item, Word)]
+    values = [item.value for item in items if isinstance(item, YamlScalar)]
     return dict(zip(short, values, strict=False)) if len(values) == len(items) else None
 
 
@@ -105,7 +105,7 @@ def _example(operator: str) -> str:
 
 
 def check_fields(
-    layout: Layout, rules: tuple[FieldRule, ...], place: Place, mistakes: Mistakes
+    layout: Layout, rules: tuple[FieldRule, ...], place: SourcePosition, mistakes: Mistakes
 ) -> bool:
     """Whether the rules fit messages of `layout`: each alone, then together."""
     fine = True
@@ -114,7 +114,9 @@ def check_fields(
     return fine and _fits(layout, rules, place, mistakes)
 
 
-def _fits(layout: Layout, rules: tuple[FieldRule, ...], place: Place, mistakes: Mistakes) -> bool:
+def _fits(
+    layout: Layout, rules: tuple[FieldRule, ...], place: SourcePosition, mistakes: Mistakes
+) -> bool:
     try:
         compile_filter(layout, (item.rule for item in rules))
     except GrantError as error:
@@ -124,7 +126,7 @@ def _fits(layout: Layout, rules: tuple[FieldRule, ...], place: Place, mistakes: 
     return True
 
 
-def check_preset(layout: Layout, name: str, place: Place, mistakes: Mistakes) -> bool:
+def check_preset(layout: Layout, name: str, place: SourcePosition, mistakes: Mistakes) -> bool:
     """Whether the preset `name` exists for messages of `layout`."""
     try:
         preset(name).restriction(layout)
@@ -136,7 +138,7 @@ def check_preset(layout: Layout, name: str, place: Place, mistakes: Mistakes) ->
 
 def read_when(part: Part, mistakes: Mistakes) -> When | None:
     """Read one condition: in the language, if not yet for a type."""
-    text = part.value if isinstance(part, Word) else None
+    text = part.value if isinstance(part, YamlScalar) else None
     if not isinstance(text, str):
         mistakes.add(part, "a condition must be a text", "put it in single quotes")
         return None

@@ -11,10 +11,10 @@ from dataclasses import dataclass, field
 from typing import Final, TypeAlias
 
 from grants.model import TREE_RIGHTS, Right
-from grants.policy.model import Clause, Effect, Policy, Rule, Subject
+from grants.policy.model import Clause, Effect, Policy, PolicyRule, Subject
 from grants.policy.patterns import concerns, gives, segments
 
-Hit: TypeAlias = tuple[Rule, Clause]
+Hit: TypeAlias = tuple[PolicyRule, Clause]
 
 _ANYBODY: Final = ""
 
@@ -59,7 +59,7 @@ class Index:
                         found.append((rule, clause))
         return found
 
-    def _plant(self, rule: Rule, clause: Clause) -> None:
+    def _plant(self, rule: PolicyRule, clause: Clause) -> None:
         branch = self._roots.setdefault(clause.right, _Branch())
         for segment in segments(clause.pattern):
             branch = branch.children.setdefault(segment, _Branch())
@@ -67,7 +67,7 @@ class Index:
             branch.hits.setdefault(key, []).append((rule, clause))
 
 
-def hits(rules: Iterable[Rule], subject: Subject, right: Right, asked: str) -> Iterator[Hit]:
+def hits(rules: Iterable[PolicyRule], subject: Subject, right: Right, asked: str) -> Iterator[Hit]:
     """Every clause of `rules` that decides about `asked`, a name or a pattern.
 
     Denials count when they touch any of it. Allowing rules with restrictions count too, so that
@@ -81,13 +81,13 @@ def hits(rules: Iterable[Rule], subject: Subject, right: Right, asked: str) -> I
                 yield rule, clause
 
 
-def _decides(rule: Rule, clause: Clause, asked: str) -> bool:
+def _decides(rule: PolicyRule, clause: Clause, asked: str) -> bool:
     if rule.effect is Effect.DENY or ("*" in asked and clause.restriction is not None):
         return concerns(clause.pattern, clause.right, asked)
     return gives(clause.pattern, clause.right, asked)
 
 
-def _keys(rule: Rule) -> set[str]:
+def _keys(rule: PolicyRule) -> set[str]:
     """Under which node names to look for the rule.
 
     Whom a pinned key denies may have any name.

@@ -14,7 +14,7 @@ from grants.filters.layout import Layout
 from grants.filters.operators import OPERATORS, treatment
 from grants.model import FilterRule, Right
 from grants.policy.decision import Decider
-from grants.policy.model import Clause, Effect, Policy, Rule, Subject, Who
+from grants.policy.model import Clause, Effect, Policy, PolicyRule, Subject, Who
 from grants.policy.privacy import leaves, treats
 
 LayoutOf = Callable[[str], Layout]
@@ -57,7 +57,7 @@ def lint(policy: Policy, layout_of: LayoutOf) -> list[Finding]:
     return sorted(found)
 
 
-def _reasons(policy: Policy, rule: Rule) -> Iterator[Finding]:
+def _reasons(policy: Policy, rule: PolicyRule) -> Iterator[Finding]:
     if not rule.why:
         yield Finding(rule.line, f"rule {rule.id} gives no reason", "add why: ...")
     if rule.effect is Effect.DENY:
@@ -69,7 +69,7 @@ def _reasons(policy: Policy, rule: Rule) -> Iterator[Finding]:
         yield Finding(rule.line, f"rule {rule.id} holds for more than a year", "shorten it")
 
 
-def _wide(rule: Rule) -> Iterator[Finding]:
+def _wide(rule: PolicyRule) -> Iterator[Finding]:
     for clause in rule.clauses:
         if not (clause.right & _ACTING and "**" in clause.pattern):
             continue
@@ -79,7 +79,7 @@ def _wide(rule: Rule) -> Iterator[Finding]:
         yield Finding(rule.line, message, "name the topics and services one by one")
 
 
-def _kept(rule: Rule) -> Iterator[Finding]:
+def _kept(rule: PolicyRule) -> Iterator[Finding]:
     if rule.keep_when_stale:
         what = ", ".join(sorted({clause.pattern for clause in rule.clauses}))
         message = f"rule {rule.id}: a revocation that is held back leaves {what} connected"
@@ -93,7 +93,7 @@ def _owns(who: Who, pattern: str) -> bool:
     return who.node is not None and pattern.startswith(f"{who.node.removesuffix('/**')}/")
 
 
-def _leaks(decider: Decider, rule: Rule, layout_of: LayoutOf) -> Iterator[Finding]:
+def _leaks(decider: Decider, rule: PolicyRule, layout_of: LayoutOf) -> Iterator[Finding]:
     for clause in rule.clauses:
         restriction = clause.restriction
         if clause.type is None or restriction is None or not restriction.filters:
@@ -107,7 +107,7 @@ def _leaks(decider: Decider, rule: Rule, layout_of: LayoutOf) -> Iterator[Findin
 
 
 def _inside(
-    rule: Rule, clause: Clause, moving: list[FilterRule], layout: Layout
+    rule: PolicyRule, clause: Clause, moving: list[FilterRule], layout: Layout
 ) -> Iterator[Finding]:
     """Fields of the same message that tell what was taken."""
     assert clause.restriction is not None  # noqa: S101 - `_leaks` looked
@@ -120,7 +120,7 @@ def _inside(
                           f"{{{'round: 10' if word == 'stamp' else 'clear: true'}}}")  # fmt: skip
 
 
-def _beside(decider: Decider, rule: Rule, clause: Clause) -> Iterator[Finding]:
+def _beside(decider: Decider, rule: PolicyRule, clause: Clause) -> Iterator[Finding]:
     """Other topics the same receiver sees exactly."""
     policy = decider.policy
     related = [topic for topic, kind in policy.types.items() if kind in _RELATIVES]
@@ -133,7 +133,7 @@ def _beside(decider: Decider, rule: Rule, clause: Clause) -> Iterator[Finding]:
                 yield Finding(rule.line, f"{message} exactly", f"filter {topic} as well")
 
 
-def _borders(rule: Rule, clause: Clause, moving: list[FilterRule]) -> Iterator[Finding]:
+def _borders(rule: PolicyRule, clause: Clause, moving: list[FilterRule]) -> Iterator[Finding]:
     rounded = [item for item in moving if item.operator == "round"]
     for item in rounded:
         if "hysteresis" not in dict(item.parameters) and _knows_hysteresis():

@@ -15,7 +15,7 @@ MAX_MISTAKES = 200  # nobody reads further, and a hostile file may not make us w
 _MAX_WORDS = 12
 
 
-class Place(Protocol):
+class SourcePosition(Protocol):
     """Something that has a place in the file, both counted from 1."""
 
     @property
@@ -48,7 +48,7 @@ class Mistakes:
     file: str
     found: list[Mistake] = field(default_factory=list)
 
-    def add(self, place: Place, message: str, hint: str = "") -> None:
+    def add(self, place: SourcePosition, message: str, hint: str = "") -> None:
         """Note one mistake.
 
         Raises:

@@ -79,7 +79,7 @@ class Clause:
 
 
 @dataclass(frozen=True)
-class Rule:
+class PolicyRule:
     """One rule.
 
     Args:
@@ -139,7 +139,7 @@ class Policy:
     defaults: Defaults
     identities: Mapping[str, Who]
     types: Mapping[str, str]
-    rules: tuple[Rule, ...]
+    rules: tuple[PolicyRule, ...]
     file: str = "policy.yaml"
     filters: Mapping[str, tuple[FilterRule, ...]] = field(default_factory=dict)
 

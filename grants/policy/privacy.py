@@ -2,7 +2,7 @@
 
 What a right means field by field, for a record of processing (GDPR article 30) as much as for
 somebody at home. Built from what may be had (the policy) or from what is held (live grants):
-both are an `Access` here.
+both are an `ReceiverAccess` here.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -21,7 +21,7 @@ _MAX_LEAVES: Final = 512
 
 
 @dataclass(frozen=True)
-class Access:
+class ReceiverAccess:
     """One receiver may see one topic (or all that a pattern covers)."""
 
     topic: str
@@ -35,7 +35,7 @@ class Access:
 
 
 @dataclass(frozen=True, order=True)
-class Row:
+class PrivacyRow:
     """One field, one receiver."""
 
     topic: str
@@ -49,9 +49,9 @@ class Row:
     by: str
 
 
-def from_policy(decider: Decider) -> list[Access]:
+def from_policy(decider: Decider) -> list[ReceiverAccess]:
     """Who may get what: every allowing subscription that no denial takes back."""
-    found: dict[tuple[str, str], Access] = {}
+    found: dict[tuple[str, str], ReceiverAccess] = {}
     for rule in decider.policy.rules:
         if rule.effect is not Effect.ALLOW:
             continue
@@ -63,13 +63,13 @@ def from_policy(decider: Decider) -> list[Access]:
     return list(found.values())
 
 
-def _access(decider: Decider, who: Who, pattern: str) -> Access | None:
+def _access(decider: Decider, who: Who, pattern: str) -> ReceiverAccess | None:
     node = (who.node or "/x").replace("**", "x").replace("*", "x")
     verdict = decider.decide(Subject(node, who.key or bytes(32)), Right.SUBSCRIBE, pattern)
     if not verdict:
         return None
     renewed = f", renewed for {span(verdict.renew_until)}" if verdict.renew_until else ""
-    return Access(
+    return ReceiverAccess(
         pattern,
         decider.policy.type_of(pattern),
         who.node or who.label,
@@ -81,15 +81,17 @@ def _access(decider: Decider, who: Who, pattern: str) -> Access | None:
     )
 
 
-def rows(accesses: Iterable[Access], layout_of: Callable[[str], Layout]) -> list[Row]:
+def rows(
+    accesses: Iterable[ReceiverAccess], layout_of: Callable[[str], Layout]
+) -> list[PrivacyRow]:
     """Field by field; a topic of unknown type is one row."""
-    found: list[Row] = []
+    found: list[PrivacyRow] = []
     for access in accesses:
         filters = [rule for item in access.restrictions for rule in item.filters]
         kind = access.type
         fields = leaves(layout_of(kind)) if kind is not None else [WHOLE]
         found += [
-            Row(access.topic, kind or "type not known", access.receiver, path,
+            PrivacyRow(access.topic, kind or "type not known", access.receiver, path,
                 ", then ".join(map(_words, treats(filters, path))) or AS_IT_IS, _when(access),
                 access.why, access.until, access.by)
             for path in fields
@@ -97,7 +99,7 @@ def rows(accesses: Iterable[Access], layout_of: Callable[[str], Layout]) -> list
     return sorted(found)
 
 
-def _when(access: Access) -> str:
+def _when(access: ReceiverAccess) -> str:
     parts = [text for item in access.restrictions for text in item.conditions]
     if access.rate is not None:
         parts.append(f"at most {access.rate:g} a second")
@@ -137,7 +139,7 @@ def _walk(kind: Type, path: str, found: list[str]) -> None:
             _walk(member, here + name, found)
 
 
-def lines(found: Sequence[Row]) -> list[str]:
+def lines(found: Sequence[PrivacyRow]) -> list[str]:
     """The report for a terminal: fields of one treatment together."""
     said: list[str] = []
     groups: dict[tuple[str, ...], dict[str, list[str]]] = {}
@@ -152,7 +154,7 @@ def lines(found: Sequence[Row]) -> list[str]:
     return said or ["nobody sees anything"]
 
 
-def as_json(found: Sequence[Row]) -> list[dict[str, str]]:
+def as_json(found: Sequence[PrivacyRow]) -> list[dict[str, str]]:
     """The rows for programs."""
     return [asdict(row) for row in found]
 
@@ -172,7 +174,7 @@ td, th {{ border-bottom: 1px solid #ccc; padding: .3em .6em; text-align: left;
 """
 
 
-def html(found: Sequence[Row], title: str) -> str:
+def html(found: Sequence[PrivacyRow], title: str) -> str:
     """The report as one page that loads nothing from anywhere; every text is escaped."""
     topics = dict.fromkeys((row.topic, row.type) for row in found)
     parts: list[str] = []

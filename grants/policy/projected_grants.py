@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 
-from grants.policy.model import Policy, Rule, Subject
+from grants.policy.model import Policy, PolicyRule, Subject
 
 
 def prospects(policy: Policy, subject: Subject) -> list[str]:
@@ -10,7 +10,7 @@ def prospects(policy: Policy, subject: Subject) -> list[str]:
     return [line for rule in policy.rules if rule.is_for(subject) for line in _lines(rule)]
 
 
-def _lines(rule: Rule) -> Iterator[str]:
+def _lines(rule: PolicyRule) -> Iterator[str]:
     for clause in rule.clauses:
         yield f"{rule.effect} {clause.right.label} {clause.pattern} ({rule.reason})"
         yield from (f"  {line}" for line in clause.lines())

@@ -19,11 +19,11 @@ from grants.policy.model import (
     Defaults,
     Effect,
     Policy,
-    Rule,
+    PolicyRule,
     Who,
 )
 from grants.policy.rules import RuleReader
-from grants.policy.source import Part, Table, Word, read_source
+from grants.policy.source import Part, YamlMapping, YamlScalar, read_source
 
 VERSION: Final = 1
 _TOP: Final = ("rossec", "robot", "defaults", "identities", "types", "filters", "rules")
@@ -73,10 +73,10 @@ class _Reader:
         self._known_types = known_types
 
     def read(self, source: Part | None) -> Policy:
-        if not isinstance(source, Table):
-            place = source or Word("", 1, 1)
+        if not isinstance(source, YamlMapping):
+            place = source or YamlScalar("", 1, 1)
             self._mistakes.add(place, "a policy is a mapping", "begin with: rossec: 1")
-            source = Table({}, 1, 1)
+            source = YamlMapping({}, 1, 1)
         readers.closed(source, "the policy", _TOP, ("rossec", "robot", "rules"), self._mistakes)
         self._version(source.get("rossec"))
         defaults = self._defaults(source.get("defaults"))
@@ -90,7 +90,7 @@ class _Reader:
         return Policy(robot or "", defaults, identities, types, rules, self._mistakes.file, plain)
 
     def _version(self, part: Part | None) -> None:
-        if part is not None and not (isinstance(part, Word) and part.value is not True
+        if part is not None and not (isinstance(part, YamlScalar) and part.value is not True
                                      and part.value == VERSION):  # fmt: skip
             hint = f"this rossec reads version {VERSION}"
             self._mistakes.add(part, "a policy of an unknown version", hint)
@@ -125,7 +125,7 @@ class _Reader:
             found[name] = who or Who(name)
         return found
 
-    def _identity(self, name: str, key: Word, part: Part) -> Who | None:
+    def _identity(self, name: str, key: YamlScalar, part: Part) -> Who | None:
         if name == EVERYONE or name.startswith("/"):
             self._mistakes.add(key, f"{name[:60]!r} cannot be the name of an identity")
         table = readers.table(part, f"identity {name}", self._mistakes)
@@ -167,9 +167,9 @@ class _Reader:
             found[name] = read_fields(fields, self._mistakes) if fields is not None else ()
         return found
 
-    def _rules(self, part: Part | None, reader: RuleReader) -> tuple[Rule, ...]:
+    def _rules(self, part: Part | None, reader: RuleReader) -> tuple[PolicyRule, ...]:
         seen: dict[str, int] = {}
-        rules: list[Rule] = []
+        rules: list[PolicyRule] = []
         for item in readers.words(part):
             rule = reader.read(item)
             if rule is None:

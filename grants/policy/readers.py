@@ -12,7 +12,7 @@ from grants.errors import GrantError
 from grants.model import MAX_RATE
 from grants.names import check_pattern
 from grants.policy.mistakes import Mistakes, nearest
-from grants.policy.source import Part, Row, Table, Word
+from grants.policy.source import Part, YamlMapping, YamlScalar, YamlSequence
 
 NEVER: Final = "never"
 _UNITS: Final = {"s": 1, "m": 60, "h": 3600, "d": 86400, "w": 7 * 86400}
@@ -23,16 +23,20 @@ _MAX_TEXT: Final = 1000
 What: TypeAlias = Literal["mapping", "text", "list"]
 
 
-def table(part: Part | None, what: str, mistakes: Mistakes) -> Table | None:
+def table(part: Part | None, what: str, mistakes: Mistakes) -> YamlMapping | None:
     """A mapping; a missing one is None and no mistake."""
-    if part is None or isinstance(part, Table):
+    if part is None or isinstance(part, YamlMapping):
         return part
     mistakes.add(part, f"{what} must be a mapping", "write key: value")
     return None
 
 
 def closed(
-    part: Table, what: str, known: Collection[str], needed: Collection[str], mistakes: Mistakes
+    part: YamlMapping,
+    what: str,
+    known: Collection[str],
+    needed: Collection[str],
+    mistakes: Mistakes,
 ) -> None:
     """Note every key that is not known, and every needed one that is missing."""
     for name, (key, _) in part.entries.items():
@@ -47,7 +51,11 @@ def text(part: Part | None, what: str, mistakes: Mistakes) -> str | None:
     """A text that is not empty."""
     if part is None:
         return None
-    if isinstance(part, Word) and isinstance(part.value, str) and 0 < len(part.value) <= _MAX_TEXT:
+    if (
+        isinstance(part, YamlScalar)
+        and isinstance(part.value, str)
+        and 0 < len(part.value) <= _MAX_TEXT
+    ):
         return part.value
     mistakes.add(part, f"{what} must be a text of 1 to {_MAX_TEXT} characters", "put it in quotes")
     return None
@@ -57,7 +65,7 @@ def words(part: Part | None) -> tuple[Part, ...]:
     """One part, or the parts of a list."""
     if part is None:
         return ()
-    return part.items if isinstance(part, Row) else (part,)
+    return part.items if isinstance(part, YamlSequence) else (part,)
 
 
 def duration(
@@ -66,7 +74,7 @@ def duration(
     """Seconds of `30s`, `15m`, `8h`, `7d`, `4w`; 0 for `never` where that may be."""
     if part is None:
         return None
-    value = part.value if isinstance(part, Word) else None
+    value = part.value if isinstance(part, YamlScalar) else None
     if never and value == NEVER:
         return 0
     match = _DURATION.fullmatch(value) if isinstance(value, str) else None
@@ -93,7 +101,7 @@ def key(part: Part | None, mistakes: Mistakes) -> bytes | None:
     """A key thumbprint, `sha256:` and 64 hexadecimal digits."""
     if part is None:
         return None
-    value = part.value if isinstance(part, Word) else None
+    value = part.value if isinstance(part, YamlScalar) else None
     match = _KEY.fullmatch(value) if isinstance(value, str) else None
     if match is None:
         hint = "write sha256: and 64 hexadecimal digits, see: rossec ca show --json"
@@ -106,7 +114,7 @@ def number(part: Part | None, what: str, mistakes: Mistakes) -> float | None:
     """A number above zero."""
     if part is None:
         return None
-    value = part.value if isinstance(part, Word) else None
+    value = part.value if isinstance(part, YamlScalar) else None
     if isinstance(value, int | float) and not isinstance(value, bool) and 0 < value <= MAX_RATE:
         return value
     mistakes.add(part, f"{what} must be a number above zero{_shown(value)}", "for example 0.2")
@@ -117,7 +125,7 @@ def choice(part: Part | None, what: str, known: Collection[str], mistakes: Mista
     """One of the known words."""
     if part is None:
         return None
-    value = str(part.value) if isinstance(part, Word) else ""
+    value = str(part.value) if isinstance(part, YamlScalar) else ""
     if value in known:
         return value
     mistakes.add(part, f"unknown {what}{_shown(value)}", nearest(value, known))

@@ -22,9 +22,9 @@ from grants.policy.fields import (
     read_fields,
     read_when,
 )
-from grants.policy.mistakes import Mistakes, Place, nearest
-from grants.policy.model import EVERYONE, Clause, Defaults, Effect, Rule, Who, type_of
-from grants.policy.source import Part, Table
+from grants.policy.mistakes import Mistakes, SourcePosition, nearest
+from grants.policy.model import EVERYONE, Clause, Defaults, Effect, PolicyRule, Who, type_of
+from grants.policy.source import Part, YamlMapping
 
 _ID: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,79}", re.ASCII)
 _EFFECTS: Final = tuple(effect.value for effect in Effect)
@@ -40,7 +40,7 @@ _Fields = tuple[FieldRule, ...]
 class _Chosen:
     """What filters one topic: fields, or a preset by name."""
 
-    place: Place
+    place: SourcePosition
     fields: _Fields = ()
     preset: str | None = None
 
@@ -64,7 +64,7 @@ class RuleReader:
         self._layouts = layouts
         self._filters = filters
 
-    def read(self, part: Part) -> Rule | None:
+    def read(self, part: Part) -> PolicyRule | None:
         """One rule, or None if not even its outline is right."""
         table = readers.table(part, "a rule", self._mistakes)
         if table is None:
@@ -81,7 +81,7 @@ class RuleReader:
             table.get("renew_until"), "renew_until", self._mistakes, never=True
         )
         stale = readers.choice(table.get("on_stale"), "on_stale", _ON_STALE, self._mistakes)
-        return Rule(
+        return PolicyRule(
             id=name,
             effect=effect,
             who=self._people(table.get("who")),
@@ -95,7 +95,7 @@ class RuleReader:
             line=table.line,
         )
 
-    def _effect(self, table: Table, name: str) -> tuple[Effect | None, Table | None]:
+    def _effect(self, table: YamlMapping, name: str) -> tuple[Effect | None, YamlMapping | None]:
         said = [effect for effect in Effect if effect.value in table.entries]
         if len(said) != 1:
             hint = "write it as two rules" if said else "for example allow: {subscribe: [/topic]}"
@@ -129,7 +129,7 @@ class RuleReader:
             return None
         return self._identities[label]
 
-    def _clauses(self, table: Table, rights: Table, name: str) -> tuple[Clause, ...]:
+    def _clauses(self, table: YamlMapping, rights: YamlMapping, name: str) -> tuple[Clause, ...]:
         named = self._named(rights, name)
         whens = [read_when(item, self._mistakes) for item in readers.words(table.get("when"))]
         conditions = [when for when in whens if when is not None]
@@ -148,11 +148,11 @@ class RuleReader:
             )
         return tuple(clauses)
 
-    def _named(self, rights: Table, name: str) -> list[tuple[Right, str, Place]]:
+    def _named(self, rights: YamlMapping, name: str) -> list[tuple[Right, str, SourcePosition]]:
         """Every right and pattern the rule names."""
         if not rights.entries:
             self._mistakes.add(rights, f"rule {name} names no right", nearest("", RIGHTS))
-        found: list[tuple[Right, str, Place]] = []
+        found: list[tuple[Right, str, SourcePosition]] = []
         for label, (key, value) in rights.entries.items():
             if label not in RIGHTS:
                 message = f"unknown right {label[:60]!r} in rule {name}"
@@ -171,7 +171,7 @@ class RuleReader:
         self,
         right: Right,
         pattern: str,
-        place: Place,
+        place: SourcePosition,
         conditions: list[When],
         filters: Mapping[str, _Chosen],
         rate: float | None,
@@ -200,7 +200,7 @@ class RuleReader:
         return made.filters, min(rates, default=None)
 
     def _fits(
-        self, right: Right, pattern: str, place: Place, kind: str | None,
+        self, right: Right, pattern: str, place: SourcePosition, kind: str | None,
         conditions: list[When], chosen: _Chosen,
     ) -> bool:  # fmt: skip
         """Whether what looks into the messages of `pattern` fits their type."""
@@ -245,7 +245,7 @@ class RuleReader:
                 found[topic] = self._choice(key, inner)
         return found
 
-    def _choice(self, place: Place, table: Table) -> _Chosen:
+    def _choice(self, place: SourcePosition, table: YamlMapping) -> _Chosen:
         """Fields, or `{use: NAME}` of a filter of this policy or else of a preset."""
         if "use" not in table.entries:
             return _Chosen(place, read_fields(table, self._mistakes))

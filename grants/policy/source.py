@@ -35,7 +35,7 @@ _TRUTH: Final = {"true": True, "false": False}
 
 
 @dataclass(frozen=True, eq=False)
-class Word:
+class YamlScalar:
     """A single value."""
 
     value: Scalar
@@ -44,7 +44,7 @@ class Word:
 
 
 @dataclass(frozen=True, eq=False)
-class Row:
+class YamlSequence:
     """A sequence."""
 
     items: "tuple[Part, ...]"
@@ -53,10 +53,10 @@ class Row:
 
 
 @dataclass(frozen=True, eq=False)
-class Table:
+class YamlMapping:
     """A mapping: by key, the key's own place and the value."""
 
-    entries: "dict[str, tuple[Word, Part]]"
+    entries: "dict[str, tuple[YamlScalar, Part]]"
     line: int
     column: int
 
@@ -66,7 +66,7 @@ class Table:
         return None if entry is None else entry[1]
 
 
-Part: TypeAlias = Word | Row | Table
+Part: TypeAlias = YamlScalar | YamlSequence | YamlMapping
 
 
 def read_source(text: str, mistakes: Mistakes, bounds: Bounds = BOUNDS) -> Part | None:
@@ -106,15 +106,15 @@ class _Builder:
             items = []
             while not isinstance(after := next(self._events), SequenceEndEvent):
                 items.append(self._part(after))
-            return Row(tuple(items), line, column)
-        return Table(self._entries(), line, column)
+            return YamlSequence(tuple(items), line, column)
+        return YamlMapping(self._entries(), line, column)
 
-    def _entries(self) -> dict[str, tuple[Word, Part]]:
-        entries: dict[str, tuple[Word, Part]] = {}
+    def _entries(self) -> dict[str, tuple[YamlScalar, Part]]:
+        entries: dict[str, tuple[YamlScalar, Part]] = {}
         while not isinstance(event := next(self._events), MappingEndEvent):
             key = self._part(event)
             value = self._part(next(self._events))
-            if not isinstance(key, Word):
+            if not isinstance(key, YamlScalar):
                 self._mistakes.add(key, "a key must be a word")
                 continue
             name = str(key.value)
@@ -127,9 +127,9 @@ class _Builder:
         return entries
 
 
-def _word(event: Any) -> Word:
+def _word(event: Any) -> YamlScalar:
     value: Scalar = event.value if quoted(event) else _plain(event.value)
-    return Word(value, *place(event.start_mark))
+    return YamlScalar(value, *place(event.start_mark))
 
 
 def _plain(text: str) -> Scalar:

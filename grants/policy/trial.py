@@ -20,7 +20,7 @@ _FOREVER = 1 << 53
 
 
 @dataclass(frozen=True)
-class Outcome:
+class TrialOutcome:
     """`message` is what the receiver gets, or None; `reason` says why not."""
 
     message: bytes | None
@@ -38,17 +38,17 @@ class Trial:
         if verdict:
             self._guard = self._build()
 
-    def __call__(self, message: Buffer, now: int) -> Outcome:
+    def __call__(self, message: Buffer, now: int) -> TrialOutcome:
         """Try `message` (serialized) at `now`, seconds since the epoch."""
         if self._guard is None:
-            return Outcome(None, self._reason)
+            return TrialOutcome(None, self._reason)
         try:
             pieces = self._guard(message, now)
         except GrantError as error:
-            return Outcome(None, str(error))
+            return TrialOutcome(None, str(error))
         if pieces is None:
-            return Outcome(None, self._failing(message, now))
-        return Outcome(b"".join(pieces))
+            return TrialOutcome(None, self._failing(message, now))
+        return TrialOutcome(b"".join(pieces))
 
     def _build(self) -> Guard | None:
         verdict = self._verdict

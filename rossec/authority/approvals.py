@@ -23,8 +23,8 @@ from grants.request import GrantRequest, open_request, peek_request
 from rossec.authority import requests
 from rossec.authority.home import AuthorityHome
 from rossec.authority.policyfile import PolicyFile
-from rossec.authority.requests import Asked, Inbox
-from rossec.authority.signing import OpenAuthority
+from rossec.authority.requests import GrantRequestStore, StoredRequest
+from rossec.authority.signing import SigningAuthority
 
 MAX_ASKED: Final = 16  # prompts one node may have waiting
 GRANTED, DENIED, LATE, TOO_MANY = "granted", "denied", "no answer", "too many"
@@ -33,14 +33,14 @@ Change = Callable[[Verdict], Verdict]
 
 
 @dataclass(frozen=True)
-class Question:
+class PendingApproval:
     """A wish that waits for a person, or only for the key: see `verdict`."""
 
-    asked: Asked
+    asked: StoredRequest
     verdict: Verdict
 
 
-class Desk:
+class ApprovalQueue:
     """The authority's desk at `now`, deciding by `policy`.
 
     `denied` counts what the last `questions` answered with a no by itself.
@@ -52,7 +52,7 @@ class Desk:
         self._decider = policy.decider
         self._now = now
         self._store = home.store()
-        self._inbox = Inbox(self._store.database)
+        self._inbox = GrantRequestStore(self._store.database)
         self.denied = 0
 
     def close(self) -> None:
@@ -93,13 +93,13 @@ class Desk:
             path.unlink(missing_ok=True)
         return trouble
 
-    def questions(self) -> list[Question]:
+    def questions(self) -> list[PendingApproval]:
         """What is not answered; what the policy denies, or nobody answered, is answered here."""
         with self._store.changing():
             return self._questions()
 
-    def _questions(self) -> list[Question]:
-        open_: list[Question] = []
+    def _questions(self) -> list[PendingApproval]:
+        open_: list[PendingApproval] = []
         waiting: dict[str, int] = {}
         unanswered = self._inbox.unanswered()
         for asked in unanswered:
@@ -114,16 +114,20 @@ class Desk:
             if verdict.effect is Effect.PROMPT and (why := self._refusal(asked, waiting)):
                 self._inbox.answer(asked, DENIED, why, self._now)
                 continue
-            open_.append(Question(asked, verdict))
+            open_.append(PendingApproval(asked, verdict))
         self.denied = len(unanswered) - len(open_)
         return open_
 
-    def deny(self, question: Question, reason: str) -> None:
+    def deny(self, question: PendingApproval, reason: str) -> None:
         """A person said no."""
         self._inbox.answer(question.asked, DENIED, reason, self._now)
 
     def sign(
-        self, authority: OpenAuthority, questions: Iterable[Question], change: Change, reason: str
+        self,
+        authority: SigningAuthority,
+        questions: Iterable[PendingApproval],
+        change: Change,
+        reason: str,
     ) -> list[tuple[Draft, bytes]]:
         """Sign what was decided, as `change` makes it; returns the grants with what they say.
 
@@ -140,19 +144,19 @@ class Desk:
             now=self._now,
             serial=lambda: secrets.token_bytes(16),
         )
-        answers = Inbox(authority.store.database)
+        answers = GrantRequestStore(authority.store.database)
         with authority.store.changing():
             self._policy.check_unchanged()
             for question in chosen:
                 answers.answer(question.asked, GRANTED, reason, self._now)
             return [(draft, authority.grant(draft, self._now)) for draft in made]
 
-    def _verdict(self, asked: Asked) -> Verdict:
+    def _verdict(self, asked: StoredRequest) -> Verdict:
         row = self._store.live_certificate(asked.request.node, self._now)
         subject = Subject(row.name, row.thumbprint)
         return self._decider.decide(subject, asked.wish.right, asked.wish.pattern)
 
-    def _refusal(self, asked: Asked, waiting: dict[str, int]) -> str:
+    def _refusal(self, asked: StoredRequest, waiting: dict[str, int]) -> str:
         if self._now > asked.at + self._decider.policy.defaults.prompt_timeout:
             return LATE
         node = asked.request.node

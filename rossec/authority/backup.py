@@ -21,10 +21,10 @@ from ca.errors import BackupRefused, HintedError, LogDamaged, PassphraseRefused
 from ca.revocation.state import open_list
 from ca.revocation.tree import Listing, is_tree, open_tree
 from ca.store import backup
-from ca.store.log_entries import Entry
+from ca.store.log_entries import LogEntry
 from rossec import files
 from rossec.authority.home import AuthorityHome
-from rossec.authority.signing import OpenAuthority
+from rossec.authority.signing import SigningAuthority
 
 _SKIPPED: Final = ("ca.db", "ca.db-wal", "ca.db-shm")  # the record goes in as a snapshot
 _OTHER: Final = "take another backup, and find out who made this one"
@@ -107,7 +107,7 @@ def restore(
     return Restored(AuthorityHome(place), size, revived)
 
 
-def _prove(begun: AuthorityHome, secret: str) -> OpenAuthority:
+def _prove(begun: AuthorityHome, secret: str) -> SigningAuthority:
     """The authority in a backup, if key, certificate and record are whole and of one another.
 
     Raises:
@@ -146,7 +146,9 @@ def _write(directory: Path, content: dict[str, bytes]) -> None:
         files.create(path, data, 0o644 if name.endswith(_PUBLIC) else 0o600)
 
 
-def _check_over(there: AuthorityHome, found: OpenAuthority, over: str | None, forget: int) -> None:
+def _check_over(
+    there: AuthorityHome, found: SigningAuthority, over: str | None, forget: int
+) -> None:
     """The one that is there gives way to the backup only knowingly."""
     anchor, held = _read(there)
     if over != anchor.domain:
@@ -169,7 +171,7 @@ def _check_over(there: AuthorityHome, found: OpenAuthority, over: str | None, fo
         )
 
 
-def _read(there: AuthorityHome) -> tuple[TrustAnchor, list[Entry]]:
+def _read(there: AuthorityHome) -> tuple[TrustAnchor, list[LogEntry]]:
     """Who is there, and what it did."""
     try:
         with contextlib.closing(there.store()) as store:
@@ -182,7 +184,7 @@ def _read(there: AuthorityHome) -> tuple[TrustAnchor, list[Entry]]:
 
 
 def _listed(
-    data: bytes | None, entries: bytes | None, authority: OpenAuthority
+    data: bytes | None, entries: bytes | None, authority: SigningAuthority
 ) -> frozenset[bytes]:
     """What a signed statement revokes; none: nothing."""
     key = authority.authority.anchor.public_key
@@ -201,7 +203,7 @@ def _listed(
 
 
 def _bring_up_to_date(
-    authority: OpenAuthority, newest: frozenset[bytes], entries: int, now: int
+    authority: SigningAuthority, newest: frozenset[bytes], entries: int, now: int
 ) -> int:
     """A new epoch, and what was revoked since; an intermediate has neither."""
     authority.store.note("restored", "record", f"from {entries} entries", now)

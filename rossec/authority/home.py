@@ -19,7 +19,7 @@ from ca.revocation.tree import MAX_LISTING, Listing, is_tree, open_tree
 from ca.store.record import Store
 from rossec import files
 from rossec.authority import list_contents
-from rossec.authority.signing import OWN_NODE, OpenAuthority
+from rossec.authority.signing import OWN_NODE, SigningAuthority
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
 
@@ -105,7 +105,7 @@ class AuthorityHome:
         """The node as which its tools speak to the master."""
         return NodeHome(self.path / "node", OWN_NODE)
 
-    def unlock(self, passphrase: str) -> OpenAuthority:
+    def unlock(self, passphrase: str) -> SigningAuthority:
         """Load the key.
 
         Raises:
@@ -114,7 +114,7 @@ class AuthorityHome:
         authority = Authority(
             self._signer(passphrase), self.anchor().certificate, self.intermediate()
         )
-        return OpenAuthority(authority, self.store(), self.path)
+        return SigningAuthority(authority, self.store(), self.path)
 
     def _signer(self, secret: str) -> Signer:
         """The key: in a file that `secret` decrypts, or in the token for which it is the PIN."""
@@ -182,7 +182,7 @@ def _build(path: Path, signer: Signer, root: bytes, now: int) -> None:
     """Everything of a new authority but its key."""
     files.make_private_directory(path)
     with contextlib.closing(Store.create(path / "ca.db")) as store:
-        unlocked = OpenAuthority(Authority(signer, root), store, path)
+        unlocked = SigningAuthority(Authority(signer, root), store, path)
         unlocked.sign_list(now)
         own = NodeHome(path / "node", OWN_NODE)
         own.create_request(unlocked.domain)

@@ -17,7 +17,7 @@ _RECORD: Final = ("ca.db", "ca.db-wal")
 _Stamp = tuple[tuple[int, int, int], ...]
 
 
-class NearAuthority:
+class LocalList:
     """The authority in the ROSSEC_HOME `home`; an intermediate signs no lists."""
 
     def __init__(self, home: Path) -> None:

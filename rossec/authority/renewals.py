@@ -19,7 +19,7 @@ from ca.requests import build_request
 from ca.store.record import CertificateRow, Store
 from ca.store.rows import INTERMEDIATE
 from rossec.authority.home import OWN_LIFETIME
-from rossec.authority.signing import OWN_NODE, OpenAuthority, certificate_row
+from rossec.authority.signing import OWN_NODE, SigningAuthority, certificate_row
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
 
@@ -27,7 +27,7 @@ SEASON: Final = 90 * DAY
 
 
 def renew(
-    authority: OpenAuthority,
+    authority: SigningAuthority,
     data: bytes,
     now: int,
     check: Callable[[bytes, int], None] | None = None,
@@ -47,7 +47,7 @@ def renew(
 
 
 def _renew(
-    authority: OpenAuthority,
+    authority: SigningAuthority,
     data: bytes,
     now: int,
     check: Callable[[bytes, int], None],
@@ -67,7 +67,9 @@ def _renew(
     return authority.bundle(der)
 
 
-def renew_by_name(authority: OpenAuthority, name: str, now: int, lifetime: int = LIFETIME) -> bytes:
+def renew_by_name(
+    authority: SigningAuthority, name: str, now: int, lifetime: int = LIFETIME
+) -> bytes:
     """Certify the key that `name` has once more; returns the node's new bundle (PEM).
 
     What an intermediate enrolled hangs on this authority itself from then on, and keeps its key.
@@ -87,7 +89,7 @@ def renew_by_name(authority: OpenAuthority, name: str, now: int, lifetime: int =
     return authority.bundle(der)
 
 
-def _identity(authority: OpenAuthority, row: CertificateRow, now: int) -> Identity:
+def _identity(authority: SigningAuthority, row: CertificateRow, now: int) -> Identity:
     """The identity of a row; it is verified through the intermediate that signed it, if one did."""
     signer = authority.store.identities.signer(row)
     if signer is None:
@@ -95,7 +97,7 @@ def _identity(authority: OpenAuthority, row: CertificateRow, now: int) -> Identi
     return authority.authority.anchor.verify([row.der, signer.der], now)
 
 
-def renew_own(authority: OpenAuthority, now: int) -> int:
+def renew_own(authority: SigningAuthority, now: int) -> int:
     """Renew the authority's own node, also one that has expired; returns until when it is good."""
     own = NodeHome(authority.path / "node", OWN_NODE)
     key = KeySigner(key_files.load_private(own.path / "node.key"))
@@ -103,14 +105,14 @@ def renew_own(authority: OpenAuthority, now: int) -> int:
     return own.install(authority.issue(request, now, OWN_LIFETIME), now).not_after
 
 
-def own_is_due(authority: OpenAuthority, now: int) -> bool:
+def own_is_due(authority: SigningAuthority, now: int) -> bool:
     """Whether two thirds of the own node's life are over; an intermediate's host has none."""
     certificates = authority.store.identities.of(OWN_NODE)
     return bool(certificates) and now >= _renew_at(certificates[-1])
 
 
 def sign_intermediate(
-    authority: OpenAuthority, csr: bytes, now: int, *, may_enroll: bool, lifetime: int = SEASON
+    authority: SigningAuthority, csr: bytes, now: int, *, may_enroll: bool, lifetime: int = SEASON
 ) -> tuple[str, bytes]:
     """Sign and record an intermediate; returns the name it is revoked by, and its bundle (PEM).
 
@@ -130,7 +132,7 @@ def sign_intermediate(
 
 
 def adopt(
-    authority: OpenAuthority, bundle: bytes, now: int, replaced: Collection[str] = ()
+    authority: SigningAuthority, bundle: bytes, now: int, replaced: Collection[str] = ()
 ) -> tuple[Identity, bool]:
     """Record an identity that an intermediate of this root signed; whether it was not known yet.
 
@@ -178,7 +180,7 @@ def _renew_at(row: CertificateRow) -> int:
     return renew_at(row.not_before, row.not_after)
 
 
-def _recorded(authority: OpenAuthority) -> Callable[[bytes, int], None]:
+def _recorded(authority: SigningAuthority) -> Callable[[bytes, int], None]:
     revoked = authority.store.revoked_entries()
 
     def check(entry: bytes, now: int) -> None:  # noqa: ARG001  (the record is always of now)

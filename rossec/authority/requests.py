@@ -37,7 +37,7 @@ _SCHEMA: Final = (
 )
 
 
-class Asked(NamedTuple):
+class StoredRequest(NamedTuple):
     """One wish that is in the record and not answered."""
 
     request: GrantRequest
@@ -50,7 +50,7 @@ class Asked(NamedTuple):
         return self.request.id.hex()[:8]
 
 
-class Inbox:
+class GrantRequestStore:
     """The requests in one record."""
 
     def __init__(self, database: Database) -> None:
@@ -79,7 +79,7 @@ class Inbox:
             row = (request.id, request.node, data, now)
             db.execute("INSERT INTO grant_request VALUES (?, ?, ?, ?)", row)
 
-    def answer(self, asked: Asked, answer: str, reason: str, now: int) -> None:
+    def answer(self, asked: StoredRequest, answer: str, reason: str, now: int) -> None:
         """Record the answer to one wish.
 
         Raises:
@@ -90,13 +90,13 @@ class Inbox:
             row = (asked.request.id, int(wish.right), wish.pattern, answer, reason, now)
             db.execute("INSERT INTO decision VALUES (?, ?, ?, ?, ?, ?)", row)
 
-    def unanswered(self) -> list[Asked]:
+    def unanswered(self) -> list[StoredRequest]:
         """Every wish without an answer, oldest first."""
         answered = set(self._database.rows("SELECT request, right, pattern FROM decision"))
         rows = self._database.rows("SELECT data, at FROM grant_request ORDER BY rowid")
         requests = [(peek_request(data), at) for data, at in rows]
         return [
-            Asked(request, at, wish)
+            StoredRequest(request, at, wish)
             for request, at in requests
             for wish in request.wishes
             if (request.id, int(wish.right), wish.pattern) not in answered

@@ -17,7 +17,7 @@ from ca.keys.signer import Signer
 from ca.names import check_name
 from ca.revocation.state import MAX_ENTRIES, RevocationList, open_statement, sign_list
 from ca.revocation.tree import Listing, RevocationTree, sign_tree
-from ca.store.lifecycle import RequestRow, State
+from ca.store.lifecycle import RequestRow, RequestState
 from ca.store.log_entries import sign_head
 from ca.store.record import CertificateRow, GrantRow, Store
 from ca.store.rows import INTERMEDIATE
@@ -37,7 +37,7 @@ _LIST_REFRESH: Final = 7 * 86400
 
 
 @dataclass
-class OpenAuthority:
+class SigningAuthority:
     """The authority with its key unlocked: it can sign."""
 
     authority: Authority
@@ -83,7 +83,7 @@ class OpenAuthority:
             self.store.identities.check_not_revoked(asked.name, asked.thumbprint)
             return self.again(answered, now, wildcard=wildcard)
         row = self.store.requests.add(asked, request, source, now)
-        if row.state is State.PENDING:
+        if row.state is RequestState.PENDING:
             row = self.store.requests.approve(
                 row.digest, now, replace_key=replace_key, wildcard=wildcard
             )

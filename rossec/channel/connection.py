@@ -14,18 +14,18 @@ from rossec.channel.edhoc.handshake import Responder
 from rossec.channel.edhoc.known import KnownCertificates
 from rossec.channel.edhoc.messages import UNKNOWN_CREDENTIAL, UNSPECIFIED, encode_error
 from rossec.channel.edhoc.own_dials import OwnDials
-from rossec.channel.edhoc.peer import Party
+from rossec.channel.edhoc.peer import EdhocConfig
 from rossec.channel.edhoc.suites import PRODUCTION, Random
-from rossec.channel.negotiation import Negotiation, Preamble, Step
-from rossec.channel.opening import Flavour
+from rossec.channel.negotiation import Negotiation, NegotiationStep, Preamble
+from rossec.channel.opening import WireProtocol
 from rossec.channel.outbound import HINT_SILENT, Outbound
 from rossec.channel.records import (
     HEADER,
     MAX_PLAINTEXT,
     TAG,
     Bytes,
+    ChannelLimits,
     Frame,
-    Limits,
     check_header,
     frame,
 )
@@ -38,25 +38,25 @@ from rossec.channel.states import (
     UNPROVEN,
     Authenticated,
     Closed,
+    ConnectionState,
     Event,
     Row,
-    State,
     UnitReceived,
 )
 from rossec.errors import (
     ChannelError,
     ConnectionTruncated,
     HandshakeFailed,
+    PeerCredentialUnknown,
     ProtocolViolation,
-    UnknownCredential,
 )
 
 _OPEN_BUFFER: Final = 64 * 1024
 _FULL_BUFFER: Final = 2 * (HEADER + MAX_PLAINTEXT + TAG)  # two whole records stay aligned
 _REFUSED: Final = frame(Frame.ERROR, encode_error(UNSPECIFIED, "handshake refused"))
 _UNKNOWN: Final = frame(Frame.ERROR, encode_error(UNKNOWN_CREDENTIAL, info=True))
-_DEFAULTS: Final = Limits()
-_BOTH: Final = frozenset(Flavour)
+_DEFAULTS: Final = ChannelLimits()
+_BOTH: Final = frozenset(WireProtocol)
 
 
 class Connection(Outbound[PeerT]):
@@ -70,9 +70,9 @@ class Connection(Outbound[PeerT]):
         *,
         random: Random,
         now: int,
-        opening: Flavour = Flavour.TCPROS,
+        opening: WireProtocol = WireProtocol.TCPROS,
         suites: tuple[int, ...] = PRODUCTION,
-        limits: Limits = _DEFAULTS,
+        limits: ChannelLimits = _DEFAULTS,
         known: KnownCertificates | None = None,
         brief: bool = False,
         own_dials: OwnDials | None = None,
@@ -80,11 +80,12 @@ class Connection(Outbound[PeerT]):
         """The side that connected; its first flight is ready to send.
 
         With `known` certificates are remembered, and `brief` asks the responder to name its own by
-        a hash: for a place where one was met before. `CredentialUnknown` and `UnknownCredential`
-        mean: forget the introductions, and begin again without `brief`. With `own_dials`, which
-        this node's listeners share, it means to reach itself, and nobody else will do.
+        a hash: for a place where one was met before. `OwnCredentialUnknown` and
+        `PeerCredentialUnknown` mean: forget the introductions, and begin again without `brief`.
+        With `own_dials`, which this node's listeners share, it means to reach itself, and nobody
+        else will do.
         """
-        party = Party(
+        party = EdhocConfig(
             credentials, verify, random, suites, known=known, brief=brief, own_dials=own_dials
         )
         negotiation, message_1 = Negotiation.begin(party)
@@ -101,9 +102,9 @@ class Connection(Outbound[PeerT]):
         *,
         random: Random,
         now: int,
-        accept: Collection[Flavour] = _BOTH,
+        accept: Collection[WireProtocol] = _BOTH,
         suites: tuple[int, ...] = PRODUCTION,
-        limits: Limits = _DEFAULTS,
+        limits: ChannelLimits = _DEFAULTS,
         known: KnownCertificates | None = None,
         own_dials: OwnDials | None = None,
     ) -> Self:
@@ -111,8 +112,8 @@ class Connection(Outbound[PeerT]):
 
         With `own_dials` this node may call itself, where it noted that it means to.
         """
-        party = Party(credentials, verify, random, suites, known=known, own_dials=own_dials)
-        preamble = Preamble(Flavour.TCPROS, accept)
+        party = EdhocConfig(credentials, verify, random, suites, known=known, own_dials=own_dials)
+        preamble = Preamble(WireProtocol.TCPROS, accept)
         return cls(preamble, Negotiation(Responder(party)), now, limits)
 
     # -- receiving
@@ -149,7 +150,7 @@ class Connection(Outbound[PeerT]):
         try:
             self._run()
         except ChannelError as error:
-            self._last_flight(_UNKNOWN if isinstance(error, UnknownCredential) else _REFUSED)
+            self._last_flight(_UNKNOWN if isinstance(error, PeerCredentialUnknown) else _REFUSED)
             raise
         except BaseException:
             self._die()  # a bug is a flaw like any other
@@ -164,9 +165,9 @@ class Connection(Outbound[PeerT]):
             HandshakeFailed: before the handshake was done.
         """
         if self.state in DEAD:
-            self.state = State.CLOSED
+            self.state = ConnectionState.CLOSED
             return
-        opened = self.state is State.OPEN
+        opened = self.state is ConnectionState.OPEN
         self._die()
         if opened:
             raise ConnectionTruncated(
@@ -219,7 +220,7 @@ class Connection(Outbound[PeerT]):
         assert state in following  # noqa: S101 - the table is the truth, and tests run with it
         self.state = state
 
-    def _advance(self, step: Step[PeerT]) -> State:
+    def _advance(self, step: NegotiationStep[PeerT]) -> ConnectionState:
         if step.peer is not None:
             self._peer = step.peer
             self._inbox.trust()
@@ -227,31 +228,31 @@ class Connection(Outbound[PeerT]):
             self._events.append(Authenticated(step.peer))
         if step.reply:
             self._out.append(step.reply)
-        if step.state is State.OPEN:
+        if step.state is ConnectionState.OPEN:
             self._negotiation.forget()
         return step.state
 
     # -- records: the rows of the table for an open connection
 
-    def _on_data(self, head: bytes, body: memoryview) -> State:
+    def _on_data(self, head: bytes, body: memoryview) -> ConnectionState:
         self._open_session().data(head, body, self._now)
-        return State.OPEN
+        return ConnectionState.OPEN
 
-    def _on_data_end(self, head: bytes, body: memoryview) -> State:
+    def _on_data_end(self, head: bytes, body: memoryview) -> ConnectionState:
         self._events.append(UnitReceived(self._open_session().data_end(head, body)))
-        return State.OPEN
+        return ConnectionState.OPEN
 
-    def _on_rekey(self, head: bytes, body: memoryview) -> State:
+    def _on_rekey(self, head: bytes, body: memoryview) -> ConnectionState:
         self._out.append(self._open_session().rekey(head, body))
-        return State.OPEN
+        return ConnectionState.OPEN
 
-    def _on_close(self, head: bytes, body: memoryview) -> State:
+    def _on_close(self, head: bytes, body: memoryview) -> ConnectionState:
         session = self._open_session()
         session.close(head, body)
         self._out.append(session.close_record())
         self._session = None
         self._events.append(Closed())
-        return State.CLOSED
+        return ConnectionState.CLOSED
 
     def _last_flight(self, refusal: bytes) -> None:
         """Die; tell a peer that is still unproven, unless it told us first."""
@@ -263,5 +264,5 @@ class Connection(Outbound[PeerT]):
 
 _ROWS: Final = {
     state: {kind.value: row for (there, kind), row in TABLE.items() if there is state}
-    for state in State
+    for state in ConnectionState
 }

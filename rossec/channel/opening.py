@@ -36,7 +36,7 @@ REFUSAL: Final = (
 _HINT_PLAIN: Final = "the peer is a plain ROS node: give it an identity, or use another address"
 
 
-class Flavour(Enum):
+class WireProtocol(Enum):
     """In which protocol the connection introduces itself."""
 
     TCPROS = "tcpros"
@@ -47,25 +47,25 @@ class Flavour(Enum):
 class Accepted:
     """The peer speaks rossec: drop `consumed` bytes, send `reply`, begin the handshake."""
 
-    flavour: Flavour
+    flavour: WireProtocol
     consumed: int
     reply: bytes
 
 
 @dataclass(frozen=True)
-class Plain:
+class PlainCaller:
     """The peer is a plain one: drop `drain` bytes, send `refusal(flavour)`, close."""
 
-    flavour: Flavour
+    flavour: WireProtocol
     drain: int
 
 
-Verdict: TypeAlias = Accepted | Plain | None
+Verdict: TypeAlias = Accepted | PlainCaller | None
 
 
-def first_bytes(flavour: Flavour) -> bytes:
+def first_bytes(flavour: WireProtocol) -> bytes:
     """What the initiator sends before message_1, in the same flight."""
-    return _TCPROS if flavour is Flavour.TCPROS else _REQUEST
+    return _TCPROS if flavour is WireProtocol.TCPROS else _REQUEST
 
 
 def judge_caller(data: bytes) -> Verdict:
@@ -87,11 +87,11 @@ def _judge_tcpros(data: bytes) -> Verdict:
         if len(data) < len(_TCPROS):
             return None
         if data[: len(_TCPROS)] == _TCPROS:
-            return Accepted(Flavour.TCPROS, len(_TCPROS), b"")
+            return Accepted(WireProtocol.TCPROS, len(_TCPROS), b"")
     # A real header holds the message definition, some kilobytes; a field needs 5 bytes (N7).
     if not 5 <= length <= MAX_DRAIN:
         raise ProtocolViolation("the first bytes are neither ROS nor rossec")
-    return Plain(Flavour.TCPROS, 4 + length)
+    return PlainCaller(WireProtocol.TCPROS, 4 + length)
 
 
 def _judge_http(data: bytes) -> Verdict:
@@ -104,8 +104,8 @@ def _judge_http(data: bytes) -> Verdict:
     fields = _http_fields(lines[1:])
     upgrade = fields.get(b"upgrade")
     if lines[0] == b"GET /rossec HTTP/1.1" and upgrade == b"rossec/1":
-        return Accepted(Flavour.HTTP, end + 4, _SWITCH)
-    return Plain(Flavour.HTTP, end + 4 + _body_length(fields))
+        return Accepted(WireProtocol.HTTP, end + 4, _SWITCH)
+    return PlainCaller(WireProtocol.HTTP, end + 4 + _body_length(fields))
 
 
 def _http_fields(lines: list[bytes]) -> dict[bytes, bytes]:
@@ -126,9 +126,9 @@ def _body_length(fields: dict[bytes, bytes]) -> int:
     return min(int(text), MAX_DRAIN)
 
 
-def refusal(flavour: Flavour) -> bytes:
+def refusal(flavour: WireProtocol) -> bytes:
     """What a plain caller is told, in its own protocol; names nothing of this node."""
-    return tcpros_refusal(REFUSAL) if flavour is Flavour.TCPROS else http_refusal(REFUSAL)
+    return tcpros_refusal(REFUSAL) if flavour is WireProtocol.TCPROS else http_refusal(REFUSAL)
 
 
 def tcpros_refusal(text: str) -> bytes:
@@ -155,7 +155,7 @@ def http_refusal(text: str) -> bytes:
     return head.encode() + body
 
 
-def judge_answer(data: bytes, flavour: Flavour) -> int | None:
+def judge_answer(data: bytes, flavour: WireProtocol) -> int | None:
     """Judge what the peer answered to `first_bytes`: how many bytes precede its first frame.
 
     A TCPROS answer has no preamble. A frame of the handshake cannot be taken for a TCPROS header:
@@ -170,16 +170,16 @@ def judge_answer(data: bytes, flavour: Flavour) -> int | None:
         return _judge_http_answer(data, flavour)
     if data[2:4] == b"\0\0":
         return _plain_tcpros_answer(data)
-    if flavour is Flavour.HTTP:
+    if flavour is WireProtocol.HTTP:
         raise PlainPeer("the peer does not answer in HTTP", _HINT_PLAIN)
     return 0
 
 
-def _judge_http_answer(data: bytes, flavour: Flavour) -> int | None:
+def _judge_http_answer(data: bytes, flavour: WireProtocol) -> int | None:
     end = data.find(b"\r\n\r\n", 0, MAX_OPENING)
     if end < 0 and len(data) < MAX_OPENING:
         return None
-    if flavour is Flavour.HTTP and data[: len(_SWITCH)] == _SWITCH:
+    if flavour is WireProtocol.HTTP and data[: len(_SWITCH)] == _SWITCH:
         return len(_SWITCH)
     status = printable(data.split(b"\r\n", 1)[0].decode("latin-1"))
     raise PlainPeer(f"the peer is a plain HTTP server and says: {status}", _HINT_PLAIN)

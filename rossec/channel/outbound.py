@@ -10,10 +10,10 @@ from typing import Final, Generic
 from rossec.channel.buffers import SMALL, ReceiveBuffer
 from rossec.channel.edhoc.credentials import PeerT
 from rossec.channel.negotiation import Negotiation, Preamble
-from rossec.channel.opening import Flavour
-from rossec.channel.records import Bytes, Limits
+from rossec.channel.opening import WireProtocol
+from rossec.channel.records import Bytes, ChannelLimits
 from rossec.channel.session import Session
-from rossec.channel.states import DEAD, SENDING, Event, State
+from rossec.channel.states import DEAD, SENDING, ConnectionState, Event
 from rossec.errors import (
     ChannelClosed,
     ChannelError,
@@ -31,7 +31,7 @@ class Outbound(Generic[PeerT]):
     """The state of a connection, and everything that does not depend on what arrives."""
 
     def __init__(
-        self, preamble: Preamble, negotiation: Negotiation[PeerT], now: int, limits: Limits
+        self, preamble: Preamble, negotiation: Negotiation[PeerT], now: int, limits: ChannelLimits
     ) -> None:
         self._preamble = preamble
         self._negotiation = negotiation
@@ -44,10 +44,10 @@ class Outbound(Generic[PeerT]):
         self._peer: PeerT | None = None
         self._session: Session | None = None
         self._sealing = False
-        self.state = State.OPENING
+        self.state = ConnectionState.OPENING
 
     @property
-    def flavour(self) -> Flavour:
+    def flavour(self) -> WireProtocol:
         """How the connection introduced itself."""
         return self._preamble.flavour
 
@@ -62,7 +62,7 @@ class Outbound(Generic[PeerT]):
         return self._session is not None and self._session.deadline is not None
 
     def welcome(self, limit: int | None = None) -> None:
-        """Take units of up to `limit` from now on, or of `Limits.unit`: the peer was judged.
+        """Take units of up to `limit` from now on, or of `ChannelLimits.unit`: the peer was judged.
 
         Raises:
             ChannelClosed: there is no open connection.
@@ -169,9 +169,9 @@ class Outbound(Generic[PeerT]):
         if self.state in SENDING:
             self._out.append(self._sendable().close_record())
             self._session = None
-            self.state = State.CLOSING
-        elif self.state is not State.CLOSING:
-            self.state = State.CLOSED
+            self.state = ConnectionState.CLOSING
+        elif self.state is not ConnectionState.CLOSING:
+            self.state = ConnectionState.CLOSED
 
     def abandon(self) -> None:
         """Forget keys and counters at once; nothing is sent (a forked process must not)."""
@@ -183,7 +183,7 @@ class Outbound(Generic[PeerT]):
         """When `tick` has to be called at the latest."""
         if self.state in DEAD:
             return None
-        if self.state is not State.OPEN or self._session is None or self._peer is None:
+        if self.state is not ConnectionState.OPEN or self._session is None or self._peer is None:
             return self._give_up_at
         unit = self._session.deadline
         last = min(self._session.renew_at, self._peer.not_after)
@@ -208,7 +208,7 @@ class Outbound(Generic[PeerT]):
             raise
 
     def _act(self, now: int, *, reading: bool) -> None:
-        if self.state is not State.OPEN or self._session is None or self._peer is None:
+        if self.state is not ConnectionState.OPEN or self._session is None or self._peer is None:
             raise HandshakeTimeout(
                 "the peer did not finish the handshake in time",
                 HINT_SILENT,
@@ -219,7 +219,7 @@ class Outbound(Generic[PeerT]):
         self._out.append(self._session.renew(now))
 
     def _die(self) -> None:
-        self.state = State.CLOSED
+        self.state = ConnectionState.CLOSED
         self._session = None
         self._negotiation.forget()
         self._out = []

@@ -18,7 +18,7 @@ from typing import Final, TypeAlias
 from cryptography.exceptions import InvalidTag
 from cryptography.hazmat.primitives.ciphers.aead import AESGCM, ChaCha20Poly1305
 
-from rossec.channel.edhoc.keyschedule import Exporter
+from rossec.channel.edhoc.keyschedule import EdhocExporter
 from rossec.channel.edhoc.messages import MAX_MESSAGE
 from rossec.channel.edhoc.suites import Suite
 from rossec.errors import LimitExceeded, ProtocolViolation, RecordForged
@@ -59,7 +59,7 @@ _LENGTHS: Final[dict[int, tuple[int, int]]] = {
 
 
 @dataclass(frozen=True)
-class Limits:
+class ChannelLimits:
     """Where the channel stops or renews its keys; the defaults are the notes' (AEAD limits).
 
     `greeting` is how long a unit of a peer may be until it is made welcome, if not as any `unit`.
@@ -105,7 +105,7 @@ class Direction:
 
     __slots__ = ("_aead", "_iv", "epoch", "octets", "records")
 
-    def __init__(self, suite: Suite, exporter: Exporter, label: int, epoch: int) -> None:
+    def __init__(self, suite: Suite, exporter: EdhocExporter, label: int, epoch: int) -> None:
         # The version and the epoch are the context; the role is in the label.
         context = b"rossec/1" + epoch.to_bytes(8)
         aead = suite.aead(exporter.export(label, context, suite.key_length))
@@ -177,7 +177,7 @@ class Epochs:
     sender: Direction
     receiver: Direction
 
-    def __init__(self, suite: Suite, exporter: Exporter, *, initiator: bool) -> None:
+    def __init__(self, suite: Suite, exporter: EdhocExporter, *, initiator: bool) -> None:
         labels = (self._INITIATOR_SENDS, self._RESPONDER_SENDS)
         self._labels = labels if initiator else labels[::-1]
         self._suite = suite

@@ -13,15 +13,15 @@ from rossec.channel.records import (
     MAX_PLAINTEXT,
     TAG,
     Bytes,
+    ChannelLimits,
     Direction,
     Epochs,
     Frame,
-    Limits,
     UnitAssembly,
     fragments,
 )
 from rossec.errors import ConnectionTruncated, LimitExceeded
-from rossec.progress import Unfinished
+from rossec.progress import Progress
 
 _REUSE_ABOVE: Final = 64 * 1024
 _RECORD: Final = HEADER + MAX_PLAINTEXT + TAG
@@ -31,11 +31,11 @@ _JOINED: Final = 4  # whole records in the buffer; beyond a megabyte nothing is 
 class Session:
     """Both directions of an open connection; `now` is when it opened."""
 
-    def __init__(self, epochs: Epochs, limits: Limits, now: int) -> None:
+    def __init__(self, epochs: Epochs, limits: ChannelLimits, now: int) -> None:
         self._epochs = epochs
         self._limits = limits
         self._unit = UnitAssembly(limits.unit if limits.greeting is None else limits.greeting)
-        self._unfinished = Unfinished()
+        self._unfinished = Progress()
         self._scratch: bytearray | None = None
         self.renew_at = now + limits.seconds
 
@@ -50,7 +50,7 @@ class Session:
         return self._epochs.sender.epoch > self._epochs.receiver.epoch
 
     def welcome(self, limit: int | None) -> None:
-        """Take units of up to `limit` from now on, never more than `Limits.unit`."""
+        """Take units of up to `limit` from now on, never more than `ChannelLimits.unit`."""
         most = self._limits.unit
         self._unit.limit = most if limit is None else min(limit, most)
 
@@ -72,7 +72,7 @@ class Session:
         """Refuse a unit that the peer would not take; nothing has happened to the connection.
 
         Raises:
-            LimitExceeded: longer than `Limits.unit`.
+            LimitExceeded: longer than `ChannelLimits.unit`.
         """
         size = _size(pieces)
         if size > self._limits.unit:
@@ -209,7 +209,7 @@ def _size(pieces: Sequence[Bytes]) -> int:
     return sum(p.nbytes if isinstance(p, memoryview) else len(p) for p in pieces)
 
 
-def _beyond(direction: Direction, limits: Limits) -> bool:
+def _beyond(direction: Direction, limits: ChannelLimits) -> bool:
     return (
         direction.records >= 2 * limits.records
         or direction.octets >= 2 * limits.octets + MAX_PLAINTEXT

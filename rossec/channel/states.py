@@ -13,7 +13,7 @@ from rossec.channel.edhoc.credentials import PeerT
 from rossec.channel.records import Frame
 
 
-class State(Enum):
+class ConnectionState(Enum):
     """Where a connection is in its life."""
 
     OPENING = "opening"
@@ -29,40 +29,45 @@ class State(Enum):
     __hash__ = object.__hash__  # members are unique; Enum's own hash is Python, for every look-up
 
 
-Row: TypeAlias = tuple[str, tuple[State, ...]]
+Row: TypeAlias = tuple[str, tuple[ConnectionState, ...]]
 
-TABLE: Final[dict[tuple[State, Frame], Row]] = {
-    (State.WAIT_1, Frame.HANDSHAKE): ("on_message_1", (State.WAIT_3, State.WAIT_1)),
-    (State.WAIT_2, Frame.HANDSHAKE): ("on_message_2", (State.WAIT_4,)),
-    (State.WAIT_2, Frame.ERROR): ("on_error", (State.WAIT_2,)),
-    (State.WAIT_3, Frame.HANDSHAKE): ("on_message_3", (State.OPEN,)),
-    (State.WAIT_3, Frame.ERROR): ("on_error", ()),
-    (State.WAIT_4, Frame.HANDSHAKE): ("on_message_4", (State.OPEN,)),
-    (State.WAIT_4, Frame.ERROR): ("on_error", ()),
-    (State.OPEN, Frame.DATA): ("_on_data", (State.OPEN,)),
-    (State.OPEN, Frame.DATA_END): ("_on_data_end", (State.OPEN,)),
-    (State.OPEN, Frame.REKEY): ("_on_rekey", (State.OPEN,)),
-    (State.OPEN, Frame.CLOSE): ("_on_close", (State.CLOSED,)),
+TABLE: Final[dict[tuple[ConnectionState, Frame], Row]] = {
+    (ConnectionState.WAIT_1, Frame.HANDSHAKE): (
+        "on_message_1",
+        (ConnectionState.WAIT_3, ConnectionState.WAIT_1),
+    ),
+    (ConnectionState.WAIT_2, Frame.HANDSHAKE): ("on_message_2", (ConnectionState.WAIT_4,)),
+    (ConnectionState.WAIT_2, Frame.ERROR): ("on_error", (ConnectionState.WAIT_2,)),
+    (ConnectionState.WAIT_3, Frame.HANDSHAKE): ("on_message_3", (ConnectionState.OPEN,)),
+    (ConnectionState.WAIT_3, Frame.ERROR): ("on_error", ()),
+    (ConnectionState.WAIT_4, Frame.HANDSHAKE): ("on_message_4", (ConnectionState.OPEN,)),
+    (ConnectionState.WAIT_4, Frame.ERROR): ("on_error", ()),
+    (ConnectionState.OPEN, Frame.DATA): ("_on_data", (ConnectionState.OPEN,)),
+    (ConnectionState.OPEN, Frame.DATA_END): ("_on_data_end", (ConnectionState.OPEN,)),
+    (ConnectionState.OPEN, Frame.REKEY): ("_on_rekey", (ConnectionState.OPEN,)),
+    (ConnectionState.OPEN, Frame.CLOSE): ("_on_close", (ConnectionState.CLOSED,)),
 }
 """Errors are unauthenticated, so none is listened to once the handshake is done."""
 
 WITHOUT_FRAME: Final = (
-    (State.OPENING, State.DRAINING, "plain caller"),
-    (State.OPENING, State.WAIT_1, "opening (responder)"),
-    (State.OPENING, State.WAIT_2, "answer (initiator)"),
-    (State.DRAINING, State.CLOSED, "refusal sent"),
-    (State.WAIT_4, State.CLOSING, "close()"),
-    (State.OPEN, State.CLOSING, "close()"),
-    (State.CLOSING, State.CLOSED, "end of TCP"),
+    (ConnectionState.OPENING, ConnectionState.DRAINING, "plain caller"),
+    (ConnectionState.OPENING, ConnectionState.WAIT_1, "opening (responder)"),
+    (ConnectionState.OPENING, ConnectionState.WAIT_2, "answer (initiator)"),
+    (ConnectionState.DRAINING, ConnectionState.CLOSED, "refusal sent"),
+    (ConnectionState.WAIT_4, ConnectionState.CLOSING, "close()"),
+    (ConnectionState.OPEN, ConnectionState.CLOSING, "close()"),
+    (ConnectionState.CLOSING, ConnectionState.CLOSED, "end of TCP"),
 )
 """What moves a connection besides frames; and from every state, any flaw leads to CLOSED."""
 
-PREAMBLE: Final = frozenset({State.OPENING, State.DRAINING})
-UNPROVEN: Final = frozenset({State.WAIT_1, State.WAIT_2, State.WAIT_3})
-HANDSHAKING: Final = UNPROVEN | {State.WAIT_4}
-FRAMED: Final = HANDSHAKING | {State.OPEN}
-SENDING: Final = frozenset({State.WAIT_4, State.OPEN})
-DEAD: Final = frozenset({State.CLOSING, State.CLOSED})
+PREAMBLE: Final = frozenset({ConnectionState.OPENING, ConnectionState.DRAINING})
+UNPROVEN: Final = frozenset(
+    {ConnectionState.WAIT_1, ConnectionState.WAIT_2, ConnectionState.WAIT_3}
+)
+HANDSHAKING: Final = UNPROVEN | {ConnectionState.WAIT_4}
+FRAMED: Final = HANDSHAKING | {ConnectionState.OPEN}
+SENDING: Final = frozenset({ConnectionState.WAIT_4, ConnectionState.OPEN})
+DEAD: Final = frozenset({ConnectionState.CLOSING, ConnectionState.CLOSED})
 
 
 @dataclass(frozen=True, slots=True)

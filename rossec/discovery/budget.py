@@ -19,7 +19,7 @@ MAX_SOURCES: Final = 1024
 MAX_PROVEN: Final = 64
 
 
-class Bucket:
+class AttemptBucket:
     """A token bucket that is full at first; `rate` a second, and no more than that at once."""
 
     def __init__(self, rate: float) -> None:
@@ -42,9 +42,9 @@ class Budget:
 
     def __init__(self, share: float = SHARE, total: float = TOTAL) -> None:
         self._share = share
-        self._shares: OrderedDict[Hashable, Bucket] = OrderedDict()
-        self._proven: OrderedDict[Hashable, Bucket] = OrderedDict()
-        self._totals = {True: Bucket(total), False: Bucket(total)}
+        self._shares: OrderedDict[Hashable, AttemptBucket] = OrderedDict()
+        self._proven: OrderedDict[Hashable, AttemptBucket] = OrderedDict()
+        self._totals = {True: AttemptBucket(total), False: AttemptBucket(total)}
 
     def spend(self, source: Hashable, cost: int, clock: float, *, known_chain: bool) -> None:
         """Charge `cost` signatures to `source`.
@@ -66,15 +66,15 @@ class Budget:
             self._proven[source] = self._of(source)
             _bound(self._proven, MAX_PROVEN)
 
-    def _of(self, source: Hashable) -> Bucket:
+    def _of(self, source: Hashable) -> AttemptBucket:
         if source not in self._shares:
-            self._shares[source] = Bucket(self._share)
+            self._shares[source] = AttemptBucket(self._share)
             _bound(self._shares, MAX_SOURCES)
         self._shares.move_to_end(source)
         return self._shares[source]
 
 
-def _bound(table: OrderedDict[Hashable, Bucket], most: int) -> None:
+def _bound(table: OrderedDict[Hashable, AttemptBucket], most: int) -> None:
     """The one that was used longest ago makes room: it begins anew, within the total."""
     while len(table) > most:
         table.popitem(last=False)

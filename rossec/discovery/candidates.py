@@ -27,7 +27,7 @@ _OTHER: Final = "other reasons"
 
 
 @dataclass(frozen=True)
-class Source:
+class DatagramSource:
     """Where a datagram came from: an address with its scope, and the link it arrived on."""
 
     address: str
@@ -39,7 +39,7 @@ class Candidate:
     """One master as heard on one link. `rtt` is None until a probe has reached it."""
 
     key: bytes
-    source: Source
+    source: DatagramSource
     announcement: Announcement
     heard: deque[tuple[int, float]] = field(default_factory=lambda: deque(maxlen=_WINDOW))
     rtt: float | None = None
@@ -87,14 +87,16 @@ class Candidates:
     def __init__(self, anchor: TrustAnchor, revoked: frozenset[bytes] = frozenset()) -> None:
         self._anchor = anchor
         self._revoked = revoked
-        self._held: dict[tuple[bytes, Source], Candidate] = {}
+        self._held: dict[tuple[bytes, DatagramSource], Candidate] = {}
         self._seen: OrderedDict[tuple[bytes, int, int], None] = OrderedDict()
         self._newest: dict[bytes, Announcement] = {}
         self._chains: OrderedDict[tuple[bytes, ...], tuple[Identity, float]] = OrderedDict()
         self._budget: Budget = Budget()
         self.refused: Counter[str] = Counter()
 
-    def heard(self, data: bytes, source: Source, now: int, clock: float) -> Candidate | None:
+    def heard(
+        self, data: bytes, source: DatagramSource, now: int, clock: float
+    ) -> Candidate | None:
         """Take a datagram; returns the master it is from, None when it tells nothing new.
 
         Args:
@@ -126,7 +128,9 @@ class Candidates:
         """The best master that a probe has reached."""
         return next((one for one in self.ranked(now, clock) if one.rtt is not None), None)
 
-    def _heard(self, data: bytes, source: Source, now: int, clock: float) -> Candidate | None:
+    def _heard(
+        self, data: bytes, source: DatagramSource, now: int, clock: float
+    ) -> Candidate | None:
         claim = read_claim(data, now)
         if self._is_repeated(claim.announcement, source):
             return None
@@ -137,7 +141,7 @@ class Candidates:
         self._check_newer(identity.thumbprint, announcement)
         return self._take(identity.thumbprint, source, announcement, now, clock)
 
-    def _identity(self, claim: Claim, source: Source, now: int, clock: float) -> Identity:
+    def _identity(self, claim: Claim, source: DatagramSource, now: int, clock: float) -> Identity:
         """Whose it claims to be, the cost of checking that and the claim itself being paid."""
         identity, until = self._chains.get(claim.chain, (None, 0.0))
         if identity is not None and clock < until:
@@ -151,7 +155,7 @@ class Candidates:
         return identity
 
     def _take(
-        self, key: bytes, source: Source, announcement: Announcement, now: int, clock: float
+        self, key: bytes, source: DatagramSource, announcement: Announcement, now: int, clock: float
     ) -> Candidate:
         self._forget(now)
         held = self._held.get((key, source))
@@ -166,11 +170,11 @@ class Candidates:
     def _forget(self, now: int) -> None:
         self._held = {key: one for key, one in self._held.items() if now <= one.ends}
 
-    def _is_repeated(self, announcement: Announcement, source: Source) -> bool:
+    def _is_repeated(self, announcement: Announcement, source: DatagramSource) -> bool:
         """Whether one with these numbers has verified: then another can only be it, or forged."""
         return (announcement.instance, announcement.seq, source.link) in self._seen
 
-    def _remember(self, announcement: Announcement, source: Source) -> None:
+    def _remember(self, announcement: Announcement, source: DatagramSource) -> None:
         self._seen[announcement.instance, announcement.seq, source.link] = None
         if len(self._seen) > _SEEN:
             self._seen.popitem(last=False)

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from contextlib import suppress
 from typing import Final
 
-from rossec.discovery.candidates import Source
+from rossec.discovery.candidates import DatagramSource
 
 GROUP: Final = "ff12::726f:7373:6563"  # transient, link-local scope (RFC 4291 section 2.7)
 PORT: Final = 11311
@@ -56,7 +56,7 @@ class MulticastSocket:
                 sent += 1
         return sent
 
-    def receive(self) -> Iterator[tuple[bytes, Source]]:
+    def receive(self) -> Iterator[tuple[bytes, DatagramSource]]:
         """What has arrived from the links themselves."""
         while True:
             try:
@@ -64,7 +64,7 @@ class MulticastSocket:
             except OSError:  # nothing more, or a link that went down: to go on could be for ever
                 return
             if not flags & socket.MSG_TRUNC and _is_local(where[0], ancillary):
-                yield data, Source(where[0], where[3])
+                yield data, DatagramSource(where[0], where[3])
 
     def close(self) -> None:
         """Leave the group."""

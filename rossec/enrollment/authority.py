@@ -9,7 +9,7 @@ from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from typing import Final
 
-from ca.enrollment.authority import AuthorityEnrollment, State
+from ca.enrollment.authority import AuthorityEnrollment, AuthorityState
 from ca.enrollment.messages import MAX_MESSAGE
 from ca.errors import EnrollmentMessageRefused
 from rossec.enrollment import address, wire
@@ -77,7 +77,7 @@ async def _listen(
     show: Callable[[str], None],
 ) -> None:
     shown = core.digits
-    while core.state is not State.ENROLLED:
+    while core.state is not AuthorityState.ENROLLED:
         async with asyncio.timeout(max(1, core.deadline - clock() + 1)):
             data = await wire.receive(reader)
         core.receive(data, clock())

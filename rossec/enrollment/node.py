@@ -12,7 +12,7 @@ from types import TracebackType
 from typing import Final, Self
 
 from ca.enrollment.messages import MAX_MESSAGE, Abort, Delivery, Reason, read, write
-from ca.enrollment.node import NodeEnrollment, Pending, State
+from ca.enrollment.node import NodeEnrollment, NodeState, Pending
 from ca.errors import (
     EnrollmentExpired,
     EnrollmentLocked,
@@ -23,7 +23,7 @@ from ca.errors import (
 from rossec.enrollment import wire
 from rossec.net.aio.server import bind
 from rossec.net.aio.tasks import TaskSet
-from rossec.net.halfopen import HalfOpen, HalfOpenCount, Place
+from rossec.net.halfopen import HalfOpen, HalfOpenCount, HalfOpenSlot
 from rossec.ros.text import printable
 
 PATIENCE: Final = 10.0  # seconds a caller may be silent
@@ -70,7 +70,7 @@ class WaitingNode:
             self._servers.append(server)
             self.port = sock.getsockname()[1]
 
-    async def until(self, *states: State, every: Callable[[int], None]) -> None:
+    async def until(self, *states: NodeState, every: Callable[[int], None]) -> None:
         """Wait for one of `states`; `every` second is told how many of them are left.
 
         Raises:
@@ -96,7 +96,7 @@ class WaitingNode:
             pending = self.core.confirm(digits, self._clock())
             activate(pending)
         except BaseException as error:
-            if self.core.state is State.CONFIRMED:
+            if self.core.state is NodeState.CONFIRMED:
                 self.core.stop(EnrollmentOver(f"the identity could not be written: {error}"))
             self._settle()
             raise
@@ -146,7 +146,7 @@ class WaitingNode:
         reader: asyncio.StreamReader,
         writer: asyncio.StreamWriter,
         address: str,
-        place: Place,
+        place: HalfOpenSlot,
     ) -> None:
         """A caller counts until its socket is closed; who does not read its end makes room."""
         place.close = writer.transport.abort
@@ -201,7 +201,7 @@ class WaitingNode:
     def _settle(self) -> None:
         """The state has changed: whoever waits for it is told."""
         self._changed.set()
-        if self.core.state is State.OVER and self.core.why_over is not None:
+        if self.core.state is NodeState.OVER and self.core.why_over is not None:
             self._tell([_abort(self.core.why_over)])
 
     def _tell(self, messages: list[bytes]) -> None:

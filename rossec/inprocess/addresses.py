@@ -2,7 +2,7 @@
 
 from typing import Final
 
-from rossec.errors import SettingsRefused
+from rossec.errors import ConfigurationError
 
 ROSRPC: Final = "rosrpc://"
 
@@ -21,10 +21,12 @@ def parse_rosrpc(uri: str) -> tuple[str, int]:
     """Host and port of a service's URI.
 
     Raises:
-        SettingsRefused: it is none.
+        ConfigurationError: it is none.
     """
     authority = uri.removeprefix(ROSRPC).partition("/")[0]
     host, _, port = authority.rpartition(":")
     if not uri.startswith(ROSRPC) or not host or not port.isdecimal():
-        raise SettingsRefused(f"{uri!r} is no URI of a service", "it looks like rosrpc://host:port")
+        raise ConfigurationError(
+            f"{uri!r} is no URI of a service", "it looks like rosrpc://host:port"
+        )
     return host.removeprefix("[").removesuffix("]"), int(port)

@@ -15,7 +15,7 @@ from rossec.errors import ConfigurationError
 _HINT = "an entry is a topic's or a service's name, /name or /name@address"
 
 
-class Plain:
+class PlainPeers:
     """The entries of `allow_plain`.
 
     Raises:

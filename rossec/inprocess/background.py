@@ -18,13 +18,13 @@ from ca.errors import HintedError
 from rossec import clock
 from rossec.channel.edhoc.credentials import LiveCredentials
 from rossec.errors import AnswerRefused, RossecError
-from rossec.inprocess.identity import Member
-from rossec.inprocess.live_connections import Links
+from rossec.inprocess.identity import LocalIdentity
+from rossec.inprocess.live_connections import LiveConnections
 from rossec.inprocess.registrations import Registrations
 from rossec.net.aio import SecureStream
 from rossec.net.aio.tasks import TaskSet
 from rossec.participant.dialer import Dialer
-from rossec.participant.grant_directory import Shelf
+from rossec.participant.grant_directory import GrantDirectory
 from rossec.participant.grant_renewal import Renewals, renew
 from rossec.participant.identity_renewal import IdentityRenewal, renew_identity
 from rossec.participant.master_session import MasterSession
@@ -44,11 +44,11 @@ _GONE: Final = (
 _log = logging.getLogger("rossec.rospy")
 
 
-class Kept(Protocol):
+class SecuredNode(Protocol):
     """The process that is kept."""
 
     rights: int
-    links: Links
+    links: LiveConnections
 
     def take_revocations(self, data: bytes, timestamp: bytes, master: Identity) -> None:
         """A list and its confirmation."""
@@ -60,11 +60,15 @@ class Kept(Protocol):
         """Keep the keys of idle connections renewed."""
 
 
-class Guardian:
+class BackgroundLoop:
     """The guardian of one process."""
 
     def __init__(
-        self, process: Kept, member: Member, registrations: Registrations, master: tuple[str, int]
+        self,
+        process: SecuredNode,
+        member: LocalIdentity,
+        registrations: Registrations,
+        master: tuple[str, int],
     ) -> None:
         self._process = process
         self._member = member
@@ -74,7 +78,7 @@ class Guardian:
         self._ready = asyncio.Event()
         self._stop = asyncio.Event()
         self._tried = Event()
-        self._shelf = Shelf(member.home, member.access)
+        self._shelf = GrantDirectory(member.home, member.access)
         self._shelf.take_new()
         self._dialer = self._new_dialer()
         self._session = MasterSession(

@@ -12,7 +12,7 @@ from typing import Final
 _ITS_OWN: Final = 2  # references: the buffer's, and the argument of the question
 
 
-class Spare:
+class BufferPool:
     """The last `count` buffers whose bytes were handed out; threads share it."""
 
     def __init__(self, count: int) -> None:

@@ -18,14 +18,14 @@ from grants.decision import Decision
 from grants.errors import DefinitionRefused
 from grants.guard import Guard
 from grants.model import Right
-from rossec.errors import PlainPeer, TopicRefused
+from rossec.errors import ConnectionHeaderRefused, PlainPeer
 from rossec.inprocess import headers
 from rossec.inprocess.genpy_types import described, installed, longest, room
-from rossec.inprocess.identity import Member, now
-from rossec.inprocess.live_connections import Link, PlainLink
+from rossec.inprocess.identity import LocalIdentity, now
+from rossec.inprocess.live_connections import LiveConnection, PlainConnection
 from rossec.inprocess.plain_stream import plain_fields
-from rossec.inprocess.process import Process
-from rossec.inprocess.service_filter import ClientExchange, ServerExchange
+from rossec.inprocess.process import SecuredProcess
+from rossec.inprocess.service_filter import ClientFilter, ServerFilter
 from rossec.inprocess.sockets import RosSocket
 from rossec.participant.access import FIELD
 from rossec.participant.definitions import Definition, as_received, from_header, told
@@ -36,7 +36,7 @@ from rossec.participant.service_handshake import admit_caller, admit_provider, r
 from rossec.participant.service_types import ServiceType
 from rossec.participant.topic_guard import guard_for
 from rossec.participant.topic_handshake import (
-    Expected,
+    ExpectedTopic,
     admit_publisher,
     admit_subscriber,
     requested_topic,
@@ -55,11 +55,11 @@ _HINT_PLAIN: Final = "secure it, or name what it offers in allow_plain while you
 class Connections:
     """The hooks of one process. Their arguments are those of the functions they stand for."""
 
-    def __init__(self, process: Process) -> None:
+    def __init__(self, process: SecuredProcess) -> None:
         self._process = process
 
     @property
-    def _member(self) -> Member:
+    def _member(self) -> LocalIdentity:
         return self._process.member
 
     # -- headers
@@ -105,22 +105,24 @@ class Connections:
             self._process.watch(sock, link)
         self._process.reporter.forget(_what(protocol))
 
-    def _admit_server(self, protocol: Any, fields: dict[str, bytes], sock: RosSocket) -> Link:
+    def _admit_server(
+        self, protocol: Any, fields: dict[str, bytes], sock: RosSocket
+    ) -> LiveConnection:
         access, peer, name = self._member.access, sock.peer, protocol.resolved_name
         if isinstance(protocol, TCPROSServiceClient):
             decision = admit_provider(fields, peer, name, access, now())
             if decision.restrictions:
                 guard = self._service_guard(protocol.service_class, decision)
-                sock.exchange = ClientExchange(guard, now)
+                sock.exchange = ClientFilter(guard, now)
             sock.welcome(room(protocol.service_class._response_class))  # noqa: SLF001 - rospy's
-            return Link(sock, decision)
+            return LiveConnection(sock, decision)
         own = described(protocol.recv_data_class)
-        expected = Expected(name, own.name, own.md5sum)
+        expected = ExpectedTopic(name, own.name, own.md5sum)
         decision = admit_publisher(fields, peer, expected, access, now())
         kind = as_received(own, from_header(fields), decision, installed)
         fields |= told(kind, decision)
         sock.welcome(room(protocol.recv_data_class))
-        return Link(sock, decision, self._guard_for(kind, decision))
+        return LiveConnection(sock, decision, self._guard_for(kind, decision))
 
     def _guard_for(self, kind: Definition, decision: Decision) -> Guard | None:
         member = self._member
@@ -167,11 +169,11 @@ class Connections:
         sock.go_plain()
         self._process.links.admit_plain(sock, where[0])
         headers.receive(sock)
-        sock.link = PlainLink()
+        sock.link = PlainConnection()
         handler = getattr(server, f"{kind}_connection_handler")
         refusal = handler(sock, where, headers.for_rospy(fields))
         if refusal:
-            raise TopicRefused(f"no such {kind}, or of another type")
+            raise ConnectionHeaderRefused(f"no such {kind}, or of another type")
         return True
 
     def _introduce(
@@ -180,28 +182,32 @@ class Connections:
         access = self._member.access
         if "service" in fields:
             decision = admit_caller(fields, sock.peer, access, now())
-            sock.link = Link(sock, decision)
+            sock.link = LiveConnection(sock, decision)
             sock.exchange = self._server_exchange(requested_service(fields), sock, sock.link)
             handler = server.service_connection_handler
         else:
             decision = admit_subscriber(fields, sock.peer, access, now())
-            sock.link = Link(sock, decision, self._guard(requested_topic(fields), decision))
+            sock.link = LiveConnection(
+                sock, decision, self._guard(requested_topic(fields), decision)
+            )
             handler = server.topic_connection_handler
         self._process.watch(sock, sock.link)
         refusal = handler(sock, where, headers.for_rospy(fields))
         if refusal:
-            raise TopicRefused(str(refusal), "both sides need the same version of the package")
+            raise ConnectionHeaderRefused(
+                str(refusal), "both sides need the same version of the package"
+            )
 
-    def _server_exchange(self, service: str, sock: RosSocket, link: Link) -> ServerExchange:
+    def _server_exchange(self, service: str, sock: RosSocket, link: LiveConnection) -> ServerFilter:
         """What the calls of this caller pass through.
 
         Raises:
-            TopicRefused: the service is not provided here.
+            ConnectionHeaderRefused: the service is not provided here.
             GrantError: the restrictions do not fit its type.
         """
         provided = rospy.impl.registration.get_service_manager().get_service(service)
         if provided is None:
-            raise TopicRefused(f"{self._member.name} does not provide {service}")
+            raise ConnectionHeaderRefused(f"{self._member.name} does not provide {service}")
         guard = None
         if link.decision.restrictions:
             guard = self._service_guard(provided.service_class, link.decision)
@@ -211,8 +217,8 @@ class Connections:
 
         asked = provided.service_class._request_class  # noqa: SLF001 - rospy's
         sock.welcome(room(asked))
-        why_cut = partial(self._member.why_cut, link)
-        return ServerExchange(why_cut, guard, refused, now, longest(asked))
+        termination_reason = partial(self._member.termination_reason, link)
+        return ServerFilter(termination_reason, guard, refused, now, longest(asked))
 
     def _service_guard(self, kind: Any, decision: Decision) -> ServiceGuard:
         request, response = (
@@ -229,12 +235,12 @@ class Connections:
         """What `decision` means for the messages of this topic; None: they pass as they are.
 
         Raises:
-            TopicRefused: the topic is not published here.
+            ConnectionHeaderRefused: the topic is not published here.
             GrantError: the restrictions do not fit its messages.
         """
         published = get_topic_manager().get_publisher_impl(topic)
         if published is None or published.closed:
-            raise TopicRefused(f"{self._member.name} does not publish {topic}")
+            raise ConnectionHeaderRefused(f"{self._member.name} does not publish {topic}")
         return self._guard_for(described(published.data_class), decision)
 
 

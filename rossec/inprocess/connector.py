@@ -8,34 +8,33 @@ from weakref import WeakKeyDictionary
 
 from ca.certificates import Identity
 from rossec.channel.connection import Connection
-from rossec.channel.opening import Flavour
-from rossec.inprocess.identity import Member, now
+from rossec.channel.opening import WireProtocol
+from rossec.inprocess.identity import LocalIdentity, now
 from rossec.net.bounds import ACCEPTED, DIALLED
-from rossec.net.halfopen import HalfOpen, HalfOpenCount
-from rossec.net.halfopen import Place as Counted
+from rossec.net.halfopen import HalfOpen, HalfOpenCount, HalfOpenSlot
 from rossec.net.threads.secure_socket import SecureSocket
-from rossec.participant.own_addresses import OwnPlaces, Place
+from rossec.participant.own_addresses import Address, OwnAddresses
 
 CONNECT_TIMEOUT: Final = 10.0
 
 Stream = SecureSocket[Identity]
 
 
-class Doors:
+class Connector:
     """Makes the secure connections of one process, both ways."""
 
     def __init__(
         self,
-        member: Member,
+        member: LocalIdentity,
         half_open: HalfOpen = HalfOpen(),  # noqa: B008 - frozen
-        own: OwnPlaces | None = None,
+        own: OwnAddresses | None = None,
     ) -> None:
         self._member = member
-        self._own = OwnPlaces() if own is None else own
+        self._own = OwnAddresses() if own is None else own
         self._count = HalfOpenCount(half_open)
-        self._places: WeakKeyDictionary[socket.socket, Counted] = WeakKeyDictionary()
+        self._places: WeakKeyDictionary[socket.socket, HalfOpenSlot] = WeakKeyDictionary()
 
-    def call(self, sock: socket.socket, opening: Flavour, place: Place) -> Stream:
+    def call(self, sock: socket.socket, opening: WireProtocol, place: Address) -> Stream:
         """Introduce this node over a socket connected to `place`; returns once it is answered.
 
         Raises:
@@ -70,7 +69,7 @@ class Doors:
         if place is not None:
             place.settle()
 
-    def answer(self, sock: socket.socket, flavour: Flavour) -> Stream:
+    def answer(self, sock: socket.socket, flavour: WireProtocol) -> Stream:
         """Answer a caller that was admitted; its handshake is still to come.
 
         Raises:

@@ -4,7 +4,7 @@ from typing import Any
 
 import genpy.message
 
-from rossec.channel.records import Limits
+from rossec.channel.records import ChannelLimits
 from rossec.net.bounds import message_limit, unit_limit
 from rossec.participant.definitions import Definition, size_of
 
@@ -25,9 +25,9 @@ def installed(name: str) -> Definition | None:
 
 def longest(kind: Any) -> int:
     """How long a message of the class `kind` may be, in bytes."""
-    return message_limit(size_of(described(kind)), Limits.unit)
+    return message_limit(size_of(described(kind)), ChannelLimits.unit)
 
 
 def room(kind: Any) -> int:
     """How long a unit with such messages may be."""
-    return unit_limit(size_of(described(kind)), Limits.unit)
+    return unit_limit(size_of(described(kind)), ChannelLimits.unit)

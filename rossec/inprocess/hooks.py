@@ -28,18 +28,18 @@ import rospy.impl.tcpros_service
 import rospy.topics
 from rospy.impl.validators import ParameterInvalid
 
-from rossec.errors import ConfigurationError, SettingsRefused
+from rossec.errors import ConfigurationError
 from rossec.inprocess.addresses import bracketed, parse_rosrpc
 from rossec.inprocess.connections import Connections
-from rossec.inprocess.module_proxy import Stand
-from rossec.inprocess.process import Process
+from rossec.inprocess.module_proxy import ModuleProxy
+from rossec.inprocess.process import SecuredProcess
 from rossec.inprocess.publishing import publish
-from rossec.inprocess.send_queue import Outbox, write_data
-from rossec.inprocess.service_probe import Probe
+from rossec.inprocess.send_queue import SendQueue, write_data
+from rossec.inprocess.service_probe import ServiceProbe
 from rossec.inprocess.sockets import RosSocket
-from rossec.inprocess.subscription import Follower
-from rossec.inprocess.xmlrpc_client import REQUEST, Client
-from rossec.inprocess.xmlrpc_server import Server
+from rossec.inprocess.subscription import SubscriptionLoop
+from rossec.inprocess.xmlrpc_client import REQUEST, XmlRpcClient
+from rossec.inprocess.xmlrpc_server import XmlRpcServer
 from rossec.ros.settings import parse_uri
 
 VERSIONS: Final = ("1.14", "1.15", "1.16", "1.17")
@@ -93,13 +93,13 @@ def check_in_time() -> None:
         raise ConfigurationError("a topic was made before rossec.secure()", _LATE)
 
 
-def hooks(process: Process, start_node: StartNode) -> list[Hook]:
+def hooks(process: SecuredProcess, start_node: StartNode) -> list[Hook]:
     """Every hook, in the order in which they are set."""
     base, pubsub = rospy.impl.tcpros_base, rospy.impl.tcpros_pubsub
     service, transport = rospy.impl.tcpros_service, rospy.impl.tcpros_base.TCPROSTransport
     api = rosgraph.xmlrpc.ThreadingXMLRPCServer
-    connections, server = Connections(process), Server(process)
-    client = Client(process)
+    connections, server = Connections(process), XmlRpcServer(process)
+    client = XmlRpcClient(process)
     proxy = client.proxy_class()
 
     def make(family: int = socket.AF_INET, kind: int = socket.SOCK_STREAM) -> RosSocket:
@@ -113,7 +113,7 @@ def hooks(process: Process, start_node: StartNode) -> list[Hook]:
     def parse_service_uri(uri: str) -> tuple[str, int]:
         try:
             return parse_rosrpc(uri)
-        except SettingsRefused as error:
+        except ConfigurationError as error:
             raise ParameterInvalid(str(error)) from error
 
     stock_wait = service.wait_for_service
@@ -130,8 +130,8 @@ def hooks(process: Process, start_node: StartNode) -> list[Hook]:
             sock.close()
 
     return [
-        Hook(base, "socket", Stand(socket, socket=make)),
-        Hook(service, "socket", Stand(socket, socket=_probes(process))),
+        Hook(base, "socket", ModuleProxy(socket, socket=make)),
+        Hook(service, "socket", ModuleProxy(socket, socket=_probes(process))),
         Hook(
             base.TCPROSServer, "_tcp_server_callback", accepted, ("self", "sock", "client_addr")
         ),
@@ -139,16 +139,16 @@ def hooks(process: Process, start_node: StartNode) -> list[Hook]:
         Hook(transport, "read_header", _plain(connections.read_header), ("self",)),
         Hook(transport, "write_data", write_data, ("self", "data")),
         Hook(
-            pubsub, "robust_connect_subscriber", Follower(process).follow,
+            pubsub, "robust_connect_subscriber", SubscriptionLoop(process).follow,
             ("conn", "dest_addr", "dest_port", "pub_uri", "receive_cb", "resolved_topic_name"),
         ),
         Hook(
             rospy.topics._PublisherImpl, "publish", publish,  # noqa: SLF001 - rospy's
             ("self", "message", "connection_override"),
         ),
-        Hook(rospy.topics, "QueuedConnection", Outbox, ("self", "connection", "queue_size")),
-        Hook(pubsub, "QueuedConnection", Outbox, ("self", "connection", "queue_size")),
-        Hook(rospy.core, "xmlrpcclient", Stand(xmlrpc.client, ServerProxy=proxy)),
+        Hook(rospy.topics, "QueuedConnection", SendQueue, ("self", "connection", "queue_size")),
+        Hook(pubsub, "QueuedConnection", SendQueue, ("self", "connection", "queue_size")),
+        Hook(rospy.core, "xmlrpcclient", ModuleProxy(xmlrpc.client, ServerProxy=proxy)),
         Hook(rospy.core, "_LockedServerProxy", proxy, ("self", "args", "kwargs")),
         Hook(pubsub, "ServerProxy", proxy),
         Hook(rosgraph.masterapi, "ServerProxy", proxy),
@@ -188,20 +188,20 @@ def install(table: list[Hook]) -> None:
     check(table)
 
 
-def set_tools(process: Process) -> None:
+def set_tools(process: SecuredProcess) -> None:
     """Hook what the program has imported of ROS's tools: they connect to nodes themselves."""
     rosnode, rosservice = sys.modules.get("rosnode"), sys.modules.get("rosservice")
     table = []
     if rosnode is not None:
-        table.append(Hook(rosnode, "ServerProxy", Client(process).proxy_class()))
+        table.append(Hook(rosnode, "ServerProxy", XmlRpcClient(process).proxy_class()))
     if rosservice is not None:
-        table.append(Hook(rosservice, "socket", Stand(socket, socket=_probes(process))))
+        table.append(Hook(rosservice, "socket", ModuleProxy(socket, socket=_probes(process))))
     install(table)
 
 
-def _probes(process: Process) -> Callable[..., Probe]:
-    def make_probe(family: int = socket.AF_INET, kind: int = socket.SOCK_STREAM) -> Probe:
-        return Probe(process, socket.socket(family, kind))
+def _probes(process: SecuredProcess) -> Callable[..., ServiceProbe]:
+    def make_probe(family: int = socket.AF_INET, kind: int = socket.SOCK_STREAM) -> ServiceProbe:
+        return ServiceProbe(process, socket.socket(family, kind))
 
     return make_probe
 

@@ -13,8 +13,8 @@ from grants.model import Right
 from rossec import clock
 from rossec.channel.edhoc.suites import PRODUCTION
 from rossec.home import NodeHome
-from rossec.participant.access import Access, Holding
-from rossec.participant.connections import Judged, why_cut
+from rossec.participant.access import Access, HeldGrant
+from rossec.participant.connections import AuthorizedPeer, termination_reason
 from rossec.saved_revocations import saved_revocations
 
 
@@ -35,7 +35,7 @@ class SharedAccess(Access):
         with self.lock:
             super().hold_renewed(token, now)
 
-    def holdings(self) -> list[Holding]:
+    def holdings(self) -> list[HeldGrant]:
         """As of `Access`."""
         with self.lock:
             return super().holdings()
@@ -58,7 +58,7 @@ class SharedAccess(Access):
             return super().authorize(peer, presented, right, name, now)
 
 
-class Member:
+class LocalIdentity:
     """One enrolled node, as which this process speaks.
 
     Args:
@@ -118,10 +118,10 @@ class Member:
         self.identity, self.credentials = self.home.identity(now()), credentials
         return True
 
-    def why_cut(self, link: Judged) -> str | None:
+    def termination_reason(self, link: AuthorizedPeer) -> str | None:
         """Why a live connection must end now, if it must."""
         with self.access.lock:
-            return why_cut(link, self.revocations, now())
+            return termination_reason(link, self.revocations, now())
 
     def is_revoked(self, peer: Identity) -> bool:
         """Whether the key of `peer`, or one that vouches for it, is on the list."""

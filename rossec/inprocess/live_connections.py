@@ -9,44 +9,46 @@ from ca.certificates import Identity
 from grants.decision import Decision
 from grants.guard import Guard
 from rossec.errors import LimitExceeded
-from rossec.participant.connections import Proven
+from rossec.participant.connections import AuthenticatedPeer
 
 PEER_CONNECTIONS: Final = 64  # of one identity: one for each topic and service it uses here
 
 
-class Link:
+class LiveConnection:
     """A connection admitted by `decision`; `guard` treats its messages, if anything does."""
 
-    def __init__(self, stream: Proven, decision: Decision, guard: Guard | None = None) -> None:
+    def __init__(
+        self, stream: AuthenticatedPeer, decision: Decision, guard: Guard | None = None
+    ) -> None:
         self.stream = stream
         self.decision = decision
         self.guard = guard
         self.ends = min(decision.expires, stream.peer.not_after)
 
 
-class PlainLink:
+class PlainConnection:
     """A connection that `allow_plain` names: nothing of it is judged, and it does not end."""
 
     guard = None
     ends = float("inf")
 
 
-class Links:
+class LiveConnections:
     """All links, and how many connections each peer holds; threads share it."""
 
     def __init__(self) -> None:
         self._lock = Lock()
-        self._cuts: dict[Link, Callable[[], None]] = {}
+        self._cuts: dict[LiveConnection, Callable[[], None]] = {}
         self._held: Counter[bytes | str] = Counter()
         self._holders: dict[object, bytes | str] = {}
         self._peers: dict[object, tuple[Identity, Callable[[], None]]] = {}
 
-    def add(self, link: Link, cut: Callable[[], None]) -> None:
+    def add(self, link: LiveConnection, cut: Callable[[], None]) -> None:
         """Watch over `link`; `cut` ends it at once, from any thread."""
         with self._lock:
             self._cuts[link] = cut
 
-    def discard(self, link: Link) -> None:
+    def discard(self, link: LiveConnection) -> None:
         """The connection is gone."""
         with self._lock:
             self._cuts.pop(link, None)
@@ -86,7 +88,9 @@ class Links:
                 if self._held[holder] <= 0:
                     del self._held[holder]
 
-    def must_end(self, why: Callable[[Link], str | None]) -> list[tuple[Link, str]]:
+    def must_end(
+        self, why: Callable[[LiveConnection], str | None]
+    ) -> list[tuple[LiveConnection, str]]:
         """Cut every link for which `why` has a reason, and forget it; returns them."""
         with self._lock:
             links = list(self._cuts.items())
@@ -107,7 +111,7 @@ class Links:
             if revoked(peer):
                 cut()
 
-    def streams(self) -> list[Proven]:
+    def streams(self) -> list[AuthenticatedPeer]:
         """The connections of all links."""
         with self._lock:
             return [link.stream for link in self._cuts]

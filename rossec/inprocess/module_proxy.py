@@ -4,7 +4,7 @@ from types import ModuleType
 from typing import Any
 
 
-class Stand:
+class ModuleProxy:
     """Stands for a module; some of its names mean something else."""
 
     def __init__(self, module: ModuleType, **replaced: object) -> None:

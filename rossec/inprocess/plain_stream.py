@@ -9,7 +9,7 @@ import struct
 import time
 from typing import Any, Final
 
-from rossec.channel.opening import MAX_DRAIN, Plain, judge_caller
+from rossec.channel.opening import MAX_DRAIN, PlainCaller, judge_caller
 from rossec.errors import HeaderRefused, ProtocolViolation
 from rossec.ros import header
 
@@ -86,7 +86,7 @@ def _first(sock: socket.socket) -> bytes:
         return b""
     if first in (b"POST", b"GET "):
         return first
-    if not isinstance(verdict, Plain) or verdict.drain > MAX_DRAIN:
+    if not isinstance(verdict, PlainCaller) or verdict.drain > MAX_DRAIN:
         return b""
     return _look(sock, min(verdict.drain, _PREFIX + header.HEADER_LIMIT), end)
 

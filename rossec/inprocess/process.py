@@ -13,15 +13,15 @@ from typing import Final
 from ca.certificates import Identity
 from rossec import clock
 from rossec.errors import ChannelError, ConfigurationError, PlainPeer
-from rossec.inprocess.allow_plain import Plain
-from rossec.inprocess.background import Guardian
-from rossec.inprocess.connector import Doors
-from rossec.inprocess.identity import Member
-from rossec.inprocess.live_connections import Link, Links
+from rossec.inprocess.allow_plain import PlainPeers
+from rossec.inprocess.background import BackgroundLoop
+from rossec.inprocess.connector import Connector
+from rossec.inprocess.identity import LocalIdentity
+from rossec.inprocess.live_connections import LiveConnection, LiveConnections
 from rossec.inprocess.registrations import Registrations
 from rossec.inprocess.reporting import Reporter
 from rossec.inprocess.sockets import RosSocket
-from rossec.participant.own_addresses import OwnPlaces
+from rossec.participant.own_addresses import OwnAddresses
 from rossec.participant.revocation_watch import WENT_BACK
 
 _NAMELESS: Final = (
@@ -30,29 +30,29 @@ _NAMELESS: Final = (
 )
 
 
-class Process:
+class SecuredProcess:
     """One secured process."""
 
-    def __init__(self, reporter: Reporter, plain: Plain = Plain()) -> None:  # noqa: B008 - constant
+    def __init__(self, reporter: Reporter, plain: PlainPeers = PlainPeers()) -> None:  # noqa: B008 - constant
         self.reporter = reporter
         self.plain = plain
-        self.links = Links()
+        self.links = LiveConnections()
         self._setbacks = clock.Setbacks()
-        self.own = OwnPlaces()
+        self.own = OwnAddresses()
         self.rights = 0
         """Grows whenever there is a new grant or list: what was refused may be tried again."""
-        self._begun: tuple[Member, Doors, Registrations, Guardian] | None = None
+        self._begun: tuple[LocalIdentity, Connector, Registrations, BackgroundLoop] | None = None
         self._beginning = RLock()
         self.introduce: Callable[[], None] = lambda: None
         """Begins, if the name that the node will have is known."""
 
-    def begin(self, member: Member, master: tuple[str, int]) -> None:
+    def begin(self, member: LocalIdentity, master: tuple[str, int]) -> None:
         """Speak as `member` from now on, with the master there."""
         doors, registrations = (
-            Doors(member, own=self.own),
+            Connector(member, own=self.own),
             Registrations(member.name, clock.counter()),
         )
-        guardian = Guardian(self, member, registrations, master)
+        guardian = BackgroundLoop(self, member, registrations, master)
         self._begun = member, doors, registrations, guardian
         guardian.start()
 
@@ -61,7 +61,7 @@ class Process:
         """Whether the node has a name and an identity."""
         return self._begun is not None
 
-    def _all(self) -> tuple[Member, Doors, Registrations, Guardian]:
+    def _all(self) -> tuple[LocalIdentity, Connector, Registrations, BackgroundLoop]:
         if self._begun is None:
             with self._beginning:
                 if self._begun is None:
@@ -75,12 +75,12 @@ class Process:
         self._all()
 
     @property
-    def member(self) -> Member:
+    def member(self) -> LocalIdentity:
         """The node. Raises `ConfigurationError` while it has no name; so do the other three."""
         return self._all()[0]
 
     @property
-    def doors(self) -> Doors:
+    def doors(self) -> Connector:
         """Makes its connections."""
         return self._all()[1]
 
@@ -90,7 +90,7 @@ class Process:
         return self._all()[2]
 
     @property
-    def guardian(self) -> Guardian:
+    def guardian(self) -> BackgroundLoop:
         """Its standing with the master."""
         return self._all()[3]
 
@@ -100,7 +100,7 @@ class Process:
         """This node accepts callers there; rospy tells every one of them the same host."""
         self.own.listens(self.own.host if host is None else host, port)
 
-    def watch(self, sock: RosSocket, link: Link) -> None:
+    def watch(self, sock: RosSocket, link: LiveConnection) -> None:
         """An admitted connection: end it when its right does."""
         sock.link = link
         self.links.add(link, sock.abort)
@@ -108,7 +108,7 @@ class Process:
     def gone(self, sock: RosSocket) -> None:
         """A connection is over."""
         self.links.forget(sock)
-        if isinstance(sock.link, Link):
+        if isinstance(sock.link, LiveConnection):
             self.links.discard(sock.link)
 
     def may_be_plain(self, name: str, address: str) -> bool:
@@ -147,7 +147,7 @@ class Process:
         if self._setbacks.any_new():
             self.reporter.warn(WENT_BACK)
             member.doubt()
-        for link, reason in self.links.must_end(member.why_cut):
+        for link, reason in self.links.must_end(member.termination_reason):
             self.reporter.warn(f"cut {link.stream.peer.name} ({link.decision.name}): {reason}")
         self.links.cut_peers(member.is_revoked)
 

@@ -17,15 +17,15 @@ from rospy.msg import serialize_message
 from grants.errors import GrantError
 from grants.filters.codegen import Buffer
 from grants.guard import Guard
-from rossec.inprocess.buffer_pool import Spare
+from rossec.inprocess.buffer_pool import BufferPool
 from rossec.inprocess.identity import now
-from rossec.inprocess.live_connections import Link, PlainLink
+from rossec.inprocess.live_connections import LiveConnection, PlainConnection
 from rossec.inprocess.send_queue import ALONE, LENGTH, Pieces
 from rossec.net import withheld_log
 from rossec.participant.latch import Latch, Sample
 
 _KEEP: Final = 16 * 1024 * 1024  # memory of larger messages is given back at once
-_spare: Final = Spare(4)
+_spare: Final = BufferPool(4)
 _LATCH: Final = "rossec_latch"  # the attribute of a topic of rospy's
 
 Samples = Callable[[Guard], Iterable[Sample[bytes]]]  # what to try for a guard, until one passes
@@ -115,7 +115,7 @@ def _offer(
     dead = []
     for connection in connections:
         try:
-            link: Link | PlainLink | None = connection.socket.link
+            link: LiveConnection | PlainConnection | None = connection.socket.link
             if link is None or moment >= link.ends:
                 continue
             pieces: Pieces | None = sample.data
@@ -131,7 +131,7 @@ def _offer(
     return dead
 
 
-def _treat(topic: Any, link: Link, samples: Samples, moment: int) -> Pieces | None:
+def _treat(topic: Any, link: LiveConnection, samples: Samples, moment: int) -> Pieces | None:
     guard = link.guard
     assert guard is not None  # noqa: S101 - asked by the caller
     for sample in samples(guard):

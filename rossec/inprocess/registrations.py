@@ -10,8 +10,8 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from typing import Final
 
-from rossec.errors import SettingsRefused
-from rossec.participant.publisher_grace import NamedPublishers
+from rossec.errors import ConfigurationError
+from rossec.participant.publisher_grace import PublisherGrace
 from rossec.ros.settings import parse_uri
 
 _UNDO: Final = {
@@ -43,7 +43,7 @@ class Registrations:
 
     def __init__(self, name: str, now: Callable[[], float]) -> None:
         self._name = name
-        self._named = NamedPublishers(now)
+        self._named = PublisherGrace(now)
         self._calls: dict[tuple[str, object], tuple[object, ...]] = {}
         self._refused: set[tuple[str, object]] = set()
         self._nodes: dict[tuple[str, int], None] = {}
@@ -98,7 +98,7 @@ class Registrations:
         return uri in self._named.to_follow(topic)
 
     def _node_is_at(self, uri: str) -> None:
-        with suppress(SettingsRefused):
+        with suppress(ConfigurationError):
             self._nodes[parse_uri(uri)] = None
         if len(self._nodes) > _NODES:
             del self._nodes[next(iter(self._nodes))]

@@ -15,7 +15,7 @@ from grants.request import GrantRequest, Wish, sign_request
 from rossec import files
 from rossec.authority import requests
 from rossec.errors import ConfigurationError
-from rossec.inprocess.identity import Member, now
+from rossec.inprocess.identity import LocalIdentity, now
 from rossec.inprocess.secure import secured
 
 _LOOK: Final = 0.1  # seconds
@@ -52,7 +52,7 @@ def _right(label: str) -> Right:
         raise ConfigurationError(f"there is no right {label!r}", f"rights are {known}") from None
 
 
-def _send(member: Member, right: Right, name: str, why: str) -> None:
+def _send(member: LocalIdentity, right: Right, name: str, why: str) -> None:
     request = GrantRequest(
         member.identity.domain, member.identity.name, now(), secrets.token_bytes(16),
         (Wish(right, name),), why,
@@ -67,5 +67,5 @@ def _send(member: Member, right: Right, name: str, why: str) -> None:
     files.replace(folder / f"{request.id.hex()}.request", data)
 
 
-def _authority_of(member: Member) -> Path:
+def _authority_of(member: LocalIdentity) -> Path:
     return member.home.path.parent.parent / "ca"

@@ -20,10 +20,10 @@ from rossec import files
 from rossec.channel.suite_selection import post_quantum
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
-from rossec.inprocess.allow_plain import Plain
-from rossec.inprocess.identity import Member
+from rossec.inprocess.allow_plain import PlainPeers
+from rossec.inprocess.identity import LocalIdentity
 from rossec.inprocess.options import Options, file_of, read
-from rossec.inprocess.process import Process
+from rossec.inprocess.process import SecuredProcess
 from rossec.inprocess.reporting import LogBridge, Reporter
 from rossec.ros.settings import parse_uri
 from rossec.ros.text import printable
@@ -41,7 +41,7 @@ class _Secured:
         self.hooks.check_in_time()
         self._rospy = importlib.import_module("rospy")
         self.reporter = Reporter(lambda line: self._rospy.logwarn("%s", line))
-        self.process = Process(self.reporter, Plain(options.allow_plain))
+        self.process = SecuredProcess(self.reporter, PlainPeers(options.allow_plain))
         self._stock_start: Callable[..., Any] = self._rospy.impl.init.start_node
         self.table = self.hooks.hooks(self.process, self.start_node)
 
@@ -105,11 +105,11 @@ class _Secured:
         if name is not None:
             self._begin(self._member(name))
 
-    def _member(self, name: str) -> Member:
+    def _member(self, name: str) -> LocalIdentity:
         home = NodeHome.find(self.options.home, name)
-        return Member(home, name, post_quantum(os.environ))
+        return LocalIdentity(home, name, post_quantum(os.environ))
 
-    def _begin(self, member: Member) -> None:
+    def _begin(self, member: LocalIdentity) -> None:
         self.hooks.set_tools(self.process)
         uri = importlib.import_module("rosgraph").get_master_uri()
         self.process.begin(member, parse_uri(uri, "ROS_MASTER_URI"))
@@ -183,7 +183,7 @@ class _Bar:
 _bar: Final = _Bar()
 
 
-def secured() -> Process:
+def secured() -> SecuredProcess:
     """The secured process.
 
     Raises:

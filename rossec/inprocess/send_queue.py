@@ -1,6 +1,6 @@
 """Sending over rospy's connections: what waits goes out as one unit.
 
-`Outbox` stands for rospy's `QueuedConnection`; `write_data` is for connections without a queue.
+`SendQueue` stands for rospy's `QueuedConnection`; `write_data` is for connections without a queue.
 """
 
 import struct
@@ -29,7 +29,7 @@ Pieces = bytes | tuple[Bytes, ...]
 """A message with its length in front, whole or in parts."""
 
 
-class Outbox:
+class SendQueue:
     """A connection with a queue: `write_data` never waits; a full queue drops the oldest.
 
     The sender takes all that waits and sends it as one unit. It is woken, and given its turn, only

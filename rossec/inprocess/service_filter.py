@@ -11,21 +11,21 @@ from collections.abc import Callable
 from typing import Final, Protocol
 
 from ca.errors import HintedError
-from rossec.channel.records import Bytes, Limits
+from rossec.channel.records import Bytes, ChannelLimits
 from rossec.errors import ChannelClosed
 from rossec.participant.service_guard import ServiceGuard
 from rossec.ros import service as wire
 from rossec.ros.framing import Framing
 from rossec.ros.header import FrameReader
 
-_LIMIT: Final = Limits.unit
+_LIMIT: Final = ChannelLimits.unit
 _OK: Final = b"\1"
 _LENGTH: Final = 4
 
 Pieces = tuple[Bytes, ...]
 
 
-class Exchange(Protocol):
+class ServiceFilter(Protocol):
     """One side of a service's connection; `framing` knows whether a call has been begun."""
 
     framing: Framing
@@ -45,11 +45,11 @@ class Exchange(Protocol):
         """
 
 
-class ServerExchange:
+class ServerFilter:
     """The provider's side.
 
     Args:
-        why_cut: why the caller must be cut now, if it must.
+        termination_reason: why the caller must be cut now, if it must.
         guard: what its grant restricts; None: nothing.
         refused: is told what was not allowed.
         limit: how long a request may be.
@@ -57,24 +57,24 @@ class ServerExchange:
 
     def __init__(
         self,
-        why_cut: Callable[[], str | None],
+        termination_reason: Callable[[], str | None],
         guard: ServiceGuard | None,
         refused: Callable[[HintedError], None],
         now: Callable[[], int],
         limit: int = _LIMIT,
     ) -> None:
         self.framing = Framing(FrameReader(limit))
-        self._why_cut = why_cut
+        self._termination_reason = termination_reason
         self._guard = guard
         self._refused = refused
         self._now = now
 
     def incoming(self, data: bytes) -> tuple[bytes, Pieces]:
-        """As of `Exchange`: a request."""
+        """As of `ServiceFilter`: a request."""
         request = self.framing.feed_one(data, self._now())
         if request is None:
             return b"", ()
-        reason = self._why_cut()
+        reason = self._termination_reason()
         if reason is not None:
             raise ChannelClosed(reason)
         if self._guard is None:
@@ -85,7 +85,7 @@ class ServerExchange:
             return b"", self._refusal(error)
 
     def outgoing(self, data: bytes) -> Pieces:
-        """As of `Exchange`: a response. What the guard refuses is a failure of the call."""
+        """As of `ServiceFilter`: a response. What the guard refuses is a failure of the call."""
         if self._guard is None or data[:1] != _OK:
             return (data,)
         response = memoryview(data)[len(_OK) + _LENGTH :]
@@ -99,7 +99,7 @@ class ServerExchange:
         return tuple(wire.failure(f"rossec: {error}"))
 
 
-class ClientExchange:
+class ClientFilter:
     """The caller's side, where the provider's grant restricts what may be asked and answered."""
 
     def __init__(self, guard: ServiceGuard, now: Callable[[], int], limit: int = _LIMIT) -> None:
@@ -108,7 +108,7 @@ class ClientExchange:
         self._now = now
 
     def incoming(self, data: bytes) -> tuple[bytes, Pieces]:
-        """As of `Exchange`: a response. To the program a refused one is a failure of the call."""
+        """As in `ServiceFilter`: a response. A refused one is a failure of the call."""
         content = self.framing.feed_one(data, self._now())
         if content is None:
             return b"", ()
@@ -121,6 +121,6 @@ class ClientExchange:
             return b"".join(wire.failure(f"rossec: {error}")), ()
 
     def outgoing(self, data: bytes) -> Pieces:
-        """As of `Exchange`: a request."""
+        """As of `ServiceFilter`: a request."""
         request = memoryview(data)[_LENGTH:]
         return tuple(wire.framed(self._guard.request(request, self._now())))

@@ -10,16 +10,16 @@ from ca.errors import HintedError
 from rossec.channel.records import Bytes
 from rossec.inprocess import headers
 from rossec.inprocess.identity import now
-from rossec.inprocess.process import Process
+from rossec.inprocess.process import SecuredProcess
 from rossec.inprocess.sockets import RosSocket
 from rossec.participant.service_handshake import admit_provider, caller_proof, requested_service
 from rossec.ros import header
 
 
-class Probe(RosSocket):
+class ServiceProbe(RosSocket):
     """A socket whose one message is the header of a probe."""
 
-    def __init__(self, process: Process, sock: socket.socket) -> None:
+    def __init__(self, process: SecuredProcess, sock: socket.socket) -> None:
         super().__init__(process, sock)
         self._process = process
         self._answer = b""

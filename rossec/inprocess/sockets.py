@@ -16,14 +16,14 @@ from typing import Any, Final, Protocol, TypeVar
 from ca.certificates import Identity
 from ca.errors import HintedError
 from rossec import clock
-from rossec.channel.opening import Flavour
+from rossec.channel.opening import WireProtocol
 from rossec.channel.records import Bytes
 from rossec.errors import ChannelClosed, ChannelError, PlainPeer
-from rossec.inprocess.allow_plain import Plain
-from rossec.inprocess.connector import CONNECT_TIMEOUT, Doors, Stream
-from rossec.inprocess.live_connections import Link, PlainLink
+from rossec.inprocess.allow_plain import PlainPeers
+from rossec.inprocess.connector import CONNECT_TIMEOUT, Connector, Stream
+from rossec.inprocess.live_connections import LiveConnection, PlainConnection
 from rossec.inprocess.plain_stream import PlainStream, peek
-from rossec.inprocess.service_filter import Exchange
+from rossec.inprocess.service_filter import ServiceFilter
 from rossec.net.threads.secure_socket import SecureSocket
 from rossec.ros.framing import PATIENCE, Framing
 
@@ -35,11 +35,11 @@ _REST: Final = 1.0  # seconds, when the host is out of descriptors: callers wait
 Taken = TypeVar("Taken")
 
 
-class Owner(Protocol):
+class SocketOwner(Protocol):
     """Whom a socket belongs to."""
 
     @property
-    def doors(self) -> Doors:
+    def doors(self) -> Connector:
         """Makes its connections."""
 
     def gone(self, sock: "RosSocket") -> None:
@@ -49,7 +49,7 @@ class Owner(Protocol):
         """Callers are accepted there."""
 
     @property
-    def plain(self) -> Plain:
+    def plain(self) -> PlainPeers:
         """What may stay plain."""
 
     def failed(self, address: tuple[str, int], error: ChannelError) -> Exception:
@@ -66,14 +66,16 @@ class RosSocket:
         exchange: what the calls of a service pass through.
     """
 
-    def __init__(self, owner: Owner, sock: socket.socket, stream: Stream | None = None) -> None:
+    def __init__(
+        self, owner: SocketOwner, sock: socket.socket, stream: Stream | None = None
+    ) -> None:
         self._owner = owner
         self._socket = sock
         self._stream: Stream | PlainStream | None = stream
-        self.link: Link | PlainLink | None = None
+        self.link: LiveConnection | PlainConnection | None = None
         self.ended = False
         self.left = False
-        self.exchange: Exchange | None = None
+        self.exchange: ServiceFilter | None = None
         self._ready = memoryview(b"")
         self._pump_at = 0.0
 
@@ -135,12 +137,12 @@ class RosSocket:
         """Connect and authenticate.
 
         Raises:
-            OSError: no TCP connection. What `Owner.failed` says: the handshake failed.
+            OSError: no TCP connection. What `SocketOwner.failed` says: the handshake failed.
         """
         self._socket.settimeout(CONNECT_TIMEOUT)
         self._socket.connect(address)
         try:
-            self._stream = self._owner.doors.call(self._socket, Flavour.TCPROS, address)
+            self._stream = self._owner.doors.call(self._socket, WireProtocol.TCPROS, address)
         except PlainPeer as error:
             if not self._owner.plain:
                 raise self._owner.failed(address, error) from error
@@ -175,7 +177,7 @@ class RosSocket:
                 sock.close()
                 continue
             with suppress(OSError):  # an error here would end rospy's thread that accepts
-                stream = self._owner.doors.answer(sock, Flavour.TCPROS)
+                stream = self._owner.doors.answer(sock, WireProtocol.TCPROS)
                 return RosSocket(self._owner, sock, stream), where
 
     # -- bytes

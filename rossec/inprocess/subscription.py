@@ -10,8 +10,8 @@ from rospy.exceptions import TransportInitError
 from grants.errors import GrantError
 from rossec.inprocess.genpy_types import longest
 from rossec.inprocess.identity import now
-from rossec.inprocess.live_connections import Link, PlainLink
-from rossec.inprocess.process import Process
+from rossec.inprocess.live_connections import LiveConnection, PlainConnection
+from rossec.inprocess.process import SecuredProcess
 from rossec.inprocess.sockets import RosSocket
 from rossec.ros.framing import Framing
 from rossec.ros.header import FrameReader
@@ -22,10 +22,10 @@ _LONGEST_PAUSE: Final = 30.0
 _SLICE: Final = 0.5  # seconds after which a waiting subscriber looks whether it is still wanted
 
 
-class Follower:
+class SubscriptionLoop:
     """The subscriptions of one process."""
 
-    def __init__(self, process: Process) -> None:
+    def __init__(self, process: SecuredProcess) -> None:
         self._process = process
 
     def follow(
@@ -84,7 +84,9 @@ class Follower:
                 conn.latch = messages[-1]
             callback(_until_cut(messages, sock), conn)
 
-    def _believed(self, link: Link | PlainLink | None, messages: list[bytes]) -> list[bytes]:
+    def _believed(
+        self, link: LiveConnection | PlainConnection | None, messages: list[bytes]
+    ) -> list[bytes]:
         """What the publisher may say, if its right is restricted."""
         if link is None or link.guard is None:
             return messages

@@ -16,18 +16,18 @@ from typing import Any, Final
 import rosgraph
 
 from ca.errors import HintedError
-from rossec.channel.opening import Flavour
-from rossec.errors import PlainPeer, SettingsRefused
+from rossec.channel.opening import WireProtocol
+from rossec.errors import ConfigurationError, PlainPeer
 from rossec.inprocess.addresses import bracketed
 from rossec.inprocess.connector import CONNECT_TIMEOUT, Stream
 from rossec.inprocess.identity import now
 from rossec.inprocess.plain_stream import PlainStream
-from rossec.inprocess.process import Process
+from rossec.inprocess.process import SecuredProcess
 from rossec.inprocess.registrations import REFUSED, REGISTRATIONS
 from rossec.inprocess.xmlrpc_server import Params, receive_some
 from rossec.net.rpc.client import CALL_DEADLINE
 from rossec.participant.caller_names import SEARCH, as_meant, nowhere, places, searched, settled
-from rossec.participant.slave_rights import PRESENT, QUESTIONS
+from rossec.participant.slave_rights import PRESENT, SLAVE_CALLS
 from rossec.ros.http import HttpClient
 from rossec.ros.settings import parse_uri
 from rossec.ros.xmlrpc import dump_call, load_response
@@ -38,10 +38,10 @@ _WITH_SERVICE_URI: Final = ("registerService", "unregisterService")
 _log = logging.getLogger("rossec.rospy")
 
 
-class Client:
+class XmlRpcClient:
     """The calling side of one process."""
 
-    def __init__(self, process: Process) -> None:
+    def __init__(self, process: SecuredProcess) -> None:
         self._process = process
         self._stock_request: Any = getattr(xmlrpc.client.ServerProxy, REQUEST)
 
@@ -168,7 +168,7 @@ class Client:
         request = dump_call(method, (name, *params[1:]) if params else params)
         sock = socket.create_connection(address, CONNECT_TIMEOUT)
         try:
-            stream = self._process.doors.call(sock, Flavour.HTTP, address)
+            stream = self._process.doors.call(sock, WireProtocol.HTTP, address)
         except PlainPeer:
             if not self._process.plain or method != "requestTopic":
                 raise
@@ -183,7 +183,7 @@ class Client:
 
     def _show(self, method: str, stream: Stream, host: str) -> None:
         """Show the grants for a question; whether they suffice is heard with its answer."""
-        right, member = QUESTIONS.get(method), self._process.member
+        right, member = SLAVE_CALLS.get(method), self._process.member
         if right is not None and stream.peer is not None:
             grants = member.access.present(right, stream.peer.name, now())
             _exchange(stream, host, dump_call(PRESENT, (member.name, grants)))
@@ -206,7 +206,7 @@ def _address(uri: str) -> tuple[str, int] | None:
     """Host and port of an HTTP URI; None: it has none."""
     try:
         return parse_uri(uri)
-    except SettingsRefused:
+    except ConfigurationError:
         return None
 
 

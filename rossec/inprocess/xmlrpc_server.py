@@ -13,16 +13,16 @@ from rospy.impl.tcpros_base import get_tcpros_server_address, start_tcpros_serve
 
 from ca.certificates import Identity
 from ca.errors import HintedError, RevocationsStale
-from rossec.channel.opening import REFUSAL, Flavour
+from rossec.channel.opening import REFUSAL, WireProtocol
 from rossec.errors import ChannelClosed, ChannelError, HttpRefused, XmlRpcRefused
 from rossec.inprocess.connector import Stream
 from rossec.inprocess.identity import now
 from rossec.inprocess.plain_stream import PlainStream, peek
-from rossec.inprocess.process import Process
+from rossec.inprocess.process import SecuredProcess
 from rossec.net.rpc.client import REQUEST_DEADLINE
 from rossec.participant import slave_api
 from rossec.participant.slave_api import MASTER, REVOCATION_UPDATE, refusal, topic_offer
-from rossec.participant.slave_rights import QUESTIONS, check_question
+from rossec.participant.slave_rights import SLAVE_CALLS, check_slave_call
 from rossec.ros.http import HttpServer
 from rossec.ros.xmlrpc import Fault, dump_response, load_call
 
@@ -33,16 +33,16 @@ _log = logging.getLogger("rossec.rospy")
 Params = tuple[Any, ...]
 
 
-class Shown:
+class PresentedGrants:
     """The grants that the peer of one connection has shown."""
 
     grants: bytes | None = None
 
 
-class Server:
+class XmlRpcServer:
     """This node's API: who may call what is `rossec.participant.slave_api`'s."""
 
-    def __init__(self, process: Process) -> None:
+    def __init__(self, process: SecuredProcess) -> None:
         self._process = process
 
     def verify_request(self, _server: Any, request: socket.socket, where: Any) -> bool:
@@ -57,7 +57,7 @@ class Server:
             finally:
                 self._process.doors.settle(request)
             return
-        stream = self._process.doors.answer(request, Flavour.HTTP)
+        stream = self._process.doors.answer(request, WireProtocol.HTTP)
         caller = f"the caller from {where[0]}"
         try:
             peer = stream.do_handshake()
@@ -74,7 +74,7 @@ class Server:
 
     def _serve(self, server: Any, stream: Stream, peer: Identity) -> None:
         """The master's connection stays; another node asks where a topic is, and goes."""
-        http, shown = HttpServer(), Shown()
+        http, shown = HttpServer(), PresentedGrants()
         end = None if peer.name == MASTER else time.monotonic() + slave_api.DEADLINE
         try:
             while not http.closing:
@@ -100,7 +100,7 @@ class Server:
                     answer = [-1, REFUSAL, 0]
             stream.sendall(http.respond(dump_response(answer)))
 
-    def _answer(self, server: Any, body: bytes, peer: Identity, shown: "Shown") -> bytes:
+    def _answer(self, server: Any, body: bytes, peer: Identity, shown: "PresentedGrants") -> bytes:
         try:
             call = load_call(body)
             return dump_response(self._value(server, call.method, call.params, peer, shown))
@@ -108,7 +108,7 @@ class Server:
             return dump_response(Fault(_FAULT_CODE, str(error)))
 
     def _value(
-        self, server: Any, method: str, params: Params, peer: Identity, shown: "Shown"
+        self, server: Any, method: str, params: Params, peer: Identity, shown: "PresentedGrants"
     ) -> object:
         try:
             self._check(method, peer)
@@ -139,16 +139,16 @@ class Server:
             if method != REVOCATION_UPDATE:  # what ends the staleness must get through
                 raise
 
-    def _is_entitled(self, method: str, peer: Identity, shown: "Shown") -> bool:
+    def _is_entitled(self, method: str, peer: Identity, shown: "PresentedGrants") -> bool:
         """Whether grants that `peer` has shown on this connection entitle it to the question.
 
         Raises:
             HintedError: those it has shown do not.
         """
-        if shown.grants is None or method not in QUESTIONS or peer.name == MASTER:
+        if shown.grants is None or method not in SLAVE_CALLS or peer.name == MASTER:
             return False
         member = self._process.member
-        check_question(method, peer, member.name, shown.grants, member.access, now())
+        check_slave_call(method, peer, member.name, shown.grants, member.access, now())
         return True
 
     def _run(self, server: Any, method: str, params: Params, peer: Identity) -> object:

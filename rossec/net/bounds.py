@@ -7,19 +7,19 @@ and who was judged as much as its messages can need. How long it may take: `prog
 
 from typing import Final
 
-from rossec.channel.opening import Flavour
-from rossec.channel.records import Limits
+from rossec.channel.opening import WireProtocol
+from rossec.channel.records import ChannelLimits
 from rossec.ros.header import HEADER_LIMIT
 from rossec.ros.xmlrpc import BODY_LIMIT
 
 GREETING: Final = 2 * HEADER_LIMIT  # with whatever was joined to it
 JOINED: Final = 2 * 1024 * 1024  # 256 KiB of messages, one more, and 4 bytes for each
-_CALLS: Final = Limits(unit=2 * BODY_LIMIT)  # XML-RPC, with HTTP's headers
+_CALLS: Final = ChannelLimits(unit=2 * BODY_LIMIT)  # XML-RPC, with HTTP's headers
 
-ACCEPTED: Final = {Flavour.HTTP: _CALLS, Flavour.TCPROS: Limits(greeting=GREETING)}
+ACCEPTED: Final = {WireProtocol.HTTP: _CALLS, WireProtocol.TCPROS: ChannelLimits(greeting=GREETING)}
 """Of who calls; a caller of a service is made welcome once it may call."""
 
-DIALLED: Final = {Flavour.HTTP: _CALLS, Flavour.TCPROS: Limits()}
+DIALLED: Final = {WireProtocol.HTTP: _CALLS, WireProtocol.TCPROS: ChannelLimits()}
 """Of who was called, as the master said; messages may follow its header at once."""
 
 

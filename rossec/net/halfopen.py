@@ -24,7 +24,7 @@ class HalfOpen:
     total: int = 512
 
 
-class Place:
+class HalfOpenSlot:
     """What one caller holds; made by `HalfOpenCount.admit`."""
 
     __slots__ = ("_count", "close", "source")
@@ -55,10 +55,10 @@ class HalfOpenCount:
         self._caps = caps
         self._total = 0
         # Both in the order in which it began.
-        self._sources: dict[str, dict[Place, None]] = {}
-        self._lingering: dict[Place, None] = {}
+        self._sources: dict[str, dict[HalfOpenSlot, None]] = {}
+        self._lingering: dict[HalfOpenSlot, None] = {}
         self._lock = Lock()
-        self.gone: deque[Place] = deque()
+        self.gone: deque[HalfOpenSlot] = deque()
         """Whose sockets were collected as garbage: that may happen here, with the lock held."""
 
     def __len__(self) -> int:
@@ -66,7 +66,7 @@ class HalfOpenCount:
             self._forget_gone()
             return self._total
 
-    def admit(self, address: str) -> Place | None:
+    def admit(self, address: str) -> HalfOpenSlot | None:
         """Count one more from this address; None: there is no room."""
         source = source_of(address)
         with self._lock:
@@ -77,15 +77,15 @@ class HalfOpenCount:
                 if victim is None:
                     return None
                 self._remove(victim)
-            place = Place(self, source)
+            place = HalfOpenSlot(self, source)
             self._sources.setdefault(source, {})[place] = None
             self._total += 1
         if victim is not None and victim.close is not None:
             victim.close()
         return place
 
-    def forget(self, place: Place) -> None:
-        """As of `Place.settle`."""
+    def forget(self, place: HalfOpenSlot) -> None:
+        """As of `HalfOpenSlot.settle`."""
         with self._lock:
             self._remove(place)
 
@@ -93,8 +93,8 @@ class HalfOpenCount:
         while self.gone:
             self._remove(self.gone.popleft())
 
-    def lingers(self, place: Place) -> None:
-        """As of `Place.linger`."""
+    def lingers(self, place: HalfOpenSlot) -> None:
+        """As of `HalfOpenSlot.linger`."""
         with self._lock:
             if place in self._sources.get(place.source, ()):
                 self._lingering[place] = None
@@ -103,7 +103,7 @@ class HalfOpenCount:
         held = len(self._sources.get(source, ()))
         return self._total >= self._caps.total or held >= self._caps.per_address
 
-    def _victim(self, source: str) -> Place | None:
+    def _victim(self, source: str) -> HalfOpenSlot | None:
         """Whose socket is closed for a caller from `source`."""
         own = self._sources.get(source, {})
         own_full = len(own) >= self._caps.per_address
@@ -115,7 +115,7 @@ class HalfOpenCount:
             return None
         return next((place for place in most if place.close is not None), None)
 
-    def _remove(self, place: Place) -> None:
+    def _remove(self, place: HalfOpenSlot) -> None:
         places = self._sources.get(place.source, {})
         if place not in places:
             return

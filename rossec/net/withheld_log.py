@@ -8,12 +8,12 @@ import logging
 from threading import Lock
 from typing import Final
 
-from rossec.log_limits import CAUSE, Quiet
+from rossec.log_limits import CAUSE, LogRateLimit
 
 SENT: Final = "%(where)s: withheld from %(peer)s: %(cause)s"
 RECEIVED: Final = "%(where)s: withheld a message of %(peer)s: %(cause)s"
 REFUSED: Final = "%(where)s: refused %(peer)s: %(cause)s"
-_QUIET: Final = Quiet()
+_QUIET: Final = LogRateLimit()
 _LOCK: Final = Lock()  # rospy's connections have threads
 
 

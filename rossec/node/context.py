@@ -16,7 +16,7 @@ _log = logging.getLogger("rossec.node")
 
 
 @dataclass(frozen=True)
-class Standing:
+class NodeContext:
     """One running node.
 
     Attributes:

@@ -17,19 +17,19 @@ from rossec import clock
 from rossec.channel.edhoc.credentials import OwnCredential
 from rossec.channel.edhoc.known import KnownCertificates
 from rossec.channel.edhoc.suites import PRODUCTION
-from rossec.errors import TopicRefused
-from rossec.net.aio import Flavour, SecureServer, SecureStream, serve
+from rossec.errors import ConnectionHeaderRefused
+from rossec.net.aio import SecureServer, SecureStream, WireProtocol, serve
 from rossec.net.bounds import ACCEPTED
 from rossec.net.halfopen import HalfOpen, HalfOpenCount
 from rossec.net.rpc.client import serve_calls
 from rossec.node.publisher import Publisher
 from rossec.node.services import Services
 from rossec.participant import slave_api
-from rossec.participant.accepted import Guests
+from rossec.participant.accepted import AcceptedConnections
 from rossec.participant.access import Access
-from rossec.participant.own_addresses import OwnPlaces
+from rossec.participant.own_addresses import OwnAddresses
 from rossec.participant.slave_api import MASTER, REVOCATION_UPDATE, SlaveApi
-from rossec.participant.slave_rights import QUESTIONS, check_question
+from rossec.participant.slave_rights import SLAVE_CALLS, check_slave_call
 from rossec.participant.topic_handshake import (
     admit_subscriber,
     check_type,
@@ -59,7 +59,7 @@ class Listener:
         *,
         suites: tuple[int, ...] = PRODUCTION,
         known: KnownCertificates | None = None,
-        own: OwnPlaces | None = None,
+        own: OwnAddresses | None = None,
     ) -> None:
         self._name = name
         self._credentials = credentials
@@ -70,9 +70,9 @@ class Listener:
         self._slave = slave
         self._suites = suites
         self._known = known
-        self._own = OwnPlaces() if own is None else own
+        self._own = OwnAddresses() if own is None else own
         self._servers: list[SecureServer[Identity]] = []
-        self._guests = Guests()
+        self._guests = AcceptedConnections()
         self._half_open = HalfOpenCount(HalfOpen())  # both ports share this process
 
     @property
@@ -89,8 +89,8 @@ class Listener:
         """Listen: on loopback alone when `address`, where others are told to come, is loopback."""
         bind = address if is_loopback(address) else None
         for handler, flavour in (
-            (self._serve_slave, Flavour.HTTP),
-            (self._serve_tcpros, Flavour.TCPROS),
+            (self._serve_slave, WireProtocol.HTTP),
+            (self._serve_tcpros, WireProtocol.TCPROS),
         ):
             server = serve(
                 self._guests.bounded(handler),
@@ -142,8 +142,8 @@ class Listener:
                     return [1, "", 0]
                 case _:
                     pass
-            if shown and method in QUESTIONS and peer.name != MASTER:
-                check_question(method, peer, self._name, shown[0], self._access, now)
+            if shown and method in SLAVE_CALLS and peer.name != MASTER:
+                check_slave_call(method, peer, self._name, shown[0], self._access, now)
                 entitled = True
         except RevocationsStale as error:
             if method != REVOCATION_UPDATE:  # what ends the staleness must get through
@@ -172,7 +172,9 @@ class Listener:
         if "service" not in fields:
             return self._admit_subscriber(fields, stream)
         if "topic" in fields:
-            raise TopicRefused("the connection header asks for a topic and for a service")
+            raise ConnectionHeaderRefused(
+                "the connection header asks for a topic and for a service"
+            )
         return self._services.admit(fields, stream)
 
     def _admit_subscriber(
@@ -182,7 +184,9 @@ class Listener:
         decision = admit_subscriber(fields, stream.peer, self._access, now)
         publisher = self._publishers.get(requested_topic(fields))
         if publisher is None:
-            raise TopicRefused(f"{self._name} does not publish {requested_topic(fields)}")
+            raise ConnectionHeaderRefused(
+                f"{self._name} does not publish {requested_topic(fields)}"
+            )
         check_type(fields, publisher.endpoint.expected)
         guard = publisher.guard(decision)
         answer = publisher_header(
@@ -200,11 +204,11 @@ async def first_frame(stream: SecureStream[Identity]) -> bytes:
     """The connection header, which a peer sends first and alone.
 
     Raises:
-        TopicRefused: more follows before the answer.
+        ConnectionHeaderRefused: more follows before the answer.
     """
     reader = header.FrameReader(header.HEADER_LIMIT)
     while not (frames := reader.feed(await stream.receive())):
         pass
     if len(frames) != 1 or reader.pending:
-        raise TopicRefused("bytes after the connection header, before its answer")
+        raise ConnectionHeaderRefused("bytes after the connection header, before its answer")
     return frames[0]

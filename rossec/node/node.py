@@ -23,9 +23,9 @@ from rossec.errors import AnswerRefused, NodeShutdown
 from rossec.home import NodeHome, own_home
 from rossec.net.aio import SecureStream
 from rossec.net.aio.tasks import TaskSet
-from rossec.node.context import Standing
+from rossec.node.context import NodeContext
 from rossec.node.listener import Listener
-from rossec.node.params import Parameters
+from rossec.node.params import NodeParameters
 from rossec.node.publisher import Publisher
 from rossec.node.service import CONCURRENCY, HANDLER_DEADLINE, Handler, Service
 from rossec.node.service_client import CALL_DEADLINE, ServiceClient
@@ -33,20 +33,20 @@ from rossec.node.services import Services
 from rossec.node.subscriber import Subscriber
 from rossec.node.topics import Topics
 from rossec.participant.access import Access
-from rossec.participant.connections import Link
+from rossec.participant.connections import AuthorizedConnection
 from rossec.participant.dialer import Dialer
-from rossec.participant.grant_directory import Shelf
+from rossec.participant.grant_directory import GrantDirectory
 from rossec.participant.grant_renewal import Renewals, renew
 from rossec.participant.identity_renewal import IdentityRenewal, renew_identity
 from rossec.participant.limit_memory import recall
 from rossec.participant.master_session import MasterSession
 from rossec.participant.message_types import message_type
-from rossec.participant.own_addresses import OwnPlaces
+from rossec.participant.own_addresses import OwnAddresses
 from rossec.participant.revocation_proofs import prove
-from rossec.participant.revocation_watch import Watch
+from rossec.participant.revocation_watch import ConnectionWatchdog
 from rossec.participant.service_types import service_type
 from rossec.participant.slave_api import SlaveApi
-from rossec.participant.topic_handshake import Endpoint
+from rossec.participant.topic_handshake import TopicEndpoint
 from rossec.ros import settings
 from rossec.saved_revocations import saved_revocations
 
@@ -82,7 +82,7 @@ class Node:
         self.identity = self.home.identity(clock.now())
         self.revocations = saved_revocations(self.home, self.anchor, clock.now())
         self.access = Access(self.anchor, self.revocations)
-        suites, known, own = post_quantum(environ), KnownCertificates(), OwnPlaces()
+        suites, known, own = post_quantum(environ), KnownCertificates(), OwnAddresses()
         self._dialer = Dialer(
             self.name,
             self.credentials,
@@ -92,7 +92,7 @@ class Node:
             known=known,
             own=own,
         )
-        self._shelf = Shelf(self.home, self.access)
+        self._shelf = GrantDirectory(self.home, self.access)
         self._shelf.take_new()
         self._tasks = TaskSet(on_crash=self._crashed)
         self._session = MasterSession(
@@ -104,7 +104,7 @@ class Node:
             lambda call: prove(call, self.revocations),
         )
         self._renewals = Renewals(self.access)
-        standing = Standing(
+        standing = NodeContext(
             self.name,
             self.access,
             self.revocations,
@@ -117,7 +117,7 @@ class Node:
         )
         self._topics = Topics(standing)
         self.services = Services(standing)
-        self.params = Parameters(standing, self.settings.resolve)
+        self.params = NodeParameters(standing, self.settings.resolve)
         self._identity_renewal = IdentityRenewal(self.home, self.credentials, clock.now())
         self._listener = Listener(
             self.name,
@@ -131,7 +131,7 @@ class Node:
             known=known,
             own=own,
         )
-        self._watch = Watch(self.revocations, self._links, self._listener)
+        self._watch = ConnectionWatchdog(self.revocations, self._links, self._listener)
         self._host = ""
         self._ended: asyncio.Future[None] = asyncio.get_running_loop().create_future()
 
@@ -160,7 +160,7 @@ class Node:
             MessageError, RossecError: unknown type, a second publisher of the topic, or the
                 master refuses.
         """
-        endpoint = Endpoint(self.settings.resolve(topic), message_type(type_name))
+        endpoint = TopicEndpoint(self.settings.resolve(topic), message_type(type_name))
         return await self._topics.publish(endpoint, latch=latch, queue_size=queue_size)
 
     async def subscriber(self, topic: str, type_name: str, *, queue_size: int = 10) -> Subscriber:
@@ -169,7 +169,7 @@ class Node:
         Raises:
             MessageError, RossecError: unknown type, or the master refuses.
         """
-        endpoint = Endpoint(self.settings.resolve(topic), message_type(type_name))
+        endpoint = TopicEndpoint(self.settings.resolve(topic), message_type(type_name))
         return await self._topics.subscribe(endpoint, queue_size=queue_size)
 
     async def service(
@@ -321,7 +321,7 @@ class Node:
 
     # --- what must end ---
 
-    def _links(self) -> Iterator[Link]:
+    def _links(self) -> Iterator[AuthorizedConnection]:
         yield from self._topics.links()
         yield from self.services.links()
 

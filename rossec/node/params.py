@@ -13,7 +13,7 @@ from typing import Any, Final
 
 from ca.errors import HintedError
 from rossec.errors import AnswerMalformed, AnswerRefused, ParameterUnset
-from rossec.node.context import Standing
+from rossec.node.context import NodeContext
 from rossec.ros.names import SEPARATOR
 from rossec.ros.xmlrpc import Fault
 
@@ -24,14 +24,14 @@ _REFUSAL: Final = "rossec: "  # begins every refusal of the master; what else ha
 Value = Any  # what XML-RPC carries
 
 
-class Parameters:
+class NodeParameters:
     """The parameters as this node may see them: `node.params`.
 
     Args:
         resolve: a name as the program writes it, made absolute and remapped.
     """
 
-    def __init__(self, standing: Standing, resolve: Callable[[str], str]) -> None:
+    def __init__(self, standing: NodeContext, resolve: Callable[[str], str]) -> None:
         self._standing = standing
         self._resolve = resolve
         self._subscriptions: dict[str, list[ParameterSubscription]] = {}
@@ -170,7 +170,7 @@ class Parameters:
 
 
 class ParameterSubscription:
-    """One parameter, followed. Made by `Parameters.subscribe`.
+    """One parameter, followed. Made by `NodeParameters.subscribe`.
 
     Attributes:
         name: its resolved name.

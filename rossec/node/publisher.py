@@ -25,7 +25,7 @@ from rossec.net.aio import SecureStream
 from rossec.node.subscriber import check_queue_size
 from rossec.participant.latch import Latch, Sample
 from rossec.participant.message_types import Message
-from rossec.participant.topic_handshake import Endpoint
+from rossec.participant.topic_handshake import TopicEndpoint
 
 QUEUE_SIZE: Final = 10
 _LENGTH: Final = struct.Struct("<I")
@@ -36,7 +36,7 @@ Pieces = Sequence[bytes | bytearray | memoryview]
 _log = logging.getLogger("rossec.node")
 
 
-class SubscriberLink:
+class SubscriberConnection:
     """One admitted subscriber: its stream, its guard, and the messages waiting for it."""
 
     def __init__(
@@ -95,7 +95,7 @@ class Publisher:
 
     def __init__(
         self,
-        endpoint: Endpoint,
+        endpoint: TopicEndpoint,
         layout: Layout,
         filter_key: Callable[[str], bytes],
         recall: Recall,
@@ -106,7 +106,7 @@ class Publisher:
         check_queue_size(queue_size)
         self.endpoint = endpoint
         self.latch = latch
-        self.links: set[SubscriberLink] = set()
+        self.links: set[SubscriberConnection] = set()
         self._layout = layout
         self._filter_key = filter_key
         self._recall = recall
@@ -187,7 +187,7 @@ class Publisher:
 
         The link is known before the answer is sent: a revocation that arrives meanwhile finds it.
         """
-        link = SubscriberLink(stream, decision, guard, self._queue_size)
+        link = SubscriberConnection(stream, decision, guard, self._queue_size)
         self.links.add(link)
         self._changed.set()
         try:
@@ -200,7 +200,7 @@ class Publisher:
             self.links.discard(link)
             self._changed.set()
 
-    def _send_latched(self, link: SubscriberLink) -> None:
+    def _send_latched(self, link: SubscriberConnection) -> None:
         now = clock.now()
         for sample in self._latch.shown(link.guard):
             pieces = self._treat(link, sample, now)
@@ -208,7 +208,9 @@ class Publisher:
                 link.offer(pieces)
                 break
 
-    def _treat(self, link: SubscriberLink, sample: Sample[memoryview], now: int) -> Pieces | None:
+    def _treat(
+        self, link: SubscriberConnection, sample: Sample[memoryview], now: int
+    ) -> Pieces | None:
         try:
             pieces = link.guard.treat(sample.data, now, sample.mark)
         except GrantError as error:

@@ -27,11 +27,11 @@ from rossec.errors import (
 )
 from rossec.net import withheld_log
 from rossec.net.aio import SecureStream
-from rossec.node.context import Standing
-from rossec.participant.connections import why_cut
+from rossec.node.context import NodeContext
+from rossec.participant.connections import termination_reason
 from rossec.participant.message_types import Message, field_names
 from rossec.participant.service_guard import Pieces, ServiceGuard
-from rossec.participant.service_handshake import Expected
+from rossec.participant.service_handshake import ExpectedService
 from rossec.participant.service_types import ServiceType
 from rossec.ros import service as wire
 
@@ -43,7 +43,7 @@ Handler = Callable[[Any], "Message | Mapping[str, object] | Awaitable[Any] | Non
 _log = logging.getLogger("rossec.node")
 
 
-class CallerLink:
+class CallerConnection:
     """One admitted caller."""
 
     def __init__(
@@ -93,7 +93,7 @@ class Service:
         name: str,
         kind: ServiceType,
         handler: Handler,
-        standing: Standing,
+        standing: NodeContext,
         on_close: Callable[["Service"], Awaitable[None]],
         *,
         concurrency: int = CONCURRENCY,
@@ -106,7 +106,7 @@ class Service:
             )
         self.name = name
         self.kind = kind
-        self.links: set[CallerLink] = set()
+        self.links: set[CallerConnection] = set()
         self._handler = handler
         self._standing = standing
         self._on_close = on_close
@@ -116,9 +116,9 @@ class Service:
         self._deadline = deadline
 
     @property
-    def expected(self) -> Expected:
+    def expected(self) -> ExpectedService:
         """Type and checksum, as headers name them."""
-        return Expected(self.kind.name, self.kind.md5sum)
+        return ExpectedService(self.kind.name, self.kind.md5sum)
 
     def create(self, **fields: object) -> Message:
         """A zero response with `fields` set."""
@@ -147,7 +147,7 @@ class Service:
 
         The link is known before the answer is sent: a revocation that arrives meanwhile finds it.
         """
-        link = CallerLink(stream, decision, guard, self._share_of(stream.peer))
+        link = CallerConnection(stream, decision, guard, self._share_of(stream.peer))
         self.links.add(link)
         try:
             await stream.send(answer)
@@ -166,14 +166,14 @@ class Service:
             share = self._shares[caller.thumbprint] = asyncio.Semaphore(self._share)
         return share
 
-    async def _answer(self, link: CallerLink, request: bytes) -> None:
-        reason = why_cut(link, self._standing.revocations, clock.now())
+    async def _answer(self, link: CallerConnection, request: bytes) -> None:
+        reason = termination_reason(link, self._standing.revocations, clock.now())
         if reason is not None:
             link.stream.abort(reason)
             raise ChannelClosed(reason)
         await link.stream.send(*await self._respond(link, request))
 
-    async def _respond(self, link: CallerLink, request: bytes) -> Pieces:
+    async def _respond(self, link: CallerConnection, request: bytes) -> Pieces:
         """The response, or why there is none, as bytes."""
         try:
             async with asyncio.timeout(self._deadline), link.share, self._turns:

@@ -19,15 +19,15 @@ from rossec.errors import ChannelClosed, ConfigurationError, ServiceFailed
 from rossec.net.aio import SecureStream
 from rossec.net.aio.tasks import TaskSet
 from rossec.net.bounds import unit_limit
-from rossec.node.context import Standing
+from rossec.node.context import NodeContext
 from rossec.participant.access import Access
-from rossec.participant.connections import why_cut
+from rossec.participant.connections import termination_reason
 from rossec.participant.header_fields import Fields
 from rossec.participant.message_types import Message
 from rossec.participant.service_guard import Pieces, ServiceGuard
 from rossec.participant.service_handshake import (
     ANY,
-    Expected,
+    ExpectedService,
     admit_provider,
     check_md5,
     client_header,
@@ -43,7 +43,7 @@ HANDSHAKE_DEADLINE: Final = 5.0
 Dial = Callable[[str], Awaitable[SecureStream[Identity]]]  # service -> stream to its provider
 
 
-class ProviderLink:
+class ProviderConnection:
     """One admitted provider."""
 
     def __init__(
@@ -72,7 +72,7 @@ async def introduce(
     stream: SecureStream[Identity],
     caller: str,
     service: str,
-    kind: Expected,
+    kind: ExpectedService,
     access: Access,
     *,
     persistent: bool = False,
@@ -122,7 +122,7 @@ class ServiceClient:
         self,
         service: str,
         kind: ServiceType,
-        standing: Standing,
+        standing: NodeContext,
         dial: Dial,
         on_close: Callable[["ServiceClient"], None],
         *,
@@ -133,13 +133,13 @@ class ServiceClient:
             raise ConfigurationError(f"a deadline of {deadline:g} seconds", "give one above zero")
         self.service = service
         self.kind = kind
-        self.links: set[ProviderLink] = set()
+        self.links: set[ProviderConnection] = set()
         self._standing = standing
         self._dial = dial
         self._on_close = on_close
         self._persistent = persistent
         self._deadline = deadline
-        self._kept: ProviderLink | None = None
+        self._kept: ProviderConnection | None = None
         self._turn = asyncio.Lock()
         self._owned = TaskSet()
         self._closed = False
@@ -196,7 +196,7 @@ class ServiceClient:
         await self.close()
 
     @contextlib.asynccontextmanager
-    async def _link(self) -> AsyncIterator[ProviderLink]:
+    async def _link(self) -> AsyncIterator[ProviderConnection]:
         """The kept connection, for one call at a time, or one for this call."""
         if not self._persistent:
             link = await self._connect()
@@ -210,9 +210,9 @@ class ServiceClient:
                 self._kept = await self._connect()
             yield self._kept
 
-    async def _exchange(self, link: ProviderLink, request: bytes | memoryview) -> bytes:
+    async def _exchange(self, link: ProviderConnection, request: bytes | memoryview) -> bytes:
         now = clock.now()
-        reason = why_cut(link, self._standing.revocations, now)
+        reason = termination_reason(link, self._standing.revocations, now)
         if reason is not None:
             link.stream.abort(reason)
             raise ChannelClosed(reason)
@@ -229,7 +229,7 @@ class ServiceClient:
                 self._give_up(link)
         return b"".join(link.guard.response(response, clock.now()))
 
-    async def _connect(self) -> ProviderLink:
+    async def _connect(self) -> ProviderConnection:
         stream = await self._dial(self.service)
         try:
             async with asyncio.timeout(HANDSHAKE_DEADLINE):
@@ -241,8 +241,8 @@ class ServiceClient:
         self._owned.spawn(self._forget(link), f"{self.service}: connection")
         return link
 
-    async def _introduce(self, stream: SecureStream[Identity]) -> ProviderLink:
-        kind = Expected(self.kind.name, self.kind.md5sum)
+    async def _introduce(self, stream: SecureStream[Identity]) -> ProviderConnection:
+        kind = ExpectedService(self.kind.name, self.kind.md5sum)
         answer, decision = await introduce(
             stream,
             self._standing.name,
@@ -255,14 +255,14 @@ class ServiceClient:
         stream.welcome(unit_limit(self.kind.response_layout.root.size, MESSAGE_LIMIT))
         own = self._standing
         guard = ServiceGuard(self.kind, decision, own.filter_key, own.recall)
-        return ProviderLink(stream, decision, guard)
+        return ProviderConnection(stream, decision, guard)
 
-    async def _forget(self, link: ProviderLink) -> None:
+    async def _forget(self, link: ProviderConnection) -> None:
         """A connection that has ended, whoever ended it, is not used for the next call."""
         await link.stream.wait_ended()
         self._give_up(link)
 
-    def _give_up(self, link: ProviderLink) -> None:
+    def _give_up(self, link: ProviderConnection) -> None:
         link.stream.abort("the call failed half-way")
         self.links.discard(link)
         if self._kept is link:

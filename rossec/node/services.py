@@ -18,15 +18,15 @@ from rossec.errors import (
     AnswerRefused,
     ChannelError,
     ConfigurationError,
+    ConnectionHeaderRefused,
     ServiceUnavailable,
-    TopicRefused,
 )
 from rossec.net.aio import SecureStream
 from rossec.net.bounds import unit_limit
-from rossec.node.context import Standing
+from rossec.node.context import NodeContext
 from rossec.node.service import CONCURRENCY, HANDLER_DEADLINE, Handler, Service
 from rossec.node.service_client import CALL_DEADLINE, ServiceClient, probe
-from rossec.participant.connections import Link
+from rossec.participant.connections import AuthorizedConnection
 from rossec.participant.header_fields import Fields
 from rossec.participant.service_handshake import (
     admit_caller,
@@ -46,7 +46,7 @@ _ABSENT: Final = "no provider"  # what the master says, as stock; a refusal begi
 class Services:
     """The desk every call of a service goes through, in either direction."""
 
-    def __init__(self, standing: Standing) -> None:
+    def __init__(self, standing: NodeContext) -> None:
         self._standing = standing
         self._provided: dict[str, Service] = {}
         self._clients: set[ServiceClient] = set()
@@ -167,7 +167,7 @@ class Services:
         name = requested_service(fields)
         service = self._provided.get(name)
         if service is None:
-            raise TopicRefused(f"{own.name} does not provide {name}")
+            raise ConnectionHeaderRefused(f"{own.name} does not provide {name}")
         check_md5(fields, name, service.kind.md5sum)
         answer = header.encode(server_header(own.name, name, service.expected, own.access, now))
         if is_set(fields, "probe"):
@@ -177,7 +177,7 @@ class Services:
         persistent = is_set(fields, "persistent")
         return partial(service.serve, stream, decision, guard, answer, persistent=persistent)
 
-    def links(self) -> Iterator[Link]:
+    def links(self) -> Iterator[AuthorizedConnection]:
         """Every live connection of a service."""
         for service in self._provided.values():
             yield from service.links

@@ -28,7 +28,7 @@ from rossec.participant.access import Access
 from rossec.participant.definitions import size_of
 from rossec.participant.message_types import Message
 from rossec.participant.topic_guard import FilterKey, guard_for
-from rossec.participant.topic_handshake import Endpoint, admit_publisher, subscriber_header
+from rossec.participant.topic_handshake import TopicEndpoint, admit_publisher, subscriber_header
 from rossec.ros import header
 from rossec.ros.framing import Framing
 from rossec.ros.header import MESSAGE_LIMIT, FrameReader
@@ -43,7 +43,7 @@ Dial = Callable[[str, str], Awaitable[SecureStream[Identity]]]  # (publisher URI
 _log = logging.getLogger("rossec.node")
 
 
-class PublisherLink:
+class PublisherConnection:
     """One admitted publisher; `guard` applies what its right is restricted by, if anything."""
 
     def __init__(
@@ -61,7 +61,7 @@ class Subscriber:
     def __init__(
         self,
         caller: str,
-        endpoint: Endpoint,
+        endpoint: TopicEndpoint,
         access: Access,
         dial: Dial,
         on_close: OnClose,
@@ -72,7 +72,7 @@ class Subscriber:
     ) -> None:
         check_queue_size(queue_size)
         self.endpoint = endpoint
-        self.links: set[PublisherLink] = set()
+        self.links: set[PublisherConnection] = set()
         self.refusals: deque[HintedError] = deque(maxlen=16)
         self.received = 0
         self.updates = 0
@@ -172,7 +172,7 @@ class Subscriber:
 
     async def _introduce(
         self, stream: SecureStream[Identity], frames: FrameReader
-    ) -> tuple[PublisherLink, list[bytes]]:
+    ) -> tuple[PublisherConnection, list[bytes]]:
         now = clock.now()
         fields = subscriber_header(self._caller, self.endpoint, self._access, now)
         await stream.send(header.encode(fields))
@@ -185,9 +185,9 @@ class Subscriber:
         )
         stream.welcome(unit_limit(self._size, MESSAGE_LIMIT))
         guard = guard_for(self.endpoint.type, decision, self._filter_key, self.recall)
-        return PublisherLink(stream, decision, guard), units[1:]
+        return PublisherConnection(stream, decision, guard), units[1:]
 
-    def _deliver(self, link: PublisherLink, messages: list[bytes]) -> None:
+    def _deliver(self, link: PublisherConnection, messages: list[bytes]) -> None:
         if link.guard is not None:
             messages = self._believed(link.guard, messages, link.stream.peer.name, clock.now())
         if messages:

@@ -13,12 +13,12 @@ from grants.filters import layout
 from grants.memory import Recall
 from rossec import clock
 from rossec.errors import ConfigurationError
-from rossec.node.context import Standing
+from rossec.node.context import NodeContext
 from rossec.node.publisher import Publisher
 from rossec.node.subscriber import Subscriber
-from rossec.participant.connections import Link
-from rossec.participant.publisher_grace import NamedPublishers
-from rossec.participant.topic_handshake import Endpoint
+from rossec.participant.connections import AuthorizedConnection
+from rossec.participant.publisher_grace import PublisherGrace
+from rossec.participant.topic_handshake import TopicEndpoint
 
 _log = logging.getLogger("rossec.node")
 
@@ -26,11 +26,11 @@ _log = logging.getLogger("rossec.node")
 class Topics:
     """Publishers by topic, and any number of subscribers."""
 
-    def __init__(self, standing: Standing) -> None:
+    def __init__(self, standing: NodeContext) -> None:
         self._standing = standing
         self._publishers: dict[str, Publisher] = {}
         self._subscribers: dict[str, list[Subscriber]] = {}
-        self._named = NamedPublishers(clock.counter())
+        self._named = PublisherGrace(clock.counter())
 
     @property
     def publishers(self) -> Mapping[str, Publisher]:
@@ -42,7 +42,7 @@ class Topics:
         """What this node subscribes to."""
         return [item for items in self._subscribers.values() for item in items]
 
-    async def publish(self, endpoint: Endpoint, *, latch: bool, queue_size: int) -> Publisher:
+    async def publish(self, endpoint: TopicEndpoint, *, latch: bool, queue_size: int) -> Publisher:
         """Register a publisher.
 
         Raises:
@@ -63,7 +63,7 @@ class Topics:
             raise
         return publisher
 
-    async def subscribe(self, endpoint: Endpoint, *, queue_size: int) -> Subscriber:
+    async def subscribe(self, endpoint: TopicEndpoint, *, queue_size: int) -> Subscriber:
         """Register a subscriber.
 
         Raises:
@@ -112,7 +112,7 @@ class Topics:
         for subscriber in self._subscribers.get(topic, []):
             subscriber.update(uris)
 
-    def links(self) -> Iterator[Link]:
+    def links(self) -> Iterator[AuthorizedConnection]:
         """Every live connection of a topic."""
         for publisher in self._publishers.values():
             yield from publisher.links

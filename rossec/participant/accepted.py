@@ -17,7 +17,7 @@ PEER_CONNECTIONS: Final = 256  # of one identity, one for each topic or service:
 _log = logging.getLogger("rossec.node")
 
 
-class Guests:
+class AcceptedConnections:
     """Who is connected now."""
 
     def __init__(self) -> None:

@@ -34,7 +34,7 @@ _CACHE_SIZE: Final = 1024
 
 
 @dataclass(frozen=True)
-class Holding:
+class HeldGrant:
     """A grant this node holds.
 
     Args:
@@ -58,7 +58,7 @@ class Access:
     ) -> None:
         self._anchor = anchor
         self._revocations = revocations
-        self._held: dict[bytes, Holding] = {}
+        self._held: dict[bytes, HeldGrant] = {}
         self._opened: OrderedDict[bytes, Grant] = OrderedDict()
         self._delegate: ec.EllipticCurvePublicKey | None = None
         for data in held:
@@ -67,7 +67,7 @@ class Access:
     def hold(self, data: bytes) -> None:
         """Add a grant to those this node can present."""
         grant = peek(data)
-        self._held.setdefault(grant.id, Holding(grant, data, data, grant.not_before))
+        self._held.setdefault(grant.id, HeldGrant(grant, data, data, grant.not_before))
 
     def hold_renewed(self, token: bytes, now: int) -> None:
         """Take a grant this node holds as the master has renewed it.
@@ -79,9 +79,9 @@ class Access:
         known = self._held.get(grant.id)
         if known is None:
             raise GrantMissing(f"grant {grant.short_id} is renewed, but was never held here")
-        self._held[grant.id] = Holding(grant, known.original, token, now)
+        self._held[grant.id] = HeldGrant(grant, known.original, token, now)
 
-    def holdings(self) -> list[Holding]:
+    def holdings(self) -> list[HeldGrant]:
         """All grants this node holds, expired ones too, but none that is known to be revoked."""
         revoked = self._revocations.entries
         return [held for held in self._held.values() if held.grant.id not in revoked]
@@ -140,7 +140,7 @@ class Access:
         """Whether a grant this node holds covers `right` on `name` now."""
         return any(_concerns(held.grant, right, name) for held in self._current(now))
 
-    def _current(self, now: int) -> list[Holding]:
+    def _current(self, now: int) -> list[HeldGrant]:
         usable = [
             held for held in self.holdings() if held.grant.not_before <= now < held.grant.expires
         ]

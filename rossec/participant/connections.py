@@ -15,7 +15,7 @@ from rossec.net.aio import SecureStream
 STALE_GRACE: Final = 60
 
 
-class Proven(Protocol):
+class AuthenticatedPeer(Protocol):
     """A stream whose peer is authenticated."""
 
     @property
@@ -23,18 +23,18 @@ class Proven(Protocol):
         """Who is at the other end."""
 
 
-class Judged(Protocol):
+class AuthorizedPeer(Protocol):
     """A connection admitted by `decision`; grant or certificate expire at `ends` (seconds)."""
 
     decision: Decision
     ends: int
 
     @property
-    def stream(self) -> Proven:
+    def stream(self) -> AuthenticatedPeer:
         """The connection."""
 
 
-class Link(Judged, Protocol):
+class AuthorizedConnection(AuthorizedPeer, Protocol):
     """A connection of the built-in node, which its watch can cut."""
 
     @property
@@ -42,7 +42,7 @@ class Link(Judged, Protocol):
         """The connection."""
 
 
-def why_cut(link: Judged, revocations: Revocations, now: int) -> str | None:
+def termination_reason(link: AuthorizedPeer, revocations: Revocations, now: int) -> str | None:
     """Why `link` must be cut now, or None while it may live.
 
     Missing news of revocations cuts after a while, unless every permission of the link says
@@ -62,7 +62,7 @@ def why_cut(link: Judged, revocations: Revocations, now: int) -> str | None:
     return None
 
 
-def _entries(link: Judged) -> tuple[bytes, ...]:
+def _entries(link: AuthorizedPeer) -> tuple[bytes, ...]:
     return (*link.stream.peer.keys, *link.decision.grant_ids)
 
 

@@ -17,7 +17,7 @@ from grants.errors import DefinitionRefused
 from grants.filters import layout
 from grants.filters.layout import Layout
 from grants.guard import check_type
-from rossec.errors import TopicRefused
+from rossec.errors import ConnectionHeaderRefused
 from rossec.participant.header_fields import Fields, text
 from rossec.ros.names import ANY_TYPE
 
@@ -41,11 +41,11 @@ class Definition:
 
         Raises:
             DefinitionRefused: the text is no definition.
-            TopicRefused: it is not the one of the md5sum.
+            ConnectionHeaderRefused: it is not the one of the md5sum.
         """
         shape = layout.parse(self.name, self.definition)
         if shape.md5 != self.md5sum:
-            raise TopicRefused(
+            raise ConnectionHeaderRefused(
                 f"the definition of {self.name} does not have the md5sum of the connection",
                 "the grant is restricted, and what is sent cannot be told",
             )
@@ -56,7 +56,7 @@ def size_of(kind: Definition) -> int | None:
     """Bytes of every message of `kind`; None: they differ, or nothing is known of them."""
     try:
         return kind.layout.root.size
-    except (DefinitionRefused, TopicRefused):
+    except (DefinitionRefused, ConnectionHeaderRefused):
         return None
 
 
@@ -70,7 +70,7 @@ def from_header(fields: Mapping[str, bytes]) -> Definition:
     It is judged where it is needed: `Definition.layout` refuses what is not UTF-8.
 
     Raises:
-        TopicRefused: no type or md5sum, or not text.
+        ConnectionHeaderRefused: no type or md5sum, or not text.
     """
     definition = fields.get("message_definition", b"").decode(errors="surrogateescape")
     return Definition(text(fields, "type"), text(fields, "md5sum"), definition)
@@ -90,7 +90,7 @@ def as_received(own: Definition, said: Definition, decision: Decision, known: Kn
         known: is asked about types which the grant names, and no others.
 
     Raises:
-        TopicRefused, GrantError: that cannot be known, or the right is for another type.
+        ConnectionHeaderRefused, GrantError: that cannot be known, or the right is for another type.
     """
     if own.definition or not looks_inside(decision):
         return as_sent(own, decision, known)
@@ -102,7 +102,9 @@ def as_received(own: Definition, said: Definition, decision: Decision, known: Kn
         return claimed
     trusted = known(name)
     if trusted is None or trusted.md5sum != md5sum:
-        raise TopicRefused(f"how this subscriber reads a {name[:80]} is not known here", _HINT)
+        raise ConnectionHeaderRefused(
+            f"how this subscriber reads a {name[:80]} is not known here", _HINT
+        )
     return trusted
 
 
@@ -113,7 +115,8 @@ def as_sent(own: Definition, decision: Decision, known: Known) -> Definition:
     the type, both must mean the same.
 
     Raises:
-        TopicRefused, GrantError: they do not, the text is no definition, or of another type.
+        ConnectionHeaderRefused, GrantError: they do not, the text is no definition, or of another
+        type.
     """
     if not looks_inside(decision):
         return own
@@ -128,7 +131,7 @@ def as_sent(own: Definition, decision: Decision, known: Known) -> Definition:
         or trusted.layout.digest == own.layout.digest
     ):
         return own
-    raise TopicRefused(
+    raise ConnectionHeaderRefused(
         f"the program's definition of {own.name} is not the one this host knows",
         "it has the same md5sum but other arrays: update the package on one side",
     )
@@ -157,7 +160,7 @@ def described(own: Definition, said: Definition) -> Definition:
 def _is_proven(claimed: Definition) -> bool:
     try:
         return claimed.layout.is_proven
-    except (DefinitionRefused, TopicRefused):
+    except (DefinitionRefused, ConnectionHeaderRefused):
         return False
 
 

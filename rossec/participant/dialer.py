@@ -12,11 +12,11 @@ from rossec import clock
 from rossec.channel.edhoc.credentials import OwnCredential
 from rossec.channel.edhoc.known import KnownCertificates
 from rossec.channel.edhoc.suites import PRODUCTION
-from rossec.errors import TopicRefused
-from rossec.net.aio import Flavour, SecureStream, connect
+from rossec.errors import ConnectionHeaderRefused
+from rossec.net.aio import SecureStream, WireProtocol, connect
 from rossec.net.bounds import DIALLED
 from rossec.net.rpc.client import RpcClient
-from rossec.participant.own_addresses import OwnPlaces
+from rossec.participant.own_addresses import OwnAddresses
 from rossec.ros import settings
 
 CheckPeer = Callable[[Identity, int], None]
@@ -34,7 +34,7 @@ class Dialer:
         *,
         suites: tuple[int, ...] = PRODUCTION,
         known: KnownCertificates | None = None,
-        own: OwnPlaces | None = None,
+        own: OwnAddresses | None = None,
     ) -> None:
         self._name = name
         self._credentials = credentials
@@ -42,11 +42,11 @@ class Dialer:
         self._check_peer = check_peer
         self._suites = suites
         self._known = known
-        self._own = OwnPlaces() if own is None else own
+        self._own = OwnAddresses() if own is None else own
 
     async def rpc(self, host: str, port: int) -> SecureStream[Identity]:
         """Connect to a master or slave API; the caller checks who it is."""
-        return await self._connect(host, port, Flavour.HTTP)
+        return await self._connect(host, port, WireProtocol.HTTP)
 
     async def topic(self, uri: str, topic: str) -> SecureStream[Identity]:
         """Ask the node at `uri` where its topics are, then connect there.
@@ -58,18 +58,18 @@ class Dialer:
         api = settings.parse_uri(uri, "a publisher's URI")
         place = await self._request_topic(await self.rpc(*api), topic)
         self._own.check_step(api, place)
-        stream = await self._connect(*place, Flavour.TCPROS)
+        stream = await self._connect(*place, WireProtocol.TCPROS)
         self._judge(stream)
         return stream
 
     async def service(self, uri: str) -> SecureStream[Identity]:
         """Connect to the provider of a service, at its rosrpc URI; raises as `topic`."""
         host, port = settings.parse_uri(uri, "a service's URI", scheme="rosrpc")
-        stream = await self._connect(host, port, Flavour.TCPROS)
+        stream = await self._connect(host, port, WireProtocol.TCPROS)
         self._judge(stream)
         return stream
 
-    async def _connect(self, host: str, port: int, opening: Flavour) -> SecureStream[Identity]:
+    async def _connect(self, host: str, port: int, opening: WireProtocol) -> SecureStream[Identity]:
         return await connect(
             host,
             port,
@@ -92,7 +92,9 @@ class Dialer:
             case ["TCPROS", str() as host, int() as port] if 0 < port < 1 << 16:
                 return host, port
             case _:
-                raise TopicRefused(f"{stream.peer.name} offers no connection for {topic}")
+                raise ConnectionHeaderRefused(
+                    f"{stream.peer.name} offers no connection for {topic}"
+                )
 
     def _judge(self, stream: SecureStream[Identity]) -> None:
         try:

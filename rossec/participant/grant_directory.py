@@ -13,7 +13,7 @@ from rossec.participant.access import Access
 _log = logging.getLogger("rossec.node")
 
 
-class Shelf:
+class GrantDirectory:
     """Moves the grants of a directory into a node's `Access`."""
 
     def __init__(self, home: NodeHome, access: Access) -> None:

@@ -11,7 +11,7 @@ from typing import Final, Protocol
 
 from grants.errors import GrantError
 from rossec.errors import AnswerMalformed
-from rossec.participant.access import Access, Holding
+from rossec.participant.access import Access, HeldGrant
 from rossec.ros.text import printable
 
 METHOD: Final = "rossec.renewGrants"
@@ -31,7 +31,7 @@ class Renewals:
         self._epoch = access.epoch
         self._outdated: set[bytes] = set()
 
-    def due(self, now: int) -> list[Holding]:
+    def due(self, now: int) -> list[HeldGrant]:
         """Grants to be renewed now, the most urgent first; one that was refused is due later.
 
         In a new epoch of the list numbers begin again: tickets made before it are of no use.
@@ -53,7 +53,7 @@ class Renewals:
         self._retry_at.update({held.grant.id: now + _pause(held, now) for held in chosen})
         return chosen
 
-    def take(self, asked: list[Holding], answer: object, now: int) -> int:
+    def take(self, asked: list[HeldGrant], answer: object, now: int) -> int:
         """Hold what was renewed; returns how many of `asked` were.
 
         Raises:
@@ -63,7 +63,7 @@ class Renewals:
             raise AnswerMalformed("the master renewed another number of grants than asked for")
         return sum(self._hold(held, token, now) for held, token in zip(asked, answer, strict=True))
 
-    def _hold(self, held: Holding, token: object, now: int) -> bool:
+    def _hold(self, held: HeldGrant, token: object, now: int) -> bool:
         if not isinstance(token, bytes) or not token:
             return False
         try:
@@ -102,13 +102,13 @@ def renew_blocking(call: Callable[..., object], renewals: Renewals, now: int) ->
     return renewals.take(due, call(METHOD, [held.original for held in due]), now)
 
 
-def _pause(held: Holding, now: int) -> int:
+def _pause(held: HeldGrant, now: int) -> int:
     """Seconds until it is asked for again: less than its time leaves, if that is not over."""
     left = held.grant.expires - now
     return min(RETRY, max(1, left // _TRIES)) if left > 0 else RETRY
 
 
-def due_at(held: Holding) -> int:
+def due_at(held: HeldGrant) -> int:
     """At about two thirds of its life, not the same moment for all nodes.
 
     The spread comes from the id, which is random enough and needs no dice.

@@ -14,7 +14,7 @@ Fact = tuple[str, str, str]
 """Kind, name and value, as `rossec.master.api.watch_calls` has them."""
 
 
-class Change(NamedTuple):
+class ObservedChange(NamedTuple):
     """What an answer said.
 
     Args:
@@ -42,7 +42,7 @@ class GraphView:
         """The parameters of the next call."""
         return self.instance, self._cursor
 
-    def take(self, answer: object) -> Change:
+    def take(self, answer: object) -> ObservedChange:
         """Take over an answer; what has not changed though all was told anew is not reported.
 
         Raises:
@@ -62,7 +62,7 @@ class GraphView:
         self.facts = (base | told) - gone
         restarted = whole and self.instance != ""
         self.instance, self.version, self._cursor = instance, version, cursor
-        return Change(
+        return ObservedChange(
             tuple(sorted(self.facts - known)), tuple(sorted(known - self.facts)), restarted, more
         )
 

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 
 from ca.certificates import Identity
-from rossec.errors import CallerMismatch, TopicRefused
+from rossec.errors import CallerMismatch, ConnectionHeaderRefused
 
 Fields = dict[str, bytes]
 
@@ -13,7 +13,7 @@ def check_caller(fields: Mapping[str, bytes], peer: Identity) -> None:
 
     Raises:
         CallerMismatch: it is another one.
-        TopicRefused: there is none.
+        ConnectionHeaderRefused: there is none.
     """
     caller = text(fields, "callerid")
     if not peer.covers(caller):
@@ -27,15 +27,15 @@ def text(fields: Mapping[str, bytes], key: str) -> str:
     """Field `key` as printable text of at most 4096 characters.
 
     Raises:
-        TopicRefused: missing, not UTF-8, or with control characters.
+        ConnectionHeaderRefused: missing, not UTF-8, or with control characters.
     """
     value = fields.get(key)
     if value is None:
-        raise TopicRefused(f"the connection header has no {key!r}")
+        raise ConnectionHeaderRefused(f"the connection header has no {key!r}")
     try:
         decoded = value.decode()
     except UnicodeDecodeError:
-        raise TopicRefused(f"the connection header's {key!r} is not text") from None
+        raise ConnectionHeaderRefused(f"the connection header's {key!r} is not text") from None
     if not decoded.isprintable() and key != "error":
-        raise TopicRefused(f"the connection header's {key!r} holds control characters")
+        raise ConnectionHeaderRefused(f"the connection header's {key!r} holds control characters")
     return "".join(char if char.isprintable() else " " for char in decoded)[:4096]

@@ -5,12 +5,12 @@ node back to itself. So whoever was met first at another place leads nowhere her
 """
 
 from rossec.channel.edhoc.own_dials import OwnDials
-from rossec.errors import TopicRefused
+from rossec.errors import ConnectionHeaderRefused
 
-Place = tuple[str, int]
+Address = tuple[str, int]
 
 
-class OwnPlaces:
+class OwnAddresses:
     """The places of one node.
 
     Attributes:
@@ -28,24 +28,26 @@ class OwnPlaces:
         self.host = host
         self._ports.update(ports)
 
-    def is_own(self, place: Place) -> bool:
+    def is_own(self, place: Address) -> bool:
         """Whether this node listens at this host and port."""
         host, port = place
         return self.host != "" and _plain(host) == _plain(self.host) and port in self._ports
 
-    def dials_for(self, place: Place) -> OwnDials | None:
+    def dials_for(self, place: Address) -> OwnDials | None:
         """What a dial to `place` is noted in; None: it is meant for another node."""
         return self.dials if self.is_own(place) else None
 
-    def check_step(self, first: Place, then: Place) -> None:
+    def check_step(self, first: Address, then: Address) -> None:
         """Refuse to be led from another node back to this one.
 
         Raises:
-            TopicRefused: `first`, which named `then`, is not this node, and `then` is.
+            ConnectionHeaderRefused: `first`, which named `then`, is not this node, and `then` is.
         """
         if self.is_own(then) and not self.is_own(first):
             host, port = first
-            raise TopicRefused(f"the node at {host} port {port} sends this node to itself")
+            raise ConnectionHeaderRefused(
+                f"the node at {host} port {port} sends this node to itself"
+            )
 
 
 def _plain(host: str) -> str:

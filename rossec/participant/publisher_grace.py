@@ -14,7 +14,7 @@ from typing import Final
 GRACE: Final = 15.0  # seconds; a hundred nodes are back within six
 
 
-class NamedPublishers:
+class PublisherGrace:
     """The publishers of each topic of one node, by their URIs.
 
     Args:

@@ -1,7 +1,7 @@
 """The watch over a node's live connections: cut what has expired, been revoked or gone stale.
 
-A shell around `links.why_cut`. It waits for nothing but the clock: a master that hangs must not
-keep an expired link alive.
+A shell around `links.termination_reason`. It waits for nothing but the clock: a master that hangs
+must not keep an expired link alive.
 """
 
 import asyncio
@@ -12,7 +12,7 @@ from weakref import WeakSet
 
 from ca.revocation.state import Revocations
 from rossec import clock
-from rossec.participant.connections import Link, why_cut
+from rossec.participant.connections import AuthorizedConnection, termination_reason
 
 PERIOD: Final = 1.0  # seconds between looks; an expiry is met to the second
 
@@ -23,24 +23,29 @@ WENT_BACK: Final = (
 _log = logging.getLogger("rossec.node")
 
 
-class Door(Protocol):
+class NodePorts(Protocol):
     """The ports of a node."""
 
     def cut(self, revoked: frozenset[bytes]) -> None:
         """Cut every connection of a revoked key, whatever it is used for."""
 
 
-class Watch:
+class ConnectionWatchdog:
     """Cuts the links of one node."""
 
     def __init__(
-        self, revocations: Revocations, links: Callable[[], Iterable[Link]], listener: Door
+        self,
+        revocations: Revocations,
+        links: Callable[[], Iterable[AuthorizedConnection]],
+        listener: NodePorts,
     ) -> None:
         self._revocations = revocations
         self._links = links
         self._listener = listener
         self._setbacks = clock.Setbacks()
-        self._done: WeakSet[Link] = WeakSet()  # cut, and not yet taken off by who serves them
+        self._done: WeakSet[AuthorizedConnection] = (
+            WeakSet()
+        )  # cut, and not yet taken off by who serves them
 
     async def run(self) -> None:
         """Look again and again, until cancelled."""
@@ -60,12 +65,12 @@ class Watch:
     def cut(self, now: int) -> None:
         """Cut every link that must end at `now`, and every connection of a revoked key."""
         for link in self._live():
-            reason = why_cut(link, self._revocations, now)
+            reason = termination_reason(link, self._revocations, now)
             if reason is not None:
                 self._done.add(link)
                 _log.warning("cut %s: %s", link.stream.peer.name, reason)
                 link.stream.abort(reason)
         self._listener.cut(self._revocations.entries)
 
-    def _live(self) -> list[Link]:
+    def _live(self) -> list[AuthorizedConnection]:
         return [link for link in self._links() if link not in self._done]

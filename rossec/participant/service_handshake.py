@@ -10,27 +10,27 @@ from dataclasses import dataclass
 from ca.certificates import Identity
 from grants.decision import Decision
 from grants.model import Right
-from rossec.errors import TopicRefused
+from rossec.errors import ConnectionHeaderRefused
 from rossec.participant.access import FIELD, Access
 from rossec.participant.header_fields import Fields, check_caller, text
 from rossec.ros.names import ANY_TYPE
 
 
 @dataclass(frozen=True)
-class Expected:
+class ExpectedService:
     """Name and checksum of a service type; `*` expects nothing."""
 
     type_name: str
     md5sum: str
 
 
-ANY: Expected = Expected(ANY_TYPE, ANY_TYPE)
+ANY: ExpectedService = ExpectedService(ANY_TYPE, ANY_TYPE)
 
 
 def client_header(
     caller: str,
     service: str,
-    kind: Expected,
+    kind: ExpectedService,
     access: Access,
     now: int,
     *,
@@ -49,7 +49,9 @@ def client_header(
     }
 
 
-def server_header(caller: str, service: str, kind: Expected, access: Access, now: int) -> Fields:
+def server_header(
+    caller: str, service: str, kind: ExpectedService, access: Access, now: int
+) -> Fields:
     """Fields a server answers with; they prove its right to provide."""
     return {
         "callerid": caller.encode(),
@@ -76,7 +78,7 @@ def requested_service(fields: Mapping[str, bytes]) -> str:
     """Service a connecting client asks for.
 
     Raises:
-        TopicRefused: no service, or a name that is not text.
+        ConnectionHeaderRefused: no service, or a name that is not text.
     """
     return text(fields, "service")
 
@@ -88,7 +90,7 @@ def admit_caller(fields: Mapping[str, bytes], peer: Identity, access: Access, no
     `Decision.require_unrestricted`: the header of a service carries no definition to apply them by.
 
     Raises:
-        CallerMismatch, TopicRefused: the header does not fit the peer.
+        CallerMismatch, ConnectionHeaderRefused: the header does not fit the peer.
         GrantError, CAError: the peer may not call.
     """
     check_caller(fields, peer)
@@ -101,11 +103,11 @@ def admit_provider(
     """Decide on a server from the header it answered with.
 
     Raises:
-        CallerMismatch, TopicRefused: it refuses, or calls itself by another name.
+        CallerMismatch, ConnectionHeaderRefused: it refuses, or calls itself by another name.
         GrantError, CAError: the peer may not provide.
     """
     if "error" in fields:
-        raise TopicRefused(f"{peer.name} refuses: {text(fields, 'error')}")
+        raise ConnectionHeaderRefused(f"{peer.name} refuses: {text(fields, 'error')}")
     check_caller(fields, peer)
     return access.authorize(peer, fields.get(FIELD), Right.PROVIDE, service, now)
 
@@ -114,11 +116,11 @@ def check_md5(fields: Mapping[str, bytes], service: str, md5sum: str) -> None:
     """Compare checksums as ROS does, which ignores the type's name; `*` fits everything.
 
     Raises:
-        TopicRefused: the two sides do not mean the same service.
+        ConnectionHeaderRefused: the two sides do not mean the same service.
     """
     theirs = text(fields, "md5sum")
     if theirs != md5sum and ANY_TYPE not in {theirs, md5sum}:
-        raise TopicRefused(
+        raise ConnectionHeaderRefused(
             f"{service} has the checksum {md5sum} here, {theirs} at the peer",
             "both sides need the same version of the service's package",
         )

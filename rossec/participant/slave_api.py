@@ -14,7 +14,7 @@ from typing import Final, Protocol
 
 from ca.certificates import Identity
 from ca.errors import HintedError
-from rossec.participant.slave_rights import QUESTIONS
+from rossec.participant.slave_rights import SLAVE_CALLS
 from rossec.ros import names
 
 Answer = list[object]
@@ -49,7 +49,7 @@ class SlaveEvents(Protocol):
 
 
 @dataclass(frozen=True)
-class Rule:
+class SlaveMethod:
     """What a call must look like: the parameters after caller_id, and who may make it."""
 
     kinds: tuple[type, ...]
@@ -57,20 +57,20 @@ class Rule:
     master_only: bool = True
 
 
-RULES: Final[Mapping[str, Rule]] = {
-    "publisherUpdate": Rule((str, list), 0),
-    "paramUpdate": Rule((str, object), 0),
-    "shutdown": Rule((str,), 0),
-    REVOCATION_UPDATE: Rule((bytes, bytes), 0),
-    "requestTopic": Rule((str, list), [], master_only=False),
-    "getName": Rule((), ""),
-    "getUri": Rule((), ""),
-    "getMasterUri": Rule((), ""),
-    "getPid": Rule((), -1),
-    "getBusStats": Rule((), []),
-    "getBusInfo": Rule((), []),
-    "getSubscriptions": Rule((), []),
-    "getPublications": Rule((), []),
+RULES: Final[Mapping[str, SlaveMethod]] = {
+    "publisherUpdate": SlaveMethod((str, list), 0),
+    "paramUpdate": SlaveMethod((str, object), 0),
+    "shutdown": SlaveMethod((str,), 0),
+    REVOCATION_UPDATE: SlaveMethod((bytes, bytes), 0),
+    "requestTopic": SlaveMethod((str, list), [], master_only=False),
+    "getName": SlaveMethod((), ""),
+    "getUri": SlaveMethod((), ""),
+    "getMasterUri": SlaveMethod((), ""),
+    "getPid": SlaveMethod((), -1),
+    "getBusStats": SlaveMethod((), []),
+    "getBusInfo": SlaveMethod((), []),
+    "getSubscriptions": SlaveMethod((), []),
+    "getPublications": SlaveMethod((), []),
 }
 
 
@@ -84,7 +84,7 @@ def refusal(
     rule = RULES.get(method)
     if rule is None:
         return [_ERROR, "rossec: no such method", 0]
-    granted = entitled and method in QUESTIONS
+    granted = entitled and method in SLAVE_CALLS
     if rule.master_only and peer.name != MASTER and not granted:
         return [_ERROR, f"rossec: {method} is for the master alone", rule.default]
     unnamed = without_caller(params, rule.default)

@@ -19,7 +19,7 @@ MASTER: Final = "/master"
 PRESENT: Final = "rossec.presentGrants"
 OPEN: Final = frozenset({"requestTopic"})
 STEERING: Final = frozenset({"publisherUpdate", "paramUpdate"})
-QUESTIONS: Final[Mapping[str, Right]] = {
+SLAVE_CALLS: Final[Mapping[str, Right]] = {
     "shutdown": Right.ADMIN,
     "getPid": Right.GRAPH,
     "getBusInfo": Right.GRAPH,
@@ -32,7 +32,7 @@ QUESTIONS: Final[Mapping[str, Right]] = {
 }
 
 
-def check_question(
+def check_slave_call(
     method: str, peer: Identity, node: str, shown: bytes | None, access: Access, now: int
 ) -> None:
     """Return if `peer`, having shown the grants `shown`, may call `method` of the node `node`.
@@ -42,9 +42,9 @@ def check_question(
         GrantError, CAError: the right is missing, or the peer revoked.
     """
     access.check_peer(peer, now)
-    if method in OPEN or (peer.name == MASTER and (method in STEERING or method in QUESTIONS)):
+    if method in OPEN or (peer.name == MASTER and (method in STEERING or method in SLAVE_CALLS)):
         return
-    right = QUESTIONS.get(method)
+    right = SLAVE_CALLS.get(method)
     if right is None:
         known = method in STEERING
         raise CallRefused(f"{method} is for the master alone" if known else "no such method")

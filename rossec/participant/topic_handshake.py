@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from ca.certificates import Identity
 from grants.decision import Decision
 from grants.model import Right
-from rossec.errors import TopicRefused
+from rossec.errors import ConnectionHeaderRefused
 from rossec.participant.access import FIELD, Access
 from rossec.participant.header_fields import Fields, check_caller, text
 from rossec.ros.names import ANY_TYPE
@@ -22,20 +22,20 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Endpoint:
+class TopicEndpoint:
     """A topic as this node sees it: its resolved name and its type."""
 
     topic: str
     type: "MessageType"
 
     @property
-    def expected(self) -> "Expected":
+    def expected(self) -> "ExpectedTopic":
         """What the other side must mean."""
-        return Expected(self.topic, self.type.name, self.type.md5sum)
+        return ExpectedTopic(self.topic, self.type.name, self.type.md5sum)
 
 
 @dataclass(frozen=True)
-class Expected:
+class ExpectedTopic:
     """A topic with the name and md5sum of its type; `*` expects nothing of the type."""
 
     topic: str
@@ -43,7 +43,7 @@ class Expected:
     md5sum: str
 
 
-def subscriber_header(caller: str, endpoint: Endpoint, access: Access, now: int) -> Fields:
+def subscriber_header(caller: str, endpoint: TopicEndpoint, access: Access, now: int) -> Fields:
     """Fields a subscriber sends first; they prove its right to subscribe."""
     return {
         "callerid": caller.encode(),
@@ -57,7 +57,7 @@ def subscriber_header(caller: str, endpoint: Endpoint, access: Access, now: int)
 
 
 def publisher_header(
-    caller: str, endpoint: Endpoint, access: Access, now: int, *, latching: bool
+    caller: str, endpoint: TopicEndpoint, access: Access, now: int, *, latching: bool
 ) -> Fields:
     """Fields a publisher answers with; they prove its right to publish."""
     return {
@@ -75,7 +75,7 @@ def requested_topic(fields: Mapping[str, bytes]) -> str:
     """Topic a connecting subscriber asks for.
 
     Raises:
-        TopicRefused: no topic, or a name that is not text.
+        ConnectionHeaderRefused: no topic, or a name that is not text.
     """
     return text(fields, "topic")
 
@@ -86,7 +86,7 @@ def admit_subscriber(
     """Decide on a subscriber from its header, before anything about the topic is looked up.
 
     Raises:
-        CallerMismatch, TopicRefused: the header does not fit the peer.
+        CallerMismatch, ConnectionHeaderRefused: the header does not fit the peer.
         GrantError, CAError: the peer may not subscribe.
     """
     check_caller(fields, peer)
@@ -94,7 +94,7 @@ def admit_subscriber(
 
 
 def admit_publisher(
-    fields: Mapping[str, bytes], peer: Identity, expected: Expected, access: Access, now: int
+    fields: Mapping[str, bytes], peer: Identity, expected: ExpectedTopic, access: Access, now: int
 ) -> Decision:
     """Decide on a publisher from the header it answered with.
 
@@ -102,27 +102,29 @@ def admit_publisher(
     the receiver reads it: the publisher may describe it otherwise under the same md5sum.
 
     Raises:
-        CallerMismatch, TopicRefused: another topic or type than asked for, or another name.
-        GrantError, CAError: the peer may not publish.
+        CallerMismatch, ConnectionHeaderRefused: another topic or type than asked for, or another
+        name. GrantError, CAError: the peer may not publish.
     """
     if "error" in fields:
-        raise TopicRefused(f"{peer.name} refuses: {text(fields, 'error')}")
+        raise ConnectionHeaderRefused(f"{peer.name} refuses: {text(fields, 'error')}")
     check_caller(fields, peer)
     if text(fields, "topic") != expected.topic:
-        raise TopicRefused(f"{peer.name} answers with another topic than {expected.topic}")
+        raise ConnectionHeaderRefused(
+            f"{peer.name} answers with another topic than {expected.topic}"
+        )
     check_type(fields, expected)
     return access.authorize(peer, fields.get(FIELD), Right.PUBLISH, expected.topic, now)
 
 
-def check_type(fields: Mapping[str, bytes], expected: Expected) -> None:
+def check_type(fields: Mapping[str, bytes], expected: ExpectedTopic) -> None:
     """Compare type and md5 as TCPROS does; `*` fits everything, on either side.
 
     Raises:
-        TopicRefused: the two sides do not mean the same message.
+        ConnectionHeaderRefused: the two sides do not mean the same message.
     """
     name, md5sum = text(fields, "type"), text(fields, "md5sum")
     if not _fits(name, expected.type_name) or not _fits(md5sum, expected.md5sum):
-        raise TopicRefused(
+        raise ConnectionHeaderRefused(
             f"{expected.topic} carries {expected.type_name} ({expected.md5sum}),"
             f" the peer expects {name} ({md5sum})",
             "both sides need the same version of the message package",

@@ -6,7 +6,7 @@ a unit (`progress`) is asked of a message as well.
 
 from typing import Final
 
-from rossec.progress import STEP, Unfinished
+from rossec.progress import STEP, Progress
 from rossec.ros.header import FrameReader
 
 PATIENCE: Final = float(STEP)
@@ -21,7 +21,7 @@ class Framing:
 
     def __init__(self, reader: FrameReader) -> None:
         self._reader = reader
-        self._unfinished = Unfinished()
+        self._unfinished = Progress()
 
     @property
     def waits(self) -> bool:

@@ -13,7 +13,7 @@ from urllib.parse import urlsplit
 
 from ca.errors import NameRefused
 from ca.names import check_name
-from rossec.errors import SettingsRefused
+from rossec.errors import ConfigurationError
 from rossec.ros import names
 
 DEFAULT_MASTER_URI: Final = "http://localhost:11311"
@@ -59,7 +59,7 @@ def read(argv: Sequence[str], environ: Mapping[str, str], *, default_name: str) 
     """Settings from the arguments (without the program's path) and the environment.
 
     Raises:
-        SettingsRefused: a variable or an argument that cannot be meant; the hint has the remedy.
+        ConfigurationError: a variable or an argument that cannot be meant; the hint has the remedy.
     """
     assignments, arguments = _split(argv)
     special = {key: value for key, value in assignments if key.startswith("__")}
@@ -83,23 +83,23 @@ def parse_uri(uri: str, what: str = "uri", *, scheme: str = "http") -> tuple[str
     """Host and port of an `http://host:port` URI; of a service's, `scheme` is `rosrpc`.
 
     Raises:
-        SettingsRefused: `what` holds something else.
+        ConfigurationError: `what` holds something else.
     """
     hint = f"it looks like {scheme}://localhost:{DEFAULT_PORT}, with {scheme}:// and a port"
     try:
         parts = urlsplit(uri)
     except ValueError as error:  # a bracket that is not closed
-        raise SettingsRefused(f"{what} is {uri!r}, which names no host", hint) from error
+        raise ConfigurationError(f"{what} is {uri!r}, which names no host", hint) from error
     if parts.scheme != scheme:
-        raise SettingsRefused(f"{what} is {uri!r}, which does not begin with {scheme}://", hint)
+        raise ConfigurationError(f"{what} is {uri!r}, which does not begin with {scheme}://", hint)
     try:
         host, port = parts.hostname, parts.port
     except ValueError as error:
-        raise SettingsRefused(f"{what} is {uri!r}, whose port is not a number", hint) from error
+        raise ConfigurationError(f"{what} is {uri!r}, whose port is not a number", hint) from error
     if not host:
-        raise SettingsRefused(f"{what} is {uri!r}, which names no host", hint)
+        raise ConfigurationError(f"{what} is {uri!r}, which names no host", hint)
     if not port:
-        raise SettingsRefused(f"{what} is {uri!r}, which has no port", f"add :{DEFAULT_PORT}")
+        raise ConfigurationError(f"{what} is {uri!r}, which has no port", f"add :{DEFAULT_PORT}")
     return host, port
 
 
@@ -133,11 +133,11 @@ def _split(argv: Sequence[str]) -> tuple[list[tuple[str, str]], tuple[str, ...]]
 
 def _assignment(argument: str, key: str, value: str) -> tuple[str, str]:
     if not key or not value:
-        raise SettingsRefused(
+        raise ConfigurationError(
             f"the argument {argument!r} lacks a side of ':='", "write it without spaces: from:=to"
         )
     if key.startswith("__") and key not in _SPECIAL:
-        raise SettingsRefused(
+        raise ConfigurationError(
             f"the argument {argument!r} is none of ROS's own",
             "ROS knows " + ", ".join(sorted(_SPECIAL)),
         )
@@ -147,7 +147,7 @@ def _assignment(argument: str, key: str, value: str) -> tuple[str, str]:
 def _node_name(special: Mapping[str, str], environ: Mapping[str, str], default: str) -> str:
     base = special.get("__name", default)
     if names.SEPARATOR in base.removeprefix(names.SEPARATOR):
-        raise SettingsRefused(
+        raise ConfigurationError(
             f"the node name {base!r} contains a namespace", "give the namespace with __ns:=/name"
         )
     space = special.get("__ns", environ.get("ROS_NAMESPACE", names.SEPARATOR))
@@ -168,15 +168,15 @@ def _address(special: Mapping[str, str], environ: Mapping[str, str]) -> str | No
 
 def _check_address(key: str, value: str) -> str:
     if not value:
-        raise SettingsRefused(f"{key} is set but empty", f"unset {key}, or give an address")
+        raise ConfigurationError(f"{key} is set but empty", f"unset {key}, or give an address")
     if "://" in value or "/" in value:
-        raise SettingsRefused(f"{key} is {value!r}, an URI", "give the bare address, no http://")
+        raise ConfigurationError(f"{key} is {value!r}, an URI", "give the bare address, no http://")
     if key.lower().endswith("ip") and not _is_ip(value):
-        raise SettingsRefused(
+        raise ConfigurationError(
             f"{key} is {value!r}, which is not an IP address", "for a host name use ROS_HOSTNAME"
         )
     if ":" in value and not _is_ip(value):
-        raise SettingsRefused(f"{key} is {value!r}, with a port", "give the address alone")
+        raise ConfigurationError(f"{key} is {value!r}, with a port", "give the address alone")
     return value
 
 
@@ -191,7 +191,7 @@ def _is_ip(value: str) -> bool:
 def _ipv6(environ: Mapping[str, str]) -> bool:
     value = environ.get("ROS_IPV6", "off")
     if value not in ("on", "off", ""):
-        raise SettingsRefused(f"ROS_IPV6 is {value!r}", "ROS knows only on and off")
+        raise ConfigurationError(f"ROS_IPV6 is {value!r}", "ROS knows only on and off")
     return value == "on"
 
 
@@ -217,4 +217,4 @@ def _checked(name: str, what: str) -> str:
     try:
         return check_name(name)
     except NameRefused as error:
-        raise SettingsRefused(f"{what} {name!a} is not a ROS name", error.hint) from error
+        raise ConfigurationError(f"{what} {name!a} is not a ROS name", error.hint) from error

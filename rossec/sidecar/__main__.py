@@ -16,7 +16,7 @@ from ca.errors import HintedError
 from rossec.channel.suite_selection import post_quantum
 from rossec.discovery.choose import settle_master
 from rossec.home import own_home
-from rossec.log_limits import Quiet
+from rossec.log_limits import LogRateLimit
 from rossec.ros import settings
 from rossec.ros.text import printable
 from rossec.sidecar import child, loopback_port
@@ -37,7 +37,7 @@ def main() -> int:
     )
     if not options["verbose"]:
         for handler in logging.getLogger().handlers:
-            handler.addFilter(Quiet())
+            handler.addFilter(LogRateLimit())
     try:
         return asyncio.run(_run(options))
     except child.NoSuchProgram as error:

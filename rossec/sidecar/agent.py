@@ -1,6 +1,6 @@
 """One identity of the sidecar, in its parts; the house that visits are made for.
 
-A shell around `layers.Tenant`. `membership` is its standing with the master, `exports` and
+A shell around `layers.AgentState`. `membership` is its standing with the master, `exports` and
 `imports` are its doors, and the watch cuts what expires or is revoked: without it nothing goes on.
 """
 
@@ -11,30 +11,30 @@ from grants.model import Right
 from rossec import clock
 from rossec.channel.edhoc.credentials import LiveCredentials
 from rossec.channel.edhoc.suites import PRODUCTION
-from rossec.channel.opening import Flavour
+from rossec.channel.opening import WireProtocol
 from rossec.errors import HangUp
 from rossec.home import NodeHome
 from rossec.net.aio import SecureStream
 from rossec.net.aio.tasks import TaskSet
 from rossec.net.halfopen import HalfOpenCount
-from rossec.participant.accepted import Guests
+from rossec.participant.accepted import AcceptedConnections
 from rossec.participant.access import Access
-from rossec.participant.publisher_grace import NamedPublishers
-from rossec.participant.revocation_watch import Watch
+from rossec.participant.publisher_grace import PublisherGrace
+from rossec.participant.revocation_watch import ConnectionWatchdog
 from rossec.ros.settings import Settings
 from rossec.saved_revocations import saved_revocations
 from rossec.sidecar.callers import Callers
-from rossec.sidecar.connection_cache import Kept
-from rossec.sidecar.connector import Network
+from rossec.sidecar.connection_cache import ConnectionCache
+from rossec.sidecar.connector import PeerConnector
 from rossec.sidecar.core import master_calls
-from rossec.sidecar.core.endpoints import Doors, Endpoint
-from rossec.sidecar.core.layers import Tenant
-from rossec.sidecar.egress import Imports
-from rossec.sidecar.executor import Correspondent, Visit
+from rossec.sidecar.core.endpoints import Endpoint, EndpointMap
+from rossec.sidecar.core.layers import AgentState
+from rossec.sidecar.egress import Egress
+from rossec.sidecar.executor import CommandExecutor, SlaveApiClient
 from rossec.sidecar.host_types import known_type
-from rossec.sidecar.ingress import Exports
+from rossec.sidecar.ingress import Ingress
 from rossec.sidecar.membership import Membership
-from rossec.sidecar.peer_connections import Links
+from rossec.sidecar.peer_connections import PeerConnections
 
 
 class Agent:
@@ -64,24 +64,24 @@ class Agent:
         revocations = saved_revocations(home, anchor, clock.now())
         access = Access(anchor, revocations)
         identity = home.identity(clock.now())
-        doors = Doors(outside.address or "", callers.loopback.host)
-        named = NamedPublishers(clock.counter())
-        self.tenant = Tenant(identity, access, doors, master_uri, known_type, named)
-        self._network = Network(credentials, anchor, access, suites, half_open)
-        self._links, guests = Links(revocations), Guests()
-        self._watch = Watch(revocations, lambda: self._links, guests)
+        doors = EndpointMap(outside.address or "", callers.loopback.host)
+        named = PublisherGrace(clock.counter())
+        self.tenant = AgentState(identity, access, doors, master_uri, known_type, named)
+        self._network = PeerConnector(credentials, anchor, access, suites, half_open)
+        self._links, guests = PeerConnections(revocations), AcceptedConnections()
+        self._watch = ConnectionWatchdog(revocations, lambda: self._links, guests)
         self._membership = Membership(
             self, home, self.tenant, credentials, revocations,
             self._dial_master, self._watch.cut,
         )  # fmt: skip
-        self._exports = Exports(
+        self._exports = Ingress(
             self, self.tenant, self._network, self._links, guests, home.filter_key,
             self._membership.revocations_arrived,
         )  # fmt: skip
-        self._imports = Imports(
+        self._imports = Egress(
             self, self.tenant, self._links, home.filter_key, self._membership.topic_ended
         )
-        self._kept = Kept()
+        self._kept = ConnectionCache()
         self._watching = TaskSet(self._blind)
         self._is_blind = False
         self._opening = asyncio.Lock()
@@ -95,7 +95,7 @@ class Agent:
     async def call_master(self, method: str, params: tuple[object, ...]) -> object:
         """Answer a program's call to its master."""
         await self._start()
-        visit = Visit(self)
+        visit = CommandExecutor(self)
         try:
             return await visit.run(master_calls.call(self.tenant, method, params))
         finally:
@@ -127,11 +127,11 @@ class Agent:
         """The loopback port for `remote`; it refuses callers."""
         return self._imports.rest(remote)
 
-    def keep(self, remote: Endpoint, correspondent: Correspondent) -> None:
+    def keep(self, remote: Endpoint, correspondent: SlaveApiClient) -> None:
         """Keep a connection for the next caller of `remote`, for a moment."""
         self._kept.keep(remote, correspondent)
 
-    def kept(self, remote: Endpoint) -> Correspondent | None:
+    def kept(self, remote: Endpoint) -> SlaveApiClient | None:
         """Such a connection, for this caller alone."""
         return self._kept.take(remote)
 
@@ -168,7 +168,7 @@ class Agent:
 
     async def _dial_master(self) -> SecureStream[Identity]:
         host, port = self._outside.master_host, self._outside.master_port
-        return await self._network.dial(Endpoint(Flavour.HTTP, host, port), news=True)
+        return await self._network.dial(Endpoint(WireProtocol.HTTP, host, port), news=True)
 
     def _blind(self, _: BaseException) -> None:
         """The watch has died: what it would no longer cut must not go on."""

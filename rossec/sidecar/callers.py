@@ -14,7 +14,7 @@ from rossec.errors import PeerUserRefused
 from rossec.net.host import peeruid
 from rossec.net.host.peeruid import Holder
 from rossec.sidecar.core.endpoints import LOOPBACK, Loopback
-from rossec.sidecar.socket_owners import Holders
+from rossec.sidecar.socket_owners import SocketOwners
 
 _HINT: Final = "start it with `rossec run`; one with capabilities needs `rossec sidecar`"
 
@@ -36,7 +36,7 @@ class Callers:
     ) -> None:
         self.loopback: Final = loopback
         self._users = frozenset(users)
-        self._holders = None if ancestor is None else Holders(ancestor)
+        self._holders = None if ancestor is None else SocketOwners(ancestor)
 
     async def check(self, sock: socket.socket) -> None:
         """Return if a program that may is at the other end.

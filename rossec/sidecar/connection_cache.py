@@ -9,25 +9,25 @@ from typing import Final
 
 from rossec.net.aio.tasks import TaskSet
 from rossec.sidecar.core.endpoints import Endpoint
-from rossec.sidecar.executor import Correspondent
+from rossec.sidecar.executor import SlaveApiClient
 
 _KEEP: Final = 5.0
 
 
-class Kept:
+class ConnectionCache:
     """At most one for each peer."""
 
     def __init__(self) -> None:
-        self._kept: dict[Endpoint, Correspondent] = {}
+        self._kept: dict[Endpoint, SlaveApiClient] = {}
         self._tasks = TaskSet()
 
-    def keep(self, remote: Endpoint, correspondent: Correspondent) -> None:
+    def keep(self, remote: Endpoint, correspondent: SlaveApiClient) -> None:
         """Keep a connection for the next caller of `remote`, for a moment."""
         old = self._kept.pop(remote, None)
         self._kept[remote] = correspondent
         self._tasks.spawn(self._let_go(remote, correspondent, old), "a kept connection")
 
-    def take(self, remote: Endpoint) -> Correspondent | None:
+    def take(self, remote: Endpoint) -> SlaveApiClient | None:
         """Such a connection, for this caller alone."""
         return self._kept.pop(remote, None)
 
@@ -36,7 +36,7 @@ class Kept:
         await self._tasks.close()
 
     async def _let_go(
-        self, remote: Endpoint, correspondent: Correspondent, old: Correspondent | None
+        self, remote: Endpoint, correspondent: SlaveApiClient, old: SlaveApiClient | None
     ) -> None:
         if old is not None:
             await old.client.close()

@@ -11,8 +11,8 @@ from rossec import clock
 from rossec.channel.edhoc.credentials import OwnCredential
 from rossec.channel.edhoc.known import KnownCertificates
 from rossec.channel.edhoc.own_dials import OwnDials
-from rossec.channel.opening import Flavour
-from rossec.channel.records import Limits
+from rossec.channel.opening import WireProtocol
+from rossec.channel.records import ChannelLimits
 from rossec.errors import HangUp
 from rossec.net.aio import SecureStream, connect
 from rossec.net.aio.server import Handler, SecureServer, serve
@@ -28,11 +28,11 @@ from rossec.sidecar.loopback_port import on_free_port
 # Peers send headers and requests; what programs send leaves in small units.
 _ACCEPTED: Final = {
     **ACCEPTED,
-    Flavour.TCPROS: Limits(unit=MESSAGE_LIMIT + BODY_LIMIT, greeting=GREETING),
+    WireProtocol.TCPROS: ChannelLimits(unit=MESSAGE_LIMIT + BODY_LIMIT, greeting=GREETING),
 }
 
 
-class Network:
+class PeerConnector:
     """Acts with `credentials`, for peers that `anchor` vouches for and `access` knows as alive.
 
     Args:
@@ -86,7 +86,7 @@ class Network:
         )  # fmt: skip
 
     def listen(
-        self, handler: Handler[Identity], host: str, flavour: Flavour
+        self, handler: Handler[Identity], host: str, flavour: WireProtocol
     ) -> SecureServer[Identity]:
         """Listen, on loopback alone when `host`, where peers are told to come, is loopback.
 

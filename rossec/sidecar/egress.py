@@ -13,8 +13,8 @@ from typing import Final
 from ca.certificates import Identity
 from ca.errors import HintedError
 from rossec import clock
-from rossec.channel.opening import Flavour
-from rossec.channel.records import Limits
+from rossec.channel.opening import WireProtocol
+from rossec.channel.records import ChannelLimits
 from rossec.errors import HangUp, RossecError
 from rossec.net.aio import SecureStream
 from rossec.net.aio.tasks import TaskSet
@@ -28,14 +28,14 @@ from rossec.ros.header import MESSAGE_LIMIT
 from rossec.sidecar import pump
 from rossec.sidecar.core import slave_calls, tcpros
 from rossec.sidecar.core.endpoints import Endpoint
-from rossec.sidecar.core.layers import Tenant
-from rossec.sidecar.core.program_memory import Places
-from rossec.sidecar.core.tcpros import Joined
-from rossec.sidecar.executor import House, Visit
+from rossec.sidecar.core.layers import AgentState
+from rossec.sidecar.core.program_memory import ProgramMemories
+from rossec.sidecar.core.tcpros import AdmittedConnection
+from rossec.sidecar.executor import AgentServices, CommandExecutor
 from rossec.sidecar.loopback_port import LoopbackPort
-from rossec.sidecar.peer_connections import Links
+from rossec.sidecar.peer_connections import PeerConnections
 from rossec.sidecar.plain_stream import PlainStream
-from rossec.sidecar.port_pool import Doorways
+from rossec.sidecar.port_pool import PortPool
 from rossec.sidecar.pump import split_header
 
 HEADER_DEADLINE: Final = 15.0  # the peer's side of it has to be reached first
@@ -43,7 +43,7 @@ HEADER_DEADLINE: Final = 15.0  # the peer's side of it has to be reached first
 _log = logging.getLogger("rossec.sidecar")
 
 
-class Imports:
+class Egress:
     """The doors of one identity.
 
     Args:
@@ -54,9 +54,9 @@ class Imports:
 
     def __init__(
         self,
-        house: House,
-        tenant: Tenant,
-        links: Links,
+        house: AgentServices,
+        tenant: AgentState,
+        links: PeerConnections,
         filter_key: FilterKey,
         ended: Callable[[str, float], None],
     ) -> None:
@@ -66,8 +66,10 @@ class Imports:
         self._filter_key = filter_key
         self._ended = ended
         self._tasks = TaskSet()
-        self._places: Places[Visit] = Places(recall(tenant.identity.name))
-        self.doorways = Doorways(self._close_door)
+        self._places: ProgramMemories[CommandExecutor] = ProgramMemories(
+            recall(tenant.identity.name)
+        )
+        self.doorways = PortPool(self._close_door)
 
     def open(self, remote: Endpoint) -> int:
         """The loopback port for `remote`; it listens."""
@@ -88,7 +90,7 @@ class Imports:
         await self._tasks.close()
 
     def _door(self, remote: Endpoint) -> LoopbackPort:
-        serve = self._reach if remote.flavour is Flavour.TCPROS else self._inquire
+        serve = self._reach if remote.flavour is WireProtocol.TCPROS else self._inquire
 
         async def handler(program: PlainStream) -> None:
             await serve(remote, program)
@@ -102,7 +104,7 @@ class Imports:
 
     async def _inquire(self, remote: Endpoint, program: PlainStream) -> None:
         """A program's calls to a peer's slave API."""
-        visit = Visit(self._house)
+        visit = CommandExecutor(self._house)
 
         async def dispatch(method: str, params: tuple[object, ...], _: str) -> object:
             return await visit.run(slave_calls.ask_peer(self._tenant, remote, method, params))
@@ -114,7 +116,7 @@ class Imports:
 
     async def _reach(self, remote: Endpoint, program: PlainStream) -> None:
         """A program that subscribes to a peer's topic, or calls its service."""
-        visit = Visit(self._house)
+        visit = CommandExecutor(self._house)
         try:
             try:
                 async with asyncio.timeout(HEADER_DEADLINE):
@@ -145,7 +147,7 @@ class Imports:
 
     async def _pass(
         self,
-        joined: Joined,
+        joined: AdmittedConnection,
         program: PlainStream,
         stream: SecureStream[Identity],
         early: bytes,
@@ -156,6 +158,6 @@ class Imports:
             if joined.service:
                 await pump.exchange(program, stream, early, first)
             else:
-                stream.welcome(unit_limit(joined.size, Limits.unit))
+                stream.welcome(unit_limit(joined.size, ChannelLimits.unit))
                 longest = message_limit(joined.size, MESSAGE_LIMIT)
                 await pump.subscribe(program, stream, joined.guard, first, longest)

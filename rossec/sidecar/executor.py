@@ -27,16 +27,24 @@ from rossec.sidecar.core.commands import (
     AskMaster,
     AskRemote,
     Command,
-    Export,
-    Import,
-    Knock,
-    MeetPeer,
-    MeetProgram,
+    ConnectPeer,
+    ConnectProgram,
+    OpenEgress,
+    OpenIngress,
+    Probe,
     Question,
-    Rest,
+    Suspend,
 )
 from rossec.sidecar.core.endpoints import Endpoint
-from rossec.sidecar.core.events import Answered, Done, Event, HeaderArrived, Opened, Passed, Silent
+from rossec.sidecar.core.events import (
+    Answered,
+    CommandDone,
+    Event,
+    HeaderArrived,
+    NoAnswer,
+    Opened,
+    Passed,
+)
 from rossec.sidecar.core.layers import Layer, Outcome
 from rossec.sidecar.plain_stream import PlainStream
 from rossec.sidecar.pump import split_header
@@ -45,7 +53,7 @@ DEADLINE: Final = 10.0
 
 
 @dataclass
-class Correspondent:
+class SlaveApiClient:
     """A peer's slave API, connected; `shown` are the rights whose grants it has seen."""
 
     client: RpcClient
@@ -58,7 +66,7 @@ class Correspondent:
         return not self.client.closed
 
 
-class House(Protocol):
+class AgentServices(Protocol):
     """What a visit needs of the identity it is made for."""
 
     @property
@@ -81,10 +89,10 @@ class House(Protocol):
     def shut(self, remote: Endpoint) -> int:
         """The loopback port for `remote`; it refuses callers."""
 
-    def keep(self, remote: Endpoint, correspondent: Correspondent) -> None:
+    def keep(self, remote: Endpoint, correspondent: SlaveApiClient) -> None:
         """Keep a connection for the next caller of `remote`."""
 
-    def kept(self, remote: Endpoint) -> Correspondent | None:
+    def kept(self, remote: Endpoint) -> SlaveApiClient | None:
         """Such a connection, for this caller alone."""
 
     async def dial(self, remote: Endpoint) -> SecureStream[Identity]:
@@ -100,7 +108,7 @@ class House(Protocol):
         """Grants that prove `right` on `name`."""
 
 
-class Visit:
+class CommandExecutor:
     """One connection's other end.
 
     Attributes:
@@ -108,10 +116,10 @@ class Visit:
         first: what it sent after its header.
     """
 
-    def __init__(self, house: House) -> None:
+    def __init__(self, house: AgentServices) -> None:
         self._house = house
         self._client: RpcClient | None = None
-        self._remote: Correspondent | None = None
+        self._remote: SlaveApiClient | None = None
         self.program: PlainStream | None = None
         self.stream: SecureStream[Identity] | None = None
         self.first = b""
@@ -151,13 +159,13 @@ class Visit:
 
     async def _carry_out(self, command: Command) -> Event:
         match command:
-            case Export(local):
+            case OpenIngress(local):
                 return Opened(self._house.export(local))
-            case Import(remote, probe):
+            case OpenEgress(remote, probe):
                 return Opened(await self._bring(remote) if probe else self._house.bring(remote))
-            case Rest(local):
+            case Suspend(local):
                 self._house.rest(local)
-                return Done()
+                return CommandDone()
             case _:
                 return await self._ask(command)
 
@@ -166,9 +174,9 @@ class Visit:
             async with asyncio.timeout(DEADLINE):
                 return await self._answer(question)
         except ConnectionRefusedError as error:
-            return Silent(str(error), dead=True)
+            return NoAnswer(str(error), dead=True)
         except (HintedError, OSError, TimeoutError) as error:
-            return Silent(str(error) or "no answer in time")
+            return NoAnswer(str(error) or "no answer in time")
 
     async def _answer(self, question: Question) -> Event:
         match question:
@@ -179,14 +187,14 @@ class Visit:
             case AskRemote(remote, method, params, right, parse):
                 client = await self._outside(remote, right)
                 return await _call(client, method, params, parse=parse)
-            case Knock(local):
+            case Probe(local):
                 await self._inside(local)
-                return Done()
-            case MeetProgram(local, fields):
+                return CommandDone()
+            case ConnectProgram(local, fields):
                 await self._leave()
                 self.program = await self._connect(local)
                 return await self._meet(self.program, None, fields)
-            case MeetPeer(remote, fields):
+            case ConnectPeer(remote, fields):
                 self.stream = await self._house.dial(remote)
                 return await self._meet(self.stream, self.stream.peer, fields)
             case _:
@@ -241,15 +249,15 @@ class Visit:
             await self._show(self._remote, right)
         return self._remote.client
 
-    async def _reach(self, remote: Endpoint) -> Correspondent:
+    async def _reach(self, remote: Endpoint) -> SlaveApiClient:
         try:
             stream = await self._house.dial(remote)
         except PeerUnreachable:
             self._house.shut(remote)
             raise
-        return Correspondent(RpcClient(stream), stream.peer)
+        return SlaveApiClient(RpcClient(stream), stream.peer)
 
-    async def _show(self, correspondent: Correspondent, right: Right) -> None:
+    async def _show(self, correspondent: SlaveApiClient, right: Right) -> None:
         """Show grants; whether they suffice is heard with the answer to the question itself."""
         grants = self._house.proof(right, correspondent.peer.name)
         with contextlib.suppress(Fault):

@@ -13,30 +13,30 @@ from typing import Final
 from ca.certificates import Identity
 from ca.errors import HintedError
 from rossec import clock
-from rossec.channel.opening import Flavour
+from rossec.channel.opening import WireProtocol
 from rossec.errors import CallRefused, HangUp
 from rossec.net.aio import SecureStream
 from rossec.net.aio.server import SecureServer
 from rossec.net.aio.tasks import TaskSet
 from rossec.net.rpc.client import serve_calls
 from rossec.participant import slave_api
-from rossec.participant.accepted import Guests
+from rossec.participant.accepted import AcceptedConnections
 from rossec.participant.limit_memory import recall
 from rossec.participant.slave_rights import MASTER
 from rossec.participant.topic_guard import FilterKey
 from rossec.ros import header
 from rossec.sidecar import pump
-from rossec.sidecar.connector import Network
+from rossec.sidecar.connector import PeerConnector
 from rossec.sidecar.core import slave_calls, tcpros
 from rossec.sidecar.core.copies import Copies
 from rossec.sidecar.core.endpoints import Endpoint
-from rossec.sidecar.core.layers import Tenant
-from rossec.sidecar.core.program_memory import Places
-from rossec.sidecar.core.tcpros import Joined
-from rossec.sidecar.executor import House, Visit
-from rossec.sidecar.peer_connections import Links
+from rossec.sidecar.core.layers import AgentState
+from rossec.sidecar.core.program_memory import ProgramMemories
+from rossec.sidecar.core.tcpros import AdmittedConnection
+from rossec.sidecar.executor import AgentServices, CommandExecutor
+from rossec.sidecar.peer_connections import PeerConnections
 from rossec.sidecar.plain_stream import PlainStream
-from rossec.sidecar.port_pool import Doorways
+from rossec.sidecar.port_pool import PortPool
 from rossec.sidecar.pump import split_header
 
 HEADER_DEADLINE: Final = 15.0  # the program's side of it may have to be reached first
@@ -46,7 +46,7 @@ _log = logging.getLogger("rossec.sidecar")
 News = Callable[[bytes, bytes, Identity], None]
 
 
-class Exports:
+class Ingress:
     """The doors of one identity.
 
     Args:
@@ -57,11 +57,11 @@ class Exports:
 
     def __init__(
         self,
-        house: House,
-        tenant: Tenant,
-        network: Network,
-        links: Links,
-        guests: Guests,
+        house: AgentServices,
+        tenant: AgentState,
+        network: PeerConnector,
+        links: PeerConnections,
+        guests: AcceptedConnections,
         filter_key: FilterKey,
         news: News,
     ) -> None:
@@ -74,8 +74,8 @@ class Exports:
         self._tasks = TaskSet()
         self._guests = guests
         self._copies = Copies()
-        self._places = Places(recall(tenant.identity.name), self._is_dead)
-        self.doorways = Doorways(self._close_door, self._is_dead)
+        self._places = ProgramMemories(recall(tenant.identity.name), self._is_dead)
+        self.doorways = PortPool(self._close_door, self._is_dead)
 
     def open(self, local: Endpoint) -> int:
         """The port outside for `local`."""
@@ -96,7 +96,7 @@ class Exports:
         await self._tasks.close()
 
     def _open_door(self, local: Endpoint) -> SecureServer[Identity]:
-        serve = self._admit if local.flavour is Flavour.TCPROS else self._answer
+        serve = self._admit if local.flavour is WireProtocol.TCPROS else self._answer
 
         async def handler(stream: SecureStream[Identity]) -> None:
             with contextlib.suppress(TimeoutError):
@@ -118,7 +118,7 @@ class Exports:
     async def _answer(self, local: Endpoint, stream: SecureStream[Identity]) -> None:
         """A peer's calls to a program's slave API."""
         shown: list[bytes] = []
-        visit = Visit(self._house)
+        visit = CommandExecutor(self._house)
 
         async def dispatch(method: str, params: tuple[object, ...], peer: Identity) -> object:
             try:
@@ -156,7 +156,7 @@ class Exports:
 
     async def _admit(self, local: Endpoint, stream: SecureStream[Identity]) -> None:
         """A peer that subscribes to a program's topic, or calls its service."""
-        visit = Visit(self._house)
+        visit = CommandExecutor(self._house)
         try:
             try:
                 async with asyncio.timeout(HEADER_DEADLINE):
@@ -181,7 +181,7 @@ class Exports:
 
     async def _pass(
         self,
-        joined: Joined,
+        joined: AdmittedConnection,
         program: PlainStream,
         stream: SecureStream[Identity],
         early: bytes,

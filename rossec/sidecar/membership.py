@@ -21,16 +21,16 @@ from rossec.errors import AnswerRefused, HangUp
 from rossec.home import NodeHome
 from rossec.net.aio import SecureStream
 from rossec.net.aio.tasks import TaskSet
-from rossec.participant.grant_directory import Shelf
+from rossec.participant.grant_directory import GrantDirectory
 from rossec.participant.grant_renewal import Renewals, renew
 from rossec.participant.identity_renewal import IdentityRenewal, renew_identity
 from rossec.participant.master_session import MasterSession
 from rossec.participant.revocation_proofs import prove
 from rossec.ros.xmlrpc import Fault
 from rossec.sidecar.core import master_calls
-from rossec.sidecar.core.layers import Layer, Tenant
-from rossec.sidecar.core.resubscribe import Lost
-from rossec.sidecar.executor import House, Visit
+from rossec.sidecar.core.layers import AgentState, Layer
+from rossec.sidecar.core.resubscribe import ResubscribeQueue
+from rossec.sidecar.executor import AgentServices, CommandExecutor
 
 _PRESENTED: Final = 64
 _COLLECT: Final = 1.0
@@ -50,9 +50,9 @@ class Membership:
 
     def __init__(
         self,
-        house: House,
+        house: AgentServices,
         home: NodeHome,
-        tenant: Tenant,
+        tenant: AgentState,
         credentials: LiveCredentials,
         revocations: Revocations,
         dial: Callable[[], Awaitable[SecureStream[Identity]]],
@@ -63,7 +63,7 @@ class Membership:
         self._tenant = tenant
         self._revocations = revocations
         self._cut = cut
-        self._shelf = Shelf(home, tenant.access)
+        self._shelf = GrantDirectory(home, tenant.access)
         self._shelf.take_new()
         self._session = MasterSession(
             home.name,
@@ -75,7 +75,7 @@ class Membership:
         )
         self._renewals = Renewals(tenant.access)
         self._identity_renewal = IdentityRenewal(home, credentials, clock.now())
-        self._lost = Lost()
+        self._lost = ResubscribeQueue()
         self._tasks = TaskSet()
 
     async def begin(self) -> str:
@@ -162,7 +162,7 @@ class Membership:
             _log.info("%s: cannot subscribe again: %s: %s", self._home.name, about, error)
 
     async def _visit(self, layer: Layer[None]) -> None:
-        visit = Visit(self._house)
+        visit = CommandExecutor(self._house)
         try:
             await visit.run(layer)
         finally:

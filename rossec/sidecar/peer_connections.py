@@ -16,12 +16,12 @@ from grants.decision import Decision
 from rossec import clock
 from rossec.errors import HangUp
 from rossec.net.aio import SecureStream
-from rossec.participant.connections import why_cut
+from rossec.participant.connections import termination_reason
 
 _log = logging.getLogger("rossec.sidecar")
 
 
-class Link:
+class PeerConnection:
     """A connection that `decision` admitted; the watch cuts it when that ends."""
 
     def __init__(self, stream: SecureStream[Identity], decision: Decision) -> None:
@@ -30,14 +30,14 @@ class Link:
         self.ends = min(decision.expires, stream.peer.not_after)
 
 
-class Links:
+class PeerConnections:
     """Those of one identity."""
 
     def __init__(self, revocations: Revocations) -> None:
         self._revocations = revocations
-        self._links: set[Link] = set()
+        self._links: set[PeerConnection] = set()
 
-    def __iter__(self) -> Iterator[Link]:
+    def __iter__(self) -> Iterator[PeerConnection]:
         return iter(tuple(self._links))
 
     @contextlib.contextmanager
@@ -47,10 +47,10 @@ class Links:
         Raises:
             HangUp: it must end before it begins.
         """
-        link = Link(stream, decision)
+        link = PeerConnection(stream, decision)
         self._links.add(link)
         try:
-            reason = why_cut(link, self._revocations, clock.now())
+            reason = termination_reason(link, self._revocations, clock.now())
             if reason is not None:
                 raise HangUp(reason)
             with _ended(stream):

@@ -15,7 +15,7 @@ from rossec.sidecar.core.endpoints import Endpoint
 LIMIT: Final = 512  # each way; a process has 1024 descriptors unless told otherwise
 
 
-class Door(Protocol):
+class PooledPort(Protocol):
     """What is asked of a door here."""
 
     @property
@@ -23,10 +23,10 @@ class Door(Protocol):
         """How many it serves."""
 
 
-DoorT = TypeVar("DoorT", bound=Door)
+DoorT = TypeVar("DoorT", bound=PooledPort)
 
 
-class Doorways(Generic[DoorT]):
+class PortPool(Generic[DoorT]):
     """Doors of one kind.
 
     Args:

@@ -15,7 +15,7 @@ from typing import Final
 from ca.certificates import Identity
 from grants.errors import GrantError
 from rossec import clock
-from rossec.errors import ChannelClosed, HeaderRefused, TopicRefused
+from rossec.errors import ChannelClosed, ConnectionHeaderRefused, HeaderRefused
 from rossec.net import withheld_log
 from rossec.net.aio import SecureStream
 from rossec.net.aio.arrivals import arrived
@@ -183,7 +183,7 @@ def framed(pieces: list[Buffer]) -> list[Buffer]:
 async def _nothing_more(end: PlainStream | SecureStream[Identity]) -> None:
     """A subscriber sends nothing after its header."""
     await end.receive()
-    raise TopicRefused("a subscriber that sends data")
+    raise ConnectionHeaderRefused("a subscriber that sends data")
 
 
 async def _both(

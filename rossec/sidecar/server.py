@@ -14,7 +14,7 @@ from typing import Final
 from ca.errors import HintedError, NameRefused
 from ca.names import check_name
 from rossec.channel.edhoc.suites import PRODUCTION
-from rossec.channel.opening import Flavour
+from rossec.channel.opening import WireProtocol
 from rossec.errors import ConfigurationError, HangUp
 from rossec.home import NodeHome
 from rossec.net.halfopen import HalfOpen, HalfOpenCount
@@ -71,7 +71,7 @@ class Sidecar:
     @property
     def uri(self) -> str:
         """What programs must be told in ROS_MASTER_URI."""
-        return Endpoint(Flavour.HTTP, self._callers.loopback.host, self._master.port).uri
+        return Endpoint(WireProtocol.HTTP, self._callers.loopback.host, self._master.port).uri
 
     def _at(self, port: int) -> LoopbackPort:
         try:

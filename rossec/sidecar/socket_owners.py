@@ -25,19 +25,19 @@ _TURN: Final = 0.002  # seconds
 _REMEMBERED: Final = 4096  # sockets
 
 
-class _Place(NamedTuple):
+class _SocketPlace(NamedTuple):
     """Where a socket was seen."""
 
     process: Process
     descriptor: str
 
 
-class Holders:
+class SocketOwners:
     """Finds holders among the descendants of `ancestor`."""
 
     def __init__(self, ancestor: int) -> None:
         self._ancestor = ancestor
-        self._places: dict[int, _Place] = {}  # by the socket's inode; the oldest first
+        self._places: dict[int, _SocketPlace] = {}  # by the socket's inode; the oldest first
         self._seen: dict[Process, set[str]] = {}  # descriptors that no caller's socket was at
         self._wanted: set[int] = set()
         self._searching = asyncio.Lock()
@@ -82,23 +82,23 @@ class Holders:
                 await asyncio.sleep(0)
                 end = time.monotonic() + _TURN
 
-    def _remember(self, inode: int, place: _Place) -> None:
+    def _remember(self, inode: int, place: _SocketPlace) -> None:
         self._places[inode] = place
         # A program that calls again often does so at the same descriptor.
         self._seen[place.process].discard(place.descriptor)
         if len(self._places) > _REMEMBERED:
             del self._places[next(iter(self._places))]
 
-    def _sightings(self) -> Iterator[tuple[int | None, _Place]]:
+    def _sightings(self) -> Iterator[tuple[int | None, _SocketPlace]]:
         """What the descendants have open, the likeliest first."""
         found = [process(number) for number in descendants(parents(), self._ancestor)]
         self._seen = {each: self._seen.get(each, set()) for each in found if each is not None}
-        later: list[_Place] = []
+        later: list[_SocketPlace] = []
         for each, seen in self._seen.items():
             names = descriptors(each.number)
             seen.intersection_update(names)
             for name in names:
-                place = _Place(each, name)
+                place = _SocketPlace(each, name)
                 if name in seen:
                     later.append(place)
                 else:

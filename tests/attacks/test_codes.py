@@ -8,7 +8,7 @@ import pytest
 
 from ca.enrollment import qr
 from ca.errors import CodeRefused
-from ca.store.lifecycle import State
+from ca.store.lifecycle import RequestState
 from rossec.authority.home import AuthorityHome
 from tests.support.commands import PASSPHRASE, Said, Shell
 from tests.support.enrolling import Robot, WaitingRobot
@@ -85,7 +85,7 @@ def test_a_label_that_was_denied(shell: Shell) -> None:
     assert said.code == 1, said
     assert certificates(shell, robot.name) == []
     states = [row.state for row in AuthorityHome.at(shell.root).store().requests.all()]
-    assert State.DENIED in states
+    assert RequestState.DENIED in states
 
 
 ADDRESSES = [

@@ -12,7 +12,7 @@ from typing import Final
 
 import pytest
 
-from rossec.channel.opening import Flavour
+from rossec.channel.opening import WireProtocol
 from rossec.enrollment.node import WaitingNode
 from rossec.errors import ChannelError
 from rossec.net.aio import connect
@@ -89,7 +89,7 @@ async def watched(pid: int | None = None) -> AsyncIterator[list[int]]:
         looking.cancel()
 
 
-async def served(site: Site, port: int, flavour: Flavour) -> None:
+async def served(site: Site, port: int, flavour: WireProtocol) -> None:
     """An honest caller is authenticated at its first attempt."""
     stream = await connect(
         HOST, port, site.enroll("/honest").credentials(), site.anchor.verify, opening=flavour
@@ -98,33 +98,33 @@ async def served(site: Site, port: int, flavour: Flavour) -> None:
 
 
 @contextlib.asynccontextmanager
-async def node_topics(site: Site) -> AsyncIterator[tuple[int, Flavour]]:
+async def node_topics(site: Site) -> AsyncIterator[tuple[int, WireProtocol]]:
     async with site.node("/robot") as robot:
-        yield robot.topic_endpoint()[1], Flavour.TCPROS
+        yield robot.topic_endpoint()[1], WireProtocol.TCPROS
 
 
 @contextlib.asynccontextmanager
-async def node_api(site: Site) -> AsyncIterator[tuple[int, Flavour]]:
+async def node_api(site: Site) -> AsyncIterator[tuple[int, WireProtocol]]:
     async with site.node("/robot") as robot:
-        yield parse_uri(robot.uri)[1], Flavour.HTTP
+        yield parse_uri(robot.uri)[1], WireProtocol.HTTP
 
 
 @contextlib.asynccontextmanager
-async def master(site: Site) -> AsyncIterator[tuple[int, Flavour]]:
+async def master(site: Site) -> AsyncIterator[tuple[int, WireProtocol]]:
     assert site.master is not None
-    yield site.master.port, Flavour.HTTP
+    yield site.master.port, WireProtocol.HTTP
 
 
 @contextlib.asynccontextmanager
-async def sidecar_door(site: Site) -> AsyncIterator[tuple[int, Flavour]]:
+async def sidecar_door(site: Site) -> AsyncIterator[tuple[int, WireProtocol]]:
     site.publish("/robot", "/word")
     async with sidecar(site) as near, Program("/robot", near) as robot:
         await robot.register("registerPublisher", "/word", "std_msgs/String")
         agent = near._agent_for("/robot")
-        yield agent.export(inside(Flavour.TCPROS, robot.topics.port)), Flavour.TCPROS
+        yield agent.export(inside(WireProtocol.TCPROS, robot.topics.port)), WireProtocol.TCPROS
 
 
-Place = Callable[[Site], contextlib.AbstractAsyncContextManager[tuple[int, Flavour]]]
+Place = Callable[[Site], contextlib.AbstractAsyncContextManager[tuple[int, WireProtocol]]]
 PLACES: Final = [node_topics, node_api, master, sidecar_door]
 
 
@@ -177,7 +177,7 @@ async def test_a_rospy_node(tmp_path: Path) -> None:
                 async with flood(port, b"\xff\xff\xff\xff"):
                     await victim.goes_on()
                 assert most[0] <= CAP + OTHERS
-        await served(victim.site, victim.port, Flavour.TCPROS)
+        await served(victim.site, victim.port, WireProtocol.TCPROS)
 
 
 @pytest.mark.attack("descriptors")

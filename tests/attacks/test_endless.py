@@ -12,7 +12,7 @@ import pytest
 
 from grants.model import Right
 from rossec.node import Publisher, message_type
-from rossec.node.publisher import SubscriberLink
+from rossec.node.publisher import SubscriberConnection
 from tests.rossec.sidecar.program import Program, sidecar
 from tests.support.fleet import SECURE, entitle, environment, program
 from tests.support.sidecarprogram import subscribed
@@ -97,7 +97,7 @@ forms = pytest.mark.parametrize(
 @contextlib.asynccontextmanager
 async def met(
     site: Site, directory: Path, form: Form, kind: str
-) -> AsyncIterator[tuple[Publisher, SubscriberLink]]:
+) -> AsyncIterator[tuple[Publisher, SubscriberConnection]]:
     """Mallory publishes, and the robot has just connected."""
     async with site.node("/mallory") as mallory:
         publisher = await mallory.publisher(TOPIC, kind)
@@ -107,7 +107,7 @@ async def met(
             yield publisher, link
 
 
-async def begin(link: SubscriberLink, size: int) -> None:
+async def begin(link: SubscriberConnection, size: int) -> None:
     """Send so much of a unit, and not its last record."""
     driver = link.stream._driver
     whole = driver.connection.seal_unit(bytes(size + 300_000))

@@ -16,11 +16,11 @@ from cryptography.hazmat.primitives.serialization import Encoding
 from cryptography.x509.oid import ExtensionOID
 
 from ca.enrollment import qr, transcript
-from ca.enrollment.authority import AuthorityEnrollment, State
+from ca.enrollment.authority import AuthorityEnrollment, AuthorityState
 from ca.enrollment.messages import (
     Acknowledgement,
     Delivery,
-    Done,
+    EnrollmentDone,
     Message,
     Offer,
     frame,
@@ -28,7 +28,7 @@ from ca.enrollment.messages import (
     read,
     write,
 )
-from ca.enrollment.node import State as NodeState
+from ca.enrollment.node import NodeState
 from ca.errors import (
     AcknowledgementRefused,
     EnrollmentOver,
@@ -113,7 +113,7 @@ def honest(message: Message) -> Message:
 async def test_a_network_that_only_listens(label: bool) -> None:
     with WaitingRobot(Robot(), label=label) as robot:
         core = await enrolled_through(robot, honest)
-    assert core.state is State.ENROLLED
+    assert core.state is AuthorityState.ENROLLED
     assert [pending.root for pending in robot.trusted] == [HOME.root]
 
 
@@ -169,13 +169,13 @@ async def test_a_swapped_authority_and_a_replayed_answer() -> None:
     kept: list[Message] = []
 
     def keep(message: Message) -> Message:
-        if isinstance(message, Acknowledgement | Done):
+        if isinstance(message, Acknowledgement | EnrollmentDone):
             kept.append(message)
         return message
 
     with WaitingRobot(robot_, label=True) as robot:
         await enrolled_through(robot, keep)
-    assert [type(message) for message in kept] == [Acknowledgement, Done]
+    assert [type(message) for message in kept] == [Acknowledgement, EnrollmentDone]
 
     def swap(message: Message) -> Message:
         if isinstance(message, Offer):
@@ -318,7 +318,7 @@ def test_a_hostile_request_is_refused_with_its_own_error(flaw: str) -> None:
     assert caught.value.hint
     assert "\u202e" not in str(caught.value)
     assert "\0" not in str(caught.value)
-    assert core.state is State.OVER
+    assert core.state is AuthorityState.OVER
     with pytest.raises(EnrollmentRefused):
         core.approve(clock())
 

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from grants.model import Right
-from rossec.channel.opening import Flavour
+from rossec.channel.opening import WireProtocol
 from rossec.sidecar.server import Sidecar
 from tests.rossec.sidecar.program import Program, sidecar
 from tests.support.attacker import EVE, HOST, call, credentials, knock
@@ -40,14 +40,14 @@ async def robot(near: Sidecar) -> AsyncIterator[Program]:
         yield robot
 
 
-def ports(near: Sidecar, flavour: Flavour) -> list[int]:
+def ports(near: Sidecar, flavour: WireProtocol) -> list[int]:
     """Where the network reaches /robot2."""
     exports = near._agent_for("/robot2")._exports.doorways
     return [door.port for place, door in exports._doors.items() if place.flavour is flavour]
 
 
 async def offered(site: Site, near: Sidecar, topic: object) -> Any:
-    [port] = ports(near, Flavour.HTTP)
+    [port] = ports(near, WireProtocol.HTTP)
     uri = f"http://{HOST}:{port}/"
     return await call(uri, credentials(site), "requestTopic", EVE, topic, [["TCPROS"]])
 
@@ -69,7 +69,7 @@ async def test_a_header_without_a_grant_is_refused_alike(
 ) -> None:
     """At the topics' port and at the services'."""
     await offered(site, near, THERE)
-    for port in ports(near, Flavour.TCPROS):
+    for port in ports(near, WireProtocol.TCPROS):
         for kind, there in (("topic", THERE), ("service", SERVICE)):
             said = set()
             for name in (there, ABSENT):

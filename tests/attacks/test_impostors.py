@@ -13,7 +13,7 @@ from grants.errors import GrantExpired, GrantForged, GrantMalformed, GrantMissin
 from grants.model import Right
 from rossec.channel.edhoc.credentials import Credentials
 from rossec.demo.stranger import Whoever, believe_anyone
-from rossec.errors import CallerMismatch, IdentityRefused, TopicRefused
+from rossec.errors import CallerMismatch, ConnectionHeaderRefused, IdentityRefused
 from rossec.net.aio import SecureStream, serve
 from rossec.net.rpc.client import serve_calls
 from rossec.node import message_type
@@ -132,7 +132,7 @@ async def test_a_publisher_that_answers_with_something_else_is_not_believed(
     site: Site, witness: Witness, change: dict[str, str]
 ) -> None:
     async with impostor(credentials(site), answer([signed(site, right=PUBLISH)], **change)) as uri:
-        assert type(await led(site, witness, uri)) is TopicRefused
+        assert type(await led(site, witness, uri)) is ConnectionHeaderRefused
 
 
 @pytest.mark.attack("false-publisher")

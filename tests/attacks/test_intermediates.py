@@ -15,7 +15,7 @@ from ca.keys.key_files import generate
 from ca.keys.signer import KeySigner
 from grants.model import Restriction, Right
 from rossec.authority.renewals import sign_intermediate
-from rossec.authority.signing import OpenAuthority
+from rossec.authority.signing import SigningAuthority
 from rossec.errors import ChannelError
 from rossec.master.api.revoked_calls import CALLS, MOST, MOST_BELOW
 from rossec.net.rpc.client import CallFailed, RpcClient
@@ -46,7 +46,7 @@ def below(site: Site, *names: str) -> bytes:
     request = build_intermediate_request(signer, site.anchor.domain)
     _, bundle = sign_intermediate(site.authority, request, site.now(), may_enroll=True)
     der, root = from_pem(bundle)
-    host = OpenAuthority(Authority(signer, root, der), site.authority.store, site.root)
+    host = SigningAuthority(Authority(signer, root, der), site.authority.store, site.root)
     for name in names:
         identity = site.identity(name)
         leaf = host.authority.certify_again(

@@ -17,7 +17,7 @@ from grants.filters import layout
 from grants.model import Restriction, Right, filter_rules
 from rossec.node import Publisher, message_type
 from rossec.participant.header_fields import Fields
-from rossec.participant.topic_handshake import Endpoint as Topic
+from rossec.participant.topic_handshake import TopicEndpoint as Topic
 from rossec.ros.header import FrameReader
 from tests.rossec.sidecar.program import Program, sidecar
 from tests.support.fleet import SECURE, entitle, environment, program

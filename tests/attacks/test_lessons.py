@@ -16,8 +16,8 @@ from grants.model import Right
 from grants.reach import Reach
 from rossec.errors import ChannelError, PeerRefused, RossecError
 from rossec.master.operation.config import Config, parse
-from rossec.master.rights.statements import Trust
-from rossec.net.aio import Flavour, connect
+from rossec.master.rights.statements import TrustState
+from rossec.net.aio import WireProtocol, connect
 from rossec.net.rpc.client import RpcClient
 from rossec.participant.slave_api import MASTER
 from rossec.ros import xmlrpc
@@ -139,8 +139,8 @@ def _crash(*_: object, **__: object) -> Any:
 
 
 GUARDS: Final[list[tuple[type, str]]] = [
-    (Trust, "caller"),
-    (Trust, "_confirm"),
+    (TrustState, "caller"),
+    (TrustState, "_confirm"),
     (Reach, "covers"),
 ]
 
@@ -262,12 +262,12 @@ async def test_f8_who_has_no_identity_here_hears_nothing_but_a_refusal(
         shown.append(chain)
         return site.anchor.verify(chain, now)
 
-    async def heard(port: int, opening: Flavour) -> bytes:
+    async def heard(port: int, opening: WireProtocol) -> bytes:
         stream = await connect(HOST, port, stranger, look, opening=opening)
         return await stream.receive()
 
     for port, opening in (
-        (site.master.port, Flavour.HTTP), (witness.topic_port, Flavour.TCPROS),
+        (site.master.port, WireProtocol.HTTP), (witness.topic_port, WireProtocol.TCPROS),
     ):  # fmt: skip
         async with tapped(port) as (tap, near):
             with pytest.raises(PeerRefused) as caught:

@@ -17,7 +17,7 @@ from ca.certificates import Identity
 from ca.encoding import encode
 from grants.model import Restriction, Right, filter_rules
 from rossec.errors import ChannelError, ServiceFailed
-from rossec.net.aio import Flavour, SecureStream, connect
+from rossec.net.aio import SecureStream, WireProtocol, connect
 from rossec.net.rpc.client import RpcClient
 from rossec.node import Node, Publisher
 from rossec.participant.access import FIELD
@@ -321,7 +321,7 @@ class Behind:
         """One more; the program knows of it."""
         credentials, verify = self.site.enroll(EVE).credentials(), self.site.anchor.verify
         grants = self.site.enroll(EVE).grants()
-        slave = await connect(HOST, self.door, credentials, verify, opening=Flavour.HTTP)
+        slave = await connect(HOST, self.door, credentials, verify, opening=WireProtocol.HTTP)
         client = RpcClient(slave)
         await client.call("rossec.presentGrants", EVE, encode([*grants]))
         answer = await client.call("requestTopic", EVE, TOPIC, [["TCPROS"]])

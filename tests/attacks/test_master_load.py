@@ -14,7 +14,7 @@ import pytest
 
 from grants.model import Right
 from rossec.errors import ChannelError, RossecError
-from rossec.master.operation.limits import Limits
+from rossec.master.operation.limits import MasterLimits
 from rossec.net.aio import SecureStream, serve
 from rossec.net.rpc.client import RpcClient
 from rossec.ros import xmlrpc
@@ -25,7 +25,7 @@ from tests.support.site import Site
 from tests.support.witness import until
 
 T = "std_msgs/String"
-LIMITS = Limits(
+LIMITS = MasterLimits(
     body=64 * 1024,
     connections_per_identity=4,
     handshake_seconds=1,

@@ -10,7 +10,7 @@ import pytest
 
 from ca.errors import PlaceRefused
 from rossec.authority.home import AuthorityHome
-from rossec.master.operation.denial_log import ComplainLog
+from rossec.master.operation.denial_log import DenialLog
 from tests.support.commands import PASSPHRASE, Shell
 
 pytestmark = [pytest.mark.attack("linked-output"), pytest.mark.timeout(600)]
@@ -97,5 +97,5 @@ def test_a_log_in_a_directory_of_all(tmp_path: Path, kind: str) -> None:
         log.touch()
         log.chmod(0o666)
     with pytest.raises((PlaceRefused, OSError)):
-        ComplainLog(log)
+        DenialLog(log)
     assert not (tmp_path / "victim").exists()

@@ -13,7 +13,7 @@ import pytest
 from ca.certificates import Identity
 from ca.errors import HintedError
 from grants.model import Right
-from rossec.channel.opening import Flavour
+from rossec.channel.opening import WireProtocol
 from rossec.errors import ChannelClosed, IdentityRefused
 from rossec.net.aio import SecureStream, serve
 from rossec.net.rpc.client import serve_calls
@@ -111,7 +111,7 @@ async def publisher_that_points(site: Site, port: int) -> AsyncIterator[str]:
         await serve_calls(stream, answer)
 
     verify = site.anchor.verify
-    async with serve(api, HOST, 0, credentials(site), verify, accept={Flavour.HTTP}) as server:
+    async with serve(api, HOST, 0, credentials(site), verify, accept={WireProtocol.HTTP}) as server:
         yield f"http://{HOST}:{server.port}/"
 
 
@@ -166,7 +166,7 @@ async def test_a_program_behind_a_sidecar_is_sent_to_itself(site: Site) -> None:
     async with sidecar(site) as near, Program(NAME, near) as robot:
         await robot.register("registerPublisher", TOPIC, STRING)
         agent = near._agent_for(NAME)
-        topics = inside(Flavour.TCPROS, robot.topics.port)
+        topics = inside(WireProtocol.TCPROS, robot.topics.port)
         port = agent.export(topics)  # as a subscriber of its topic is told
         agent.tenant.doors.opened_outside(topics, port)
         async with publisher_that_points(site, port) as uri:

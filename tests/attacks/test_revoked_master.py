@@ -21,9 +21,9 @@ from ca.keys.signer import KeySigner
 from ca.revocation.state import Timestamp, digest, sign_timestamp
 from rossec import clock
 from rossec.authority.renewals import sign_intermediate
-from rossec.authority.signing import OpenAuthority
+from rossec.authority.signing import SigningAuthority
 from rossec.home import NodeHome
-from rossec.net.aio import Flavour, SecureStream, serve
+from rossec.net.aio import SecureStream, WireProtocol, serve
 from rossec.net.rpc.client import serve_calls
 from rossec.node import Node
 from rossec.participant import master_session
@@ -45,7 +45,7 @@ def below(site: Site, tmp_path: Path) -> NodeHome:
     request = build_intermediate_request(signer, site.anchor.domain)
     _, bundle = sign_intermediate(site.authority, request, site.now(), may_enroll=True)
     der, root = from_pem(bundle)
-    host = OpenAuthority(Authority(signer, root, der), site.authority.store, site.root)
+    host = SigningAuthority(Authority(signer, root, der), site.authority.store, site.root)
     home = NodeHome.of(tmp_path / "elsewhere", MASTER)
     home.create_request(site.anchor.domain)
     leaf = host.authority.issue(
@@ -79,7 +79,12 @@ async def instead_of_the_master(
         await serve_calls(stream, answer)
 
     server = serve(
-        handle, "127.0.0.1", port, home.credentials(), site.anchor.verify, accept={Flavour.HTTP}
+        handle,
+        "127.0.0.1",
+        port,
+        home.credentials(),
+        site.anchor.verify,
+        accept={WireProtocol.HTTP},
     )
     try:
         yield told

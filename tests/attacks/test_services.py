@@ -21,7 +21,7 @@ from rossec.node import Node
 from rossec.node import service as provider
 from rossec.node.listener import first_frame
 from rossec.participant.access import FIELD
-from rossec.participant.service_handshake import Expected, server_header
+from rossec.participant.service_handshake import ExpectedService, server_header
 from rossec.participant.service_types import service_type
 from rossec.ros import header
 from rossec.ros import service as wire
@@ -283,7 +283,7 @@ async def hall(site: Site) -> AsyncIterator[Node]:
 
 
 def answering(site: Site, grants: list[bytes], **changes: bytes) -> dict[str, bytes]:
-    kind = Expected(BOOL, KIND.md5sum)
+    kind = ExpectedService(BOOL, KIND.md5sum)
 
     class Nothing:
         def present(self, *_: object) -> bytes:

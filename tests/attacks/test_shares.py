@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 
 from grants.model import Right
-from rossec.master.operation.denial_limit import DENIALS, Throttle
-from rossec.master.operation.denial_log import MAX_LINES, ComplainLog
-from rossec.master.operation.limits import Limits
+from rossec.master.operation.denial_limit import DENIALS, DenialRateLimit
+from rossec.master.operation.denial_log import MAX_LINES, DenialLog
+from rossec.master.operation.limits import MasterLimits
 from tests.support.attacker import EVE
 from tests.support.caller import Caller, caller
 from tests.support.site import Site
@@ -29,7 +29,7 @@ async def flood(eve: Caller, names: int) -> None:
 async def test_one_node_does_not_fill_the_log_of_what_is_missing(tmp_path: Path) -> None:
     """Of which a policy is learnt: who fills it decides what is learnt of the others."""
     site = Site(tmp_path / "site")
-    log = ComplainLog(tmp_path / "complaints")
+    log = DenialLog(tmp_path / "complaints")
     site.complain = log
     async with site.running(), caller(site, EVE) as eve, caller(site, ROBOT) as robot:
         await flood(eve, MAX_LINES + 2000)
@@ -44,7 +44,7 @@ async def test_one_node_does_not_fill_the_log_of_what_is_missing(tmp_path: Path)
 async def test_some_nodes_together_do_not_silence_the_audit_of_others(
     site: Site, caplog: pytest.LogCaptureFixture
 ) -> None:
-    denials, throttle = logging.getLogger(DENIALS), Throttle(lambda: 0.0)
+    denials, throttle = logging.getLogger(DENIALS), DenialRateLimit(lambda: 0.0)
     denials.addFilter(throttle)
     try:
         for number in range(7):
@@ -61,7 +61,7 @@ async def test_some_nodes_together_do_not_silence_the_audit_of_others(
 @pytest.mark.attack("parameter-share")
 async def test_one_node_does_not_fill_the_parameters_of_all(tmp_path: Path) -> None:
     site = Site(tmp_path / "site")
-    site.limits = Limits(parameters=256 * 1024)
+    site.limits = MasterLimits(parameters=256 * 1024)
     async with (
         site.running(),
         caller(site, EVE, {"/eve/**": Right.PARAM_SET}) as eve,

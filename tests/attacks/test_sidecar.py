@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 
 from grants.model import Restriction, Right
-from rossec.channel.opening import Flavour
+from rossec.channel.opening import WireProtocol
 from rossec.errors import RossecError
 from rossec.net.aio import connect
 from rossec.net.aio.dial import dial
@@ -186,7 +186,7 @@ async def test_strangers_at_many_doors_cost_no_more_than_at_one(
     """N8: ten doors would be more descriptors than a process has, and its programs need some."""
     agent = near._agent_for("/robot")
     for port in range(1, 4):
-        agent.export(inside(Flavour.TCPROS, port))
+        agent.export(inside(WireProtocol.TCPROS, port))
     servers = tuple(agent._exports.doorways)
     cap = HalfOpen().per_address
     with contextlib.ExitStack() as stack:
@@ -204,7 +204,7 @@ async def test_the_slave_api_is_closed_to_peers(site: Site, near: Sidecar, robot
     agent = near._agent_for("/robot")
     port = next(iter(agent._exports.doorways)).port
     stream = await connect(
-        "127.0.0.1", port, home.credentials(), site.anchor.verify, opening=Flavour.HTTP
+        "127.0.0.1", port, home.credentials(), site.anchor.verify, opening=WireProtocol.HTTP
     )
     client = RpcClient(stream)
     for method, params in (

@@ -10,7 +10,7 @@ from ca.certificates import Identity
 from ca.encoding import Value, encode
 from ca.revocation.state import Timestamp, digest, sign_timestamp
 from grants.model import Right
-from rossec.channel.opening import Flavour
+from rossec.channel.opening import WireProtocol
 from rossec.errors import ChannelClosed, ChannelError
 from rossec.net.aio import SecureServer, SecureStream, connect, serve
 from rossec.net.aio.dial import dial
@@ -48,7 +48,7 @@ async def near(site: Site) -> AsyncIterator[Sidecar]:
         yield near
 
 
-async def meet(site: Site, port: int, flavour: Flavour) -> SecureStream[Identity]:
+async def meet(site: Site, port: int, flavour: WireProtocol) -> SecureStream[Identity]:
     """Connect as /mallory to a door of the sidecar."""
     credentials = site.enroll("/mallory").credentials()
     return await connect("127.0.0.1", port, credentials, site.anchor.verify, opening=flavour)
@@ -64,7 +64,7 @@ async def test_a_right_to_call_reads_no_topic(site: Site, near: Sidecar) -> None
     """One header with a service for the guard and a topic for the program behind it."""
     async with Program("/robot", near) as robot:
         await robot.register("registerPublisher", "/word", "std_msgs/String")
-        client = RpcClient(await meet(site, door_of(near).port, Flavour.HTTP))
+        client = RpcClient(await meet(site, door_of(near).port, WireProtocol.HTTP))
         answer = await client.call("requestTopic", "/mallory", "/word", [["TCPROS"]])
         assert isinstance(answer, list)
         grants: list[Value] = [*site.enroll("/mallory").grants()]
@@ -72,7 +72,7 @@ async def test_a_right_to_call_reads_no_topic(site: Site, near: Sidecar) -> None
             "callerid": b"/mallory", "type": b"*", "md5sum": b"*", "topic": b"/word",
             "service": b"/anything", FIELD: encode(grants),
         }  # fmt: skip
-        stream = await meet(site, answer[2][2], Flavour.TCPROS)
+        stream = await meet(site, answer[2][2], WireProtocol.TCPROS)
         await stream.send(header.encode(fields))
         said, _ = await split_header(stream)
         assert b"for a topic or for a service" in said["error"]
@@ -92,7 +92,7 @@ async def liar(site: Site, answer: object) -> AsyncIterator[str]:
     server = serve(handler, "127.0.0.1", 0, home.credentials(), site.anchor.verify)
     assert site.master is not None
     port = int(site.master.uri.rstrip("/").rpartition(":")[2])
-    client = RpcClient(await meet(site, port, Flavour.HTTP))
+    client = RpcClient(await meet(site, port, WireProtocol.HTTP))
     await client.ask("rossec.presentGrants", "/mallory", home.grants())
     uri = f"http://127.0.0.1:{server.port}/"
     await client.ask("registerPublisher", "/mallory", "/lies", "std_msgs/String", uri)
@@ -134,7 +134,7 @@ async def test_nobody_but_the_master_says_what_is_revoked(site: Site, near: Side
         until_then = agent._membership._revocations.fresh_until
         signer = site.enroll("/mallory").credentials().signer
         stamp = Timestamp(held.seq, digest(agent._membership._revocations.data), site.now() + 4, 30)
-        client = RpcClient(await meet(site, door_of(near).port, Flavour.HTTP))
+        client = RpcClient(await meet(site, door_of(near).port, WireProtocol.HTTP))
         answer = await client.call(
             "rossec.revocationUpdate", "/master", b"", sign_timestamp(signer, stamp)
         )
@@ -155,11 +155,11 @@ async def test_a_subscriber_that_sends_data_hears_nothing(site: Site, near: Side
     }  # fmt: skip
     async with Program("/robot", near) as robot:
         await robot.register("registerPublisher", "/word", "std_msgs/String")
-        client = RpcClient(await meet(site, door_of(near).port, Flavour.HTTP))
+        client = RpcClient(await meet(site, door_of(near).port, WireProtocol.HTTP))
         answer = await client.call("requestTopic", "/mallory", "/word", [["TCPROS"]])
         assert isinstance(answer, list)
         for units in ([header.encode(asked) + b"data"], [header.encode(asked), b"data"]):
-            stream = await meet(site, answer[2][2], Flavour.TCPROS)
+            stream = await meet(site, answer[2][2], WireProtocol.TCPROS)
             for unit in units:
                 await stream.send(unit)
             said, _ = await split_header(stream)
@@ -194,9 +194,9 @@ async def test_no_peer_makes_the_sidecar_keep_more_than_a_call(site: Site, near:
     async with Program("/robot", near) as robot:
         await robot.register("registerPublisher", "/word", "std_msgs/String")
         port = door_of(near).port
-        client = RpcClient(await meet(site, port, Flavour.HTTP))
+        client = RpcClient(await meet(site, port, WireProtocol.HTTP))
         offered = await client.ask("requestTopic", "/mallory", "/word", [["TCPROS"]])
         assert isinstance(offered, list)
-        await expect_no_room(await meet(site, offered[2], Flavour.TCPROS), 300_000)
+        await expect_no_room(await meet(site, offered[2], WireProtocol.TCPROS), 300_000)
         await client.close()
-        await expect_no_room(await meet(site, port, Flavour.HTTP), 3 * 1024 * 1024)
+        await expect_no_room(await meet(site, port, WireProtocol.HTTP), 3 * 1024 * 1024)

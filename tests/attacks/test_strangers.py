@@ -25,7 +25,13 @@ from grants.errors import (
     GrantRevoked,
 )
 from grants.model import Right
-from rossec.errors import CallerMismatch, IdentityRefused, PeerRefused, RossecError, TopicRefused
+from rossec.errors import (
+    CallerMismatch,
+    ConnectionHeaderRefused,
+    IdentityRefused,
+    PeerRefused,
+    RossecError,
+)
 from rossec.net.aio import connect
 from rossec.net.rpc.client import RpcClient
 from rossec.participant.slave_api import MASTER
@@ -300,7 +306,7 @@ async def test_a_header_without_caller_or_topic_is_refused(
         fields = fields_for(EVE, TOPIC, [signed(site)])
         del fields[missing]
         heard = await knock(witness.topic_port, credentials(site), fields)
-        expect_refused(heard, caplog, TopicRefused, missing)
+        expect_refused(heard, caplog, ConnectionHeaderRefused, missing)
 
 
 @pytest.mark.attack("unit-before-right")
@@ -321,7 +327,7 @@ async def test_one_who_may_subscribe_must_still_mean_the_same_type(
 ) -> None:
     fields = fields_for(EVE, TOPIC, [signed(site)], md5sum="0" * 32)
     heard = await knock(witness.topic_port, credentials(site), fields)
-    expect_refused(heard, caplog, TopicRefused, "carries")
+    expect_refused(heard, caplog, ConnectionHeaderRefused, "carries")
 
 
 @pytest.mark.attack("existence-oracle")

@@ -16,7 +16,7 @@ from ca.encoding import Value
 from rossec.channel.edhoc import known
 from rossec.channel.edhoc.credentials import Credentials
 from rossec.channel.edhoc.known import KnownCertificates, reference
-from rossec.errors import CredentialUnknown, HandshakeFailed, PeerRefused
+from rossec.errors import HandshakeFailed, OwnCredentialUnknown, PeerRefused
 from rossec.net.aio import SecureStream, connect, serve
 from rossec.node import Node
 from tests.support.attacker import EVE, HOST, credentials, fields_for, knock
@@ -95,7 +95,7 @@ async def test_an_unknown_hash(site: Site, witness: Witness) -> None:
     others: list[Value] = [{34: [-15, bytes(8)]}, {34: [-15, b"\xff" * 8]}]
     for named in (reference(own.certificate), *others):
         answer = await refused(witness, own, named, own.certificate)
-        assert isinstance(answer, CredentialUnknown)
+        assert isinstance(answer, OwnCredentialUnknown)
     assert len(memory(witness.robot)) == before
 
 
@@ -105,7 +105,7 @@ async def test_the_hash_of_another_node(site: Site, witness: Witness) -> None:
     own = credentials(site)
     for shown in (viewers, own.certificate):
         answer = await refused(witness, own, reference(viewers), shown)
-        assert not isinstance(answer, CredentialUnknown)
+        assert not isinstance(answer, OwnCredentialUnknown)
     assert memory(witness.robot).find(reference(viewers))[0] == viewers
 
 
@@ -116,7 +116,7 @@ async def test_a_certificate_without_its_key_is_not_remembered(
     own, other = credentials(site), site.enroll("/other").credentials()
     await refused(witness, own, other.id_cred, other.certificate)
     answer = await refused(witness, own, reference(other.certificate), other.certificate)
-    assert isinstance(answer, CredentialUnknown)
+    assert isinstance(answer, OwnCredentialUnknown)
 
 
 def colliding(site: Site) -> tuple[str, str]:
@@ -141,14 +141,14 @@ async def test_two_certificates_of_one_hash(
     other = site.enroll(second).credentials()
     # While the robot knows the first alone, the second cannot be taken for it.
     answer = await refused(witness, other, reference(other.certificate), other.certificate)
-    assert not isinstance(answer, CredentialUnknown)
+    assert not isinstance(answer, OwnCredentialUnknown)
     # Once it knows both, the hash is nobody's.
     stream = await connect(HOST, witness.topic_port, other, site.anchor.verify)
     await stream.send(b"\0\0\0\0")
     await stream.wait_ended()
     for own in (site.enroll(first).credentials(), other):
         answer = await refused(witness, own, reference(certificate), own.certificate)
-        assert isinstance(answer, CredentialUnknown)
+        assert isinstance(answer, OwnCredentialUnknown)
 
 
 async def test_who_shares_its_hash_is_met_all_the_same(

@@ -12,7 +12,7 @@ from typing import Final, TypeAlias
 
 from ca.encoding import decode, encode
 from ca.enrollment import qr
-from ca.enrollment.authority import AuthorityEnrollment, State
+from ca.enrollment.authority import AuthorityEnrollment, AuthorityState
 from ca.enrollment.messages import Delivery, write
 from ca.errors import HintedError
 from rossec.channel.edhoc.known import KnownCertificates, reference
@@ -24,7 +24,7 @@ from rossec.channel.edhoc.messages import (
     decode_plaintext_4,
     encode_error,
 )
-from rossec.channel.opening import Flavour, first_bytes, judge_answer, judge_caller, refusal
+from rossec.channel.opening import WireProtocol, first_bytes, judge_answer, judge_caller, refusal
 from tests.support.enrolling import ADDRESS, Robot, offered
 from tests.support.pki import NOW as SOME_TIME
 from tests.support.pki import Site
@@ -87,8 +87,8 @@ def _credential(data: bytes) -> None:
 
 
 def _openings() -> list[bytes]:
-    ours = [first_bytes(flavour) for flavour in Flavour]
-    return [*ours, *(refusal(flavour) for flavour in Flavour), *_PLAIN]
+    ours = [first_bytes(flavour) for flavour in WireProtocol]
+    return [*ours, *(refusal(flavour) for flavour in WireProtocol), *_PLAIN]
 
 
 def _credentials() -> list[bytes]:
@@ -129,7 +129,7 @@ def _enrolling_node(data: bytes) -> None:
 
 def _enrolling_authority(data: bytes) -> None:
     fetching = AuthorityEnrollment(LABEL, "home")
-    if WAITING[-1].state is not State.OFFERED:
+    if WAITING[-1].state is not AuthorityState.OFFERED:
         WAITING.append(_waiting_authority())
     for authority in (fetching, WAITING[-1]):
         with suppress(HintedError):
@@ -146,8 +146,8 @@ DECODERS: Final[dict[str, tuple[Target, Callable[[], list[bytes]]]]] = {
     "error": (decode_error, lambda: [encode_error(1, "no"), encode_error(2, [6, 4]), b"\x03\xf5"]),
     "credential": (_credential, _credentials),
     "caller": (judge_caller, _openings),
-    "answer_tcpros": (lambda data: judge_answer(data, Flavour.TCPROS), _openings),
-    "answer_http": (lambda data: judge_answer(data, Flavour.HTTP), _openings),
+    "answer_tcpros": (lambda data: judge_answer(data, WireProtocol.TCPROS), _openings),
+    "answer_http": (lambda data: judge_answer(data, WireProtocol.HTTP), _openings),
     "responder": (_responder, flights),
     "initiator": (_initiator, flights),
     "records": (_records, flights),

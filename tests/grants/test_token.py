@@ -15,7 +15,7 @@ from grants.decision import authorize
 from grants.errors import GrantExpired, GrantMalformed, GrantRevoked, RenewalForOther
 from grants.model import Right
 from grants.renewal import Delegation, Ticket, sign_delegation, sign_ticket
-from grants.token import Parts, Verifier, pack, unpack
+from grants.token import TokenParts, Verifier, pack, unpack
 from tests.grants.authority import CA, DRAFT, HOLDER, NOW
 
 MASTER = KeySigner(ec.generate_private_key(ec.SECP256R1()))
@@ -37,14 +37,14 @@ VERIFIER = Verifier(CA.public_key, "home", MASTER.public_key, 7, accept)
 
 
 def test_a_plain_grant_is_its_own_token() -> None:
-    assert unpack(DATA) == Parts(DATA)
+    assert unpack(DATA) == TokenParts(DATA)
     assert VERIFIER.open(DATA, NOW) == document.open_grant(DATA, CA.public_key, NOW)
     with pytest.raises(GrantExpired):
         VERIFIER.open(DATA, LATER)
 
 
 def test_a_renewed_grant_holds_until_its_ticket_ends() -> None:
-    assert unpack(TOKEN) == Parts(DATA, TICKET, LEAVE)
+    assert unpack(TOKEN) == TokenParts(DATA, TICKET, LEAVE)
     grant = VERIFIER.open(TOKEN, LATER)
     assert (grant.id, grant.expires) == (ID, LATER + 300)
 

@@ -18,7 +18,7 @@ from typing import Final
 
 import pytest
 
-from rossec.channel.opening import Flavour, first_bytes
+from rossec.channel.opening import WireProtocol, first_bytes
 from rossec.demo.robot import CAMERA, FRAME, POSE, SCAN
 from rossec.node import message_type
 from tests.support.recorder import Recording, record
@@ -90,7 +90,7 @@ def test_the_recording_is_complete(played: Played) -> None:
 
 def test_every_connection_is_a_secured_one(played: Played) -> None:
     flows = played.recording.flows
-    openings = tuple(map(first_bytes, Flavour))
+    openings = tuple(map(first_bytes, WireProtocol))
     callers = [flow for flow, data in flows.items() if data.startswith(openings)]
     assert len(callers) > 10
     answers = {flow[2:] + flow[:2] for flow in callers}

@@ -8,7 +8,7 @@ import pytest
 
 from grants.model import Right
 from rossec.errors import AnswerRefused, RossecError
-from rossec.net.aio import Flavour, connect
+from rossec.net.aio import WireProtocol, connect
 from rossec.net.rpc.client import RpcClient
 from rossec.node import Node
 from tests.support.masterprocess import MasterProcess, master_process
@@ -21,7 +21,11 @@ async def client_of(master: MasterProcess, name: str) -> RpcClient:
     """A control connection with the grants of `name`."""
     home = master.site.enroll(name)
     stream = await connect(
-        "127.0.0.1", master.port, home.credentials(), home.anchor().verify, opening=Flavour.HTTP
+        "127.0.0.1",
+        master.port,
+        home.credentials(),
+        home.anchor().verify,
+        opening=WireProtocol.HTTP,
     )
     client = RpcClient(stream)
     await client.ask("rossec.presentGrants", name, home.grants())

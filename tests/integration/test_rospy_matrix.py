@@ -8,7 +8,7 @@ from typing import Final
 
 import pytest
 
-from rossec.channel.opening import Flavour, first_bytes
+from rossec.channel.opening import WireProtocol, first_bytes
 from tests.support.fleet import PROJECT
 from tests.support.matrix import SECRET, VARIANTS
 from tests.support.recorder import Recording, record
@@ -74,7 +74,7 @@ def test_only_ciphertext_crosses_the_sockets(played: Played) -> None:
 
 
 def test_every_connection_introduces_itself_as_rossec(played: Played) -> None:
-    openings = tuple(first_bytes(flavour) for flavour in Flavour)
+    openings = tuple(first_bytes(flavour) for flavour in WireProtocol)
     flows = played.recording.flows
     family = 16 if played.host == "::1" else 4
     callers = [data for data in flows.values() if data.startswith(openings)]

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from rossec.channel.opening import Flavour, first_bytes
+from rossec.channel.opening import WireProtocol, first_bytes
 from tests.integration.sidecarworld import ROSSEC, Running, World, wait
 from tests.support.hosts import two_hosts
 from tests.support.recorder import Recording
@@ -209,7 +209,7 @@ def test_only_ciphertext_crosses_the_link(world: World, talker: Running, probe: 
     for secret in (b"chatter", b"hello", b"talker", b"listener", b"std_msgs", b"methodCall",
                    b"callerid", b"rossec_grants", b"registerSubscriber"):  # fmt: skip
         assert not recording.holds(secret), secret
-    openings = tuple(map(first_bytes, Flavour))
+    openings = tuple(map(first_bytes, WireProtocol))
     callers = {flow for flow, data in recording.flows.items() if data.startswith(openings)}
     answers = {flow[2:] + flow[:2] for flow in callers}
     assert len(callers) >= 3

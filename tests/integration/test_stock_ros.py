@@ -19,7 +19,7 @@ from xmlrpc.server import SimpleXMLRPCServer
 
 import pytest
 
-from rossec.channel.opening import REFUSAL, Flavour, first_bytes, http_refusal, tcpros_refusal
+from rossec.channel.opening import REFUSAL, WireProtocol, first_bytes, http_refusal, tcpros_refusal
 from rossec.net.halfopen import HalfOpen
 from rossec.ros import header
 from rossec.ros.settings import parse_uri
@@ -179,8 +179,8 @@ def noise(seed: int, length: int) -> bytes:
     return hashlib.shake_256(bytes([seed])).digest(length)
 
 
-TCPROS_OPENING: Final = first_bytes(Flavour.TCPROS)
-HTTP_OPENING: Final = first_bytes(Flavour.HTTP)
+TCPROS_OPENING: Final = first_bytes(WireProtocol.TCPROS)
+HTTP_OPENING: Final = first_bytes(WireProtocol.HTTP)
 PLAIN_HEADER: Final = header.encode(
     {"callerid": "/viewer", "topic": TOPIC, "md5sum": "*", "type": "*"}
 )

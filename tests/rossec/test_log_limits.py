@@ -1,6 +1,6 @@
 import logging
 
-from rossec.log_limits import Quiet
+from rossec.log_limits import LogRateLimit
 
 
 def said(text: str, at: float) -> logging.LogRecord:
@@ -10,7 +10,7 @@ def said(text: str, at: float) -> logging.LogRecord:
 
 
 def test_the_same_text_passes_once_a_minute() -> None:
-    quiet = Quiet()
+    quiet = LogRateLimit()
     assert quiet.filter(said("a", 0))
     assert quiet.filter(said("b", 1))
     assert not quiet.filter(said("a", 59))
@@ -25,7 +25,7 @@ def about(who: str, text: str, at: float) -> logging.LogRecord:
 
 
 def test_a_flood_of_texts_is_bounded() -> None:
-    quiet = Quiet()
+    quiet = LogRateLimit()
     texts = [about(f"/n{number % 20}", str(number), number / 100) for number in range(2000)]
     assert sum(map(quiet.filter, texts)) == 512
     late = about("/n1", "late", 59)
@@ -36,7 +36,7 @@ def test_a_flood_of_texts_is_bounded() -> None:
 
 
 def test_nobody_silences_what_is_said_of_others() -> None:
-    quiet = Quiet()
+    quiet = LogRateLimit()
     assert sum(quiet.filter(about("/eve", str(number), 1)) for number in range(2000)) == 64
     for name in ("/a", "/b", "/c", "/d", "/e", "/f", "/g", "/h"):
         assert sum(quiet.filter(about(name, str(number), 2)) for number in range(99)) in {56, 64, 1}

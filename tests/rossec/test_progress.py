@@ -3,12 +3,12 @@
 import pytest
 
 from rossec.errors import LimitExceeded
-from rossec.progress import LEAST, LONGEST, STEP, WINDOW, Unfinished
+from rossec.progress import LEAST, LONGEST, STEP, WINDOW, Progress
 
 NOW = 1_800_000_000
 
 
-def lasts(unfinished: Unfinished, rate: int, most: int = 2 * LONGEST) -> int:
+def lasts(unfinished: Progress, rate: int, most: int = 2 * LONGEST) -> int:
     """Seconds until it is given up, growing at `rate` bytes a second and looked at every second."""
     second = -1
     with pytest.raises(LimitExceeded) as caught:  # noqa: PT012 - when it comes is the question
@@ -20,8 +20,8 @@ def lasts(unfinished: Unfinished, rate: int, most: int = 2 * LONGEST) -> int:
 
 
 def test_what_stands_still_ends_after_a_window() -> None:
-    assert lasts(Unfinished(), 0) == WINDOW
-    unfinished = Unfinished()
+    assert lasts(Progress(), 0) == WINDOW
+    unfinished = Progress()
     for second in range(100):
         unfinished.look(NOW + second, (second + 1) * 1024 * 1024)
     for second in range(100, 100 + WINDOW - 1):
@@ -31,13 +31,13 @@ def test_what_stands_still_ends_after_a_window() -> None:
 
 
 def test_what_is_slow_goes_on_and_ends_at_last() -> None:
-    assert lasts(Unfinished(), LEAST // WINDOW - 1) == WINDOW
-    assert lasts(Unfinished(), LEAST // WINDOW + 100) == LONGEST
-    assert lasts(Unfinished(), 1024 * 1024) == LONGEST
+    assert lasts(Progress(), LEAST // WINDOW - 1) == WINDOW
+    assert lasts(Progress(), LEAST // WINDOW + 100) == LONGEST
+    assert lasts(Progress(), 1024 * 1024) == LONGEST
 
 
 def test_what_is_whole_is_forgotten() -> None:
-    unfinished = Unfinished()
+    unfinished = Progress()
     assert unfinished.deadline is None
     for number in range(3):
         start = NOW + number * WINDOW
@@ -50,7 +50,7 @@ def test_what_is_whole_is_forgotten() -> None:
 
 def test_only_the_time_of_reading_counts() -> None:
     """A reader that is elsewhere, a host that sleeps, a clock that is set."""
-    unfinished = Unfinished()
+    unfinished = Progress()
     unfinished.look(NOW, 10)
     for second in range(10):
         unfinished.look(NOW + second * WINDOW, 10, reading=False)

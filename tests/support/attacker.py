@@ -19,7 +19,7 @@ from grants.model import Draft, Permission, Right
 from rossec.channel.edhoc.credentials import Credentials
 from rossec.demo.stranger import Whoever, believe_anyone
 from rossec.errors import ChannelError
-from rossec.net.aio import Flavour, SecureStream, connect
+from rossec.net.aio import SecureStream, WireProtocol, connect
 from rossec.net.rpc.client import RpcClient
 from rossec.participant.access import FIELD
 from rossec.ros import header
@@ -76,7 +76,7 @@ async def knock(
 async def dial(uri: str, credentials: Credentials) -> SecureStream[Whoever]:
     """A secure connection to the XML-RPC port in `uri`."""
     port = int(uri.rstrip("/").rpartition(":")[2])
-    return await connect(HOST, port, credentials, believe_anyone, opening=Flavour.HTTP)
+    return await connect(HOST, port, credentials, believe_anyone, opening=WireProtocol.HTTP)
 
 
 async def call(uri: str, credentials: Credentials, method: str, *params: object) -> object:

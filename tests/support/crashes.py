@@ -22,10 +22,10 @@ from ca.keys.key_files import generate
 from ca.keys.signer import KeySigner
 from ca.renewal import sign_renewal
 from ca.revocation.state import open_list
-from ca.store.lifecycle import DAY, State
+from ca.store.lifecycle import DAY, RequestState
 from ca.store.record import Store
 from rossec.authority.renewals import renew
-from rossec.authority.signing import OpenAuthority
+from rossec.authority.signing import SigningAuthority
 from tests.support.killing import run_killed
 from tests.support.oldstore import write_version_1
 
@@ -34,11 +34,13 @@ ROOT, NODE, NEW = (KeySigner(generate()) for _ in range(3))
 CERTIFICATE = create_root(ROOT, "home", now=NOW, serial=1)
 HELD, ASKED = build_request(NODE, "home", "/held"), build_request(NEW, "home", "/robot")
 DUE = NOW + 20 * DAY
-Scenario = Callable[[OpenAuthority, Path], None]
+Scenario = Callable[[SigningAuthority, Path], None]
 
 
-def opened(directory: Path) -> OpenAuthority:
-    return OpenAuthority(Authority(ROOT, CERTIFICATE), Store.open(directory / "ca.db"), directory)
+def opened(directory: Path) -> SigningAuthority:
+    return SigningAuthority(
+        Authority(ROOT, CERTIFICATE), Store.open(directory / "ca.db"), directory
+    )
 
 
 def prepare(directory: Path) -> None:
@@ -52,29 +54,29 @@ def prepare(directory: Path) -> None:
     authority.store.close()
 
 
-def issue(authority: OpenAuthority, directory: Path) -> None:
+def issue(authority: SigningAuthority, directory: Path) -> None:
     bundle = authority.issue(ASKED, NOW)
     (directory / "out.pem").write_bytes(bundle)
 
 
-def deny(authority: OpenAuthority, _: Path) -> None:
+def deny(authority: SigningAuthority, _: Path) -> None:
     digest = check_request(ASKED, "home").digest
-    if authority.store.requests.get(digest).state is State.PENDING:
+    if authority.store.requests.get(digest).state is RequestState.PENDING:
         authority.store.requests.deny(digest, NOW, "unknown")
 
 
-def collect(authority: OpenAuthority, _: Path) -> None:
+def collect(authority: SigningAuthority, _: Path) -> None:
     authority.store.requests.collect(NOW + 30 * DAY)
 
 
-def revoke(authority: OpenAuthority, _: Path) -> None:
+def revoke(authority: SigningAuthority, _: Path) -> None:
     authority.revoke(b"k" * 32, "stolen", NOW)
 
 
 RENEWAL = build_request(NEW, "home", "/held")
 
 
-def succeed(authority: OpenAuthority, directory: Path) -> None:
+def succeed(authority: SigningAuthority, directory: Path) -> None:
     leaf, _ = from_pem((directory / "held.pem").read_bytes())
     bundle = renew(authority, sign_renewal(NODE, (leaf,), RENEWAL, DUE), DUE)
     (directory / "out.pem").write_bytes(bundle)
@@ -83,13 +85,13 @@ def succeed(authority: OpenAuthority, directory: Path) -> None:
 REPLACEMENT = build_request(NEW, "home", "/held")
 
 
-def replace(authority: OpenAuthority, directory: Path) -> None:
+def replace(authority: SigningAuthority, directory: Path) -> None:
     """A node that was set up anew takes its name over from its old key, which is revoked."""
     bundle = authority.issue(REPLACEMENT, NOW, replace_key="/held")
     (directory / "out.pem").write_bytes(bundle)
 
 
-def migrate(authority: OpenAuthority, _: Path) -> None:
+def migrate(authority: SigningAuthority, _: Path) -> None:
     assert authority.store.journal.entries()[-1].what == "migrated"
 
 

@@ -11,8 +11,7 @@ from typing import Self
 from ca.certificates import build_request
 from ca.enrollment import qr
 from ca.enrollment.authority import AuthorityEnrollment
-from ca.enrollment.node import NodeEnrollment, Pending
-from ca.enrollment.node import State as NodeState
+from ca.enrollment.node import NodeEnrollment, NodeState, Pending
 from ca.errors import CAError, EnrollmentOver
 from ca.keys.signer import KeySigner
 from rossec.enrollment.address import join

@@ -15,12 +15,12 @@ from cryptography.hazmat.primitives.asymmetric.utils import decode_dss_signature
 
 from rossec.channel.edhoc.credentials import Credentials
 from rossec.channel.edhoc.known import KnownCertificates
-from rossec.channel.opening import Flavour
-from rossec.channel.records import Limits
+from rossec.channel.opening import WireProtocol
+from rossec.channel.records import ChannelLimits
 from tests.support.wire import ALICE, BOB, End, Wire, alice, bob, wire
 
 FILE: Final = Path(__file__).parents[1] / "vectors" / "channel.json"
-_LIMITS: Final = Limits(records=3)
+_LIMITS: Final = ChannelLimits(records=3)
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ def transcripts() -> dict[str, list[dict[str, str]]]:
     left, right = fixed(ALICE), fixed(BOB)
 
     def talk(
-        flavour: Flavour, ours: KnownCertificates, theirs: KnownCertificates, brief: bool
+        flavour: WireProtocol, ours: KnownCertificates, theirs: KnownCertificates, brief: bool
     ) -> Wire:
         return wire(
             alice(flavour, left, _LIMITS, known=ours, brief=brief),
@@ -79,8 +79,8 @@ def transcripts() -> dict[str, list[dict[str, str]]]:
 
     ours, theirs = KnownCertificates(), KnownCertificates()
     return {
-        "suite 6, TCPROS, x5chain": _converse(talk(Flavour.TCPROS, ours, theirs, False)),
-        "suite 6, HTTP, x5t": _converse(talk(Flavour.HTTP, ours, theirs, True)),
+        "suite 6, TCPROS, x5chain": _converse(talk(WireProtocol.TCPROS, ours, theirs, False)),
+        "suite 6, HTTP, x5t": _converse(talk(WireProtocol.HTTP, ours, theirs, True)),
         "suites 4 and 6, error 2": _converse(
             wire(
                 alice(credentials=left, limits=_LIMITS, suites=(4, 6)),

@@ -12,8 +12,8 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from ca.encoding import decode_sequence, encode
 from rossec.channel.edhoc.keyschedule import (
     GONE,
-    Exporter,
-    Label,
+    EdhocExporter,
+    KdfLabel,
     Secret,
     bstr,
     extract,
@@ -71,8 +71,8 @@ class Method3:
         self.th, self.prk = b"", GONE
 
     @property
-    def exporter(self) -> Exporter:
-        return Exporter.derive(self.prk, self.th)
+    def exporter(self) -> EdhocExporter:
+        return EdhocExporter.derive(self.prk, self.th)
 
     # -- message_1 and message_2
 
@@ -93,7 +93,7 @@ class Method3:
         self._agree(self.finish(self.g_x))
         prk_2e, th_2 = self.prk, self.th
         self._mix(SALT_3E2M, self.own.exchange(self.g_x))
-        plaintext = c_r + self.own.kid + bstr(self._mac(Label.MAC_2, c_r, self.own, ead)) + ead
+        plaintext = c_r + self.own.kid + bstr(self._mac(KdfLabel.MAC_2, c_r, self.own, ead)) + ead
         self.th = transcript_next(th_2, plaintext, self.own.cred)
         return bstr(self.g_y + _xor(plaintext, keystream_2(prk_2e, th_2, len(plaintext))))
 
@@ -107,7 +107,7 @@ class Method3:
         assert encode(kid) == self.peer.kid
         self._mix(SALT_3E2M, self.finish(self.peer.x))
         tail = b"".join(map(encode, ead))
-        assert mac == self._mac(Label.MAC_2, self.c_r, self.peer, tail)
+        assert mac == self._mac(KdfLabel.MAC_2, self.c_r, self.peer, tail)
         self.th = transcript_next(self.th, plaintext, self.peer.cred)
 
     # -- message_3 and message_4
@@ -115,25 +115,28 @@ class Method3:
     def make_3(self, ead: bytes = b"") -> bytes:
         prk_3e2m, th_3 = self.prk, self.th
         self._mix(SALT_4E3M, self.own.exchange(self.g_y))
-        plaintext = self.own.kid + bstr(self._mac(Label.MAC_3, b"", self.own, ead)) + ead
+        plaintext = self.own.kid + bstr(self._mac(KdfLabel.MAC_3, b"", self.own, ead)) + ead
         self.th = transcript_next(th_3, plaintext, self.own.cred)
-        return bstr(_aead(prk_3e2m, th_3, Label.K_3, Label.IV_3, "encrypt", plaintext))
+        return bstr(_aead(prk_3e2m, th_3, KdfLabel.K_3, KdfLabel.IV_3, "encrypt", plaintext))
 
     def take_3(self, data: bytes) -> None:
         ciphertext = decode_bytes(data)
-        plaintext = _aead(self.prk, self.th, Label.K_3, Label.IV_3, "decrypt", ciphertext)
+        plaintext = _aead(self.prk, self.th, KdfLabel.K_3, KdfLabel.IV_3, "decrypt", ciphertext)
         kid, mac, *ead = decode_sequence(plaintext)
         assert encode(kid) == self.peer.kid
         self._mix(SALT_4E3M, self.finish(self.peer.x))
         tail = b"".join(map(encode, ead))
-        assert mac == self._mac(Label.MAC_3, b"", self.peer, tail)
+        assert mac == self._mac(KdfLabel.MAC_3, b"", self.peer, tail)
         self.th = transcript_next(self.th, plaintext, self.peer.cred)
 
     def make_4(self) -> bytes:
-        return bstr(_aead(self.prk, self.th, Label.K_4, Label.IV_4, "encrypt", b""))
+        return bstr(_aead(self.prk, self.th, KdfLabel.K_4, KdfLabel.IV_4, "encrypt", b""))
 
     def take_4(self, data: bytes) -> None:
-        assert _aead(self.prk, self.th, Label.K_4, Label.IV_4, "decrypt", decode_bytes(data)) == b""
+        assert (
+            _aead(self.prk, self.th, KdfLabel.K_4, KdfLabel.IV_4, "decrypt", decode_bytes(data))
+            == b""
+        )
 
     # -- parts
 
@@ -144,12 +147,14 @@ class Method3:
     def _mix(self, label: int, shared: bytes) -> None:
         self.prk = extract(kdf(self.prk, label, self.th, 32), shared)
 
-    def _mac(self, label: Label, prefix: bytes, who: Static, ead: bytes) -> bytes:
+    def _mac(self, label: KdfLabel, prefix: bytes, who: Static, ead: bytes) -> bytes:
         context = prefix + who.id_cred + bstr(self.th) + who.cred + ead
         return kdf(self.prk, label, context, MAC_LENGTH)
 
 
-def _aead(prk: Secret, th: bytes, key: Label, iv: Label, operation: str, data: bytes) -> bytes:
+def _aead(
+    prk: Secret, th: bytes, key: KdfLabel, iv: KdfLabel, operation: str, data: bytes
+) -> bytes:
     aead = SUITE.aead(kdf(prk, key, th, SUITE.key_length))
     run = partial(getattr(aead, operation), kdf(prk, iv, th, SUITE.nonce_length))
     result: bytes = run(data, encode(["Encrypt0", b"", th]))

@@ -1,6 +1,6 @@
 """How a plain program behind a sidecar comes to a publisher's messages."""
 
-from rossec.channel.opening import Flavour
+from rossec.channel.opening import WireProtocol
 from rossec.participant.header_fields import Fields
 from rossec.sidecar.core.endpoints import endpoint
 from rossec.sidecar.plain_stream import PlainStream
@@ -14,6 +14,6 @@ async def subscribed(program: Program, topic: str, fields: Fields) -> tuple[Plai
     assert isinstance(uris, list)
     answer = await program.ask(uris[0], "requestTopic", topic, [["TCPROS"]])
     assert isinstance(answer, list)
-    place = endpoint(f"rosrpc://{answer[2][1]}:{answer[2][2]}", Flavour.TCPROS)
+    place = endpoint(f"rosrpc://{answer[2][1]}:{answer[2][2]}", WireProtocol.TCPROS)
     assert place is not None
     return await program.meet(place, {"topic": topic.encode(), **fields})

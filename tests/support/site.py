@@ -17,11 +17,11 @@ from grants import document
 from grants.model import Draft, Permission, Restriction, Right, filter_rules
 from rossec.authority.list_contents import entries_of
 from rossec.authority.renewals import renew
-from rossec.authority.signing import OpenAuthority
+from rossec.authority.signing import SigningAuthority
 from rossec.channel.suite_selection import post_quantum
 from rossec.home import NodeHome
-from rossec.master.operation.denial_log import Complain, unheard
-from rossec.master.operation.limits import Limits
+from rossec.master.operation.denial_log import OnDenial, unheard
+from rossec.master.operation.limits import MasterLimits
 from rossec.master.server.server import MasterServer
 from rossec.master.server.start import master_of
 from rossec.node import Node
@@ -44,15 +44,15 @@ class Site:
         now = self.now()
         certificate = create_root(key, domain, now=now, serial=secrets.randbits(127) + 1)
         root.mkdir(mode=0o700, parents=True, exist_ok=True)
-        self.authority = OpenAuthority(
+        self.authority = SigningAuthority(
             Authority(key, certificate), Store.create(root / "ca.db"), root
         )
         self.authority.sign_list(now)
         self.master: MasterServer | None = None
-        self.complain: Complain = unheard
-        self.intermediate: OpenAuthority | None = None
+        self.complain: OnDenial = unheard
+        self.intermediate: SigningAuthority | None = None
         self.host = "127.0.0.1"
-        self.limits = Limits()
+        self.limits = MasterLimits()
         self.variables: dict[str, str] = {}  # more of the environment
 
     def now(self) -> int:

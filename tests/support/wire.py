@@ -17,8 +17,8 @@ from rossec.channel.connection import Connection
 from rossec.channel.edhoc.credentials import Credentials
 from rossec.channel.edhoc.known import KnownCertificates
 from rossec.channel.edhoc.own_dials import OwnDials
-from rossec.channel.opening import Flavour
-from rossec.channel.records import Limits
+from rossec.channel.opening import WireProtocol
+from rossec.channel.records import ChannelLimits
 from rossec.channel.states import Event, UnitReceived
 from rossec.errors import ChannelError
 
@@ -68,13 +68,13 @@ def dice(seed: str) -> Callable[[int], bytes]:
 
 
 ALICE, BOB, STRANGER = node("/alice"), node("/bob"), node("/stranger")
-DEFAULTS = Limits()
+DEFAULTS = ChannelLimits()
 
 
 def alice(
-    opening: Flavour = Flavour.TCPROS,
+    opening: WireProtocol = WireProtocol.TCPROS,
     credentials: Credentials = ALICE,
-    limits: Limits = DEFAULTS,
+    limits: ChannelLimits = DEFAULTS,
     suites: tuple[int, ...] = (6,),
     known: KnownCertificates | None = None,
     brief: bool = False,
@@ -97,9 +97,9 @@ def alice(
 
 def bob(
     credentials: Credentials = BOB,
-    limits: Limits = DEFAULTS,
+    limits: ChannelLimits = DEFAULTS,
     suites: tuple[int, ...] = (6,),
-    accept: frozenset[Flavour] = frozenset(Flavour),
+    accept: frozenset[WireProtocol] = frozenset(WireProtocol),
     known: KnownCertificates | None = None,
     own_dials: OwnDials | None = None,
 ) -> Connection[FakeIdentity]:

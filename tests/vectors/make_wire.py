@@ -15,8 +15,8 @@ from ca.encoding import Value, encode
 from grants.token import pack
 from rossec.channel.edhoc.handshake import Initiator, Responder
 from rossec.channel.edhoc.keyschedule import (
-    Exporter,
-    Label,
+    EdhocExporter,
+    KdfLabel,
     bstr,
     extract,
     kdf,
@@ -30,9 +30,9 @@ from rossec.channel.edhoc.messages import (
     encode_error,
     suites_item,
 )
-from rossec.channel.edhoc.peer import C_R, Party
-from rossec.channel.opening import MAX_DRAIN, MAX_OPENING, Flavour, first_bytes
-from rossec.channel.records import Frame, Limits
+from rossec.channel.edhoc.peer import C_R, EdhocConfig
+from rossec.channel.opening import MAX_DRAIN, MAX_OPENING, WireProtocol, first_bytes
+from rossec.channel.records import ChannelLimits, Frame
 from rossec.participant.access import MAX_GRANTS
 from rossec.ros import header
 from rossec.ros.xmlrpc import dump_call
@@ -49,8 +49,8 @@ _X: Final = bytes(range(32))
 
 def openings() -> Vectors:
     """First bytes at a port that takes both openings, and what a responder makes of them."""
-    request = first_bytes(Flavour.HTTP)
-    tcpros = first_bytes(Flavour.TCPROS)
+    request = first_bytes(WireProtocol.HTTP)
+    tcpros = first_bytes(WireProtocol.TCPROS)
     accepted = {
         "TCPROS": ("tcpros", tcpros),
         "HTTP": ("http", request),
@@ -172,8 +172,8 @@ def _selected(policy: tuple[int, ...], offered: tuple[int, ...]) -> dict[str, An
     return {"error": encode_error(2, suites_item(suites)).hex()}
 
 
-def _party(end: str) -> Party[FakeIdentity]:
-    return Party(fixed(ALICE if end == "alice" else BOB), trust, dice(end))
+def _party(end: str) -> EdhocConfig[FakeIdentity]:
+    return EdhocConfig(fixed(ALICE if end == "alice" else BOB), trust, dice(end))
 
 
 def handshake() -> Vectors:
@@ -183,7 +183,7 @@ def handshake() -> Vectors:
     return [{"name": "suite 6", **{key: value.hex() for key, value in values.items()}}]
 
 
-def spoken() -> tuple[dict[str, bytes], Exporter]:
+def spoken() -> tuple[dict[str, bytes], EdhocExporter]:
     """The four messages, and what they lead to."""
     initiator, responder = Initiator(_party("alice")), Responder(_party("bob"))
     message_1 = initiator.message_1()
@@ -204,15 +204,15 @@ def _schedule(message_1: bytes, message_2: bytes) -> dict[str, bytes]:
     left, right = fixed(ALICE), fixed(BOB)
     cred_i, cred_r = bstr(left.certificate), bstr(right.certificate)
     id_i, id_r = encode(left.id_cred), encode(right.id_cred)
-    mac_2 = kdf(prk, Label.MAC_2, C_R + id_r + bstr(th_2) + cred_r, 32)
+    mac_2 = kdf(prk, KdfLabel.MAC_2, C_R + id_r + bstr(th_2) + cred_r, 32)
     sig_2 = right.sign(_signed(id_r, bstr(th_2) + cred_r, mac_2))
     plaintext_2 = Plaintext(C_R, right.id_cred, sig_2).encode()
     th_3 = transcript_next(th_2, plaintext_2, cred_r)
-    mac_3 = kdf(prk, Label.MAC_3, id_i + bstr(th_3) + cred_i, 32)
+    mac_3 = kdf(prk, KdfLabel.MAC_3, id_i + bstr(th_3) + cred_i, 32)
     sig_3 = left.sign(_signed(id_i, bstr(th_3) + cred_i, mac_3))
     plaintext_3 = Plaintext(None, left.id_cred, sig_3).encode()
     th_4 = transcript_next(th_3, plaintext_3, cred_i)
-    exporter = Exporter.derive(prk, th_4)
+    exporter = EdhocExporter.derive(prk, th_4)
     context = b"rossec/1" + bytes(8)
     return {
         "x": x, "y": y, "g_x": g_x, "g_y": g_y, "g_xy": shared, "cred_i": cred_i, "cred_r": cred_r,
@@ -271,7 +271,7 @@ def _played(steps: list[tuple[int, str]]) -> Vectors:
 
 
 def _open() -> Wire:
-    w = wire(alice(limits=replace(Limits(), seconds=_PERIOD)), bob())
+    w = wire(alice(limits=replace(ChannelLimits(), seconds=_PERIOD)), bob())
     w.pump()
     return w
 

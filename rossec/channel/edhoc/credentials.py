@@ -13,7 +13,7 @@ from ca.encoding import Value, encode
 from ca.keys.signer import Signer
 from rossec.channel.edhoc.keyschedule import bstr
 from rossec.channel.edhoc.suites import PublicKey
-from rossec.errors import HandshakeFailed, UnknownCredential
+from rossec.errors import HandshakeFailed, PeerCredentialUnknown
 
 X5CHAIN: Final = 33  # RFC 9360 section 2
 X5T: Final = 34
@@ -148,11 +148,11 @@ def x5chain(id_cred: Value) -> tuple[bytes, ...]:
     """Return the chain an x5chain ID_CRED_x carries.
 
     Raises:
-        UnknownCredential: a reference, where nobody keeps what it could refer to.
+        PeerCredentialUnknown: a reference, where nobody keeps what it could refer to.
         HandshakeFailed: another kind of credential, or not a chain of 1 to 4 certificates.
     """
     if isinstance(id_cred, dict) and X5T in id_cred:
-        raise UnknownCredential("the peer names a certificate, and this node remembers none")
+        raise PeerCredentialUnknown("the peer names a certificate, and this node remembers none")
     named = id_cred.get(X5CHAIN) if isinstance(id_cred, dict) and len(id_cred) == 1 else None
     match named:
         case bytes():

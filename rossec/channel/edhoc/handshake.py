@@ -9,7 +9,7 @@ sent: it confirms the key to an initiator, and marks the point after which error
 from typing import Final
 
 from rossec.channel.edhoc.credentials import PeerT
-from rossec.channel.edhoc.keyschedule import GONE, Label, bstr, keystream_2
+from rossec.channel.edhoc.keyschedule import GONE, KdfLabel, bstr, keystream_2
 from rossec.channel.edhoc.messages import (
     MAX_PLAINTEXT_2,
     Message1,
@@ -17,7 +17,7 @@ from rossec.channel.edhoc.messages import (
     decode_message_1,
     decode_plaintext_4,
 )
-from rossec.channel.edhoc.peer import C_I_BRIEF, Party, Side
+from rossec.channel.edhoc.peer import C_I_BRIEF, EdhocConfig, EdhocPeer
 from rossec.channel.edhoc.suites import SIGNATURE_LENGTH, SUITES, Finish, Suite
 from rossec.errors import HandshakeFailed
 
@@ -32,10 +32,10 @@ class WrongSuite(HandshakeFailed):
         self.suites = suites
 
 
-class Initiator(Side[PeerT]):
+class Initiator(EdhocPeer[PeerT]):
     """Sends message_1, checks message_2, sends message_3, checks message_4."""
 
-    def __init__(self, party: Party[PeerT], selected: int | None = None) -> None:
+    def __init__(self, party: EdhocConfig[PeerT], selected: int | None = None) -> None:
         super().__init__(party)
         number = party.suites[0] if selected is None else selected
         self._suite = SUITES[number]
@@ -87,7 +87,7 @@ class Initiator(Side[PeerT]):
         self._g_y = g_y
         self._agree(shared, g_y, self._message_1)
         plaintext = _xor(ciphertext, keystream_2(self._prk, self._th, len(ciphertext)))
-        peer = self._check(Label.MAC_2, plaintext, now)
+        peer = self._check(KdfLabel.MAC_2, plaintext, now)
         known = self._party.known
         # A responder that sent its whole certificate may have no memory for this side's either.
         met = known is not None and known.is_introduced(self._chain[0])
@@ -96,9 +96,9 @@ class Initiator(Side[PeerT]):
 
     def _message_3(self) -> bytes:
         th_3 = self._th
-        plaintext = self._state(Label.MAC_3, None)
+        plaintext = self._state(KdfLabel.MAC_3, None)
         th_4, self._th = self._th, th_3
-        message = self._seal(Label.K_3, Label.IV_3, plaintext)
+        message = self._seal(KdfLabel.K_3, KdfLabel.IV_3, plaintext)
         self._th = th_4
         self._finish()
         return message
@@ -109,13 +109,13 @@ class Initiator(Side[PeerT]):
         Raises:
             HandshakeFailed: it does not.
         """
-        decode_plaintext_4(self._open(Label.K_4, Label.IV_4, decode_bytes(data)))
+        decode_plaintext_4(self._open(KdfLabel.K_4, KdfLabel.IV_4, decode_bytes(data)))
         self._prk = GONE
         if self._party.known is not None:
             self._party.known.introduce(self._chain[0])
 
 
-class Responder(Side[PeerT]):
+class Responder(EdhocPeer[PeerT]):
     """Checks message_1, sends message_2, checks message_3, sends message_4."""
 
     def message_1(self, data: bytes) -> bytes:
@@ -149,7 +149,7 @@ class Responder(Side[PeerT]):
 
     def _message_2(self, g_y: bytes) -> bytes:
         prk, th_2 = self._prk, self._th
-        plaintext = self._state(Label.MAC_2, self._party.c_r)
+        plaintext = self._state(KdfLabel.MAC_2, self._party.c_r)
         if len(plaintext) > MAX_PLAINTEXT_2:
             raise HandshakeFailed(
                 "this node's certificate chain is too long for the handshake",
@@ -163,10 +163,10 @@ class Responder(Side[PeerT]):
         Raises:
             HandshakeFailed: any flaw. `IdentityRefused` when only its certificate is at fault.
         """
-        plaintext = self._open(Label.K_3, Label.IV_3, decode_bytes(data))
-        peer = self._check(Label.MAC_3, plaintext, now)
+        plaintext = self._open(KdfLabel.K_3, KdfLabel.IV_3, decode_bytes(data))
+        peer = self._check(KdfLabel.MAC_3, plaintext, now)
         self._finish()
-        message_4 = self._seal(Label.K_4, Label.IV_4, b"")
+        message_4 = self._seal(KdfLabel.K_4, KdfLabel.IV_4, b"")
         self._prk = GONE
         return message_4, peer
 

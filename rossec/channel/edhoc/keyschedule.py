@@ -21,7 +21,7 @@ from rossec.channel.edhoc.suites import HASH_LENGTH
 _SHA256: Final = hashes.SHA256()
 
 
-class Label(IntEnum):
+class KdfLabel(IntEnum):
     """Labels of EDHOC_KDF (RFC 9528, figure 6)."""
 
     KEYSTREAM_2 = 0
@@ -98,35 +98,35 @@ def transcript_next(previous: bytes, plaintext: bytes, credential: bytes) -> byt
 
 def keystream_2(prk_2e: Secret, th_2: bytes, length: int) -> bytes:
     """The one-time pad over PLAINTEXT_2."""
-    return kdf(prk_2e, Label.KEYSTREAM_2, th_2, length)
+    return kdf(prk_2e, KdfLabel.KEYSTREAM_2, th_2, length)
 
 
 @dataclass(frozen=True)
-class Exporter:
+class EdhocExporter:
     """What a finished handshake leaves behind: PRK_out, and nothing older."""
 
     prk_out: bytes
 
     @cached_property
     def _prk_exporter(self) -> Secret:
-        return Secret(kdf(Secret(self.prk_out), Label.PRK_EXPORTER, b"", HASH_LENGTH))
+        return Secret(kdf(Secret(self.prk_out), KdfLabel.PRK_EXPORTER, b"", HASH_LENGTH))
 
     @classmethod
-    def derive(cls, prk_4e3m: Secret, th_4: bytes) -> "Exporter":
+    def derive(cls, prk_4e3m: Secret, th_4: bytes) -> "EdhocExporter":
         """PRK_out = EDHOC_KDF( PRK_4e3m, 7, TH_4, hash_length )."""
-        return cls(kdf(prk_4e3m, Label.PRK_OUT, th_4, HASH_LENGTH))
+        return cls(kdf(prk_4e3m, KdfLabel.PRK_OUT, th_4, HASH_LENGTH))
 
     def export(self, label: int, context: bytes, length: int) -> bytes:
         """EDHOC_Exporter (RFC 9528 section 4.2.1)."""
         return kdf(self._prk_exporter, label, context, length)
 
-    def bare(self) -> "Exporter":
+    def bare(self) -> "EdhocExporter":
         """The same without what was prepared for `export`: it is not needed for long."""
-        return Exporter(self.prk_out)
+        return EdhocExporter(self.prk_out)
 
-    def update(self, context: bytes) -> "Exporter":
+    def update(self, context: bytes) -> "EdhocExporter":
         """EDHOC_KeyUpdate (RFC 9528 section 4.2.2): forward secrecy, not healing."""
-        return Exporter(kdf(Secret(self.prk_out), Label.KEY_UPDATE, context, HASH_LENGTH))
+        return EdhocExporter(kdf(Secret(self.prk_out), KdfLabel.KEY_UPDATE, context, HASH_LENGTH))
 
     def __repr__(self) -> str:
         return "Exporter(...)"  # secrets never reach a log

@@ -11,7 +11,7 @@ from typing import Final, TypeAlias
 
 from ca.encoding import Value
 from rossec.channel.edhoc.credentials import X5T, x5chain
-from rossec.errors import UnknownCredential
+from rossec.errors import PeerCredentialUnknown
 
 _SHA256_64: Final = -15  # RFC 9054
 _CAPACITY: Final = 256
@@ -54,14 +54,16 @@ class KnownCertificates:
         """From ID_CRED_x, of either kind, to the chain.
 
         Raises:
-            UnknownCredential: a reference to what is not here.
+            PeerCredentialUnknown: a reference to what is not here.
             HandshakeFailed: neither a reference nor a chain.
         """
         match id_cred:
             case {34: [-15, bytes() as short], **rest} if not rest:
                 chain = self._chains.get(short)
                 if chain is None:
-                    raise UnknownCredential("the peer names a certificate this node does not know")
+                    raise PeerCredentialUnknown(
+                        "the peer names a certificate this node does not know"
+                    )
                 self._chains.move_to_end(short)
                 return chain
             case _:

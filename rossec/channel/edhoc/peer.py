@@ -22,8 +22,8 @@ from rossec.channel.edhoc.credentials import (
 )
 from rossec.channel.edhoc.keyschedule import (
     GONE,
-    Exporter,
-    Label,
+    EdhocExporter,
+    KdfLabel,
     Secret,
     bstr,
     extract,
@@ -49,7 +49,7 @@ _HINT_ADDRESS: Final = "do two hosts go by one address? see ROS_IP and ROS_HOSTN
 
 
 @dataclass(frozen=True)
-class Party(Generic[PeerT]):
+class EdhocConfig(Generic[PeerT]):
     """One side's inputs: its credential, whom it trusts, its dice, its policy."""
 
     credential: OwnCredential
@@ -68,7 +68,7 @@ class Party(Generic[PeerT]):
 class _Statement(NamedTuple):
     """What one side claims in message_2 or message_3, in the form that is MACed and signed."""
 
-    label: Label
+    label: KdfLabel
     prefix: bytes  # C_R in message_2, nothing in message_3
     id_cred: bytes
     th: bytes
@@ -81,15 +81,15 @@ class _Statement(NamedTuple):
         return _SIGNATURE1 + bstr(self.id_cred) + bstr(external) + bstr(mac)
 
 
-class Side(Generic[PeerT]):
+class EdhocPeer(Generic[PeerT]):
     """What both sides share: own statement, peer's statement, the AEAD of messages 3 and 4."""
 
-    def __init__(self, party: Party[PeerT]) -> None:
+    def __init__(self, party: EdhocConfig[PeerT]) -> None:
         self._party = party
         self._suite = SUITES[party.suites[0]]
         self._prk = GONE
         self._th = b""
-        self._exporter: Exporter | None = None
+        self._exporter: EdhocExporter | None = None
         self._chain: tuple[bytes, ...] = ()
         self._by_reference = False  # how the peer named its certificate
         self._g_x = self._g_y = b""
@@ -102,7 +102,7 @@ class Side(Generic[PeerT]):
         return self._suite
 
     @property
-    def exporter(self) -> Exporter:
+    def exporter(self) -> EdhocExporter:
         """The secret for the records, once there is one."""
         if self._exporter is None:
             raise HandshakeFailed("the handshake is not finished")
@@ -117,7 +117,7 @@ class Side(Generic[PeerT]):
         self._th = transcript_2(g_y, message_1)
         self._prk = extract(self._th, shared)
 
-    def _state(self, label: Label, c_r: bytes | None) -> bytes:
+    def _state(self, label: KdfLabel, c_r: bytes | None) -> bytes:
         """Sign this side's statement, advance the transcript, return the plaintext."""
         own = self._party.credential
         prefix = b"" if c_r is None else encode_identifier(c_r)
@@ -130,9 +130,9 @@ class Side(Generic[PeerT]):
         self._th = transcript_next(self._th, plaintext, cred)
         return plaintext
 
-    def _check(self, label: Label, plaintext: bytes, now: int) -> PeerT:
+    def _check(self, label: KdfLabel, plaintext: bytes, now: int) -> PeerT:
         """Verify the peer's statement, advance the transcript, return who it is."""
-        parsed = decode_plaintext(plaintext, with_c_r=label is Label.MAC_2)
+        parsed = decode_plaintext(plaintext, with_c_r=label is KdfLabel.MAC_2)
         certificate, peer = self._identify(parsed.id_cred, now)
         prefix = b"" if parsed.c_r is None else encode_identifier(parsed.c_r)
         id_cred, cred = encode_id_cred(parsed.id_cred), bstr(certificate)
@@ -168,17 +168,21 @@ class Side(Generic[PeerT]):
         if self._dial is not None and not is_itself:
             raise IdentityRefused("another one answers at this node's own address", _HINT_ADDRESS)
 
-    def _seal(self, key: Label, iv: Label, plaintext: bytes) -> bytes:
+    def _seal(self, key: KdfLabel, iv: KdfLabel, plaintext: bytes) -> bytes:
         return bstr(self._aead(key, iv, lambda aead: aead.encrypt, plaintext))
 
-    def _open(self, key: Label, iv: Label, ciphertext: bytes) -> bytes:
+    def _open(self, key: KdfLabel, iv: KdfLabel, ciphertext: bytes) -> bytes:
         try:
             return self._aead(key, iv, lambda aead: aead.decrypt, ciphertext)
         except InvalidTag:
             raise HandshakeFailed("a handshake message does not decrypt") from None
 
     def _aead(
-        self, key: Label, iv: Label, operation: Callable[..., Callable[..., bytes]], data: bytes
+        self,
+        key: KdfLabel,
+        iv: KdfLabel,
+        operation: Callable[..., Callable[..., bytes]],
+        data: bytes,
     ) -> bytes:
         suite = self._suite
         aead = suite.aead(kdf(self._prk, key, self._th, suite.key_length))
@@ -187,6 +191,6 @@ class Side(Generic[PeerT]):
         return operation(aead)(nonce, data, _ENCRYPT0 + bstr(self._th))
 
     def _finish(self) -> None:
-        self._exporter = Exporter.derive(self._prk, self._th)
+        self._exporter = EdhocExporter.derive(self._prk, self._th)
         if self._party.known is not None:
             self._party.known.remember(self._chain)

@@ -16,7 +16,7 @@ from ca.enrollment.messages import Delivery, write
 from ca.enrollment.transcript import grouped as spaced
 from ca.errors import HintedError
 from ca.requests import MAX_REQUEST
-from ca.store.lifecycle import RequestRow, State
+from ca.store.lifecycle import RequestRow, RequestState
 from rossec import files
 from rossec.authority.home import AuthorityHome
 from rossec.cli.ca.requests import introduce, tell_of_replaced
@@ -29,7 +29,7 @@ from rossec.enrollment.scan import code_in_file
 from rossec.errors import ConfigurationError
 from rossec.terminal import say
 
-Where = tuple[str, int]
+Destination = tuple[str, int]
 _DENIED: Final = "no, at the authority"
 
 
@@ -90,7 +90,7 @@ def enroll(
     if later:
         say(f"recorded; decide with: rossec ca approve {row.digest.hex()[:8]}, or deny")
         return
-    if row.state is State.PENDING and not agrees("give this name to this key?", yes=yes):
+    if row.state is RequestState.PENDING and not agrees("give this name to this key?", yes=yes):
         home.store().requests.deny(row.digest, now(), _DENIED)
         raise ConfigurationError("denied", "to ask again the node needs a new request")
     core.approve(now())
@@ -139,7 +139,7 @@ def _ask() -> str:
     return typed
 
 
-def _where(code: qr.Code, told: str | None, csr_file: Path | None) -> Where | None:
+def _where(code: qr.Code, told: str | None, csr_file: Path | None) -> Destination | None:
     """Where the node waits; None: it does not, files are carried."""
     if told is not None or code.address:
         return address.split(told or code.address)
@@ -150,7 +150,7 @@ def _where(code: qr.Code, told: str | None, csr_file: Path | None) -> Where | No
     )
 
 
-def _compare(core: AuthorityEnrollment, csr_file: Path | None, where: Where | None) -> None:
+def _compare(core: AuthorityEnrollment, csr_file: Path | None, where: Destination | None) -> None:
     if csr_file is not None:
         core.receive(write(Delivery(_read(csr_file))), now())
         return
@@ -167,19 +167,19 @@ def _recorded(home: AuthorityHome, core: AuthorityEnrollment, source: str) -> Re
             request = core.request
             return RequestRow(
                 request.digest, request.name, request.thumbprint, core.csr, source, now(),
-                State.ISSUED, "", now(),
+                RequestState.ISSUED, "", now(),
             )  # fmt: skip
         return store.requests.add(core.request, core.csr, source, now())
     finally:
         store.close()
 
 
-def _source(code: qr.Code, csr_file: Path | None, where: Where | None) -> str:
+def _source(code: qr.Code, csr_file: Path | None, where: Destination | None) -> str:
     kind = "a screen code" if code.secret else "a label" if csr_file is None else "a file"
     return kind if where is None else f"{kind} at {address.join(*where)}"
 
 
-def _hand_over(core: AuthorityEnrollment, bundle: bytes, where: Where) -> None:
+def _hand_over(core: AuthorityEnrollment, bundle: bytes, where: Destination) -> None:
     """Offer the identity, and wait for the person at the node."""
     *chain, root = from_pem(bundle)
     offer = core.offer(chain, root, secrets.token_bytes(NONCE_SIZE), now())

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import click
 
-from ca.certificates import Request, check_request
+from ca.certificates import IdentityRequest, check_request
 from ca.enrollment import qr
 from ca.keys.hsm import KeyUri
 from ca.names import check_wildcard, spiffe_id
@@ -200,7 +200,7 @@ def _check_codes(codes: tuple[str, ...], requests: list[bytes]) -> None:
         )
 
 
-def _introduce(path: Path, request: Request, home: AuthorityHome, *, vouched: bool) -> None:
+def _introduce(path: Path, request: IdentityRequest, home: AuthorityHome, *, vouched: bool) -> None:
     how = (
         "its code fits"
         if vouched

@@ -6,7 +6,7 @@ from typing import Any
 
 import click
 
-from ca.store.log_entries import Entry, leaf, open_head
+from ca.store.log_entries import LogEntry, leaf, open_head
 from rossec import files
 from rossec.authority.home import AuthorityHome
 from rossec.cli.shared import passphrase
@@ -115,7 +115,7 @@ def prove(environment: Environment, entry: int | None, since: Path | None) -> No
     say_json({**shown, "proof": [digest.hex() for digest in proof], "head": head_text})
 
 
-def _as_json(entry: Entry) -> dict[str, Any]:
+def _as_json(entry: LogEntry) -> dict[str, Any]:
     return {**entry._asdict(), "digest": entry.digest.hex()}
 
 

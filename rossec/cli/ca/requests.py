@@ -7,14 +7,14 @@ from typing import Final
 import click
 
 from ca.names import spiffe_id
-from ca.store.lifecycle import OPEN, RequestRow, State
+from ca.store.lifecycle import OPEN, RequestRow, RequestState
 from ca.store.record import Store
 from grants.policy.model import Subject
 from grants.policy.projected_grants import prospects
 from rossec import files
 from rossec.authority.home import AuthorityHome, grouped
 from rossec.authority.policyfile import PolicyFile, place
-from rossec.authority.signing import OpenAuthority
+from rossec.authority.signing import SigningAuthority
 from rossec.cli.ca.group import warn_of_tail
 from rossec.cli.shared import options, passphrase
 from rossec.cli.shared.context import Environment, moment, now, pass_environment
@@ -110,7 +110,7 @@ def introduce(
 
 def tell_of_replaced(
     environment: Environment,
-    authority: OpenAuthority,
+    authority: SigningAuthority,
     revoked: frozenset[bytes],
     number: tuple[int, int],
     master_uri: str | None,
@@ -133,7 +133,7 @@ def _standing(store: Store, row: RequestRow) -> str:
         )
     if known:
         return f"{row.name} is enrolled with this key until {moment(known[-1].not_after)}"
-    if row.state is not State.PENDING:
+    if row.state is not RequestState.PENDING:
         return f"the request was {row.state} {moment(row.changed)}"
     return f"{row.name} is new here"
 

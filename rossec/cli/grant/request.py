@@ -18,10 +18,10 @@ from grants.policy.model import Effect, Policy
 from grants.request import GrantRequest, Wish, sign_request
 from rossec import files
 from rossec.authority import requests
-from rossec.authority.approvals import Change, Desk, Question, today
+from rossec.authority.approvals import ApprovalQueue, Change, PendingApproval, today
 from rossec.authority.home import AuthorityHome
 from rossec.authority.policyfile import PolicyFile, layout_of
-from rossec.authority.signing import OpenAuthority
+from rossec.authority.signing import SigningAuthority
 from rossec.cli.shared import options, passphrase
 from rossec.cli.shared.context import Environment, moment, now, pass_environment
 from rossec.cli.shared.handing_over import hand_over
@@ -180,20 +180,20 @@ def deny(environment: Environment, request_id: str, policy_path: Path | None) ->
 
 
 @contextmanager
-def _desk(environment: Environment, file: PolicyFile) -> Iterator[Desk]:
-    desk = Desk(AuthorityHome.at(environment.home), file, now())
+def _desk(environment: Environment, file: PolicyFile) -> Iterator[ApprovalQueue]:
+    desk = ApprovalQueue(AuthorityHome.at(environment.home), file, now())
     try:
         yield desk
     finally:
         desk.close()
 
 
-def _collect(desk: Desk) -> None:
+def _collect(desk: ApprovalQueue) -> None:
     for trouble in desk.collect():
         note(printable(f"a request was dropped: {trouble}"))
 
 
-def _chosen(desk: Desk, beginning: str) -> list[Question]:
+def _chosen(desk: ApprovalQueue, beginning: str) -> list[PendingApproval]:
     _collect(desk)
     found = [
         item
@@ -235,7 +235,11 @@ def _restriction(policy: Policy, topic: str, name: str) -> Restriction:
 
 
 def _signed(
-    desk: Desk, authority: OpenAuthority, chosen: Sequence[Question], change: Change, reason: str
+    desk: ApprovalQueue,
+    authority: SigningAuthority,
+    chosen: Sequence[PendingApproval],
+    change: Change,
+    reason: str,
 ) -> Iterator[bytes]:
     for draft, data in desk.sign(authority, chosen, change, reason):
         say(f"grant {document.grant_id(data).hex()} for {draft.subject} until "
@@ -255,7 +259,7 @@ def _deliver(environment: Environment, data: bytes, out_dir: Path | None) -> Non
     hand_over(environment, document.peek(data).subject, data, out)
 
 
-def _show(item: Question, file: PolicyFile) -> None:
+def _show(item: PendingApproval, file: PolicyFile) -> None:
     asked = item.asked
     say(f"{asked.short_id}  {asked.request.node} wants to {asked.wish}")
     say(f'  it says: "{printable(asked.request.why)}"')
@@ -268,7 +272,7 @@ def _show(item: Question, file: PolicyFile) -> None:
     say(f"  rossec grant approve {asked.short_id} [--approximate FILTER] [--today], or deny")
 
 
-def _summary(item: Question) -> dict[str, object]:
+def _summary(item: PendingApproval) -> dict[str, object]:
     asked = item.asked
     return {
         "request": asked.request.id.hex(),

@@ -17,7 +17,7 @@ from typing import Any
 import click
 
 from rossec import files
-from rossec.authority.local_list import NearAuthority
+from rossec.authority.local_list import LocalList
 from rossec.channel import suite_selection
 from rossec.cli.master.audit import AUDIT
 from rossec.cli.shared import passphrase
@@ -28,9 +28,9 @@ from rossec.master.operation import config as configs
 from rossec.master.operation.admin import AdminPort, ask
 from rossec.master.operation.audit import AuditFile
 from rossec.master.operation.config import Config
-from rossec.master.operation.denial_limit import DENIALS, Throttle
-from rossec.master.operation.denial_log import ComplainLog, unheard
-from rossec.master.operation.metrics import Exporter, of_loop
+from rossec.master.operation.denial_limit import DENIALS, DenialRateLimit
+from rossec.master.operation.denial_log import DenialLog, unheard
+from rossec.master.operation.metrics import MetricsExporter, of_loop
 from rossec.master.operation.systemd import READY, STOPPING, notify
 from rossec.master.rights.statements import Renewer
 from rossec.master.server.server import MasterServer
@@ -166,7 +166,7 @@ def _log_as(form: str) -> None:
 
 
 def _bound_denials(stack: ExitStack) -> None:
-    throttle, log = Throttle(), logging.getLogger(DENIALS)
+    throttle, log = DenialRateLimit(), logging.getLogger(DENIALS)
     log.addFilter(throttle)
     stack.callback(log.removeFilter, throttle)
 
@@ -212,7 +212,7 @@ async def _serve(
     stop = asyncio.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         asyncio.get_running_loop().add_signal_handler(number, stop.set)
-    near = NearAuthority(environment.home)
+    near = LocalList(environment.home)
     newest = near.newest()
     server = master_of(
         home,
@@ -223,7 +223,7 @@ async def _serve(
         news=near.news,
         renewer=renewer,
         now=now(),
-        complain=ComplainLog(config.complaints) if config.complaints is not None else unheard,
+        complain=DenialLog(config.complaints) if config.complaints is not None else unheard,
         limits=config.limits,
         suites=suites,
     )
@@ -232,7 +232,7 @@ async def _serve(
     try:
         await _start(server)
         if config.metrics is not None:
-            exporter = Exporter(of_loop(server.status), config.metrics)
+            exporter = MetricsExporter(of_loop(server.status), config.metrics)
         if config.admin:
             await admin.start()
         _greet(server, home, exporter, as_json=as_json)
@@ -261,7 +261,7 @@ async def _start(server: MasterServer) -> None:
 
 
 def _greet(
-    server: MasterServer, home: NodeHome, exporter: Exporter | None, *, as_json: bool
+    server: MasterServer, home: NodeHome, exporter: MetricsExporter | None, *, as_json: bool
 ) -> None:
     metrics = {} if exporter is None else {"metrics": f"http://127.0.0.1:{exporter.port}/metrics"}
     if as_json:

@@ -13,7 +13,7 @@ from ca.enrollment.node import NodeEnrollment
 from ca.requests import check_request
 from rossec import files
 from rossec.authority.home import grouped
-from rossec.cli.node.enroll_screen import Session, authority_lines
+from rossec.cli.node.enroll_screen import EnrollmentScreen, authority_lines
 from rossec.cli.shared.context import Duration, Environment, now, pass_environment
 from rossec.cli.shared.context import confirm as ask_person
 from rossec.enrollment import address, control
@@ -72,7 +72,7 @@ def enroll(
     )
     where = host or _own_address(environment)
     listen = port if port is not None else address.DEFAULT_PORT * label
-    asyncio.run(Session(home, core, label=label, png=png, svg=svg).run(where, listen))
+    asyncio.run(EnrollmentScreen(home, core, label=label, png=png, svg=svg).run(where, listen))
 
 
 @click.command()

@@ -12,7 +12,7 @@ from typing import Final
 
 from ca.certificates import to_pem
 from ca.enrollment import qr
-from ca.enrollment.node import NodeEnrollment, Pending, State
+from ca.enrollment.node import NodeEnrollment, NodeState, Pending
 from ca.enrollment.transcript import grouped as spaced
 from ca.errors import EnrollmentOver, HintedError
 from rossec import files
@@ -29,7 +29,7 @@ _MAX_LINE: Final = 256
 _MAX_COMPLAINTS: Final = 10  # whoever reaches the port could fill the screen
 
 
-class Session:
+class EnrollmentScreen:
     """One run of `rossec node enroll`: the waiting node, its screen and its person."""
 
     def __init__(
@@ -68,10 +68,10 @@ class Session:
 
     async def _wait(self) -> None:
         try:
-            await self._node.until(State.PENDING, State.ENROLLED, every=self._countdown)
+            await self._node.until(NodeState.PENDING, NodeState.ENROLLED, every=self._countdown)
             self._line()
             with self._person():
-                await self._node.until(State.ENROLLED, every=lambda _: None)
+                await self._node.until(NodeState.ENROLLED, every=lambda _: None)
         finally:
             self._node.stop(EnrollmentOver("the node has stopped waiting"))
             self._line()

@@ -17,11 +17,11 @@ from grants.policy.decision import Decider
 from grants.policy.editing import NewRule, add_rules, free_id
 from grants.policy.model import Subject
 from grants.policy.patterns import meets
-from grants.policy.privacy import Access, Row
+from grants.policy.privacy import PrivacyRow, ReceiverAccess
 from rossec import files
 from rossec.authority.home import AuthorityHome
 from rossec.authority.policyfile import layout_of
-from rossec.authority.signing import OpenAuthority
+from rossec.authority.signing import SigningAuthority
 from rossec.cli.shared import options, passphrase
 from rossec.cli.shared.context import Environment, moment, now, pass_environment
 from rossec.cli.shared.delivery import deliver
@@ -111,7 +111,9 @@ def opt_out(
         say("the master has the new list")
 
 
-def _instead(authority: OpenAuthority, grant: Grant, name: str, node: str | None) -> bytes | None:
+def _instead(
+    authority: SigningAuthority, grant: Grant, name: str, node: str | None
+) -> bytes | None:
     """Revoke `grant`; returns what gives its holder the other rights, signed, if there are any."""
     authority.revoke(grant.id, f"opted out of {name}", now())
     say(f"revoked grant {grant.id.hex()} of {grant.subject}")
@@ -126,7 +128,7 @@ def _denial(name: str, node: str | None, taken: list[str]) -> NewRule:
     return NewRule(free_id(taken, wish), f"opted out {day}", node or "*", "deny", rights)
 
 
-def _live(authority: OpenAuthority) -> list[Grant]:
+def _live(authority: SigningAuthority) -> list[Grant]:
     """Every grant that holds, or will."""
     revoked = authority.store.revoked_entries()
     grants = [document.peek(row.data) for row in authority.store.grants()]
@@ -163,7 +165,7 @@ def _rest(grant: Grant, name: str, node: str | None) -> Draft | None:
     )  # fmt: skip
 
 
-def _held(home: AuthorityHome, decider: Decider) -> list[Access]:
+def _held(home: AuthorityHome, decider: Decider) -> list[ReceiverAccess]:
     """What is granted now, with the reason the policy gives for it today."""
     store = home.store()
     try:
@@ -180,12 +182,12 @@ def _held(home: AuthorityHome, decider: Decider) -> list[Access]:
     ]
 
 
-def _access(grant: Grant, permission: Permission, decider: Decider) -> Access:
+def _access(grant: Grant, permission: Permission, decider: Decider) -> ReceiverAccess:
     subject = Subject(check_name(grant.subject), grant.holder)
     verdict = decider.decide(subject, Right.SUBSCRIBE, permission.pattern)
     restriction = permission.restriction
     kind = decider.policy.type_of(permission.pattern)
-    return Access(
+    return ReceiverAccess(
         permission.pattern,
         kind if restriction is None or restriction.type is None else restriction.type,
         grant.subject,
@@ -197,5 +199,5 @@ def _access(grant: Grant, permission: Permission, decider: Decider) -> Access:
     )
 
 
-def _wanted(row: Row, node: str | None, field: str | None) -> bool:
+def _wanted(row: PrivacyRow, node: str | None, field: str | None) -> bool:
     return (node is None or row.receiver == node) and (field is None or field in row.field)

@@ -18,7 +18,7 @@ from grants.policy.decision import Decider
 from grants.policy.editing import empty
 from grants.policy.lint import someone
 from grants.policy.model import Policy, Subject
-from grants.policy.trial import Outcome, Trial
+from grants.policy.trial import Trial, TrialOutcome
 from rossec.authority.policyfile import PolicyFile, parse_policy, place
 from rossec.cli.policy.explain import changes, subject_of
 from rossec.cli.shared import options
@@ -44,7 +44,7 @@ class Tally:
     reason: str = ""
     example: list[str] = field(default_factory=list)
 
-    def count(self, kind: str, message: bytes, outcome: Outcome) -> None:
+    def count(self, kind: str, message: bytes, outcome: TrialOutcome) -> None:
         """Count one message."""
         if outcome.message is None:
             self.withheld += 1

@@ -15,7 +15,7 @@ from rossec.cli.shared.master import master_as, master_at
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
 from rossec.participant.grant_renewal import Call
-from rossec.participant.graph_view import METHOD, Change, Fact, GraphView
+from rossec.participant.graph_view import METHOD, Fact, GraphView, ObservedChange
 from rossec.participant.identity_renewal import IdentityRenewal, renew_identity
 from rossec.terminal import note, printable, say, say_json
 
@@ -49,7 +49,7 @@ async def _look(environment: Environment, home: NodeHome, uri: str, as_json: boo
         while view.take(await call(METHOD, *view.question)).more:
             pass
     if as_json:
-        say_json(_json(view, Change(tuple(sorted(view.facts)), (), False, False)))
+        say_json(_json(view, ObservedChange(tuple(sorted(view.facts)), (), False, False)))
         return
     for line in describe(view.facts):
         say(line)
@@ -109,7 +109,7 @@ def _check_identity(home: NodeHome) -> None:
         ) from error
 
 
-def _say(view: GraphView, change: Change, as_json: bool) -> None:
+def _say(view: GraphView, change: ObservedChange, as_json: bool) -> None:
     if change.restarted and not as_json:
         note("the master has begun anew")
     if not (change.added or change.removed or change.restarted):
@@ -122,7 +122,7 @@ def _say(view: GraphView, change: Change, as_json: bool) -> None:
             say(f"{sign} {printable(' '.join(fact))}")
 
 
-def _json(view: GraphView, change: Change) -> dict[str, object]:
+def _json(view: GraphView, change: ObservedChange) -> dict[str, object]:
     return {
         "instance": view.instance,
         "version": view.version,

@@ -12,7 +12,7 @@ from rossec.cli.shared.context import Environment, pass_environment
 from rossec.cli.shared.message_text import parse_message
 from rossec.errors import ConfigurationError
 from rossec.node import Node
-from rossec.node.params import Parameters
+from rossec.node.params import NodeParameters
 from rossec.terminal import printable, say, say_json
 
 _AS = click.option("--as", "node", required=True, metavar="NODE", help="identity to use")
@@ -79,7 +79,9 @@ def delete(environment: Environment, name: str, node: str) -> None:
     _run(environment, node, lambda params: params.delete(name))
 
 
-def _run(environment: Environment, node: str, work: Callable[[Parameters], Awaitable[Any]]) -> Any:
+def _run(
+    environment: Environment, node: str, work: Callable[[NodeParameters], Awaitable[Any]]
+) -> Any:
     async def run() -> Any:
         async with Node(node, environ=environment.variables) as running:
             return await work(running.params)

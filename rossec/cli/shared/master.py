@@ -8,7 +8,7 @@ from rossec.channel.suite_selection import post_quantum
 from rossec.cli.shared.context import Environment
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
-from rossec.net.aio import Flavour, connect
+from rossec.net.aio import WireProtocol, connect
 from rossec.net.rpc.client import RpcClient
 from rossec.participant.slave_api import MASTER
 from rossec.ros import settings
@@ -36,7 +36,7 @@ async def master_as(
         port,
         home.credentials() if own is None else own,
         home.anchor().verify,
-        opening=Flavour.HTTP,
+        opening=WireProtocol.HTTP,
         suites=post_quantum(environment.variables),
     )
     try:

@@ -13,22 +13,22 @@ from rossec.master.api.arguments import ArgumentRefused
 from rossec.master.api.graph_calls import GraphCalls
 from rossec.master.api.methods import (
     Administered,
-    CallRefused,
+    CallDenied,
+    CallRequest,
     Denied,
     MasterEvent,
     Method,
     Methods,
     Reply,
-    Request,
     Steps,
     StopMaster,
 )
 from rossec.master.api.multicall import MULTICALL, Multicall
 from rossec.master.api.parameter_calls import ParameterCalls
 from rossec.master.api.statement_calls import StatementCalls
-from rossec.master.api.turns import Outcome, Work, finished, never
+from rossec.master.api.turns import CallOutcome, Work, finished, never
 from rossec.master.api.watch_calls import WatchCalls
-from rossec.master.rights.access_rules import AddressTaken, Caller, Gatekeeper, Refused
+from rossec.master.rights.access_rules import AccessControl, AddressTaken, Caller, Refused
 from rossec.master.rights.interfaces import Statements
 from rossec.master.state.parameters import SIZE_LIMIT, Parameters
 from rossec.master.state.registry import Registry
@@ -63,7 +63,7 @@ class MasterApi:
     ) -> None:
         self._uri = uri
         self._pid = pid
-        self._gatekeeper = Gatekeeper(registry, name)
+        self._gatekeeper = AccessControl(registry, name)
         self.watching = WatchCalls(registry, self._gatekeeper, instance)
         tree = Parameters() if parameters is None else parameters
         self.parameters = ParameterCalls(tree, registry, statements.caller_of, parameter_bytes)
@@ -83,12 +83,12 @@ class MasterApi:
         now: int,
         *,
         near: bool = True,
-    ) -> Outcome:
+    ) -> CallOutcome:
         """Answer one call, all of it at once; arguments and errors as of `begin`."""
         if method == MULTICALL:
             return self._multicall(params, caller, now, near=near)
         begun = self.begin(method, params, caller, now, near=near)
-        return begun if isinstance(begun, Outcome) else finished(begun)
+        return begun if isinstance(begun, CallOutcome) else finished(begun)
 
     def begin(
         self,
@@ -98,7 +98,7 @@ class MasterApi:
         now: int,
         *,
         near: bool = True,
-    ) -> Outcome | Work:
+    ) -> CallOutcome | Work:
         """Answer one call, or begin to; `near`: it comes from the master's own host.
 
         Raises:
@@ -111,7 +111,7 @@ class MasterApi:
             request = self._request(method, row, params, caller, now, near=near)
             reply = row.handler(request)
         except ArgumentRefused as refused:
-            return Outcome([-1, str(refused), row.default])
+            return CallOutcome([-1, str(refused), row.default])
         except Refused as refused:
             return _refused(refused, method, row, caller)
         if isinstance(reply, Reply):
@@ -134,12 +134,12 @@ class MasterApi:
 
     def _multicall(
         self, params: Sequence[object], caller: Caller, now: int, *, near: bool
-    ) -> Outcome:
+    ) -> CallOutcome:
         """All of a multicall at once."""
         multicall, events = Multicall(params), list[MasterEvent]()
         while not multicall.done:
             events += self.make(multicall, caller, now, near=near)
-        return Outcome(multicall.answer, tuple(events))
+        return CallOutcome(multicall.answer, tuple(events))
 
     def _request(
         self,
@@ -150,7 +150,7 @@ class MasterApi:
         now: int,
         *,
         near: bool,
-    ) -> Request:
+    ) -> CallRequest:
         if not params:
             raise ArgumentRefused("missing required caller_id parameter")
         if len(params) != 1 + len(row.checks):
@@ -160,7 +160,7 @@ class MasterApi:
             raise ArgumentRefused("caller_id must be a string")
         acting = self._gatekeeper.acting(method, caller, caller_id)
         checked = [check(params[at], caller_id) for at, check in enumerate(row.checks, 1)]
-        request = Request(acting, (caller_id, *checked), now, near)
+        request = CallRequest(acting, (caller_id, *checked), now, near)
         self._gatekeeper.check(method, acting, request.arguments, near=near)
         return request
 
@@ -171,12 +171,12 @@ class MasterApi:
             "shutdown": Method((arg.anything,), 0, self._shutdown),
         }
 
-    def _shutdown(self, request: Request) -> Reply:
+    def _shutdown(self, request: CallRequest) -> Reply:
         reason = f"{request.caller.name}: {request.arguments[1]}"
         return Reply(0, "shutdown", events=(StopMaster(reason),))
 
 
-def _in_steps(steps: Steps, method: str, row: Method, request: Request, caller: Caller) -> Work:
+def _in_steps(steps: Steps, method: str, row: Method, request: CallRequest, caller: Caller) -> Work:
     try:
         reply = yield from steps
     except Refused as refused:
@@ -184,17 +184,17 @@ def _in_steps(steps: Steps, method: str, row: Method, request: Request, caller: 
     return _answered(reply, method, request, caller)
 
 
-def _answered(reply: Reply, method: str, request: Request, caller: Caller) -> Outcome:
+def _answered(reply: Reply, method: str, request: CallRequest, caller: Caller) -> CallOutcome:
     events = reply.events
     if request.caller.thumbprint != caller.thumbprint:  # only an administrator gets so far
         what = f"calls {method} for {request.caller.name}: {reply.status}"
         events = (*events, Administered(caller.title, what))
-    return Outcome([reply.code, reply.status, reply.value], events)
+    return CallOutcome([reply.code, reply.status, reply.value], events)
 
 
-def _refused(refused: Refused, method: str, row: Method, caller: Caller) -> Outcome:
+def _refused(refused: Refused, method: str, row: Method, caller: Caller) -> CallOutcome:
     status = f"rossec: {refused}"
     denied = () if refused.wanted is None else (Denied(caller.name, *refused.wanted),)
     taken_by = refused.owner if isinstance(refused, AddressTaken) else None
-    refusal = CallRefused(caller.title, method, status, taken_by)
-    return Outcome([-1, status, row.default], (refusal, *denied))
+    refusal = CallDenied(caller.title, method, status, taken_by)
+    return CallOutcome([-1, status, row.default], (refusal, *denied))

@@ -8,8 +8,8 @@ from collections.abc import Generator, Iterable
 from typing import Final
 
 from rossec.master.api import arguments as arg
-from rossec.master.api.methods import Method, Methods, Reply, Request, Steps
-from rossec.master.rights.access_rules import Caller, Gatekeeper, require_room
+from rossec.master.api.methods import CallRequest, Method, Methods, Reply, Steps
+from rossec.master.rights.access_rules import AccessControl, Caller, require_room
 from rossec.master.state.registry import Kind, Registry
 from rossec.ros.xmlwrite import Written
 
@@ -20,7 +20,7 @@ _ENTRIES_KEPT: Final = 8192
 class GraphCalls:
     """Handlers over one registry."""
 
-    def __init__(self, registry: Registry, gatekeeper: Gatekeeper) -> None:
+    def __init__(self, registry: Registry, gatekeeper: AccessControl) -> None:
         self._registry = registry
         self._gatekeeper = gatekeeper
         self._entries: dict[tuple[str, tuple[str, ...]], Written] = {}
@@ -46,57 +46,57 @@ class GraphCalls:
             "getPublishedTopics": Method((arg.subgraph("subgraph"),), 0, self._published_topics),
         }
 
-    def _register_publisher(self, request: Request) -> Reply:
+    def _register_publisher(self, request: CallRequest) -> Reply:
         name, topic, type_name = (request.text(i) for i in range(3))
         require_room(self._registry, Kind.PUBLISHER, topic, request.node(3))
         events = self._registry.register_publisher(topic, type_name, request.node(3))
         status = f"Registered [{name}] as publisher of [{topic}]"
         return Reply(self._registry.uris(Kind.SUBSCRIBER, topic), status, events=tuple(events))
 
-    def _register_subscriber(self, request: Request) -> Reply:
+    def _register_subscriber(self, request: CallRequest) -> Reply:
         topic, type_name = request.text(1), request.text(2)
         require_room(self._registry, Kind.SUBSCRIBER, topic, request.node(3))
         events = self._registry.register_subscriber(topic, type_name, request.node(3))
         publishers = self._registry.uris(Kind.PUBLISHER, topic)
         return Reply(publishers, f"Subscribed to [{topic}]", events=tuple(events))
 
-    def _register_service(self, request: Request) -> Reply:
+    def _register_service(self, request: CallRequest) -> Reply:
         name, service, service_uri = (request.text(i) for i in range(3))
         require_room(self._registry, Kind.SERVICE, service, request.node(3))
         events = self._registry.register_service(service, service_uri, request.node(3))
         return Reply(1, f"Registered [{name}] as provider of [{service}]", events=tuple(events))
 
-    def _unregister_publisher(self, request: Request) -> Reply:
+    def _unregister_publisher(self, request: CallRequest) -> Reply:
         return self._unregister(Kind.PUBLISHER, request)
 
-    def _unregister_subscriber(self, request: Request) -> Reply:
+    def _unregister_subscriber(self, request: CallRequest) -> Reply:
         return self._unregister(Kind.SUBSCRIBER, request)
 
-    def _unregister(self, kind: Kind, request: Request) -> Reply:
+    def _unregister(self, kind: Kind, request: CallRequest) -> Reply:
         done, events = self._registry.unregister(kind, request.text(1), request.node(2))
         return Reply(done.removed, done.status, events=tuple(events))
 
-    def _unregister_service(self, request: Request) -> Reply:
+    def _unregister_service(self, request: CallRequest) -> Reply:
         name, service, service_uri = (request.text(i) for i in range(3))
         done = self._registry.unregister_service(
             service, name, service_uri, request.caller.thumbprint
         )
         return Reply(done.removed, done.status)
 
-    def _lookup_node(self, request: Request) -> Reply:
+    def _lookup_node(self, request: CallRequest) -> Reply:
         name = request.text(1)
         uri = self._registry.node_uri(name)
         if uri is None or not self._gatekeeper.node_shown(request.caller, name):
             return Reply("", f"unknown node [{name}]", -1)
         return Reply(uri, "node api")
 
-    def _lookup_service(self, request: Request) -> Reply:
+    def _lookup_service(self, request: CallRequest) -> Reply:
         uri = self._registry.service_uri(request.text(1))
         if uri is None:
             return Reply("", "no provider", -1)
         return Reply(uri, f"rosrpc URI: [{uri}]")
 
-    def _system_state(self, request: Request) -> Steps:
+    def _system_state(self, request: CallRequest) -> Steps:
         return Reply((yield from self._state(request.caller)), "current system state")
 
     def _state(self, caller: Caller) -> Generator[None, None, Written]:
@@ -139,11 +139,11 @@ class GraphCalls:
             entry = self._entries[key, names] = Written([key, list(names)])
         return entry
 
-    def _topic_types(self, request: Request) -> Steps:
+    def _topic_types(self, request: CallRequest) -> Steps:
         types = self._registry.topic_types()
         return Reply((yield from self._typed(request.caller, types)), "current system state")
 
-    def _published_topics(self, request: Request) -> Steps:
+    def _published_topics(self, request: CallRequest) -> Steps:
         space = request.text(1)
         if space and not space.endswith("/"):
             space += "/"

@@ -7,7 +7,7 @@ from typing import NamedTuple
 from grants.model import Right
 from rossec.master.api.arguments import Check
 from rossec.master.rights.access_rules import Caller
-from rossec.master.state.parameter_journal import Change
+from rossec.master.state.parameter_journal import ParameterChange
 from rossec.master.state.registry import Event, NodeRef
 
 
@@ -60,7 +60,7 @@ class Denied:
 
 
 @dataclass(frozen=True)
-class CallRefused:
+class CallDenied:
     """A call was refused by rossec, alone or within a multicall: for the audit.
 
     `taken_by` is the node that has the address, if that was the reason.
@@ -76,7 +76,7 @@ class CallRefused:
 class ParameterKept:
     """A change to write down, so that it survives the master."""
 
-    change: Change
+    change: ParameterChange
 
 
 MasterEvent = (
@@ -87,7 +87,7 @@ MasterEvent = (
     | GrantsPresented
     | RevocationsChanged
     | Denied
-    | CallRefused
+    | CallDenied
     | Administered
 )
 
@@ -101,7 +101,7 @@ class Reply(NamedTuple):
     events: tuple[MasterEvent, ...] = ()
 
 
-class Request(NamedTuple):
+class CallRequest(NamedTuple):
     """One call whose arguments are checked and resolved; `arguments[0]` is the caller_id.
 
     `near`: it comes from the master's own host.
@@ -134,7 +134,7 @@ class Request(NamedTuple):
 Steps = Generator[None, None, Reply]
 """A query over all there is: yields wherever others may have their turn, returns the reply."""
 
-Handler = Callable[[Request], Reply | Steps]
+Handler = Callable[[CallRequest], Reply | Steps]
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from typing import Final
 
 from rossec.master.api.methods import GrantsPresented, MasterEvent, RevocationsChanged
-from rossec.master.api.turns import Outcome, Over, Work, advance
+from rossec.master.api.turns import CallOutcome, Over, Work, advance
 from rossec.master.rights.access_rules import RULES, Scope
 from rossec.master.state.parameter_values import weight
 from rossec.ros.xmlrpc import BODY_LIMIT
@@ -31,7 +31,7 @@ MULTICALL_ONCE: Final = frozenset(  # each of these costs signatures or carries 
 
 
 _RIGHTS: Final = (RevocationsChanged, GrantsPresented)
-Make = Callable[[str, Sequence[object]], Outcome | Work]
+Make = Callable[[str, Sequence[object]], CallOutcome | Work]
 """Makes one call, or begins to, or raises `Fault`."""
 
 
@@ -86,22 +86,22 @@ class Multicall:
         """What the element that is being made has found so far does not count any more."""
         self._work = None
 
-    def _next(self, make: Make, over: Over) -> Outcome | None:
+    def _next(self, make: Make, over: Over) -> CallOutcome | None:
         """Make one element; None: there is more to do."""
         try:
             begun = self._begun(make) if self._work is None else self._work
-            made = begun if isinstance(begun, Outcome) else advance(begun, over)
+            made = begun if isinstance(begun, CallOutcome) else advance(begun, over)
         except Fault as fault:
-            made = Outcome({"faultCode": fault.faultCode, "faultString": fault.faultString})
+            made = CallOutcome({"faultCode": fault.faultCode, "faultString": fault.faultString})
         else:
             if made is None:
-                self._work = None if isinstance(begun, Outcome) else begun
+                self._work = None if isinstance(begun, CallOutcome) else begun
                 return None
-            made = Outcome([made.answer], made.events)
+            made = CallOutcome([made.answer], made.events)
         self._work = None
         return made
 
-    def _begun(self, make: Make) -> Outcome | Work:
+    def _begun(self, make: Make) -> CallOutcome | Work:
         element = self._calls[len(self._answers)]
         self._check_once(element)
         return _made(element, make)
@@ -112,7 +112,7 @@ class Multicall:
             raise Fault(1, f"rossec: more than one {method} in a multicall")
 
 
-def _made(element: object, make: Make) -> Outcome | Work:
+def _made(element: object, make: Make) -> CallOutcome | Work:
     method = element.get("methodName") if isinstance(element, dict) else None
     params = element.get("params") if isinstance(element, dict) else None
     if not isinstance(method, str) or not isinstance(params, list):

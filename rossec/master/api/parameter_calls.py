@@ -12,12 +12,12 @@ from typing import Final
 from grants.model import Right
 from rossec.master.api import arguments as arg
 from rossec.master.api.methods import (
+    CallRequest,
     Method,
     Methods,
     ParameterChanged,
     ParameterKept,
     Reply,
-    Request,
     Steps,
 )
 from rossec.master.rights.access_rules import Caller, require_address, require_room
@@ -30,7 +30,7 @@ from rossec.master.rights.parameter_trees import (
 )
 from rossec.master.state import parameter_values
 from rossec.master.state import parameters as parameter_state
-from rossec.master.state.parameter_journal import Change
+from rossec.master.state.parameter_journal import ParameterChange
 from rossec.master.state.parameters import SIZE_LIMIT, ParameterMissing, Parameters, TooLarge
 from rossec.master.state.registry import Kind, NodeRef, Registry
 from rossec.ros.xmlrpc import BODY_LIMIT
@@ -76,7 +76,7 @@ class ParameterCalls:
             "unsubscribeParam": Method((api, key), 0, self._unsubscribe),
         }
 
-    def _get(self, request: Request) -> Reply:
+    def _get(self, request: CallRequest) -> Reply:
         key = request.text(1)
         place = self._parameters.place(key)
         require_tree(request.caller, Right.PARAM_GET, key, place)
@@ -84,12 +84,12 @@ class ParameterCalls:
             return Reply(0, f"Parameter [{key}] is not set", -1)
         return Reply(_carried(place[1]), f"Parameter [{key}]")
 
-    def _has(self, request: Request) -> Reply:
+    def _has(self, request: CallRequest) -> Reply:
         key = request.text(1)
         require_tree(request.caller, Right.PARAM_GET, key, self._parameters.place(key))
         return Reply(self._parameters.has(key), key)
 
-    def _set(self, request: Request) -> Reply:
+    def _set(self, request: CallRequest) -> Reply:
         key, value = request.text(1), request.arguments[2]
         try:
             parameter_state.check_names(key, value)
@@ -97,7 +97,7 @@ class ParameterCalls:
             self._set_within_share(request.caller, key, value)
         except (TypeError, ValueError) as error:
             return Reply(0, f"Error: invalid arguments: {error}", -1)
-        kept = ParameterKept(Change(key, value))
+        kept = ParameterKept(ParameterChange(key, value))
         events = self._updates(key, value, request, setter=request.caller.name)
         return Reply(0, f"parameter {key} set", events=(kept, *events))
 
@@ -131,7 +131,7 @@ class ParameterCalls:
         if self._grown[key] <= 0:
             del self._grown[key]
 
-    def _delete(self, request: Request) -> Reply:
+    def _delete(self, request: CallRequest) -> Reply:
         key = request.text(1)
         require_tree(request.caller, Right.PARAM_SET, key, self._parameters.place(key))
         before = self._parameters.size
@@ -140,11 +140,11 @@ class ParameterCalls:
         except ParameterMissing:
             return Reply(0, f"parameter [{key}] is not set", -1)
         self._account(request.caller, before)
-        kept = ParameterKept(Change(key, deleted=True))
+        kept = ParameterKept(ParameterChange(key, deleted=True))
         events = self._updates(key, {}, request, setter=None)
         return Reply(0, f"parameter {key} deleted", events=(kept, *events))
 
-    def _search(self, request: Request) -> Steps:
+    def _search(self, request: CallRequest) -> Steps:
         key = request.text(1)
         try:
             places = parameter_state.places_to_search(request.caller.name, key)
@@ -166,7 +166,7 @@ class ParameterCalls:
                 yield
         return False
 
-    def _names(self, request: Request) -> Steps:
+    def _names(self, request: CallRequest) -> Steps:
         shown, room, at_once = list[str](), _TOO_LONG, request.caller.looks_at_once
         for count, name in enumerate(self._listed(request.caller), 1):
             if name is not None:
@@ -186,7 +186,7 @@ class ParameterCalls:
             else:
                 yield None
 
-    def _subscribe(self, request: Request) -> Reply:
+    def _subscribe(self, request: CallRequest) -> Reply:
         node, key = request.node(1), request.text(2)
         require_tree(request.caller, Right.PARAM_GET, key, self._parameters.place(key))
         require_address(self._registry, request.caller, node.uri, near=request.near)
@@ -196,18 +196,18 @@ class ParameterCalls:
         events = self._registry.register_parameter(subscription, node)
         return Reply(value, f"Subscribed to parameter [{key}]", events=tuple(events))
 
-    def _unsubscribe(self, request: Request) -> Reply:
+    def _unsubscribe(self, request: CallRequest) -> Reply:
         node, key = request.node(1), request.text(2)
         self._registry.unregister(Kind.PARAMETER, parameter_state.subscription_key(key), node)
         return Reply(1, f"Unsubscribe to parameter [{key}]")
 
     def _updates(
-        self, key: str, value: object, request: Request, setter: str | None
+        self, key: str, value: object, request: CallRequest, setter: str | None
     ) -> tuple[ParameterChanged, ...]:
         subscriptions = self._registry.keys(Kind.PARAMETER)
         heard: dict[tuple[bytes, str], bool] = {}  # a key that is many nodes is judged once
 
-        def may_hear(node: NodeRef, update: parameter_state.Update) -> bool:
+        def may_hear(node: NodeRef, update: parameter_state.ParameterUpdate) -> bool:
             about = node.thumbprint, update.key
             if about not in heard:
                 heard[about] = self._may_hear(node, update.key, update.value, request.now)

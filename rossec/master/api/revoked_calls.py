@@ -22,7 +22,7 @@ _ANSWERED: Final = frozenset({"rossec.revocations", "rossec.revocationsSince"})
 _UNCONFIRMED: Final = b""
 
 
-class Hearers:
+class RevokedConnections:
     """How many connections each revoked key has."""
 
     def __init__(self) -> None:

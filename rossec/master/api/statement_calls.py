@@ -12,11 +12,11 @@ from grants.model import Right
 from rossec.master.api import arguments as arg
 from rossec.master.api.methods import (
     Administered,
+    CallRequest,
     GrantsPresented,
     Method,
     Methods,
     Reply,
-    Request,
     RevocationsChanged,
     Steps,
 )
@@ -68,7 +68,7 @@ class StatementCalls:
             "rossec.trl": Method((arg.binary("query"),), b"", self._query),
         }
 
-    def _present(self, request: Request) -> Reply:
+    def _present(self, request: CallRequest) -> Reply:
         presented = self._statements.present(
             request.caller, _binaries(request.arguments[1]), request.now
         )
@@ -79,7 +79,7 @@ class StatementCalls:
         event = GrantsPresented(request.caller.identity, presented.refused)
         return Reply(presented.held, status, events=(event,))
 
-    def _renew(self, request: Request) -> Reply:
+    def _renew(self, request: CallRequest) -> Reply:
         renewed = self._statements.renew(
             request.caller, _binaries(request.arguments[1]), request.now
         )
@@ -88,7 +88,7 @@ class StatementCalls:
         event = GrantsPresented(request.caller.identity, renewed.refused)
         return Reply(list(renewed.tokens), status, events=(event,))
 
-    def _renew_identity(self, request: Request) -> Reply:
+    def _renew_identity(self, request: CallRequest) -> Reply:
         asked = request.binary(1)
         try:
             bundle = self._statements.renew_identity(request.caller, asked, request.now)
@@ -96,7 +96,7 @@ class StatementCalls:
             raise _refusal(error) from error
         return Reply(bundle, "identity renewed")
 
-    def _delegated(self, request: Request) -> Reply:
+    def _delegated(self, request: CallRequest) -> Reply:
         try:
             newer = self._statements.delegated(request.binary(1))
         except HintedError as error:
@@ -106,22 +106,22 @@ class StatementCalls:
         brought = Administered(request.caller.identity, "brought a delegation to renew grants")
         return Reply(1, "delegated", events=(brought,))
 
-    def _revocations(self, request: Request) -> Reply:
+    def _revocations(self, request: CallRequest) -> Reply:
         return Reply(list(self._statements.current(request.now)), "revocations")
 
-    def _since(self, request: Request) -> Reply:
+    def _since(self, request: CallRequest) -> Reply:
         """The list only if it is not the one the caller says it holds."""
         self._statements.held_by(request.caller, request.binary(1))
         return Reply(list(self._statements.news_for(request.caller, request.now)), "revocations")
 
-    def _update(self, request: Request) -> Reply:
+    def _update(self, request: CallRequest) -> Reply:
         try:
             newer = self._statements.update(request.binary(1), request.now)
         except HintedError as error:
             raise _refusal(error) from error
         return _taken(newer, request)
 
-    def _update_tree(self, request: Request) -> Reply:
+    def _update_tree(self, request: CallRequest) -> Reply:
         tree, entries = request.binary(1), request.binary(2)
         try:
             newer = self._statements.update_tree(tree, entries, request.now)
@@ -129,10 +129,10 @@ class StatementCalls:
             raise _refusal(error) from error
         return _taken(newer, request)
 
-    def _proofs(self, request: Request) -> Reply:
+    def _proofs(self, request: CallRequest) -> Reply:
         return Reply(self._statements.proofs(_binaries(request.arguments[1])), "proofs")
 
-    def _query(self, request: Request) -> Steps:
+    def _query(self, request: CallRequest) -> Steps:
         caller = request.caller
         if caller.may(Right.ADMIN, self._master):
             entries = self._statements.revoked()
@@ -151,7 +151,7 @@ class StatementCalls:
         return [name for key in keys if (name := key.removesuffix("/"))]
 
 
-def _taken(newer: bool, request: Request) -> Reply:
+def _taken(newer: bool, request: CallRequest) -> Reply:
     if not newer:
         return Reply(0, "not newer than the list in force")
     changed = RevocationsChanged(request.caller.identity)

@@ -15,14 +15,14 @@ Over = Callable[[], bool]
 """Whether the turn has lasted long enough."""
 
 
-class Outcome(NamedTuple):
+class CallOutcome(NamedTuple):
     """What to answer and what to deliver."""
 
     answer: object
     events: tuple[MasterEvent, ...] = ()
 
 
-Work: TypeAlias = Generator[None, None, Outcome]
+Work: TypeAlias = Generator[None, None, CallOutcome]
 """A call that may take many turns."""
 
 
@@ -44,7 +44,7 @@ def never() -> bool:
     return False
 
 
-def advance(work: Work, over: Over) -> Outcome | None:
+def advance(work: Work, over: Over) -> CallOutcome | None:
     """Work for one turn; None: it is not at its end."""
     try:
         while True:
@@ -52,11 +52,11 @@ def advance(work: Work, over: Over) -> Outcome | None:
             if over():
                 return None
     except StopIteration as end:
-        outcome: Outcome = end.value
+        outcome: CallOutcome = end.value
         return outcome
 
 
-def finished(work: Work) -> Outcome:
+def finished(work: Work) -> CallOutcome:
     """Work to the end."""
     while (outcome := advance(work, never)) is None:
         pass

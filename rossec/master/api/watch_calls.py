@@ -12,8 +12,8 @@ from itertools import count
 from typing import Final, TypeAlias
 
 from rossec.master.api import arguments as arg
-from rossec.master.api.methods import Method, Methods, Reply, Request, Steps
-from rossec.master.rights.access_rules import Caller, Gatekeeper
+from rossec.master.api.methods import CallRequest, Method, Methods, Reply, Steps
+from rossec.master.rights.access_rules import AccessControl, Caller
 from rossec.master.state.registry import ANY_TYPE, Kind, Registry
 
 WATCH: Final = "rossec.watchGraph"
@@ -28,7 +28,7 @@ Fact: TypeAlias = tuple[str, str, str]
 View: TypeAlias = frozenset[Fact]
 
 
-def facts(registry: Registry, gatekeeper: Gatekeeper, caller: Caller) -> Iterator[Fact | None]:
+def facts(registry: Registry, gatekeeper: AccessControl, caller: Caller) -> Iterator[Fact | None]:
     """What `caller` may see of the graph: as `getSystemState` and its like show it.
 
     None for each name and node that was looked at in vain.
@@ -54,7 +54,7 @@ class WatchCalls:
         instance: names this run of the master: a restarted one counts from zero again.
     """
 
-    def __init__(self, registry: Registry, gatekeeper: Gatekeeper, instance: str) -> None:
+    def __init__(self, registry: Registry, gatekeeper: AccessControl, instance: str) -> None:
         self._registry = registry
         self._gatekeeper = gatekeeper
         self._instance = instance
@@ -71,7 +71,7 @@ class WatchCalls:
         for key in self._views.keys() - thumbprints:
             del self._views[key]
 
-    def _watch(self, request: Request) -> Steps:
+    def _watch(self, request: CallRequest) -> Steps:
         seen, at_once = set[Fact](), request.caller.looks_at_once
         found = facts(self._registry, self._gatekeeper, request.caller)
         for looks, fact in enumerate(found, 1):
@@ -81,7 +81,7 @@ class WatchCalls:
                 yield
         return self._news(request, frozenset(seen))
 
-    def _news(self, request: Request, now: View) -> Reply:
+    def _news(self, request: CallRequest, now: View) -> Reply:
         instance, cursor = request.arguments[1:3]
         views = self._views.setdefault(request.caller.thumbprint, OrderedDict())
         cursor = cursor if isinstance(cursor, int) and instance == self._instance else _START

@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Any, Final
 
 from rossec import files
 from rossec.errors import ConfigurationError
-from rossec.master.operation.limits import Limits
+from rossec.master.operation.limits import MasterLimits
 from rossec.ros.text import printable
 
 if TYPE_CHECKING:
-    from grants.policy.source import Part, Word
+    from grants.policy.source import Part, YamlScalar
 
 _SIZE: Final = 64 * 1024
 _DEPTH: Final = 4
@@ -53,7 +53,7 @@ class Config:
     announce: bool = False
     metrics: int | None = None
     complaints: Path | None = None
-    limits: Limits = field(default_factory=Limits)
+    limits: MasterLimits = field(default_factory=MasterLimits)
 
 
 def load(path: Path) -> Config:
@@ -96,7 +96,7 @@ def _tree(text: str, name: str) -> "Part | None":
     return tree
 
 
-def _entries(tree: "Part | None", name: str) -> Iterator[tuple[str, "Word", "Part"]]:
+def _entries(tree: "Part | None", name: str) -> Iterator[tuple[str, "YamlScalar", "Part"]]:
     """Key, its place, value."""
     if tree is None:
         return
@@ -123,10 +123,10 @@ def _value(key: str, part: "Part", where: str) -> object:
     raise ConfigurationError(f"{where}: {key} cannot have this value", _EXPECTED[key])
 
 
-def _limits(part: "Part", where: str, name: str) -> Limits:
+def _limits(part: "Part", where: str, name: str) -> MasterLimits:
     if getattr(part, "entries", None) is None:
         raise ConfigurationError(f"{where}: limits are a map", "for example  body: 1048576")
-    known = [f.name for f in dataclasses.fields(Limits)]
+    known = [f.name for f in dataclasses.fields(MasterLimits)]
     limits: dict[str, Any] = {}
     for key, word, entry in _entries(part, name):
         line, limits[key] = f"{name}:{word.line}", getattr(entry, "value", None)
@@ -134,7 +134,7 @@ def _limits(part: "Part", where: str, name: str) -> Limits:
             raise ConfigurationError(f"{line}: there is no limit {key[:40]!r}", ", ".join(known))
         if not _is_number(limits[key], 1, _MOST):
             raise ConfigurationError(f"{line}: {key} must be a whole number from 1 to {_MOST}")
-    return Limits(**limits)
+    return MasterLimits(**limits)
 
 
 def _is_number(value: object, least: int, most: int) -> bool:

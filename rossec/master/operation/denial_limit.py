@@ -21,7 +21,7 @@ MOST_NODES: Final = 4096
 
 
 @dataclass
-class Bucket:
+class LineBucket:
     """Room for `burst` lines, filled again at `rate` a second."""
 
     burst: float
@@ -30,7 +30,7 @@ class Bucket:
     at: float
 
     @classmethod
-    def full(cls, burst: float, rate: float, now: float) -> "Bucket":
+    def full(cls, burst: float, rate: float, now: float) -> "LineBucket":
         """One that nothing was taken from."""
         return cls(burst, rate, burst, now)
 
@@ -45,18 +45,18 @@ class Bucket:
 class Share:
     """What one node may cause, what of it does not depend on others, and what it did in vain."""
 
-    most: Bucket
-    own: Bucket
+    most: LineBucket
+    own: LineBucket
     left_out: int = 0
 
 
-class Throttle(logging.Filter):
+class DenialRateLimit(logging.Filter):
     """Lets a line through while its node, the first argument of the line, and all have room."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         super().__init__()
         self._clock = clock
-        self._all = Bucket.full(1000, 50, clock())
+        self._all = LineBucket.full(1000, 50, clock())
         self._nodes: OrderedDict[str, Share] = OrderedDict()
 
     def filter(self, record: logging.LogRecord) -> bool:
@@ -77,7 +77,7 @@ class Throttle(logging.Filter):
     def _of(self, node: str, now: float) -> Share:
         share = self._nodes.get(node)
         if share is None:
-            most, own = Bucket.full(200, 10, now), Bucket.full(10, 0.1, now)
+            most, own = LineBucket.full(200, 10, now), LineBucket.full(10, 0.1, now)
             share = self._nodes[node] = Share(most, own)
             if len(self._nodes) > MOST_NODES:
                 self._nodes.popitem(last=False)

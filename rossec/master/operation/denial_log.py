@@ -18,7 +18,7 @@ from rossec import files
 SHARE: Final = 200  # lines of one node
 MAX_LINES: Final = 10_000  # of all nodes beyond their shares
 
-Complain: TypeAlias = Callable[[int, str, Right, str], None]
+OnDenial: TypeAlias = Callable[[int, str, Right, str], None]
 """Called with `now`, the node, the right it lacks, and the name."""
 
 
@@ -26,7 +26,7 @@ def unheard(now: int, node: str, right: Right, name: str) -> None:
     """No log is kept."""
 
 
-class ComplainLog:
+class DenialLog:
     """Appends to the file `path`, which is made for its owner alone.
 
     Raises:

@@ -8,7 +8,7 @@ from rossec.ros.xmlrpc import BODY_LIMIT
 
 
 @dataclass(frozen=True)
-class Limits:
+class MasterLimits:
     """The defaults fit a site of a thousand nodes.
 
     Args:

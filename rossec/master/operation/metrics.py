@@ -10,7 +10,7 @@ from weakref import WeakKeyDictionary
 from wsgiref.simple_server import WSGIRequestHandler, WSGIServer, make_server
 
 from rossec.errors import ConfigurationError
-from rossec.net.halfopen import HalfOpen, HalfOpenCount, Place
+from rossec.net.halfopen import HalfOpen, HalfOpenCount, HalfOpenSlot
 
 ADDRESS: Final = "127.0.0.1"
 _CAPS: Final = HalfOpen(per_address=16, total=16)
@@ -39,7 +39,7 @@ def of_loop(status: Status) -> Status:
     return lambda: asyncio.run_coroutine_threadsafe(asked(), loop).result(DEADLINE)
 
 
-class Collector:
+class MetricsCollector:
     """Asks for the status whenever it is scraped."""
 
     def __init__(self, status: Status) -> None:
@@ -63,7 +63,7 @@ class _Server(ThreadingMixIn, WSGIServer):
 
     def __init__(self, *arguments: Any) -> None:
         self._count = HalfOpenCount(_CAPS)
-        self._places: WeakKeyDictionary[Any, Place] = WeakKeyDictionary()
+        self._places: WeakKeyDictionary[Any, HalfOpenSlot] = WeakKeyDictionary()
         super().__init__(*arguments)
 
     def verify_request(self, request: Any, client_address: Any) -> bool:
@@ -93,7 +93,7 @@ class _Handler(WSGIRequestHandler):
         """Requests are not logged."""
 
 
-class Exporter:
+class MetricsExporter:
     """Serves the figures on a port of loopback, in a thread of its own."""
 
     def __init__(self, status: Status, port: int) -> None:
@@ -104,7 +104,7 @@ class Exporter:
                 "metrics need the package prometheus-client", "pip install rossec[metrics]"
             ) from error
         registry = prometheus_client.CollectorRegistry()
-        registry.register(Collector(status))
+        registry.register(MetricsCollector(status))
         try:
             application = prometheus_client.make_wsgi_app(registry)
             self._server = make_server(ADDRESS, port, application, _Server, _Handler)

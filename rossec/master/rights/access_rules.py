@@ -1,7 +1,7 @@
 """Which right each master call needs, and what a caller may see. Pure, default deny.
 
-The table is the whole policy of the master: a method that is not in it is refused whatever it
-does. Rights come from grants; whether a grant is valid now is decided behind `Access`. A refusal
+The table is the whole policy of the master: a method that is not in it is refused whatever it does.
+Rights come from grants; whether a grant is valid now is decided behind `CallerAccess`. A refusal
 tells the caller which right is missing, never whether the thing exists: what a caller may not see
 answers as if it were absent.
 """
@@ -41,7 +41,7 @@ class AddressTaken(Refused):
         self.owner = owner
 
 
-class Access(Protocol):
+class CallerAccess(Protocol):
     """What one identity may do at one moment, from the grants it presented."""
 
     def require(self, right: Right, name: str) -> None:
@@ -103,7 +103,7 @@ class Caller:
 
     name: str
     thumbprint: bytes
-    access: Access
+    access: CallerAccess
     wildcard: bool = False
     certified: str = ""
 
@@ -167,7 +167,7 @@ class Scope(Enum):
 
 
 @dataclass(frozen=True)
-class Rule:
+class AccessRule:
     """What a method needs.
 
     Attributes:
@@ -183,40 +183,48 @@ class Rule:
     api: int | None = None
 
 
-RULES: Final[Mapping[str, Rule]] = {
-    "registerPublisher": Rule(Scope.NAMED, Right.PUBLISH, api=3),
-    "registerSubscriber": Rule(Scope.NAMED, Right.SUBSCRIBE, api=3),
-    "registerService": Rule(Scope.NAMED, Right.PROVIDE, api=3),
-    "unregisterPublisher": Rule(Scope.OWN),
-    "unregisterSubscriber": Rule(Scope.OWN),
-    "unregisterService": Rule(Scope.OWN),
-    "lookupService": Rule(Scope.NAMED, Right.CALL),
-    "lookupNode": Rule(Scope.FILTERED),
-    "getSystemState": Rule(Scope.FILTERED),
-    "getTopicTypes": Rule(Scope.FILTERED),
-    "getPublishedTopics": Rule(Scope.FILTERED),
-    "getUri": Rule(Scope.OPEN),
-    "getPid": Rule(Scope.OPEN),  # roscpp asks for it to learn whether the master lives
-    "shutdown": Rule(Scope.MASTER, Right.ADMIN),
-    "getParam": Rule(Scope.TREE, Right.PARAM_GET),
-    "hasParam": Rule(Scope.TREE, Right.PARAM_GET),
-    "subscribeParam": Rule(Scope.TREE, Right.PARAM_GET, name=2, api=1),
-    "unsubscribeParam": Rule(Scope.OWN),
-    "searchParam": Rule(Scope.FILTERED),
-    "getParamNames": Rule(Scope.FILTERED),
-    "setParam": Rule(Scope.TREE, Right.PARAM_SET),
-    "deleteParam": Rule(Scope.TREE, Right.PARAM_SET),
-    "rossec.watchGraph": Rule(Scope.MASTER, Right.GRAPH),  # of which it is shown its part
-    "rossec.presentGrants": Rule(Scope.OPEN),
-    "rossec.renewGrants": Rule(Scope.OPEN),  # what is renewed is the caller's own, or refused
-    "rossec.renewIdentity": Rule(Scope.OPEN),  # the request is signed by the key that is renewed
-    "rossec.updateDelegation": Rule(Scope.OPEN),  # as a list, it carries the authority's signature
-    "rossec.revocations": Rule(Scope.OPEN),
-    "rossec.revocationsSince": Rule(Scope.OPEN),
-    "rossec.updateRevocationTree": Rule(Scope.OPEN),
-    "rossec.revocationProofs": Rule(Scope.OPEN),  # whoever can ask about an entry knows it
-    "rossec.trl": Rule(Scope.FILTERED),  # what concerns the caller; all with ADMIN on the master
-    "rossec.updateRevocations": Rule(Scope.OPEN),  # the list carries the authority's signature
+RULES: Final[Mapping[str, AccessRule]] = {
+    "registerPublisher": AccessRule(Scope.NAMED, Right.PUBLISH, api=3),
+    "registerSubscriber": AccessRule(Scope.NAMED, Right.SUBSCRIBE, api=3),
+    "registerService": AccessRule(Scope.NAMED, Right.PROVIDE, api=3),
+    "unregisterPublisher": AccessRule(Scope.OWN),
+    "unregisterSubscriber": AccessRule(Scope.OWN),
+    "unregisterService": AccessRule(Scope.OWN),
+    "lookupService": AccessRule(Scope.NAMED, Right.CALL),
+    "lookupNode": AccessRule(Scope.FILTERED),
+    "getSystemState": AccessRule(Scope.FILTERED),
+    "getTopicTypes": AccessRule(Scope.FILTERED),
+    "getPublishedTopics": AccessRule(Scope.FILTERED),
+    "getUri": AccessRule(Scope.OPEN),
+    "getPid": AccessRule(Scope.OPEN),  # roscpp asks for it to learn whether the master lives
+    "shutdown": AccessRule(Scope.MASTER, Right.ADMIN),
+    "getParam": AccessRule(Scope.TREE, Right.PARAM_GET),
+    "hasParam": AccessRule(Scope.TREE, Right.PARAM_GET),
+    "subscribeParam": AccessRule(Scope.TREE, Right.PARAM_GET, name=2, api=1),
+    "unsubscribeParam": AccessRule(Scope.OWN),
+    "searchParam": AccessRule(Scope.FILTERED),
+    "getParamNames": AccessRule(Scope.FILTERED),
+    "setParam": AccessRule(Scope.TREE, Right.PARAM_SET),
+    "deleteParam": AccessRule(Scope.TREE, Right.PARAM_SET),
+    "rossec.watchGraph": AccessRule(Scope.MASTER, Right.GRAPH),  # of which it is shown its part
+    "rossec.presentGrants": AccessRule(Scope.OPEN),
+    "rossec.renewGrants": AccessRule(Scope.OPEN),  # what is renewed is the caller's own, or refused
+    "rossec.renewIdentity": AccessRule(
+        Scope.OPEN
+    ),  # the request is signed by the key that is renewed
+    "rossec.updateDelegation": AccessRule(
+        Scope.OPEN
+    ),  # as a list, it carries the authority's signature
+    "rossec.revocations": AccessRule(Scope.OPEN),
+    "rossec.revocationsSince": AccessRule(Scope.OPEN),
+    "rossec.updateRevocationTree": AccessRule(Scope.OPEN),
+    "rossec.revocationProofs": AccessRule(Scope.OPEN),  # whoever can ask about an entry knows it
+    "rossec.trl": AccessRule(
+        Scope.FILTERED
+    ),  # what concerns the caller; all with ADMIN on the master
+    "rossec.updateRevocations": AccessRule(
+        Scope.OPEN
+    ),  # the list carries the authority's signature
 }
 
 
@@ -224,7 +232,7 @@ CLEANUP: Final = frozenset({"unregisterPublisher", "unregisterSubscriber", "unre
 """What an administrator may do in the name of a node: `rosnode cleanup`, after it died."""
 
 
-class Gatekeeper:
+class AccessControl:
     """Decides on calls whose arguments are already resolved.
 
     Args:

@@ -22,7 +22,7 @@ _NEEDED: Final = {
 BATCH: Final = 64  # registrations judged in one step: what the loop waits for
 
 
-class Step(NamedTuple):
+class EnforcementStep(NamedTuple):
     """Some registrations of one node."""
 
     node: NodeRef
@@ -30,10 +30,10 @@ class Step(NamedTuple):
     keys: tuple[str, ...]
 
 
-def steps(registry: Registry) -> list[Step]:
+def steps(registry: Registry) -> list[EnforcementStep]:
     """The work of judging all registrations, in pieces; calls may be answered between two."""
     return [
-        Step(node, kind, keys[begin : begin + BATCH])
+        EnforcementStep(node, kind, keys[begin : begin + BATCH])
         for node in registry.nodes()
         for kind in Kind
         for keys in (registry.keys_of(node.name, kind),)
@@ -44,7 +44,7 @@ def steps(registry: Registry) -> list[Step]:
 def enforce(
     registry: Registry,
     statements: Statements,
-    step: Step,
+    step: EnforcementStep,
     now: int,
 ) -> list[Event]:
     """Remove the registrations of `step` that have no right any more, and say whom to tell."""

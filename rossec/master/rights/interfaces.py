@@ -73,7 +73,7 @@ class ChannelPeer(Certified, PeerIdentity, Protocol):
     """A peer as the channel hands it over: `ca.certificates.Identity` is one."""
 
 
-class Standing(Statements, Protocol):
+class TrustView(Statements, Protocol):
     """What the authority has said and the nodes have shown; implemented by `rights.statements`."""
 
     def caller(self, peer: Certified, now: int) -> Caller:

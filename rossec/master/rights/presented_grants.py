@@ -72,7 +72,7 @@ class GrantAccess:
 
 
 @dataclass(slots=True)
-class Held:
+class PresentedGrants:
     """Verified grants of one key by the digest of their bytes, and their size."""
 
     grants: dict[bytes, Grant] = field(default_factory=dict)

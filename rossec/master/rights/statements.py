@@ -28,8 +28,8 @@ from rossec.master.rights.presented_grants import (
     NEVER,
     NOTHING,
     GrantAccess,
-    Held,
     Moment,
+    PresentedGrants,
 )
 
 _PUBLISH: Final = "deliver it with: rossec ca publish"
@@ -40,8 +40,8 @@ Renewer = Callable[[bytes, int, Check], bytes]
 """Answers a renewal request (`ca.renewal`) with the node's new bundle."""
 
 
-class Trust:
-    """The master's `Standing`.
+class TrustState:
+    """The master's `TrustView`.
 
     Args:
         anchor: the authority, and the domain that grants must be for.
@@ -71,7 +71,7 @@ class Trust:
         self._renewer = renewer
         self._listing: Listing | None = None
         self._delegate = Delegate(anchor, signer) if delegate is None else delegate
-        self._held: dict[bytes, Held] = {}
+        self._held: dict[bytes, PresentedGrants] = {}
         self._ended: dict[bytes, Grant] = {}
         self._lists: dict[tuple[str, bytes], bytes] = {}
         self._chains: dict[bytes, tuple[bytes, ...]] = {}  # by the first key: all of an identity
@@ -101,7 +101,7 @@ class Trust:
         Nothing is kept for a key that the tokens are not bound to.
         """
         self._confirm(now)
-        held = self._held.setdefault(caller.thumbprint, Held())
+        held = self._held.setdefault(caller.thumbprint, PresentedGrants())
         held.drop_expired(now)
         refused: list[str] = []
         for token in tokens:
@@ -136,7 +136,7 @@ class Trust:
     def renew(self, caller: Caller, tokens: Sequence[bytes], now: int) -> Renewed:
         """Tokens that hold longer, in the same order, empty where one is not renewed."""
         self._confirm(now)
-        held = self._held.setdefault(caller.thumbprint, Held())
+        held = self._held.setdefault(caller.thumbprint, PresentedGrants())
         held.drop_expired(now)
         renewed: list[bytes] = []
         refused: list[str] = []
@@ -158,7 +158,7 @@ class Trust:
         if self._renewer is None:
             raise RenewalRefused("this master renews no identities", "ask the authority's operator")
         self._confirm(now)
-        held = self._held.setdefault(caller.thumbprint, Held())
+        held = self._held.setdefault(caller.thumbprint, PresentedGrants())
         self._check_failures(held, now)
         try:
             return self._renewer(request, now, self._revocations.check)
@@ -276,7 +276,7 @@ class Trust:
         for held in self._held.values():
             yield from held.grants.values()
 
-    def _keep(self, held: Held, caller: Caller, token: bytes, now: int) -> None:
+    def _keep(self, held: PresentedGrants, caller: Caller, token: bytes, now: int) -> None:
         key = hashlib.sha256(token).digest()
         if key in held.grants:
             return
@@ -288,7 +288,7 @@ class Trust:
             raise GrantNotHeld("a grant bound to another key", f"it was given to {grant.subject}")
         held.put(token, grant)
 
-    def _renew(self, held: Held, caller: Caller, token: bytes, now: int) -> bytes:
+    def _renew(self, held: PresentedGrants, caller: Caller, token: bytes, now: int) -> bytes:
         self._check_failures(held, now)
         check = self._revocations.check
         grant, renewed = self._delegate.renew(
@@ -299,7 +299,7 @@ class Trust:
         return renewed
 
     @staticmethod
-    def _check_failures(held: Held, now: int) -> None:
+    def _check_failures(held: PresentedGrants, now: int) -> None:
         if held.has_failed_too_often(now):
             raise GrantError(
                 "too many grants of this node were refused", f"wait {FAILURES_WITHIN} s"

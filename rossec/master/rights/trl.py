@@ -25,7 +25,7 @@ MAX_QUERY: Final = 64  # bytes
 _FULL_SET, _DIFF_SET, _CURSOR, _MORE = 0, 1, 2, 3
 
 
-class Update(NamedTuple):
+class TrlUpdate(NamedTuple):
     """One change of a requester's list."""
 
     number: int
@@ -46,14 +46,14 @@ class Series:
     def __init__(self, first: int, entries: frozenset[bytes]) -> None:
         self._next = first
         self._entries = entries
-        self._updates: deque[Update] = deque(maxlen=MAX_N)
+        self._updates: deque[TrlUpdate] = deque(maxlen=MAX_N)
 
     def note(self, entries: frozenset[bytes]) -> None:
         """The list is this now."""
         if entries == self._entries:
             return
         removed, added = sorted(self._entries - entries), sorted(entries - self._entries)
-        self._updates.append(Update(self._next, tuple(removed), tuple(added)))
+        self._updates.append(TrlUpdate(self._next, tuple(removed), tuple(added)))
         self._entries = entries
         self._next += 1
 
@@ -129,9 +129,9 @@ def read(query: bytes) -> Query:
     return Query(**value)  # type: ignore[arg-type]
 
 
-def _batch(updates: list[Update]) -> list[Update]:
+def _batch(updates: list[TrlUpdate]) -> list[TrlUpdate]:
     """The eldest of them that fit into one answer."""
-    batch: list[Update] = []
+    batch: list[TrlUpdate] = []
     hashes = 0
     for update in updates[:MAX_DIFF_BATCH]:
         hashes += len(update.removed) + len(update.added)

@@ -11,17 +11,17 @@ from typing import Final
 
 from rossec.channel.edhoc.credentials import OwnCredential, Verify
 from rossec.channel.edhoc.known import KnownCertificates
-from rossec.channel.records import Limits
+from rossec.channel.records import ChannelLimits
 from rossec.errors import CallerMismatch, RossecError
 from rossec.master.rights.interfaces import ChannelPeer
 from rossec.master.server.updates import CALL_DEADLINE
 from rossec.master.state.registry import NodeRef
-from rossec.net.aio import Flavour, connect
+from rossec.net.aio import WireProtocol, connect
 from rossec.net.rpc.client import RpcClient
 from rossec.ros.settings import parse_uri
 
 
-class Dialler:
+class SlaveDialer:
     """Connects as the master; `doubted` are those who are being asked whether they are there.
 
     Args:
@@ -36,7 +36,7 @@ class Dialler:
         verify: Verify[ChannelPeer],
         on_other: Callable[[NodeRef, ChannelPeer], None],
         *,
-        limits: Limits,
+        limits: ChannelLimits,
         suites: tuple[int, ...],
         known: KnownCertificates,
     ) -> None:
@@ -61,7 +61,7 @@ class Dialler:
             port,
             self._credentials,
             self._verify,
-            opening=Flavour.HTTP,
+            opening=WireProtocol.HTTP,
             limits=self._limits,
             suites=self._suites,
             known=self._known,

@@ -2,7 +2,7 @@
 
 The cores return events; here is what each of them means, in one table (`deliver`). Nothing is
 judged here and nothing waits: what nodes must hear is left to `Updates`, who waits for news is
-woken by `News`. What follows from a revocation is more than one step:
+woken by `GraphNews`. What follows from a revocation is more than one step:
 `rossec.master.server.maintenance`.
 """
 
@@ -14,7 +14,7 @@ from typing import Final
 
 from rossec.master.api.methods import (
     Administered,
-    CallRefused,
+    CallDenied,
     Denied,
     GrantsPresented,
     MasterEvent,
@@ -23,12 +23,12 @@ from rossec.master.api.methods import (
     RevocationsChanged,
     StopMaster,
 )
-from rossec.master.api.turns import Outcome
+from rossec.master.api.turns import CallOutcome
 from rossec.master.operation.denial_limit import DENIALS
-from rossec.master.operation.denial_log import Complain
+from rossec.master.operation.denial_log import OnDenial
 from rossec.master.rights.access_rules import Peer
-from rossec.master.rights.interfaces import ChannelPeer, Standing
-from rossec.master.server.graph_news import News
+from rossec.master.rights.interfaces import ChannelPeer, TrustView
+from rossec.master.server.graph_news import GraphNews
 from rossec.master.server.parameter_file import ParameterFile
 from rossec.master.server.updates import Updates
 from rossec.master.state.registry import NodeRef, PublishersChanged, Registry, ShutdownNode
@@ -40,7 +40,7 @@ _denials = logging.getLogger(DENIALS)
 
 
 @dataclass(frozen=True)
-class State:
+class MasterState:
     """What one master holds; its loop owns all of it.
 
     Args:
@@ -53,14 +53,14 @@ class State:
     name: str
     now: Callable[[], int]
     registry: Registry
-    standing: Standing
+    standing: TrustView
     updates: Updates
     memory: ParameterFile | None
-    news: News = field(default_factory=News)
+    news: GraphNews = field(default_factory=GraphNews)
     streams: set[SecureStream[ChannelPeer]] = field(default_factory=set)
 
 
-class Consequences:
+class Effects:
     """Makes events happen; `calls` and `denials` count them, `stopping` is set at a `StopMaster`.
 
     Args:
@@ -69,7 +69,7 @@ class Consequences:
     """
 
     def __init__(
-        self, state: State, complain: Complain, on_revocations: Callable[[], None]
+        self, state: MasterState, complain: OnDenial, on_revocations: Callable[[], None]
     ) -> None:
         self._state = state
         self._complain = complain
@@ -77,7 +77,7 @@ class Consequences:
         self.stopping: Final = asyncio.Event()
         self.calls = self.denials = 0
 
-    def follow(self, outcome: Outcome) -> object:
+    def follow(self, outcome: CallOutcome) -> object:
         """Do what follows from a call; returns the answer."""
         self.calls += 1
         for event in outcome.events:
@@ -112,18 +112,18 @@ class Consequences:
                 self._on_revocations()
             case Administered(by, what):
                 _audit.info("%s %s", by, printable(what))
-            case ParameterKept() | Denied() | GrantsPresented() | CallRefused():
+            case ParameterKept() | Denied() | GrantsPresented() | CallDenied():
                 self._record(event)
             case StopMaster(reason):
                 _audit.warning("stopping: %s", printable(reason))
                 self.stopping.set()
 
-    def _record(self, event: ParameterKept | Denied | GrantsPresented | CallRefused) -> None:
+    def _record(self, event: ParameterKept | Denied | GrantsPresented | CallDenied) -> None:
         match event:
             case ParameterKept(change):
                 if self._state.memory is not None:
                     self._state.memory.write(change)
-            case CallRefused(node, method, status):
+            case CallDenied(node, method, status):
                 self.denials += 1
                 _denials.warning("%s may not %s: %s", node, method, printable(status))
             case Denied(node, right, name):

@@ -13,7 +13,7 @@ WATCH_WAIT: Final = 5.0  # seconds; an answer without news tells the watcher tha
 GATHER: Final = 0.05
 
 
-class News:
+class GraphNews:
     """Wakes whoever waits when the state of the graph has changed."""
 
     def __init__(self) -> None:

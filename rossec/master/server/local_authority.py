@@ -26,7 +26,7 @@ def nothing() -> None:
     """There is no authority on this host."""
 
 
-class Nearby:
+class LocalAuthority:
     """Looks for news.
 
     Args:

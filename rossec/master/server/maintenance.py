@@ -17,7 +17,7 @@ from rossec.clock import Setbacks
 from rossec.master.api.dispatch import MasterApi
 from rossec.master.api.methods import MasterEvent
 from rossec.master.rights.enforce import enforce, steps
-from rossec.master.server.effects import State
+from rossec.master.server.effects import MasterState
 from rossec.net.aio.tasks import TaskSet
 from rossec.ros.text import printable
 
@@ -31,18 +31,18 @@ _log = logging.getLogger("rossec.master.upkeep")
 _audit = logging.getLogger("rossec.audit")
 
 
-class Upkeep:
+class Maintenance:
     """Looks after the rights in `state`, from `begin` to `close`.
 
     Args:
-        deliver: makes events happen (`Consequences.deliver`).
+        deliver: makes events happen (`Effects.deliver`).
         every: seconds between two beats.
         looks: called with the time at every beat.
     """
 
     def __init__(
         self,
-        state: State,
+        state: MasterState,
         deliver: Callable[[MasterEvent], None],
         every: float,
         looks: Sequence[Callable[[int], None]],

@@ -15,7 +15,7 @@ from ca.keys import ownership
 from rossec import files
 from rossec.errors import NotWritten
 from rossec.master.state import parameter_journal
-from rossec.master.state.parameter_journal import Change
+from rossec.master.state.parameter_journal import ParameterChange
 from rossec.master.state.parameters import Parameters
 
 GROWTH: Final = 4  # rewritten when it is so many times as long as it need be
@@ -54,7 +54,7 @@ class ParameterFile:
         parameter_journal.replay(self.parameters, changes)
         self._rewrite()
 
-    def write(self, change: Change) -> None:
+    def write(self, change: ParameterChange) -> None:
         """Append a change that has been made; with the kernel on return."""
         if self._file is None:
             return

@@ -1,6 +1,6 @@
 """The running master: secure connections in, calls dispatched, answers out. A shell.
 
-Judgement is elsewhere: the gatekeeper says who may do what, `Standing` which grants hold, the
+Judgement is elsewhere: the gatekeeper says who may do what, `TrustView` which grants hold, the
 registry what follows. One loop owns all state, and a call is answered without waiting for anybody,
 so there is nothing to lock. What events mean is in `consequences`, what holds although nobody calls
 in `upkeep`, connections to nodes in `dialling`.
@@ -20,26 +20,26 @@ from ca.errors import HintedError
 from rossec.channel.edhoc.credentials import OwnCredential, Verify
 from rossec.channel.edhoc.known import KnownCertificates
 from rossec.channel.edhoc.suites import PRODUCTION
-from rossec.channel.records import Limits as ChannelLimits
+from rossec.channel.records import ChannelLimits
 from rossec.clock import time as host_time
 from rossec.master.api.dispatch import MasterApi
 from rossec.master.api.methods import RevocationsChanged, StopMaster
-from rossec.master.api.revoked_calls import MOMENT, Hearers, RevokedCalls
+from rossec.master.api.revoked_calls import MOMENT, RevokedCalls, RevokedConnections
 from rossec.master.api.turns import Turns
 from rossec.master.operation.denial_limit import DENIALS
-from rossec.master.operation.denial_log import Complain, unheard
-from rossec.master.operation.limits import Limits
-from rossec.master.rights.interfaces import ChannelPeer, Standing
-from rossec.master.server.answers import Answering
-from rossec.master.server.dialer import Dialler
-from rossec.master.server.effects import Consequences, State
-from rossec.master.server.local_authority import WHOSE, Find, Nearby, nothing
-from rossec.master.server.maintenance import Upkeep
+from rossec.master.operation.denial_log import OnDenial, unheard
+from rossec.master.operation.limits import MasterLimits
+from rossec.master.rights.interfaces import ChannelPeer, TrustView
+from rossec.master.server.answers import CallAnswers
+from rossec.master.server.dialer import SlaveDialer
+from rossec.master.server.effects import Effects, MasterState
+from rossec.master.server.local_authority import WHOSE, Find, LocalAuthority, nothing
+from rossec.master.server.maintenance import Maintenance
 from rossec.master.server.parameter_file import ParameterFile
 from rossec.master.server.updates import LEAVING, Updates
 from rossec.master.state.parameters import Parameters
 from rossec.master.state.registry import Kind, NodeRef, Registry
-from rossec.net.aio import Flavour, SecureServer, SecureStream, serve
+from rossec.net.aio import SecureServer, SecureStream, WireProtocol, serve
 from rossec.net.halfopen import HalfOpen
 from rossec.net.rpc.client import serve_calls
 from rossec.ros.http import HEADERS_LIMIT
@@ -48,7 +48,7 @@ from rossec.ros.text import printable
 
 DEFAULT_NAME: Final = "/master"
 TIMESTAMP_EVERY: Final = 10.0  # seconds; a timestamp holds for 30
-_LIMITS: Final = Limits()
+_LIMITS: Final = MasterLimits()
 PEER_CONNECTIONS: Final = _LIMITS.connections_per_identity
 
 _denials = logging.getLogger(DENIALS)
@@ -76,7 +76,7 @@ class MasterServer:
         self,
         credentials: OwnCredential,
         verify: Verify[ChannelPeer],
-        standing: Standing,
+        standing: TrustView,
         *,
         name: str = DEFAULT_NAME,
         host: str | None = None,
@@ -84,9 +84,9 @@ class MasterServer:
         advertise: str = "localhost",
         clock: Callable[[], float] = host_time,
         timestamp_every: float = TIMESTAMP_EVERY,
-        complain: Complain = unheard,
+        complain: OnDenial = unheard,
         memory: ParameterFile | None = None,
-        limits: Limits = _LIMITS,
+        limits: MasterLimits = _LIMITS,
         suites: tuple[int, ...] = PRODUCTION,
         look_after_self: Callable[[int], None] = lambda _: None,
         turns: Turns | None = None,
@@ -108,10 +108,10 @@ class MasterServer:
         self._suites = suites
         self._known = KnownCertificates()
         self._registry = Registry(limits.nodes_per_identity)
-        self._answering: Answering | None = None
+        self._answering: CallAnswers | None = None
         self._server: SecureServer[ChannelPeer] | None = None
-        self._hearers = Hearers()
-        self._dialler = Dialler(
+        self._hearers = RevokedConnections()
+        self._dialler = SlaveDialer(
             credentials,
             verify,
             self._on_other,
@@ -120,15 +120,15 @@ class MasterServer:
             known=self._known,
         )
         self._updates = Updates(self._dialler.dial, limits.nodes_per_identity + LEAVING)
-        self._state = state = State(
+        self._state = state = MasterState(
             name, self._now, self._registry, standing, self._updates, memory
         )
         self._streams = state.streams
-        self._consequences = Consequences(state, complain, self._on_revocations)
+        self._consequences = Effects(state, complain, self._on_revocations)
         brought = partial(self._consequences.deliver, RevocationsChanged(WHOSE))
-        nearby = Nearby(news, standing, brought)
+        nearby = LocalAuthority(news, standing, brought)
         looks = (look_after_self, nearby.look)
-        self._upkeep = Upkeep(state, self._consequences.deliver, timestamp_every, looks)
+        self._upkeep = Maintenance(state, self._consequences.deliver, timestamp_every, looks)
 
     @property
     def port(self) -> int:
@@ -154,7 +154,7 @@ class MasterServer:
             port,
             self._credentials,
             self._verify,
-            accept={Flavour.HTTP},
+            accept={WireProtocol.HTTP},
             limits=self._channel_limits,
             half_open=HalfOpen(limits.unfinished_per_address, limits.unfinished),
             suites=self._suites,
@@ -171,7 +171,7 @@ class MasterServer:
             parameters=self._remember(),
             parameter_bytes=limits.parameters,
         )
-        self._answering = Answering(
+        self._answering = CallAnswers(
             api, self._state, self._consequences, self._dialler, self._turns
         )
         self._upkeep.begin(api)

@@ -11,10 +11,10 @@ from ca.revocation.state import Revocations
 from ca.revocation.tree import is_tree
 from rossec.channel.edhoc.suites import PRODUCTION
 from rossec.home import NodeHome
-from rossec.master.operation.denial_log import Complain, unheard
-from rossec.master.operation.limits import Limits
+from rossec.master.operation.denial_log import OnDenial, unheard
+from rossec.master.operation.limits import MasterLimits
 from rossec.master.rights.delegation import Delegate
-from rossec.master.rights.statements import Renewer, Trust
+from rossec.master.rights.statements import Renewer, TrustState
 from rossec.master.server.local_authority import Find, nothing
 from rossec.master.server.own_identity import OwnIdentity
 from rossec.master.server.parameter_file import ParameterFile
@@ -25,7 +25,7 @@ from rossec.saved_revocations import saved_revocations
 
 _log = logging.getLogger("rossec.master.start")
 
-_LIMITS: Final = Limits()
+_LIMITS: Final = MasterLimits()
 
 
 def master_of(
@@ -37,8 +37,8 @@ def master_of(
     now: int,
     entries: bytes | None = None,
     renewer: Renewer | None = None,
-    complain: Complain = unheard,
-    limits: Limits = _LIMITS,
+    complain: OnDenial = unheard,
+    limits: MasterLimits = _LIMITS,
     suites: tuple[int, ...] = PRODUCTION,
     news: Find = nothing,
 ) -> MasterServer:
@@ -70,7 +70,7 @@ def master_of(
     delegation = home.load_delegation()
     if delegation is not None:
         _take(delegate, delegation)
-    trust = Trust(
+    trust = TrustState(
         anchor,
         signer,
         revocations,
@@ -104,7 +104,7 @@ def _look_after(own: OwnIdentity, kept: ListFile, now: int) -> None:
     kept.retry()
 
 
-def _renewed(renewer: Renewer, trust: Trust, request: bytes, now: int) -> bytes:
+def _renewed(renewer: Renewer, trust: TrustState, request: bytes, now: int) -> bytes:
     return renewer(request, now, trust.check)
 
 
@@ -117,7 +117,7 @@ def _take(delegate: Delegate, data: bytes) -> None:
 
 
 def _complete(
-    trust: Trust, revocations: Revocations, found: tuple[bytes | None, ...], now: int
+    trust: TrustState, revocations: Revocations, found: tuple[bytes | None, ...], now: int
 ) -> None:
     """A tree is of use with its entries: those saved, or the authority's own, whichever fit."""
     if not is_tree(revocations.data):

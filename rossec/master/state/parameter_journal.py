@@ -20,7 +20,7 @@ _DELETE: Final = "deleteParam"
 _HEAD: Final = 8
 
 
-class Change(NamedTuple):
+class ParameterChange(NamedTuple):
     """A parameter, or a tree, was set; `deleted`: it is gone, and `value` means nothing."""
 
     key: str
@@ -28,7 +28,7 @@ class Change(NamedTuple):
     deleted: bool = False
 
 
-def encode(change: Change) -> bytes:
+def encode(change: ParameterChange) -> bytes:
     """One record.
 
     Raises:
@@ -41,9 +41,9 @@ def encode(change: Change) -> bytes:
     return len(call).to_bytes(4) + zlib.crc32(call).to_bytes(4) + call
 
 
-def decode(data: bytes) -> tuple[list[Change], int]:
+def decode(data: bytes) -> tuple[list[ParameterChange], int]:
     """The changes in a journal, and how many of its bytes are good."""
-    changes: list[Change] = []
+    changes: list[ParameterChange] = []
     good = len(MAGIC) if data.startswith(MAGIC) else 0
     if good:
         for change, end in _records(data, good):
@@ -52,7 +52,7 @@ def decode(data: bytes) -> tuple[list[Change], int]:
     return changes, good
 
 
-def _records(data: bytes, at: int) -> Iterator[tuple[Change, int]]:
+def _records(data: bytes, at: int) -> Iterator[tuple[ParameterChange, int]]:
     while len(data) - at >= _HEAD:
         length = int.from_bytes(data[at : at + 4])
         call = data[at + _HEAD : at + _HEAD + length]
@@ -68,17 +68,17 @@ def _records(data: bytes, at: int) -> Iterator[tuple[Change, int]]:
         yield change, at
 
 
-def _change(call: xmlrpc.Call) -> Change | None:
+def _change(call: xmlrpc.Call) -> ParameterChange | None:
     match call:
         case (method, (str() as key, value)) if method == _SET:
-            return Change(key, value)
+            return ParameterChange(key, value)
         case (method, (str() as key,)) if method == _DELETE:
-            return Change(key, deleted=True)
+            return ParameterChange(key, deleted=True)
         case _:
             return None
 
 
-def replay(parameters: Parameters, changes: list[Change]) -> None:
+def replay(parameters: Parameters, changes: list[ParameterChange]) -> None:
     """Make the changes again, in their order; one that is impossible now was so then."""
     for change in changes:
         try:
@@ -94,5 +94,5 @@ def snapshot(parameters: Parameters) -> bytes:
     """A journal that leads to these parameters by the shortest way."""
     tree = parameters.get("/")
     keys = list(tree) if isinstance(tree, dict) else []
-    records = (encode(Change(f"/{key}", parameters.get(f"/{key}"))) for key in keys)
+    records = (encode(ParameterChange(f"/{key}", parameters.get(f"/{key}"))) for key in keys)
     return MAGIC + b"".join(records)

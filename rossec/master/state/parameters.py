@@ -32,7 +32,7 @@ class TooLarge(ValueError):
         self.size = size
 
 
-class Update(NamedTuple):
+class ParameterUpdate(NamedTuple):
     """What subscribers of `subscription` must be told: `key` now has this value ({}: unset)."""
 
     subscription: str
@@ -165,7 +165,7 @@ def check_names(key: str, value: object) -> None:
         check_names(inner, below)
 
 
-def updates(subscriptions: Collection[str], key: str, value: object) -> list[Update]:
+def updates(subscriptions: Collection[str], key: str, value: object) -> list[ParameterUpdate]:
     """Which subscriptions a change of `key` to `value` concerns (keys of both end with '/').
 
     A subscriber hears of anything at, above or below what it subscribed to; what a replaced tree
@@ -177,14 +177,16 @@ def updates(subscriptions: Collection[str], key: str, value: object) -> list[Upd
     changed = _slashed(key)
     value = deepcopy(value)  # the event is delivered later, when the tree may have changed
     result = [
-        Update(space, changed, value, to_setter=False)
+        ParameterUpdate(space, changed, value, to_setter=False)
         for space in _spaces(changed)
         if space in subscriptions
     ]
     if isinstance(value, dict):
         inside = dict(_inside(changed, value))
         below = (name for name in subscriptions if name != changed and name.startswith(changed))
-        result += [Update(name, name, inside.get(name, {}), to_setter=True) for name in below]
+        result += [
+            ParameterUpdate(name, name, inside.get(name, {}), to_setter=True) for name in below
+        ]
     return result
 
 

@@ -8,14 +8,14 @@ from rossec import clock
 from rossec.ros.framing import PATIENCE, Framing
 
 
-class Source(Protocol):
+class UnitSource(Protocol):
     """Where the bytes come from."""
 
     def receive(self) -> Awaitable[bytes]:
         """The next of them."""
 
 
-async def arrived(source: Source, framing: Framing) -> list[bytes]:
+async def arrived(source: UnitSource, framing: Framing) -> list[bytes]:
     """The messages that the next bytes complete, maybe none.
 
     Raises:

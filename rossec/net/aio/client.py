@@ -12,24 +12,24 @@ from rossec.channel.edhoc.credentials import OwnCredential, PeerT, Verify
 from rossec.channel.edhoc.known import KnownCertificates
 from rossec.channel.edhoc.own_dials import OwnDials
 from rossec.channel.edhoc.suites import PRODUCTION
-from rossec.channel.opening import Flavour
-from rossec.channel.records import Limits
+from rossec.channel.opening import WireProtocol
+from rossec.channel.records import ChannelLimits
 from rossec.errors import (
     ChannelClosed,
     ChannelError,
-    CredentialUnknown,
     HandshakeFailed,
     HandshakeTimeout,
+    OwnCredentialUnknown,
+    PeerCredentialUnknown,
     PeerRefused,
     PeerUnreachable,
-    UnknownCredential,
 )
 from rossec.net.aio.dial import dial
 from rossec.net.aio.driver import Driver, wall_clock
 from rossec.net.aio.stream import SecureStream
 
 _CONNECT_TIMEOUT: Final = 10.0
-_DEFAULTS: Final = Limits()
+_DEFAULTS: Final = ChannelLimits()
 
 
 async def connect(
@@ -38,8 +38,8 @@ async def connect(
     credentials: OwnCredential,
     verify: Verify[PeerT],
     *,
-    opening: Flavour = Flavour.TCPROS,
-    limits: Limits = _DEFAULTS,
+    opening: WireProtocol = WireProtocol.TCPROS,
+    limits: ChannelLimits = _DEFAULTS,
     timeout: float = _CONNECT_TIMEOUT,  # noqa: ASYNC109 - one deadline over TCP and handshake
     suites: tuple[int, ...] = PRODUCTION,
     known: KnownCertificates | None = None,
@@ -81,7 +81,7 @@ async def connect(
         stream = await _introduce(await _reach(host, port, timeout), partial(core, brief=brief))
     except (HandshakeFailed, PeerRefused) as error:
         # Whatever is wrong with a handshake that spoke in hashes, a hash may have led it astray.
-        if isinstance(error, UnknownCredential | CredentialUnknown):
+        if isinstance(error, PeerCredentialUnknown | OwnCredentialUnknown):
             known.forget_introductions()
         elif not brief or isinstance(error, HandshakeTimeout):
             raise

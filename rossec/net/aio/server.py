@@ -20,16 +20,16 @@ from rossec.channel.edhoc.credentials import OwnCredential, PeerT, Verify
 from rossec.channel.edhoc.known import KnownCertificates
 from rossec.channel.edhoc.own_dials import OwnDials
 from rossec.channel.edhoc.suites import PRODUCTION
-from rossec.channel.opening import Flavour
-from rossec.channel.records import Limits
+from rossec.channel.opening import WireProtocol
+from rossec.channel.records import ChannelLimits
 from rossec.errors import ChannelClosed, ChannelError, PlainPeer
 from rossec.net.aio.driver import Driver, wall_clock
 from rossec.net.aio.stream import SecureStream
 from rossec.net.aio.tasks import TaskSet
-from rossec.net.halfopen import HalfOpen, HalfOpenCount, Place
+from rossec.net.halfopen import HalfOpen, HalfOpenCount, HalfOpenSlot
 
 _log = logging.getLogger("rossec.net.server")
-_DEFAULTS: Final = Limits()
+_DEFAULTS: Final = ChannelLimits()
 _BACKLOG: Final = 128
 _ACCEPTS_PER_TURN: Final = 16
 _REST: Final = 1.0  # seconds, when the host is out of descriptors
@@ -54,7 +54,7 @@ class SecureServer(Generic[PeerT]):
         self._make_core = make_core
         self._half_open = half_open
         self._drivers: set[Driver[PeerT]] = set()
-        self._places: dict[Driver[PeerT], Place] = {}  # of those that are not authenticated
+        self._places: dict[Driver[PeerT], HalfOpenSlot] = {}  # of those that are not authenticated
         self._tasks = TaskSet()
         self._loop = asyncio.get_running_loop()
         self._listeners: list[socket.socket] = []
@@ -103,7 +103,7 @@ class SecureServer(Generic[PeerT]):
             else:
                 self._begin(sock, where[0], place)
 
-    def _admit(self, address: str) -> Place | None:
+    def _admit(self, address: str) -> HalfOpenSlot | None:
         """The place of one more unfinished handshake, if it is bearable; nothing was spent yet."""
         place = self._half_open.admit(address)
         if place is not None:
@@ -116,7 +116,7 @@ class SecureServer(Generic[PeerT]):
             self._refused, self._report_again = 0, self._loop.time() + _REPORT_EVERY
         return None
 
-    def _begin(self, sock: socket.socket, address: str, place: Place) -> None:
+    def _begin(self, sock: socket.socket, address: str, place: HalfOpenSlot) -> None:
         try:
             driver = Driver(self._make_core(), sock, address, self.on_authenticated, self.on_end)
         except BaseException:
@@ -212,8 +212,8 @@ def serve(
     credentials: OwnCredential,
     verify: Verify[PeerT],
     *,
-    accept: Collection[Flavour] = frozenset(Flavour),
-    limits: Limits = _DEFAULTS,
+    accept: Collection[WireProtocol] = frozenset(WireProtocol),
+    limits: ChannelLimits = _DEFAULTS,
     half_open: HalfOpen | HalfOpenCount = _CAPS,
     suites: tuple[int, ...] = PRODUCTION,
     known: KnownCertificates | None = None,

@@ -13,7 +13,7 @@ from types import TracebackType
 from typing import Any, Final, Generic, NoReturn, Self
 
 from rossec.channel.edhoc.credentials import PeerT
-from rossec.channel.opening import Flavour
+from rossec.channel.opening import WireProtocol
 from rossec.channel.records import Bytes
 from rossec.errors import ChannelClosed, ChannelError, SendQueueFull
 from rossec.net.aio.driver import Driver
@@ -51,7 +51,7 @@ class SecureStream(Generic[PeerT]):
         return self._driver.local_address
 
     @property
-    def opening(self) -> Flavour:
+    def opening(self) -> WireProtocol:
         """How the connection introduced itself: TCPROS or HTTP."""
         return self._driver.connection.flavour
 
@@ -200,7 +200,7 @@ class SecureStream(Generic[PeerT]):
         return transport.writable
 
     def welcome(self, limit: int | None = None) -> None:
-        """Take units of up to `limit` from now on, or of `Limits.unit`: the peer was judged.
+        """Take units of up to `limit` from now on, or of `MasterLimits.unit`: the peer was judged.
 
         Raises:
             ChannelError: the connection is at its end.

@@ -16,7 +16,7 @@ from rossec.channel.records import Bytes
 _HIGH_WATER: Final = 64 * 1024  # bytes kept here, above which a writer should wait
 
 
-class Owner(Protocol):
+class TransportOwner(Protocol):
     """Who is told what happens to the socket."""
 
     def get_buffer(self) -> memoryview:
@@ -56,7 +56,7 @@ class Transport:
         "closed",
     )
 
-    def __init__(self, sock: socket.socket, owner: Owner) -> None:
+    def __init__(self, sock: socket.socket, owner: TransportOwner) -> None:
         sock.setblocking(False)
         sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._socket = sock

@@ -28,7 +28,7 @@ _ANY_COOKIE: Final = struct.pack("=III", 0, 0xFFFFFFFF, 0xFFFFFFFF)  # and no in
 _FOUND: Final = struct.Struct("=BB2x4s16s16s12x12xII")  # inet_diag_msg
 
 
-class Entry(NamedTuple):
+class SocketEntry(NamedTuple):
     """One socket: its state, the user who made it, its number (0: nobody holds it any more)."""
 
     state: int
@@ -38,7 +38,7 @@ class Entry(NamedTuple):
     inode: int
 
 
-def find(near: tuple[str, int], far: tuple[str, int]) -> Entry | None:
+def find(near: tuple[str, int], far: tuple[str, int]) -> SocketEntry | None:
     """The socket that is bound to `near` and connected to `far`; None: there is none.
 
     Raises:
@@ -51,7 +51,7 @@ def find(near: tuple[str, int], far: tuple[str, int]) -> Entry | None:
     return entry if (_plain(entry.near), _plain(entry.far)) == ends else None
 
 
-def listener(place: tuple[str, int]) -> Entry | None:
+def listener(place: tuple[str, int]) -> SocketEntry | None:
     """The socket that a connection to `place` would reach; None: nobody listens there.
 
     Raises:
@@ -61,7 +61,7 @@ def listener(place: tuple[str, int]) -> Entry | None:
     return entry if entry is not None and entry.state == LISTEN else None
 
 
-def _found(near: tuple[bytes, int], far: tuple[bytes, int]) -> Entry | None:
+def _found(near: tuple[bytes, int], far: tuple[bytes, int]) -> SocketEntry | None:
     family = socket.AF_INET if len(near[0]) == 4 else socket.AF_INET6
     try:
         return _ask(_request(family, near, far))
@@ -80,7 +80,7 @@ def _request(family: int, near: tuple[bytes, int], far: tuple[bytes, int]) -> by
     return _HEAD.pack(_HEAD.size + len(body), _BY_FAMILY, _ASK, 1, 0) + body
 
 
-def _ask(request: bytes) -> Entry:
+def _ask(request: bytes) -> SocketEntry:
     with socket.socket(socket.AF_NETLINK, socket.SOCK_RAW, _SOCK_DIAG) as kernel:
         kernel.send(request)
         data, (sender, *_) = kernel.recvfrom(_ROOM)
@@ -89,7 +89,7 @@ def _ask(request: bytes) -> Entry:
         return parse(data)
 
 
-def parse(data: bytes) -> Entry:
+def parse(data: bytes) -> SocketEntry:
     """The socket in an answer. Pure.
 
     Raises:
@@ -109,11 +109,11 @@ def parse(data: bytes) -> Entry:
     return _entry(body)
 
 
-def _entry(body: bytes) -> Entry:
+def _entry(body: bytes) -> SocketEntry:
     family, state, ports, near, far, user, inode = _FOUND.unpack_from(body)
     size = 4 if family == socket.AF_INET else 16
     near_port, far_port = _PORTS.unpack(ports)
-    return Entry(state, (near[:size], near_port), (far[:size], far_port), user, inode)
+    return SocketEntry(state, (near[:size], near_port), (far[:size], far_port), user, inode)
 
 
 def _packed(end: tuple[str, int]) -> tuple[bytes, int]:

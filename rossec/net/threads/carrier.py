@@ -19,7 +19,7 @@ from rossec import clock
 from rossec.channel.connection import Connection
 from rossec.channel.edhoc.credentials import PeerT
 from rossec.channel.records import Bytes
-from rossec.channel.states import Authenticated, State, UnitReceived
+from rossec.channel.states import Authenticated, ConnectionState, UnitReceived
 from rossec.errors import ChannelClosed, ChannelError
 from rossec.net.forks import forget_in_children
 from rossec.net.threads.options import SocketOptions
@@ -227,7 +227,7 @@ class Carrier(SocketOptions, Generic[PeerT]):
         now = _now()
         if now == self._ticked:
             return
-        if self._core.state is State.WAIT_4:
+        if self._core.state is ConnectionState.WAIT_4:
             self._take_in_confirmation(reading=reading)
         with self._core_lock:
             self._guarded(self._core.tick, now)

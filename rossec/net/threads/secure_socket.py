@@ -77,7 +77,7 @@ class SecureSocket(Carrier[PeerT]):
         return secure
 
     def welcome(self, limit: int | None = None) -> None:
-        """Take units of up to `limit` from now on, or of `Limits.unit`: the peer was judged.
+        """Take units of up to `limit` from now on, or of `MasterLimits.unit`: the peer was judged.
 
         Raises:
             ChannelClosed: there is no open connection.

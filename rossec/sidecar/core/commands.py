@@ -13,14 +13,14 @@ from rossec.sidecar.core.endpoints import Endpoint
 
 
 @dataclass(frozen=True)
-class Export:
+class OpenIngress:
     """Open a door to the network for a program's endpoint, always the same one. -> Opened"""
 
     local: Endpoint
 
 
 @dataclass(frozen=True)
-class Import:
+class OpenEgress:
     """Open a door on loopback to a peer's endpoint, always the same one. -> Opened
 
     With `probe` it opens only if somebody answers there; else its number is kept, and callers are
@@ -32,7 +32,7 @@ class Import:
 
 
 @dataclass(frozen=True)
-class Rest:
+class Suspend:
     """The program behind this endpoint is gone: refuse callers, keep the number. -> Done"""
 
     local: Endpoint
@@ -71,14 +71,14 @@ class AskRemote:
 
 
 @dataclass(frozen=True)
-class Knock:
+class Probe:
     """See whether the program still listens. -> Done, Silent"""
 
     local: Endpoint
 
 
 @dataclass(frozen=True)
-class MeetProgram:
+class ConnectProgram:
     """Connect to a program for TCPROS and send this header. -> HeaderArrived, Silent"""
 
     local: Endpoint
@@ -86,12 +86,12 @@ class MeetProgram:
 
 
 @dataclass(frozen=True)
-class MeetPeer:
+class ConnectPeer:
     """Connect to a peer for TCPROS and send this header. -> HeaderArrived, Silent"""
 
     remote: Endpoint
     fields: Mapping[str, bytes]
 
 
-Question = AskMaster | AskLocal | AskRemote | Knock | MeetProgram | MeetPeer
-Command = Export | Import | Rest | Question
+Question = AskMaster | AskLocal | AskRemote | Probe | ConnectProgram | ConnectPeer
+Command = OpenIngress | OpenEgress | Suspend | Question

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
 
 from ca.errors import HintedError
-from rossec.channel.opening import Flavour
+from rossec.channel.opening import WireProtocol
 from rossec.ros.settings import parse_uri
 
 
@@ -22,7 +22,7 @@ class Loopback(NamedTuple):
 
 
 LOOPBACK: Final = Loopback("127.0.0.1", "127.0.0.1")
-_SCHEMES: Final = {Flavour.HTTP: "http", Flavour.TCPROS: "rosrpc"}
+_SCHEMES: Final = {WireProtocol.HTTP: "http", WireProtocol.TCPROS: "rosrpc"}
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class Endpoint:
         asked: `port` is that of a program's slave API, which says where its topics are.
     """
 
-    flavour: Flavour
+    flavour: WireProtocol
     host: str
     port: int
     asked: bool = False
@@ -42,21 +42,21 @@ class Endpoint:
     def uri(self) -> str:
         """As in ROS: `http://host:port/` or `rosrpc://host:port`."""
         host = f"[{self.host}]" if ":" in self.host else self.host
-        end = "/" if self.flavour is Flavour.HTTP else ""
+        end = "/" if self.flavour is WireProtocol.HTTP else ""
         return f"{_SCHEMES[self.flavour]}://{host}:{self.port}{end}"
 
 
-def inside(flavour: Flavour, port: int) -> Endpoint:
+def inside(flavour: WireProtocol, port: int) -> Endpoint:
     """The endpoint of a program of this host."""
     return Endpoint(flavour, LOOPBACK.host, port)
 
 
 def topics_of(api: Endpoint) -> Endpoint:
     """Where the topics of the program with this slave API are: it is asked when somebody comes."""
-    return Endpoint(Flavour.TCPROS, api.host, api.port, asked=True)
+    return Endpoint(WireProtocol.TCPROS, api.host, api.port, asked=True)
 
 
-def endpoint(uri: object, flavour: Flavour) -> Endpoint | None:
+def endpoint(uri: object, flavour: WireProtocol) -> Endpoint | None:
     """The endpoint a URI names; None: it is not one of this kind."""
     head = f"{_SCHEMES[flavour]}://"
     if not isinstance(uri, str) or not uri.startswith(head):
@@ -67,7 +67,7 @@ def endpoint(uri: object, flavour: Flavour) -> Endpoint | None:
         return None
 
 
-class Doors:
+class EndpointMap:
     """The doors of one identity.
 
     Args:

@@ -12,7 +12,7 @@ from ca.certificates import Identity
 
 @dataclass(frozen=True)
 class Opened:
-    """A door is open at this port: to the network for `Export`, on loopback for `Import`."""
+    """This port is open: to the network for `OpenIngress`, on loopback for `OpenEgress`."""
 
     port: int
 
@@ -44,7 +44,7 @@ class HeaderArrived:
 
 
 @dataclass(frozen=True)
-class Silent:
+class NoAnswer:
     """No answer. `dead`: nobody listens there any more, as opposed to slow or broken."""
 
     reason: str
@@ -52,8 +52,8 @@ class Silent:
 
 
 @dataclass(frozen=True)
-class Done:
+class CommandDone:
     """It is done; there is nothing to say about it."""
 
 
-Event = Opened | Answered | Passed | HeaderArrived | Silent | Done
+Event = Opened | Answered | Passed | HeaderArrived | NoAnswer | CommandDone

@@ -9,20 +9,20 @@ from dataclasses import dataclass, field
 from typing import TypeAlias, TypeVar
 
 from ca.certificates import Identity
-from rossec.channel.opening import Flavour
+from rossec.channel.opening import WireProtocol
 from rossec.errors import RossecError
 from rossec.participant.access import Access
 from rossec.participant.definitions import Known
-from rossec.participant.publisher_grace import NamedPublishers
-from rossec.sidecar.core.commands import Command, Export, Import
-from rossec.sidecar.core.endpoints import Doors, Endpoint, endpoint, inside
+from rossec.participant.publisher_grace import PublisherGrace
+from rossec.sidecar.core.commands import Command, OpenEgress, OpenIngress
+from rossec.sidecar.core.endpoints import Endpoint, EndpointMap, endpoint, inside
 from rossec.sidecar.core.events import Event, Opened
 
 Outcome = TypeVar("Outcome")
 Layer: TypeAlias = Generator[Command, Event, Outcome]
 
 
-class Unforeseen(RossecError):
+class UnexpectedEvent(RossecError):
     """The shell answered a command with an event that does not fit: a mistake of ours."""
 
 
@@ -35,7 +35,7 @@ class Program:
 
 
 @dataclass
-class Tenant:
+class AgentState:
     """One identity the sidecar acts for.
 
     Attributes:
@@ -50,10 +50,10 @@ class Tenant:
 
     identity: Identity
     access: Access
-    doors: Doors
+    doors: EndpointMap
     master_uri: str
     known: Known
-    named: NamedPublishers
+    named: PublisherGrace
     programs: dict[Endpoint, Program] = field(default_factory=dict)
 
     def name_for(self, caller: str) -> str:
@@ -69,7 +69,7 @@ class Tenant:
 
     def export(self, local: Endpoint) -> Layer[Endpoint]:
         """The address under which peers reach the program at `local`."""
-        return self.doors.opened_outside(local, opened((yield Export(local))))
+        return self.doors.opened_outside(local, opened((yield OpenIngress(local))))
 
     def bring(
         self, remote: Endpoint, own: Endpoint | None = None, *, probe: bool = False
@@ -78,7 +78,7 @@ class Tenant:
         local = self.doors.program_behind(remote)
         if local is not None and local == own:
             return self.doors.spelling(local)
-        port = opened((yield Import(remote, probe=probe)))
+        port = opened((yield OpenEgress(remote, probe=probe)))
         return self.doors.opened_inside(remote, port).uri
 
     def publishers_are(self, topic: object, uris: object) -> list[str]:
@@ -90,7 +90,7 @@ class Tenant:
         """`bring` for a list of slave API URIs; what is no URI is left out."""
         found = []
         for uri in uris if isinstance(uris, list) else []:
-            remote = endpoint(uri, Flavour.HTTP)
+            remote = endpoint(uri, WireProtocol.HTTP)
             if remote is not None:
                 found.append((yield from self.bring(remote, own)))
         return found
@@ -103,11 +103,11 @@ class Tenant:
 def opened(event: Event) -> int:
     """The port of a door."""
     if not isinstance(event, Opened):
-        raise Unforeseen(f"no door but {type(event).__name__}")
+        raise UnexpectedEvent(f"no door but {type(event).__name__}")
     return event.port
 
 
 def own_endpoint(uri: object) -> Endpoint | None:
     """The slave API of the calling program: on this host, whatever host name it writes."""
-    found = endpoint(uri, Flavour.HTTP)
-    return None if found is None else inside(Flavour.HTTP, found.port)
+    found = endpoint(uri, WireProtocol.HTTP)
+    return None if found is None else inside(WireProtocol.HTTP, found.port)

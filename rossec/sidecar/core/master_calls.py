@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Final
 
-from rossec.channel.opening import Flavour
+from rossec.channel.opening import WireProtocol
 from rossec.errors import HangUp
 from rossec.participant.caller_names import (
     RELATIVE,
@@ -23,10 +23,10 @@ from rossec.participant.caller_names import (
 from rossec.participant.slave_api import without_caller
 from rossec.ros.text import printable
 from rossec.ros.xmlrpc import Fault
-from rossec.sidecar.core.commands import AskLocal, AskMaster, Knock, Rest
+from rossec.sidecar.core.commands import AskLocal, AskMaster, Probe, Suspend
 from rossec.sidecar.core.endpoints import Endpoint, endpoint, inside
-from rossec.sidecar.core.events import Answered, Event, Silent
-from rossec.sidecar.core.layers import Layer, Program, Tenant, Unforeseen, own_endpoint
+from rossec.sidecar.core.events import Answered, Event, NoAnswer
+from rossec.sidecar.core.layers import AgentState, Layer, Program, UnexpectedEvent, own_endpoint
 
 MULTICALL: Final = "system.multicall"
 MULTICALL_LIMIT: Final = 4096
@@ -44,7 +44,7 @@ class Result(Enum):
 
 
 @dataclass(frozen=True)
-class Rule:
+class CallRule:
     """Where one method carries addresses; indices count the caller_id as 0.
 
     Attributes:
@@ -73,32 +73,32 @@ class Rule:
 
 _SUBSCRIBE: Final = "registerSubscriber"
 RULES: Final = {
-    "registerPublisher": Rule(api=3, result=Result.NODES, default=[]),
-    _SUBSCRIBE: Rule(api=3, result=Result.NODES, default=[]),
-    "registerService": Rule(api=3, service=2),
-    "subscribeParam": Rule(api=1),
-    "unregisterPublisher": Rule(api=2, undoes="registerPublisher"),
-    "unregisterSubscriber": Rule(api=2, undoes=_SUBSCRIBE),
-    "unregisterService": Rule(service=2, undoes="registerService"),
-    "unsubscribeParam": Rule(api=1, undoes="subscribeParam"),
-    "lookupNode": Rule(result=Result.NODE, default=""),
-    "lookupService": Rule(result=Result.SERVICE, default=""),
-    "getUri": Rule(result=Result.MASTER, default=""),
-    "getPid": Rule(default=-1),
-    "shutdown": Rule(),
-    "getSystemState": Rule(default=[[], [], []]),
-    "getTopicTypes": Rule(default=[]),
-    "getPublishedTopics": Rule(),
-    "getParam": Rule(),
-    "setParam": Rule(),
-    "deleteParam": Rule(),
-    "hasParam": Rule(default=False),
-    SEARCH: Rule(),
-    "getParamNames": Rule(default=[]),
+    "registerPublisher": CallRule(api=3, result=Result.NODES, default=[]),
+    _SUBSCRIBE: CallRule(api=3, result=Result.NODES, default=[]),
+    "registerService": CallRule(api=3, service=2),
+    "subscribeParam": CallRule(api=1),
+    "unregisterPublisher": CallRule(api=2, undoes="registerPublisher"),
+    "unregisterSubscriber": CallRule(api=2, undoes=_SUBSCRIBE),
+    "unregisterService": CallRule(service=2, undoes="registerService"),
+    "unsubscribeParam": CallRule(api=1, undoes="subscribeParam"),
+    "lookupNode": CallRule(result=Result.NODE, default=""),
+    "lookupService": CallRule(result=Result.SERVICE, default=""),
+    "getUri": CallRule(result=Result.MASTER, default=""),
+    "getPid": CallRule(default=-1),
+    "shutdown": CallRule(),
+    "getSystemState": CallRule(default=[[], [], []]),
+    "getTopicTypes": CallRule(default=[]),
+    "getPublishedTopics": CallRule(),
+    "getParam": CallRule(),
+    "setParam": CallRule(),
+    "deleteParam": CallRule(),
+    "hasParam": CallRule(default=False),
+    SEARCH: CallRule(),
+    "getParamNames": CallRule(default=[]),
 }
 
 
-def call(tenant: Tenant, method: str, params: tuple[object, ...]) -> Layer[object]:
+def call(tenant: AgentState, method: str, params: tuple[object, ...]) -> Layer[object]:
     """Answer one call of a program.
 
     Raises:
@@ -130,7 +130,7 @@ def call(tenant: Tenant, method: str, params: tuple[object, ...]) -> Layer[objec
     return answer
 
 
-def rule_of(method: str) -> Rule:
+def rule_of(method: str) -> CallRule:
     """The rule of a method.
 
     Raises:
@@ -145,7 +145,7 @@ def rule_of(method: str) -> Rule:
 def _ask(method: str, params: tuple[object, ...]) -> Layer[list[object]]:
     event = yield AskMaster(method, params)
     if not isinstance(event, Answered):
-        raise HangUp(event.reason) if isinstance(event, Silent) else Unforeseen(method)
+        raise HangUp(event.reason) if isinstance(event, NoAnswer) else UnexpectedEvent(method)
     answer = event.value
     if not isinstance(answer, list) or len(answer) != 3:
         raise HangUp("the master's answer is not [code, status, value]")
@@ -161,7 +161,7 @@ def _search(asker: str, name: object, key: str) -> Layer[list[object]]:
     return nowhere(key)
 
 
-def _multicall(tenant: Tenant, params: tuple[object, ...]) -> Layer[object]:
+def _multicall(tenant: AgentState, params: tuple[object, ...]) -> Layer[object]:
     calls = params[0] if len(params) == 1 else None
     if not isinstance(calls, list) or len(calls) > MULTICALL_LIMIT:
         raise Fault(1, f"rossec: a multicall is one list of at most {MULTICALL_LIMIT} calls")
@@ -174,7 +174,7 @@ def _multicall(tenant: Tenant, params: tuple[object, ...]) -> Layer[object]:
     return answers
 
 
-def _element(tenant: Tenant, element: object) -> Layer[object]:
+def _element(tenant: AgentState, element: object) -> Layer[object]:
     match element:
         case {"methodName": str() as method, "params": list() as params} if method != MULTICALL:
             return (yield from call(tenant, method, tuple(params)))
@@ -183,7 +183,7 @@ def _element(tenant: Tenant, element: object) -> Layer[object]:
 
 
 def _outward(
-    tenant: Tenant, method: str, rule: Rule, caller: str, params: tuple[object, ...]
+    tenant: AgentState, method: str, rule: CallRule, caller: str, params: tuple[object, ...]
 ) -> Layer[tuple[object, ...] | None]:
     """The parameters for the secured master; None: an address that is not the program's."""
     name = caller
@@ -191,7 +191,7 @@ def _outward(
         name = tenant.name_for(caller)
     changed = list(params if name == caller else as_meant(method, params, caller))
     changed[0] = name
-    for index, flavour in ((rule.api, Flavour.HTTP), (rule.service, Flavour.TCPROS)):
+    for index, flavour in ((rule.api, WireProtocol.HTTP), (rule.service, WireProtocol.TCPROS)):
         if index is None or index >= len(params):
             continue
         given = endpoint(params[index], flavour)
@@ -210,7 +210,7 @@ def _outward(
     return tuple(changed)
 
 
-def _address(tenant: Tenant, rule: Rule, given: Endpoint) -> Layer[str | None]:
+def _address(tenant: AgentState, rule: CallRule, given: Endpoint) -> Layer[str | None]:
     """What the master knows an endpoint by that a program names.
 
     A door on loopback is a peer's: `rosnode cleanup` gives back what `lookupNode` answered. Nobody
@@ -223,14 +223,18 @@ def _address(tenant: Tenant, rule: Rule, given: Endpoint) -> Layer[str | None]:
     return (yield from tenant.export(local)).uri
 
 
-def _own(rule: Rule, params: tuple[object, ...]) -> Endpoint | None:
+def _own(rule: CallRule, params: tuple[object, ...]) -> Endpoint | None:
     if rule.api is None or rule.api >= len(params):
         return None
     return own_endpoint(params[rule.api])
 
 
 def _remember(
-    tenant: Tenant, method: str, rule: Rule, params: tuple[object, ...], outside: tuple[object, ...]
+    tenant: AgentState,
+    method: str,
+    rule: CallRule,
+    params: tuple[object, ...],
+    outside: tuple[object, ...],
 ) -> None:
     key = str(outside[RELATIVE[method]]) if method in RELATIVE else ""
     own = _own(rule, params)
@@ -241,7 +245,9 @@ def _remember(
         _forget(tenant, rule, rule.undoes, key, outside)
 
 
-def _forget(tenant: Tenant, rule: Rule, undone: str, key: str, outside: tuple[object, ...]) -> None:
+def _forget(
+    tenant: AgentState, rule: CallRule, undone: str, key: str, outside: tuple[object, ...]
+) -> None:
     """The address says whose registration it was: a successor of the same name keeps its own."""
     place, made_at = rule.place, RULES[undone].place
     for program in tenant.programs.values():
@@ -251,7 +257,7 @@ def _forget(tenant: Tenant, rule: Rule, undone: str, key: str, outside: tuple[ob
 
 
 def _inward(
-    tenant: Tenant, rule: Rule, own: Endpoint | None, answer: list[object]
+    tenant: AgentState, rule: CallRule, own: Endpoint | None, answer: list[object]
 ) -> Layer[list[object]]:
     """A successful answer of the master, as the program must see it."""
     code, status, value = answer
@@ -259,10 +265,10 @@ def _inward(
         case Result.NODES:
             value = yield from tenant.bring_all(value, own)
         case Result.NODE:
-            remote = endpoint(value, Flavour.HTTP)
+            remote = endpoint(value, WireProtocol.HTTP)
             value = "" if remote is None else (yield from _node(tenant, remote))
         case Result.SERVICE:
-            remote = endpoint(value, Flavour.TCPROS)
+            remote = endpoint(value, WireProtocol.TCPROS)
             value = "" if remote is None else (yield from tenant.bring(remote))
             status = f"rosrpc URI: [{value}]"
         case Result.MASTER:
@@ -272,13 +278,13 @@ def _inward(
     return [code, status, value]
 
 
-def _node(tenant: Tenant, remote: Endpoint) -> Layer[str]:
+def _node(tenant: AgentState, remote: Endpoint) -> Layer[str]:
     """A node of the same identity is met directly: it is the caller itself, or its like."""
     own = tenant.doors.program_behind(remote)
     return (yield from tenant.bring(remote, own, probe=True))
 
 
-def _not_covered(tenant: Tenant, caller: str) -> str:
+def _not_covered(tenant: AgentState, caller: str) -> str:
     name = tenant.identity.name
     return (
         f"rossec: a program with the identity of {name} calls itself {printable(caller, 255)}:"
@@ -286,19 +292,19 @@ def _not_covered(tenant: Tenant, caller: str) -> str:
     )
 
 
-def restore(tenant: Tenant) -> Layer[None]:
+def restore(tenant: AgentState) -> Layer[None]:
     """Make every registration again, for a master that was restarted; the dead are left out.
 
     They might come back in the place of a successor of the same name, which the master would end.
     """
     for own, program in tuple(tenant.programs.items()):
-        if (yield from _is_gone(tenant, own, (yield Knock(own)))):
+        if (yield from _is_gone(tenant, own, (yield Probe(own)))):
             continue
         for (method, key), params in tuple(program.registrations.items()):
             yield from _again(tenant, own, method, key, params)
 
 
-def resubscribe(tenant: Tenant, topic: str) -> Layer[None]:
+def resubscribe(tenant: AgentState, topic: str) -> Layer[None]:
     """Name the publishers of `topic` again to who subscribes: rospy gives up what has ended."""
     for own, program in tuple(tenant.programs.items()):
         params = program.registrations.get((_SUBSCRIBE, topic))
@@ -307,20 +313,20 @@ def resubscribe(tenant: Tenant, topic: str) -> Layer[None]:
 
 
 def _again(
-    tenant: Tenant, own: Endpoint, method: str, key: str, params: tuple[object, ...]
+    tenant: AgentState, own: Endpoint, method: str, key: str, params: tuple[object, ...]
 ) -> Layer[None]:
     event = yield AskMaster(method, params)
     match event:
         case Answered(value=[1, _, value]) if method == _SUBSCRIBE:
             uris = yield from tenant.bring_all(tenant.publishers_are(key, value), own)
             yield from tell(tenant, own, "publisherUpdate", (MASTER, key, uris))
-        case Silent(reason=reason):
+        case NoAnswer(reason=reason):
             raise HangUp(reason)
         case _:
             pass
 
 
-def let_go(tenant: Tenant) -> Layer[None]:
+def let_go(tenant: AgentState) -> Layer[None]:
     """Name to programs who is left of publishers that the master did not name again in time."""
     for topic in tenant.named.overdue():
         for own, program in tuple(tenant.programs.items()):
@@ -329,14 +335,14 @@ def let_go(tenant: Tenant) -> Layer[None]:
                 yield from tell(tenant, own, "publisherUpdate", (MASTER, topic, uris))
 
 
-def tell(tenant: Tenant, own: Endpoint, method: str, params: tuple[object, ...]) -> Layer[None]:
+def tell(tenant: AgentState, own: Endpoint, method: str, params: tuple[object, ...]) -> Layer[None]:
     """Call a program that may be gone."""
     yield from _is_gone(tenant, own, (yield AskLocal(own, method, params)))
 
 
-def _is_gone(tenant: Tenant, own: Endpoint, event: Event) -> Layer[bool]:
-    if isinstance(event, Silent) and event.dead:
+def _is_gone(tenant: AgentState, own: Endpoint, event: Event) -> Layer[bool]:
+    if isinstance(event, NoAnswer) and event.dead:
         tenant.forget(own)
-        yield Rest(own)
+        yield Suspend(own)
         return True
     return False

@@ -16,14 +16,14 @@ HolderT = TypeVar("HolderT", bound=Hashable)
 
 
 @dataclass(eq=False)
-class _Place(Generic[HolderT]):
+class _ProgramMemory(Generic[HolderT]):
     """Who has it, under which name; the name stays when nobody has it any more."""
 
     name: str
     holders: set[HolderT] = field(default_factory=set)
 
 
-class Places(Generic[HolderT]):
+class ProgramMemories(Generic[HolderT]):
     """Those of one identity.
 
     Args:
@@ -34,7 +34,7 @@ class Places(Generic[HolderT]):
     def __init__(self, recall: Recall, gone: Callable[[HolderT], bool] = lambda _: False) -> None:
         self._recall = recall
         self._gone = gone
-        self._places: list[_Place[HolderT]] = []
+        self._places: list[_ProgramMemory[HolderT]] = []
 
     def take(self, name: str, holder: HolderT) -> Recall:
         """What `holder`, a program by that name, has let each key use up."""
@@ -50,22 +50,22 @@ class Places(Generic[HolderT]):
         for place in self._places:
             place.holders.discard(holder)
 
-    def _held_by(self, holder: HolderT) -> _Place[HolderT] | None:
+    def _held_by(self, holder: HolderT) -> _ProgramMemory[HolderT] | None:
         return next((place for place in self._places if holder in place.holders), None)
 
-    def _named(self, name: str) -> _Place[HolderT] | None:
+    def _named(self, name: str) -> _ProgramMemory[HolderT] | None:
         return next((place for place in self._places if place.name == name), None)
 
-    def _freed(self) -> _Place[HolderT] | None:
+    def _freed(self) -> _ProgramMemory[HolderT] | None:
         for place in self._places:
             self._let_go(place)
             if not place.holders:
                 return place
         return None
 
-    def _let_go(self, place: _Place[HolderT]) -> None:
+    def _let_go(self, place: _ProgramMemory[HolderT]) -> None:
         place.holders = {holder for holder in place.holders if not self._gone(holder)}
 
-    def _new(self) -> _Place[HolderT]:
-        self._places.append(_Place(""))
+    def _new(self) -> _ProgramMemory[HolderT]:
+        self._places.append(_ProgramMemory(""))
         return self._places[-1]

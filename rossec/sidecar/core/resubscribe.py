@@ -11,7 +11,7 @@ FIRST_PAUSE: Final = 1.0
 LONGEST_PAUSE: Final = 32.0
 
 
-class Lost:
+class ResubscribeQueue:
     """The lost topics of one identity; times are seconds of any one clock."""
 
     def __init__(self) -> None:

@@ -12,16 +12,16 @@ did not see would be dialled in clear. The one answer that travels as it is, is 
 from typing import Final
 
 from ca.certificates import Identity
-from rossec.channel.opening import Flavour
+from rossec.channel.opening import WireProtocol
 from rossec.errors import HangUp
 from rossec.participant.slave_api import NO_TRANSPORT, RULES, TCPROS, offers_tcpros, without_caller
-from rossec.participant.slave_rights import OPEN, PRESENT, QUESTIONS, STEERING, check_question
+from rossec.participant.slave_rights import OPEN, PRESENT, SLAVE_CALLS, STEERING, check_slave_call
 from rossec.ros.text import printable
 from rossec.ros.xmlrpc import Encoded, Fault
-from rossec.sidecar.core.commands import AskLocal, AskRemote, Knock, Rest
+from rossec.sidecar.core.commands import AskLocal, AskRemote, Probe, Suspend
 from rossec.sidecar.core.endpoints import Endpoint, endpoint, topics_of
-from rossec.sidecar.core.events import Answered, Event, Passed, Silent
-from rossec.sidecar.core.layers import Layer, Tenant, Unforeseen, own_endpoint
+from rossec.sidecar.core.events import Answered, Event, NoAnswer, Passed
+from rossec.sidecar.core.layers import AgentState, Layer, UnexpectedEvent, own_endpoint
 
 _UNPARSED: Final = frozenset({"getBusStats"})
 REQUEST_TOPIC: Final = "requestTopic"
@@ -30,7 +30,7 @@ _MOST_DOORS: Final = 64  # that one answer of a peer may have opened
 
 
 def ask_program(
-    tenant: Tenant,
+    tenant: AgentState,
     local: Endpoint,
     peer: Identity,
     method: str,
@@ -47,9 +47,9 @@ def ask_program(
     node = tenant.identity.name
     if method == PRESENT:
         tenant.access.check_peer(peer, now)
-        yield from _gone(tenant, local, (yield Knock(local)))
+        yield from _gone(tenant, local, (yield Probe(local)))
         return [1, "", 0]
-    check_question(method, peer, node, shown, tenant.access, now)
+    check_slave_call(method, peer, node, shown, tenant.access, now)
     unnamed = without_caller(params, RULES[method].default)
     if unnamed is not None:
         return unnamed
@@ -66,15 +66,15 @@ def ask_program(
         case Answered(value=value):
             return _refusal(value)
         case _:
-            raise Unforeseen(method)
+            raise UnexpectedEvent(method)
 
 
-def _offer(tenant: Tenant, local: Endpoint, params: tuple[object, ...]) -> Layer[object]:
+def _offer(tenant: AgentState, local: Endpoint, params: tuple[object, ...]) -> Layer[object]:
     """Where the topics of a program are, whatever the topic; a dead one is found out as ever."""
     refused = _no_topic(params)
     if refused is not None:
         return refused
-    yield from _gone(tenant, local, (yield Knock(local)))
+    yield from _gone(tenant, local, (yield Probe(local)))
     door = yield from tenant.export(topics_of(local))
     return [1, "ready", [TCPROS, door.host, door.port]]
 
@@ -95,17 +95,17 @@ def _refusal(answer: object) -> list[object]:
             return [-1, "rossec: an answer that is not [code, status, value]", 0]
 
 
-def _gone(tenant: Tenant, local: Endpoint, event: Event) -> Layer[None]:
+def _gone(tenant: AgentState, local: Endpoint, event: Event) -> Layer[None]:
     """Refuse from now on in the name of a program that is gone."""
-    if isinstance(event, Silent):
+    if isinstance(event, NoAnswer):
         if event.dead:
             tenant.forget(local)
-            yield Rest(local)
+            yield Suspend(local)
         raise HangUp(event.reason)
 
 
 def _for_program(
-    tenant: Tenant, local: Endpoint, method: str, params: tuple[object, ...]
+    tenant: AgentState, local: Endpoint, method: str, params: tuple[object, ...]
 ) -> Layer[tuple[object, ...]]:
     if method == "publisherUpdate" and len(params) == 3:
         followed = tenant.publishers_are(params[1], params[2])
@@ -123,7 +123,7 @@ def _no_topic(params: tuple[object, ...]) -> list[object] | None:
 
 
 def _program_says(
-    tenant: Tenant, local: Endpoint, method: str, status: object, value: object
+    tenant: AgentState, local: Endpoint, method: str, status: object, value: object
 ) -> Layer[object]:
     """The program's answer as a peer must see it: with doors in place of loopback ports."""
     match method, value:
@@ -137,13 +137,13 @@ def _program_says(
             return [1, status, value]
 
 
-def _connections(tenant: Tenant, local: Endpoint, entries: list[object]) -> Layer[list[object]]:
+def _connections(tenant: AgentState, local: Endpoint, entries: list[object]) -> Layer[list[object]]:
     """A program's connections; of incoming ones it names the URI of the publisher, maybe itself."""
     found: list[object] = []
     for entry in entries:
         match entry:
             case [number, str() as uri, "i", *rest]:
-                place = endpoint(uri, Flavour.HTTP)
+                place = endpoint(uri, WireProtocol.HTTP)
                 remote = None if place is None else tenant.doors.peer_behind(place)
                 if own_endpoint(uri) == local:
                     remote = yield from tenant.export(local)
@@ -154,7 +154,7 @@ def _connections(tenant: Tenant, local: Endpoint, entries: list[object]) -> Laye
 
 
 def ask_peer(
-    tenant: Tenant, remote: Endpoint, method: str, params: tuple[object, ...]
+    tenant: AgentState, remote: Endpoint, method: str, params: tuple[object, ...]
 ) -> Layer[object]:
     """Answer a program's call to the peer at `remote`.
 
@@ -162,7 +162,7 @@ def ask_peer(
         Fault: no such method.
         HangUp: the peer does not answer.
     """
-    if method not in OPEN | STEERING | QUESTIONS.keys():
+    if method not in OPEN | STEERING | SLAVE_CALLS.keys():
         raise Fault(1, f"<class 'Exception'>:method \"{printable(method, 80)}\" is not supported")
     refused = without_caller(params, RULES[method].default)
     if refused is None and method == REQUEST_TOPIC:
@@ -173,7 +173,7 @@ def ask_peer(
     if method == REQUEST_TOPIC:
         changed = (*changed[:2], [[TCPROS]])
     parse = method not in _UNPARSED
-    event = yield AskRemote(remote, method, changed, QUESTIONS.get(method), parse)
+    event = yield AskRemote(remote, method, changed, SLAVE_CALLS.get(method), parse)
     match event:
         case Passed(body=body) if method in _UNPARSED:
             return Encoded(body)
@@ -181,22 +181,22 @@ def ask_peer(
             return (yield from _peer_says(tenant, remote, method, status, value))
         case Answered(value=value):
             return _refusal(value)
-        case Silent(reason=reason):
+        case NoAnswer(reason=reason):
             raise HangUp(reason)
         case _:
-            raise Unforeseen(method)
+            raise UnexpectedEvent(method)
 
 
 def _peer_says(
-    tenant: Tenant, remote: Endpoint, method: str, status: object, value: object
+    tenant: AgentState, remote: Endpoint, method: str, status: object, value: object
 ) -> Layer[object]:
     """A peer's answer as the program must see it: with doors in place of addresses."""
     match method, value:
         case "requestTopic", ["TCPROS", str() as host, int() as port] if (
             host and 0 < port < 1 << 16
-        ) and not _leads_back(tenant, remote, Endpoint(Flavour.TCPROS, host, port)):
-            uri = yield from tenant.bring(Endpoint(Flavour.TCPROS, host, port))
-            door = endpoint(uri, Flavour.TCPROS)
+        ) and not _leads_back(tenant, remote, Endpoint(WireProtocol.TCPROS, host, port)):
+            uri = yield from tenant.bring(Endpoint(WireProtocol.TCPROS, host, port))
+            door = endpoint(uri, WireProtocol.TCPROS)
             return [1, "ready", ["TCPROS", door.host, door.port]] if door else [-1, "", []]
         case "requestTopic", _:
             return [-1, NO_TRANSPORT, []]
@@ -210,20 +210,20 @@ def _peer_says(
             return [1, status, value]
 
 
-def _leads_back(tenant: Tenant, remote: Endpoint, place: Endpoint) -> bool:
+def _leads_back(tenant: AgentState, remote: Endpoint, place: Endpoint) -> bool:
     """Whether another node names a place of this identity's own: nobody may be led to itself."""
     behind = tenant.doors.program_behind
     return behind(place) is not None and behind(remote) is None
 
 
-def _peers_connections(tenant: Tenant, entries: list[object]) -> Layer[list[object]]:
+def _peers_connections(tenant: AgentState, entries: list[object]) -> Layer[list[object]]:
     """A peer's connections, with the URIs that `lookupNode` gives: tools compare the two."""
     doors: dict[str, str] = {}
     found: list[object] = []
     for entry in entries:
         match entry:
             case [number, str() as uri, "i", *rest]:
-                remote = endpoint(uri, Flavour.HTTP)
+                remote = endpoint(uri, WireProtocol.HTTP)
                 if remote is not None and uri not in doors and len(doors) < _MOST_DOORS:
                     own = tenant.doors.program_behind(remote)
                     doors[uri] = yield from tenant.bring(remote, own)

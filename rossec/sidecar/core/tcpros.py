@@ -15,8 +15,8 @@ from grants.decision import Decision
 from grants.guard import Guard
 from grants.memory import Recall
 from grants.model import Right
-from rossec.channel.opening import Flavour
-from rossec.errors import HangUp, TopicRefused
+from rossec.channel.opening import WireProtocol
+from rossec.errors import ConnectionHeaderRefused, HangUp
 from rossec.participant import service_handshake, topic_handshake
 from rossec.participant.access import FIELD
 from rossec.participant.definitions import (
@@ -30,10 +30,10 @@ from rossec.participant.definitions import (
 from rossec.participant.header_fields import Fields, text
 from rossec.participant.slave_api import TCPROS
 from rossec.participant.topic_guard import FilterKey, guard_for
-from rossec.sidecar.core.commands import AskLocal, MeetPeer, MeetProgram, Rest
+from rossec.sidecar.core.commands import AskLocal, ConnectPeer, ConnectProgram, Suspend
 from rossec.sidecar.core.endpoints import Endpoint, inside
-from rossec.sidecar.core.events import Answered, Event, HeaderArrived, Silent
-from rossec.sidecar.core.layers import Layer, Tenant, Unforeseen
+from rossec.sidecar.core.events import Answered, Event, HeaderArrived, NoAnswer
+from rossec.sidecar.core.layers import AgentState, Layer, UnexpectedEvent
 from rossec.sidecar.core.slave_calls import REQUEST_TOPIC, succeeded
 
 _CALLER = "callerid"
@@ -42,7 +42,7 @@ FindRecall: TypeAlias = Callable[[str], Recall]  # of a program that calls itsel
 
 
 @dataclass(frozen=True)
-class Joined:
+class AdmittedConnection:
     """Two ends that may now exchange messages.
 
     Attributes:
@@ -66,23 +66,23 @@ class Joined:
 
 
 def admit_peer(
-    tenant: Tenant,
+    tenant: AgentState,
     local: Endpoint,
     fields: Mapping[str, bytes],
     peer: Identity,
     filter_key: FilterKey,
     recall_of: FindRecall,
     now: int,
-) -> Layer[Joined]:
+) -> Layer[AdmittedConnection]:
     """A peer subscribes to a topic of the program at `local`, or calls its service.
 
     Raises:
-        TopicRefused, GrantError, CAError: it may not, or the program refuses it.
+        ConnectionHeaderRefused, GrantError, CAError: it may not, or the program refuses it.
         HangUp: the program does not answer.
     """
     service = _asks_for_service(fields)
     if service is local.asked:
-        raise TopicRefused(f"this port is not for {'services' if service else 'topics'}")
+        raise ConnectionHeaderRefused(f"this port is not for {'services' if service else 'topics'}")
     if service:
         decision = service_handshake.admit_caller(fields, peer, tenant.access, now)
         decision.require_unrestricted()
@@ -90,42 +90,44 @@ def admit_peer(
     else:
         decision = topic_handshake.admit_subscriber(fields, peer, tenant.access, now)
         place = yield from _place_of(tenant, local, fields)
-    event = yield MeetProgram(place, without_grants(fields))
-    if isinstance(event, Silent) and event.dead:
-        yield Rest(local)
+    event = yield ConnectProgram(place, without_grants(fields))
+    if isinstance(event, NoAnswer) and event.dead:
+        yield Suspend(local)
     arrived = _arrived(event)
     answer = _own_answer(tenant, fields, arrived.fields)
     guard = None
     if decision.restrictions:
         kind = as_sent(from_header(answer), decision, tenant.known)
         guard = guard_for(kind, decision, filter_key, recall_of(_program(arrived.fields)))
-    return Joined({**answer, **_proof(tenant, fields, arrived.now)}, decision, guard, service)
+    return AdmittedConnection(
+        {**answer, **_proof(tenant, fields, arrived.now)}, decision, guard, service
+    )
 
 
-def _place_of(tenant: Tenant, local: Endpoint, fields: Mapping[str, bytes]) -> Layer[Endpoint]:
+def _place_of(tenant: AgentState, local: Endpoint, fields: Mapping[str, bytes]) -> Layer[Endpoint]:
     """Where the program has the topic, as its slave API says it.
 
     Raises:
-        TopicRefused: it does not publish it.
+        ConnectionHeaderRefused: it does not publish it.
         HangUp: it does not answer.
     """
     topic = topic_handshake.requested_topic(fields)
     asked = (text(fields, _CALLER), topic, [[TCPROS]])
-    event = yield AskLocal(inside(Flavour.HTTP, local.port), REQUEST_TOPIC, asked)
+    event = yield AskLocal(inside(WireProtocol.HTTP, local.port), REQUEST_TOPIC, asked)
     match event:
         case Answered(value=[code, _, [str(protocol), str(), int() as port]]) if (
             succeeded(code) and protocol == TCPROS and 0 < port < 1 << 16
         ):
-            return inside(Flavour.TCPROS, port)
+            return inside(WireProtocol.TCPROS, port)
         case Answered():
-            raise TopicRefused(f"{tenant.identity.name} does not publish {topic}")
-        case Silent(dead=True, reason=reason):
-            yield Rest(local)
+            raise ConnectionHeaderRefused(f"{tenant.identity.name} does not publish {topic}")
+        case NoAnswer(dead=True, reason=reason):
+            yield Suspend(local)
             raise HangUp(reason)
-        case Silent(reason=reason):
+        case NoAnswer(reason=reason):
             raise HangUp(reason)
         case _:
-            raise Unforeseen(type(event).__name__)
+            raise UnexpectedEvent(type(event).__name__)
 
 
 def _asks_for_service(fields: Mapping[str, bytes]) -> bool:
@@ -133,19 +135,19 @@ def _asks_for_service(fields: Mapping[str, bytes]) -> bool:
     look for the topic first.
 
     Raises:
-        TopicRefused: not exactly one of the two.
+        ConnectionHeaderRefused: not exactly one of the two.
     """
     if ("service" in fields) is ("topic" in fields):
-        raise TopicRefused("a connection header is for a topic or for a service")
+        raise ConnectionHeaderRefused("a connection header is for a topic or for a service")
     return "service" in fields
 
 
 def _own_answer(
-    tenant: Tenant, asked: Mapping[str, bytes], answer: Mapping[str, bytes]
+    tenant: AgentState, asked: Mapping[str, bytes], answer: Mapping[str, bytes]
 ) -> dict[str, bytes]:
     """The program's answer under a certified name; rospy's publishers leave out the topic."""
     if "error" in answer:
-        raise TopicRefused(text(answer, "error"))
+        raise ConnectionHeaderRefused(text(answer, "error"))
     completed = {**without_grants(answer), _CALLER: _caller(tenant, answer)}
     if "topic" in asked:
         completed["topic"] = asked["topic"]
@@ -157,30 +159,30 @@ def _program(fields: Mapping[str, bytes]) -> str:
     return text(fields, _CALLER)[:_LONGEST_NAME] if _CALLER in fields else ""
 
 
-def _caller(tenant: Tenant, fields: Mapping[str, bytes]) -> bytes:
+def _caller(tenant: AgentState, fields: Mapping[str, bytes]) -> bytes:
     given = text(fields, _CALLER) if _CALLER in fields else ""
     return tenant.name_for(given).encode()
 
 
-def _proof(tenant: Tenant, asked: Mapping[str, bytes], now: int) -> Fields:
+def _proof(tenant: AgentState, asked: Mapping[str, bytes], now: int) -> Fields:
     if "service" in asked:
         return service_handshake.provider_proof(text(asked, "service"), tenant.access, now)
     return {FIELD: tenant.access.present(Right.PUBLISH, text(asked, "topic"), now)}
 
 
 def reach_peer(
-    tenant: Tenant,
+    tenant: AgentState,
     remote: Endpoint,
     fields: Mapping[str, bytes],
     filter_key: FilterKey,
     recall_of: FindRecall,
     now: int,
-) -> Layer[Joined]:
+) -> Layer[AdmittedConnection]:
     """A program subscribes to a topic of the peer at `remote`, or calls its service.
 
     Raises:
-        TopicRefused, GrantError, CAError: the peer refuses, or may not publish or provide.
-        HangUp: the peer does not answer.
+        ConnectionHeaderRefused, GrantError, CAError: the peer refuses, or may not publish or
+        provide. HangUp: the peer does not answer.
     """
     service = _asks_for_service(fields)
     asked = {**without_grants(fields), _CALLER: _caller(tenant, fields)}
@@ -188,7 +190,7 @@ def reach_peer(
     if service:
         name = service_handshake.requested_service(fields)
         asked |= service_handshake.caller_proof(name, tenant.access, now)
-        event = yield MeetPeer(remote, asked)
+        event = yield ConnectPeer(remote, asked)
         arrived, peer = _from_peer(event)
         decision = service_handshake.admit_provider(
             arrived.fields, peer, name, tenant.access, arrived.now
@@ -197,11 +199,11 @@ def reach_peer(
         answer = without_grants(arrived.fields)
     else:
         own = from_header(fields)
-        expected = topic_handshake.Expected(
+        expected = topic_handshake.ExpectedTopic(
             topic_handshake.requested_topic(fields), own.name, own.md5sum
         )
         asked[FIELD] = tenant.access.present(Right.SUBSCRIBE, expected.topic, now)
-        arrived, peer = _from_peer((yield MeetPeer(remote, asked)))
+        arrived, peer = _from_peer((yield ConnectPeer(remote, asked)))
         decision = topic_handshake.admit_publisher(
             arrived.fields, peer, expected, tenant.access, arrived.now
         )
@@ -211,21 +213,21 @@ def reach_peer(
             guard = guard_for(kind, decision, filter_key, recall_of(_program(fields)))
         answer = without_grants(arrived.fields) | told(kind, decision)
         size = size_of(described(kind, said))
-    return Joined(answer, decision, guard, service, size)
+    return AdmittedConnection(answer, decision, guard, service, size)
 
 
 def _from_peer(event: Event) -> tuple[HeaderArrived, Identity]:
     arrived = _arrived(event)
     if arrived.peer is None:
-        raise Unforeseen("a peer without an identity")
+        raise UnexpectedEvent("a peer without an identity")
     return arrived, arrived.peer
 
 
 def _arrived(event: Event) -> HeaderArrived:
-    if isinstance(event, Silent):
+    if isinstance(event, NoAnswer):
         raise HangUp(event.reason)
     if not isinstance(event, HeaderArrived):
-        raise Unforeseen(type(event).__name__)
+        raise UnexpectedEvent(type(event).__name__)
     return event
 
 

@@ -1,12 +1,12 @@
 import pytest
 
 from ca.enrollment import qr, transcript
-from ca.enrollment.authority import TABLE, WITHOUT_MESSAGE, AuthorityEnrollment, State
+from ca.enrollment.authority import TABLE, WITHOUT_MESSAGE, AuthorityEnrollment, AuthorityState
 from ca.enrollment.messages import (
     Abort,
     Acknowledgement,
     Delivery,
-    Done,
+    EnrollmentDone,
     Fetch,
     Reason,
     read,
@@ -43,9 +43,9 @@ def test_a_node_is_enrolled_when_it_says_so() -> None:
     node.confirm(authority.digits, NOW)
     (done,) = node.activated()
     authority.receive(done, NOW)
-    assert authority.state is State.ENROLLED
+    assert authority.state is AuthorityState.ENROLLED
     authority.receive(done, NOW + 10 * WINDOW)
-    assert authority.state is State.ENROLLED
+    assert authority.state is AuthorityState.ENROLLED
 
 
 def test_who_asks_is_known_after_the_comparison() -> None:
@@ -66,14 +66,14 @@ def test_a_swapped_request() -> None:
     enrollment = scanned(Robot().enrollment())
     with pytest.raises(RequestSwapped, match="not the one the code was made for"):
         enrollment.receive(write(Delivery(Robot().csr)), NOW)
-    assert enrollment.state is State.OVER
+    assert enrollment.state is AuthorityState.OVER
 
 
 def test_a_code_for_what_is_no_request() -> None:
     enrollment = AuthorityEnrollment(qr.parse(qr.label_code(b"garbage")), "home")
     with pytest.raises(RequestRefused, match="not a certificate request"):
         enrollment.receive(write(Delivery(b"garbage")), NOW)
-    assert enrollment.state is State.OVER
+    assert enrollment.state is AuthorityState.OVER
 
 
 def test_a_wildcard_tail_is_meant_on_both_sides() -> None:
@@ -124,7 +124,7 @@ def test_the_answer_of_another_key() -> None:
     statement = transcript.acknowledge(new_signer(), node.pending.transcript, fresh())
     with pytest.raises(AcknowledgementRefused, match="not signed by the node"):
         authority.receive(write(Acknowledgement(statement)), NOW)
-    assert authority.state is State.OVER
+    assert authority.state is AuthorityState.OVER
 
 
 def test_a_replayed_answer() -> None:
@@ -136,7 +136,7 @@ def test_a_replayed_answer() -> None:
     later, _ = offered(robot.enrollment(), SITE)
     with pytest.raises(AcknowledgementRefused, match="about another offer"):
         later.receive(recorded, NOW)
-    assert later.state is State.OVER
+    assert later.state is AuthorityState.OVER
     assert later.digits == ""
 
 
@@ -149,11 +149,11 @@ def test_a_replayed_last_word() -> None:
     later, _ = acknowledged(robot.enrollment(), SITE)
     with pytest.raises(AcknowledgementRefused, match="about another offer"):
         later.receive(recorded, NOW)
-    assert later.state is State.OVER
+    assert later.state is AuthorityState.OVER
     authority.receive(recorded, NOW)
     with pytest.raises(AcknowledgementRefused, match="not signed by the node"):
-        authority.receive(write(Done(b"no")), NOW)
-    assert authority.state is State.ENROLLED
+        authority.receive(write(EnrollmentDone(b"no")), NOW)
+    assert authority.state is AuthorityState.ENROLLED
 
 
 def test_the_last_word_before_the_answer_changes_nothing() -> None:
@@ -166,7 +166,7 @@ def test_the_last_word_before_the_answer_changes_nothing() -> None:
         authority.receive(done, NOW)
     for message in (answer, answer, done, answer):
         authority.receive(message, NOW)
-    assert authority.state is State.ENROLLED
+    assert authority.state is AuthorityState.ENROLLED
 
 
 def test_a_second_different_answer() -> None:
@@ -191,7 +191,7 @@ def test_the_node_gives_up(reason: Reason, kind: type[Exception], message: str) 
     for authority in (scanned(node), offered(node, SITE)[0], acknowledged(node, SITE)[0]):
         with pytest.raises(kind, match=message):
             authority.receive(write(Abort(reason)), NOW)
-        assert authority.state is State.OVER
+        assert authority.state is AuthorityState.OVER
         with pytest.raises(EnrollmentMessageRefused):
             authority.receive(write(Abort(reason)), NOW)
 
@@ -200,7 +200,7 @@ def test_a_screen_code_ends() -> None:
     enrollment = compared(Robot().enrollment())
     with pytest.raises(EnrollmentExpired, match="not finished in time"):
         enrollment.approve(NOW + WINDOW + 1)
-    assert enrollment.state is State.OVER
+    assert enrollment.state is AuthorityState.OVER
     enrollment.tick(NOW + WINDOW + 2)
 
 
@@ -219,11 +219,13 @@ def test_what_is_no_message() -> None:
     enrollment = scanned(Robot().enrollment())
     with pytest.raises(EnrollmentMessageRefused):
         enrollment.receive(b"garbage", NOW)
-    assert enrollment.state is State.FETCHING
+    assert enrollment.state is AuthorityState.FETCHING
 
 
 def test_the_table_names_methods_that_exist() -> None:
     assert all(callable(getattr(AuthorityEnrollment, method)) for method, _ in TABLE.values())
     reached = {end for _, ends in TABLE.values() for end in ends}
-    assert reached | {end for _, end, _ in WITHOUT_MESSAGE} == set(State) - {State.FETCHING}
+    assert reached | {end for _, end, _ in WITHOUT_MESSAGE} == set(AuthorityState) - {
+        AuthorityState.FETCHING
+    }
     assert isinstance(read(scanned(Robot().enrollment()).fetch()), Fetch)

@@ -15,10 +15,9 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
 from ca.enrollment import qr, transcript
-from ca.enrollment.authority import AuthorityEnrollment
-from ca.enrollment.authority import State as Ours
+from ca.enrollment.authority import AuthorityEnrollment, AuthorityState
 from ca.enrollment.messages import Offer, read, write
-from ca.enrollment.node import NodeEnrollment, Pending, State
+from ca.enrollment.node import NodeEnrollment, NodeState, Pending
 from ca.errors import CAError
 from tests.support.enrolling import ADDRESS, Robot, fresh
 from tests.support.pki import NOW, Site
@@ -34,7 +33,7 @@ def test_the_states_are_those_of_the_specification() -> None:
     text = (Path(__file__).parents[3] / "docs" / "spec" / "enrollment.md").read_text()
     node = text.partition("## 4.")[2].partition("## 5.")[0]
     authority = text.partition("## 5.")[2].partition("## 6.")[0]
-    for states, section in ((State, node), (Ours, authority)):
+    for states, section in ((NodeState, node), (AuthorityState, authority)):
         assert {state.name for state in states} == set(re.findall(r"\b[A-Z]{4,}\b", section)) - {
             "MUST", "SHOULD", "FALSE",
         }  # fmt: skip
@@ -78,9 +77,9 @@ class Enrollments(RuleBasedStateMachine):
             waiting = next((to for to in order if self.queues[to]), None)
             if waiting is not None:
                 self.deliver(waiting, self.queues[waiting].pop(0))
-            elif self.authority.state is Ours.FETCHING:
+            elif self.authority.state is AuthorityState.FETCHING:
                 self.say("node", self.authority.fetch())
-            elif self.authority.state is Ours.COMPARED:
+            elif self.authority.state is AuthorityState.COMPARED:
                 self.approve_and_offer()
 
     def approve_and_offer(self) -> None:
@@ -121,7 +120,7 @@ class Enrollments(RuleBasedStateMachine):
 
     @rule()
     def a_person_compares(self) -> None:
-        if self.node.state is not State.PENDING:
+        if self.node.state is not NodeState.PENDING:
             return
         if self.authority.digits != self.node.pending.digits:
             return
@@ -143,7 +142,7 @@ class Enrollments(RuleBasedStateMachine):
 
     @invariant()
     def who_says_enrolled_means_what_a_node_confirmed(self) -> None:
-        if self.authority.state is Ours.ENROLLED:
+        if self.authority.state is AuthorityState.ENROLLED:
             offer = read(self.offer)
             assert isinstance(offer, Offer)
             agreed = transcript.transcript(ROBOT.csr, offer.chain, offer.root, offer.nonce)
@@ -151,7 +150,7 @@ class Enrollments(RuleBasedStateMachine):
 
     @invariant()
     def a_node_is_enrolled_only_by_its_person(self) -> None:
-        if self.node.state is State.ENROLLED:
+        if self.node.state is NodeState.ENROLLED:
             assert any(self.node.pending is pending for pending in self.trusted)
 
 

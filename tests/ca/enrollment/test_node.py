@@ -2,14 +2,22 @@ import pytest
 
 from ca.certificates import build_request
 from ca.enrollment import qr, transcript
-from ca.enrollment.messages import Abort, Acknowledgement, Done, Offer, Reason, read, write
+from ca.enrollment.messages import (
+    Abort,
+    Acknowledgement,
+    EnrollmentDone,
+    Offer,
+    Reason,
+    read,
+    write,
+)
 from ca.enrollment.node import (
     MAX_BAD_DIGITS,
     MAX_BAD_TAGS,
     TABLE,
     WITHOUT_MESSAGE,
     NodeEnrollment,
-    State,
+    NodeState,
 )
 from ca.errors import (
     DigitsRefused,
@@ -65,8 +73,8 @@ def test_nothing_counts_before_a_person_confirmed(label: bool) -> None:
     with pytest.raises(EnrollmentOver, match="confirmed already"):
         node.confirm(authority.digits, NOW + 1)
     (done,) = node.activated()
-    assert isinstance(read(done), Done)
-    assert node.state is State.ENROLLED
+    assert isinstance(read(done), EnrollmentDone)
+    assert node.state is NodeState.ENROLLED
 
 
 def test_the_same_offer_again_gets_the_same_answer() -> None:
@@ -80,7 +88,7 @@ def test_the_same_offer_again_gets_the_same_answer() -> None:
     node.activated()
     again = node.receive(offer, NOW + WINDOW * 9)
     assert again[0] == first[0]
-    assert isinstance(read(again[1]), Done)
+    assert isinstance(read(again[1]), EnrollmentDone)
 
 
 @pytest.mark.parametrize("label", [False, True])
@@ -91,7 +99,7 @@ def test_a_second_valid_offer_drops_both(label: bool, rival: Site) -> None:
     _, offer = offered(node, rival)
     with pytest.raises(RivalOffer, match="somebody else has its code"):
         node.receive(offer, NOW)
-    assert node.state is State.OVER
+    assert node.state is NodeState.OVER
     with pytest.raises(EnrollmentOver, match="the enrollment is over: two different offers"):
         node.confirm("000000", NOW)
 
@@ -123,7 +131,7 @@ def test_an_offer_after_the_enrollment() -> None:
     with pytest.raises(EnrollmentOver, match="enrolled already"):
         node.receive(other, NOW)
     node.stop(EnrollmentOver("too late to stop"))
-    assert node.state is State.ENROLLED
+    assert node.state is NodeState.ENROLLED
 
 
 def test_five_bad_tags_lock_the_code() -> None:
@@ -187,7 +195,7 @@ def test_an_identity_for_somebody_else() -> None:
     )
     with pytest.raises(OfferRefused, match="for another name"):
         node.receive(crafted(robot, (leaf,), elsewhere.root), NOW)
-    assert node.state is State.SHOWING
+    assert node.state is NodeState.SHOWING
 
 
 def test_a_wildcard_tail_is_given_to_who_asked_for_it() -> None:
@@ -223,7 +231,7 @@ def test_a_code_ends() -> None:
     node = Robot().enrollment()
     _, offer = offered(node, SITE)
     node.tick(NOW + WINDOW)
-    assert node.state is State.SHOWING
+    assert node.state is NodeState.SHOWING
     with pytest.raises(EnrollmentOver, match="over: nobody finished the enrollment in time"):
         node.receive(offer, NOW + WINDOW + 1)
     assert isinstance(node.why_over, EnrollmentExpired)
@@ -250,12 +258,12 @@ def test_three_wrong_digits() -> None:
 
 def test_what_nobody_waits_for() -> None:
     node = Robot().enrollment()
-    for message in (Abort(Reason.OVER), Acknowledgement(b""), Done(b"")):
+    for message in (Abort(Reason.OVER), Acknowledgement(b""), EnrollmentDone(b"")):
         with pytest.raises(EnrollmentMessageRefused, match="while shows its code"):
             node.receive(write(message), NOW)
     with pytest.raises(EnrollmentMessageRefused):
         node.receive(b"garbage", NOW)
-    assert node.state is State.SHOWING
+    assert node.state is NodeState.SHOWING
 
 
 class Recorder:
@@ -296,8 +304,8 @@ def test_a_node_signs_nothing_a_peer_chose() -> None:
 def test_the_table_names_methods_that_exist() -> None:
     assert all(callable(getattr(NodeEnrollment, method)) for method, _ in TABLE.values())
     reached = {end for _, ends in TABLE.values() for end in ends}
-    assert reached | {end for _, end, _ in WITHOUT_MESSAGE} == set(State)
-    assert not any(begin is State.OVER for begin, _ in TABLE)
+    assert reached | {end for _, end, _ in WITHOUT_MESSAGE} == set(NodeState)
+    assert not any(begin is NodeState.OVER for begin, _ in TABLE)
 
 
 def test_the_digits_depend_on_what_the_node_reveals_last() -> None:

@@ -3,43 +3,45 @@ import itertools
 import pytest
 
 from ca.errors import RequestClosed
-from ca.store.lifecycle import DAY, KEEP, OPEN, TRANSITIONS, RequestRow, State, advance
+from ca.store.lifecycle import DAY, KEEP, OPEN, TRANSITIONS, RequestRow, RequestState, advance
 
 NOW = 1_800_000_000
 WAYS = {
-    (State.PENDING, State.APPROVED),
-    (State.PENDING, State.DENIED),
-    (State.APPROVED, State.ISSUED),
-    (State.APPROVED, State.DENIED),
+    (RequestState.PENDING, RequestState.APPROVED),
+    (RequestState.PENDING, RequestState.DENIED),
+    (RequestState.APPROVED, RequestState.ISSUED),
+    (RequestState.APPROVED, RequestState.DENIED),
 }
 
 
-def row(state: State = State.PENDING) -> RequestRow:
+def row(state: RequestState = RequestState.PENDING) -> RequestRow:
     return RequestRow(b"d" * 32, "/a", b"k" * 32, b"der", "test", NOW, state, "", NOW)
 
 
 def test_every_state_has_its_ways_and_its_end() -> None:
-    assert set(TRANSITIONS) == set(KEEP) == set(State)
-    assert {State.PENDING, State.APPROVED} == OPEN
+    assert set(TRANSITIONS) == set(KEEP) == set(RequestState)
+    assert {RequestState.PENDING, RequestState.APPROVED} == OPEN
     assert {(a, b) for a, following in TRANSITIONS.items() for b in following} == WAYS
 
 
 @pytest.mark.parametrize(("old", "new"), sorted(WAYS))
-def test_the_ways_there_are(old: State, new: State) -> None:
+def test_the_ways_there_are(old: RequestState, new: RequestState) -> None:
     moved = advance(row(old), new, NOW + 5, "because")
     assert (moved.state, moved.changed, moved.reason) == (new, NOW + 5, "because")
     assert (moved.digest, moved.arrived) == (b"d" * 32, NOW)
 
 
-@pytest.mark.parametrize(("old", "new"), sorted(set(itertools.product(State, State)) - WAYS))
-def test_and_no_others(old: State, new: State) -> None:
+@pytest.mark.parametrize(
+    ("old", "new"), sorted(set(itertools.product(RequestState, RequestState)) - WAYS)
+)
+def test_and_no_others(old: RequestState, new: RequestState) -> None:
     with pytest.raises(RequestClosed, match=f"the request of /a is {old} and cannot be {new}"):
         advance(row(old), new, NOW)
 
 
 @pytest.mark.parametrize("state", sorted(OPEN))
-def test_its_time_ends(state: State) -> None:
+def test_its_time_ends(state: RequestState) -> None:
     assert row(state).until == NOW + DAY
-    advance(row(state), State.DENIED, NOW + DAY)
+    advance(row(state), RequestState.DENIED, NOW + DAY)
     with pytest.raises(RequestClosed, match=f"was {state} for too long and is void"):
-        advance(row(state), State.DENIED, NOW + DAY + 1)
+        advance(row(state), RequestState.DENIED, NOW + DAY + 1)

@@ -8,8 +8,8 @@ from ca.errors import LogDamaged
 from ca.revocation.merkle import Tree
 from ca.store import log_entries
 from ca.store.log_entries import (
-    Entry,
     Head,
+    LogEntry,
     check_entries,
     check_head,
     digest_of,
@@ -22,11 +22,11 @@ from tests.support.pki import NOW, new_signer
 KEY = new_signer()
 
 
-def entry(number: int, what: str = "grant") -> Entry:
-    return Entry(number, NOW + number, what, "/a", "detail", digest_of((number, "/a", b"x")))
+def entry(number: int, what: str = "grant") -> LogEntry:
+    return LogEntry(number, NOW + number, what, "/a", "detail", digest_of((number, "/a", b"x")))
 
 
-def recorded(size: int) -> list[tuple[Entry, bytes]]:
+def recorded(size: int) -> list[tuple[LogEntry, bytes]]:
     rows, peaks = [], b""
     for number in range(size):
         peaks = grow(peaks, entry(number))

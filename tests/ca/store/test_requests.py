@@ -5,9 +5,9 @@ from pathlib import Path
 import pytest
 
 from ca.errors import KeyChanged, NameContested, NameCovered, RequestClosed, StoreError
-from ca.requests import Request, build_request, check_request
+from ca.requests import IdentityRequest, build_request, check_request
 from ca.store import requests as request_record
-from ca.store.lifecycle import DAY, State
+from ca.store.lifecycle import DAY, RequestState
 from ca.store.record import Store
 from ca.store.rows import CertificateRow
 from tests.support.pki import NOW, new_signer
@@ -19,22 +19,22 @@ def store(tmp_path: Path) -> Iterator[Store]:
         yield store
 
 
-def asked(name: str = "/a") -> tuple[Request, bytes]:
+def asked(name: str = "/a") -> tuple[IdentityRequest, bytes]:
     der = build_request(new_signer(), "home", name)
     return check_request(der, "home"), der
 
 
-def pending(store: Store, name: str = "/a", now: int = NOW) -> Request:
+def pending(store: Store, name: str = "/a", now: int = NOW) -> IdentityRequest:
     request, der = asked(name)
     store.requests.add(request, der, "192.0.2.7", now)
     return request
 
 
-def certificate(request: Request, serial: int = 1) -> CertificateRow:
+def certificate(request: IdentityRequest, serial: int = 1) -> CertificateRow:
     return CertificateRow(serial, request.name, request.thumbprint, b"der", NOW, NOW + DAY)
 
 
-def issue(store: Store, request: Request, serial: int = 1) -> None:
+def issue(store: Store, request: IdentityRequest, serial: int = 1) -> None:
     store.add_certificate(certificate(request, serial), NOW, request=request.digest)
 
 
@@ -45,11 +45,11 @@ def log_of(store: Store) -> list[tuple[str, str, str]]:
 def test_from_pending_to_issued(store: Store) -> None:
     request = pending(store)
     (row,) = store.requests.all()
-    assert (row.name, row.source, row.state) == ("/a", "192.0.2.7", State.PENDING)
-    assert store.requests.approve(request.digest, NOW + 1, "known").state is State.APPROVED
+    assert (row.name, row.source, row.state) == ("/a", "192.0.2.7", RequestState.PENDING)
+    assert store.requests.approve(request.digest, NOW + 1, "known").state is RequestState.APPROVED
     assert store.identities.answer(request.digest) is None
     issue(store, request)
-    assert store.requests.get(request.digest).state is State.ISSUED
+    assert store.requests.get(request.digest).state is RequestState.ISSUED
     assert store.identities.answer(request.digest) == certificate(request)
     assert log_of(store) == [
         ("pending", "/a", "192.0.2.7"), ("approved", "/a", "known"), ("issued", "/a", ""),

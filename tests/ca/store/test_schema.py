@@ -11,7 +11,7 @@ import pytest
 
 from ca.errors import LogDamaged, StoreError
 from ca.store import schema
-from ca.store.lifecycle import TRANSITIONS, State
+from ca.store.lifecycle import TRANSITIONS, RequestState
 from ca.store.record import Store
 from tests.support import oldstore
 from tests.support.pki import new_signer
@@ -116,15 +116,15 @@ def insert(db: sqlite3.Connection, state: str) -> None:
     )
 
 
-@pytest.mark.parametrize("old_state", sorted(State))
-@pytest.mark.parametrize("new_state", sorted(State))
+@pytest.mark.parametrize("old_state", sorted(RequestState))
+@pytest.mark.parametrize("new_state", sorted(RequestState))
 def test_the_record_knows_the_ways_of_a_request(
-    new: sqlite3.Connection, old_state: State, new_state: State
+    new: sqlite3.Connection, old_state: RequestState, new_state: RequestState
 ) -> None:
     insert(new, "pending")
-    if old_state is State.ISSUED:
+    if old_state is RequestState.ISSUED:
         new.execute("UPDATE csr SET state = 'approved'")
-    if old_state is not State.PENDING:
+    if old_state is not RequestState.PENDING:
         new.execute("UPDATE csr SET state = ?", (old_state,))
     move = ("UPDATE csr SET state = ?", (new_state,))
     if new_state in TRANSITIONS[old_state]:

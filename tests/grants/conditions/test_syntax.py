@@ -5,7 +5,7 @@ import pytest
 from grants.conditions.syntax import (
     Among,
     Binary,
-    Call,
+    FunctionCall,
     Literal,
     Now,
     Path,
@@ -26,11 +26,11 @@ TREES = {
     "msg.a in ['x', \"y\"]": Among(A, (Literal("x"), Literal("y"))),
     "msg.a in []": Among(A, ()),
     "now.getHours('UTC') >= 8": Binary(
-        ">=", Call(Now(), "getHours", (Literal("UTC"),)), Literal(8)
+        ">=", FunctionCall(Now(), "getHours", (Literal("UTC"),)), Literal(8)
     ),
-    "timestamp('x')": Call(None, "timestamp", (Literal("x"),)),
-    "msg.a.contains(msg.b)": Call(A, "contains", (B,)),
-    "f(1, 2)": Call(None, "f", (Literal(1), Literal(2))),
+    "timestamp('x')": FunctionCall(None, "timestamp", (Literal("x"),)),
+    "msg.a.contains(msg.b)": FunctionCall(A, "contains", (B,)),
+    "f(1, 2)": FunctionCall(None, "f", (Literal(1), Literal(2))),
     "true": Literal(True),
     "false": Literal(False),
     "1e3": Literal(1000.0),

@@ -5,13 +5,13 @@ import struct
 import pytest
 
 from grants.errors import DefinitionRefused
-from grants.filters.codegen import MAX_LOOPS, MISFIT, Cursor, Source, expression, misfit
+from grants.filters.codegen import MAX_LOOPS, MISFIT, Cursor, SourceWriter, expression, misfit
 from grants.filters.layout import Array, Text, Type
 from tests.grants.messages import LAYOUT, layout, text
 
 
 def end_of(kind: Type, data: bytes) -> object:
-    source = Source("b")
+    source = SourceWriter("b")
     cursor = Cursor(source)
     cursor.skip(kind)
     source.line(f"return {cursor.at()}")
@@ -57,14 +57,14 @@ def test_loops_are_bounded_in_depth() -> None:
 
 def test_the_namespace_has_no_way_out() -> None:
     for name in ("__import__", "open", "eval", "getattr", "print"):
-        source = Source("b")
+        source = SourceWriter("b")
         source.line(f"return {name}")
         with pytest.raises(NameError):
             source.compile()(b"")
 
 
 def test_bound_values_appear_by_name_only() -> None:
-    source = Source("b")
+    source = SourceWriter("b")
     name = source.bind("'); import os; ('")
     source.line(f"return {name}")
     assert "import" not in source.text

@@ -7,7 +7,7 @@ from grants.filters.codegen import MISFIT
 from grants.filters.fixed_arrays import table_rewriter
 from grants.filters.layout import PRIMITIVES, Array, Struct
 from grants.filters.lazy_numpy import Vector
-from grants.filters.treatments import Constant, Each, Keep, Numbers, Parts, Treated
+from grants.filters.treatments import Constant, Each, Keep, Numbers, StructTreatment, Treated
 
 BYTE = PRIMITIVES["uint8"]
 CALLS: list[tuple[int, ...]] = []
@@ -24,13 +24,13 @@ ELEMENT = Struct(
     "t/E", (("k", BYTE), ("x", BYTE), ("y", BYTE), ("i", Array(INNER, 2)), ("z", BYTE))
 )
 TREATED = Treated(BYTE, ADD)
-NODE = Parts(
+NODE = StructTreatment(
     ELEMENT,
     (
         Keep(BYTE),
         TREATED,
         TREATED,
-        Each(Array(INNER, 2), Parts(INNER, (TREATED, Keep(BYTE)))),
+        Each(Array(INNER, 2), StructTreatment(INNER, (TREATED, Keep(BYTE)))),
         Treated(BYTE, Constant(b"z")),
     ),
 )

@@ -9,7 +9,16 @@ from grants.filters.codegen import MISFIT
 from grants.filters.compile import compile_filter
 from grants.filters.layout import PRIMITIVES, Array, Struct, Text
 from grants.filters.message_rewriter import generate
-from grants.filters.treatments import Body, Constant, Each, Keep, Node, Numbers, Parts, Treated
+from grants.filters.treatments import (
+    Constant,
+    ContentTreatment,
+    Each,
+    Keep,
+    Node,
+    Numbers,
+    StructTreatment,
+    Treated,
+)
 from grants.model import filter_rules
 from tests.grants.messages import layout, text
 
@@ -18,16 +27,16 @@ ADD = Numbers(lambda value: value + 1, lambda values: values + 1)
 SWAP = Numbers(
     lambda a, b: (b, a), lambda values: values.reshape(-1, 2)[:, ::-1].reshape(values.shape)
 )
-TWICE = Body(lambda content: (bytes(content) * 2, len(content) * 2))
+TWICE = ContentTreatment(lambda content: (bytes(content) * 2, len(content) * 2))
 
 
 def ints(*values: int) -> bytes:
     return struct.pack(f"<{len(values)}i", *values)
 
 
-def struct_of(*nodes: Node) -> Parts:
+def struct_of(*nodes: Node) -> StructTreatment:
     fields = tuple((f"f{n}", node.kind) for n, node in enumerate(nodes))
-    return Parts(Struct("t/T", fields), nodes)
+    return StructTreatment(Struct("t/T", fields), nodes)
 
 
 def rewrite(node: Node, message: bytes) -> bytes:
@@ -79,7 +88,9 @@ def test_loops_in_loops() -> None:
 def table(length: int | None) -> Each:
     inside: list[Node] = [Keep(INT), Treated(INT, ADD), Treated(INT, Constant(b"wxyz"))]
     numbers = Each(Array(INT, 3), Treated(INT, ADD))
-    element = struct_of(*inside, numbers, Parts(Struct("t/S", (("a", INT),)), (Treated(INT, ADD),)))
+    element = struct_of(
+        *inside, numbers, StructTreatment(Struct("t/S", (("a", INT),)), (Treated(INT, ADD),))
+    )
     return Each(Array(element.kind, length), element)
 
 
@@ -98,7 +109,7 @@ def test_tables(count: int) -> None:
 def test_nothing_enters_the_source_but_numbers() -> None:
     evil: Any = "x=1\nimport os"
     shape = Struct(evil, ((evil, INT), (evil + "2", Text())))
-    node = Parts(shape, (Treated(INT, ADD), Treated(Text(), Constant(text(evil)))))
+    node = StructTreatment(shape, (Treated(INT, ADD), Treated(Text(), Constant(text(evil)))))
     assert rewrite(node, ints(1) + text("a")) == ints(2) + text(evil)
 
 

@@ -8,7 +8,16 @@ from grants.filters import message_rewriter
 from grants.filters.codegen import MISFIT
 from grants.filters.layout import PRIMITIVES, Array, Struct, Text
 from grants.filters.message_rewriter import generate
-from grants.filters.treatments import Body, Constant, Each, Keep, Node, Numbers, Parts, Treated
+from grants.filters.treatments import (
+    Constant,
+    ContentTreatment,
+    Each,
+    Keep,
+    Node,
+    Numbers,
+    StructTreatment,
+    Treated,
+)
 from grants.filters.variable_arrays import gathers
 from tests.grants.messages import chance, text
 
@@ -20,8 +29,10 @@ SWAP = Numbers(
 )
 
 
-def struct_of(*nodes: Node) -> Parts:
-    return Parts(Struct("t/T", tuple((f"f{n}", node.kind) for n, node in enumerate(nodes))), nodes)
+def struct_of(*nodes: Node) -> StructTreatment:
+    return StructTreatment(
+        Struct("t/T", tuple((f"f{n}", node.kind) for n, node in enumerate(nodes))), nodes
+    )
 
 
 def ints(*values: int) -> bytes:
@@ -97,7 +108,7 @@ def test_a_last_value_beyond_the_end() -> None:
     "node",
     [
         Treated(Text(), Constant(bytes(4))),
-        Treated(Text(), Body(lambda content: (content, len(content)))),
+        Treated(Text(), ContentTreatment(lambda content: (content, len(content)))),
         Each(Array(INT, None), Treated(INT, ADD)),
         struct_of(Keep(Text()), Each(Array(INT, None), Treated(INT, ADD))),
     ],

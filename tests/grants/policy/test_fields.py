@@ -12,12 +12,12 @@ from grants.policy.fields import (
     read_when,
 )
 from grants.policy.mistakes import Mistakes
-from grants.policy.source import Row, Table, Word, read_source
+from grants.policy.source import YamlMapping, YamlScalar, YamlSequence, read_source
 from tests.grants.policy.policies import definition
 
 POSE = parse("geometry_msgs/PoseStamped", definition("geometry_msgs/PoseStamped"))
 STATUS = parse("diagnostic_msgs/DiagnosticArray", definition("diagnostic_msgs/DiagnosticArray"))
-HERE = Word("", 5, 5)
+HERE = YamlScalar("", 5, 5)
 
 
 @pytest.fixture
@@ -25,9 +25,9 @@ def mistakes() -> Mistakes:
     return Mistakes("p.yaml")
 
 
-def table(text: str) -> Table:
+def table(text: str) -> YamlMapping:
     part = read_source(text, Mistakes("p.yaml"))
-    assert isinstance(part, Table)
+    assert isinstance(part, YamlMapping)
     return part
 
 
@@ -106,27 +106,28 @@ def test_fields_are_checked_each_and_together(mistakes: Mistakes) -> None:
 def test_whether_a_condition_looks_into_the_message(
     text: str, message: bool | None, mistakes: Mistakes
 ) -> None:
-    when = read_when(Word(text, 1, 1), mistakes)
+    when = read_when(YamlScalar(text, 1, 1), mistakes)
     assert (when.message if when is not None else None) is message
 
 
 @pytest.mark.parametrize(
-    "part", [Word(5, 1, 1), Row((), 1, 1), Word("now >", 1, 1), Word("5", 1, 1)]
+    "part",
+    [YamlScalar(5, 1, 1), YamlSequence((), 1, 1), YamlScalar("now >", 1, 1), YamlScalar("5", 1, 1)],
 )
-def test_what_is_no_condition(part: Word | Row, mistakes: Mistakes) -> None:
+def test_what_is_no_condition(part: YamlScalar | YamlSequence, mistakes: Mistakes) -> None:
     assert read_when(part, mistakes) is None
     assert len(mistakes.found) == 1
 
 
 def test_conditions_are_checked_for_a_type(mistakes: Mistakes) -> None:
-    good = read_when(Word('msg.header.frame_id == "map"', 1, 1), mistakes)
+    good = read_when(YamlScalar('msg.header.frame_id == "map"', 1, 1), mistakes)
     assert good is not None
     assert check_when(POSE, good, mistakes)
-    misspelt = read_when(Word('msg.header.frameid.startsWith("map")', 2, 2), mistakes)
+    misspelt = read_when(YamlScalar('msg.header.frameid.startsWith("map")', 2, 2), mistakes)
     assert misspelt is not None
     assert not check_when(POSE, misspelt, mistakes)
     assert (mistakes.found[-1].line, mistakes.found[-1].hint) == (2, "did you mean 'frame_id'?")
-    mixed = read_when(Word("msg.pose.position.x + 1 > 2.0", 2, 2), mistakes)
+    mixed = read_when(YamlScalar("msg.pose.position.x + 1 > 2.0", 2, 2), mistakes)
     assert mixed is not None
     assert not check_when(POSE, mixed, mistakes)
     assert mistakes.found[-1].hint == "write whole numbers as 2.0 beside a double"

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from grants.model import ALL_RIGHTS, Right
 from grants.names import covers
 from grants.policy.index import Index, hits
-from grants.policy.model import Clause, Defaults, Effect, Policy, Rule, Subject, Who
+from grants.policy.model import Clause, Defaults, Effect, Policy, PolicyRule, Subject, Who
 
 KEYS = (bytes(32), bytes([1]) * 32)
 segment = st.sampled_from(["a", "b"])
@@ -23,7 +23,7 @@ who = st.one_of(
 right = st.sampled_from(list(ALL_RIGHTS))
 clause = st.builds(Clause, right, pattern)
 rule = st.builds(
-    Rule,
+    PolicyRule,
     id=st.text("rst", min_size=1, max_size=3),
     effect=st.sampled_from(Effect),
     who=st.lists(who, min_size=1, max_size=2).map(tuple),
@@ -34,7 +34,7 @@ subject = st.builds(Subject, name, st.sampled_from(KEYS))
 policies = st.lists(rule, max_size=8).map(lambda made: of(*made))
 
 
-def of(*made: Rule) -> Policy:
+def of(*made: PolicyRule) -> Policy:
     return Policy("r", Defaults(), {}, {}, made)
 
 
@@ -61,7 +61,7 @@ def test_a_right_nobody_speaks_about_finds_nothing() -> None:
 
 @pytest.mark.parametrize(("asked", "found"), [("/a", 1), ("/a/b", 1), ("/a/b/c", 1), ("/b", 0)])
 def test_a_denial_below_denies_the_parameter_above(asked: str, found: int) -> None:
-    deny = Rule("d", Effect.DENY, (Who("x", "/x"),), (Clause(Right.PARAM_SET, "/a/b"),))
+    deny = PolicyRule("d", Effect.DENY, (Who("x", "/x"),), (Clause(Right.PARAM_SET, "/a/b"),))
     index = Index(of(deny))
     assert len(index.find(Subject("/x", KEYS[0]), Right.PARAM_SET, asked)) == found
 
@@ -71,13 +71,13 @@ def test_the_work_does_not_grow_with_rules_about_other_names(
 ) -> None:
     looked: list[str] = []
 
-    def look(rule: Rule, _: Subject) -> bool:
+    def look(rule: PolicyRule, _: Subject) -> bool:
         looked.append(rule.id)
         return True
 
-    monkeypatch.setattr(Rule, "is_for", look)
+    monkeypatch.setattr(PolicyRule, "is_for", look)
     made = [
-        Rule(f"r{n}", Effect.ALLOW, (Who("w", f"/n{n}"),), (Clause(Right.CALL, f"/s{n}"),))
+        PolicyRule(f"r{n}", Effect.ALLOW, (Who("w", f"/n{n}"),), (Clause(Right.CALL, f"/s{n}"),))
         for n in range(500)
     ]
     assert len(Index(of(*made)).find(Subject("/n7", KEYS[0]), Right.CALL, "/s7")) == 1

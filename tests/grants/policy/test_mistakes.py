@@ -4,15 +4,15 @@ import pytest
 
 from grants.errors import PolicyRefused
 from grants.policy.mistakes import MAX_MISTAKES, Mistakes, nearest
-from grants.policy.source import Word
+from grants.policy.source import YamlScalar
 
 
 def test_all_mistakes_are_carried_in_the_order_of_the_file() -> None:
     mistakes = Mistakes("p.yaml")
     mistakes.refuse_any()
-    mistakes.add(Word("", 9, 2), "second", "b")
-    mistakes.add(Word("", 3, 1), "first", "a")
-    mistakes.add(Word("", 9, 2), "second", "b")
+    mistakes.add(YamlScalar("", 9, 2), "second", "b")
+    mistakes.add(YamlScalar("", 3, 1), "first", "a")
+    mistakes.add(YamlScalar("", 9, 2), "second", "b")
     with pytest.raises(PolicyRefused) as caught:
         mistakes.refuse_any()
     assert str(caught.value) == "p.yaml:3:1: first (and 1 more, see: rossec policy check p.yaml)"
@@ -24,7 +24,7 @@ def test_all_mistakes_are_carried_in_the_order_of_the_file() -> None:
 
 def test_one_mistake_is_the_message() -> None:
     mistakes = Mistakes("p.yaml")
-    mistakes.add(Word("", 1, 1), "only")
+    mistakes.add(YamlScalar("", 1, 1), "only")
     with pytest.raises(PolicyRefused, match=r"^p\.yaml:1:1: only$"):
         mistakes.refuse_any()
 
@@ -32,9 +32,9 @@ def test_one_mistake_is_the_message() -> None:
 def test_their_number_is_bounded() -> None:
     mistakes = Mistakes("p.yaml")
     for line in range(MAX_MISTAKES - 1):
-        mistakes.add(Word("", line, 1), "x")
+        mistakes.add(YamlScalar("", line, 1), "x")
     with pytest.raises(PolicyRefused) as caught:  # to read on would be work for nobody
-        mistakes.add(Word("", MAX_MISTAKES, 1), "x")
+        mistakes.add(YamlScalar("", MAX_MISTAKES, 1), "x")
     assert len(caught.value.mistakes) == MAX_MISTAKES
 
 

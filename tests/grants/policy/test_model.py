@@ -3,7 +3,7 @@
 import pytest
 
 from grants.model import Right
-from grants.policy.model import Clause, Defaults, Effect, Policy, Rule, Who, type_of
+from grants.policy.model import Clause, Defaults, Effect, Policy, PolicyRule, Who, type_of
 from tests.grants.policy.policies import HEATING, HEATING_KEY, node
 
 NAMED = Who("heating", "/heating", HEATING_KEY)
@@ -30,8 +30,8 @@ def test_a_yes_needs_name_and_key_a_no_either(
     assert who.suspects(node(name, key)) is suspected
 
 
-def rule(effect: Effect, *, spared: tuple[Who, ...] = ()) -> Rule:
-    return Rule("r", effect, (NAMED,), (), spared=spared)
+def rule(effect: Effect, *, spared: tuple[Who, ...] = ()) -> PolicyRule:
+    return PolicyRule("r", effect, (NAMED,), (), spared=spared)
 
 
 def test_a_denial_hits_on_weaker_evidence_and_spares_only_on_full() -> None:

@@ -6,8 +6,8 @@ from grants.filters.layout import Layout, parse
 from grants.model import FilterRule
 from grants.policy.decision import Decider
 from grants.policy.privacy import (
-    Access,
-    Row,
+    PrivacyRow,
+    ReceiverAccess,
     as_json,
     from_policy,
     html,
@@ -23,7 +23,7 @@ def layout(name: str) -> Layout:
     return parse(name, definition(name))
 
 
-def found() -> list[Row]:
+def found() -> list[PrivacyRow]:
     return rows(from_policy(Decider(policy())), layout)
 
 
@@ -93,7 +93,7 @@ def test_in_words() -> None:
 
 def test_the_page_escapes_every_text() -> None:
     evil = "<script>alert(1)</script>"
-    (row,) = rows([Access("/a", None, "/x", evil, evil, evil)], layout)
+    (row,) = rows([ReceiverAccess("/a", None, "/x", evil, evil, evil)], layout)
     page = html([row, replace(row, topic="/b")], evil)
     assert "<script" not in page
     assert page.count("&lt;script&gt;") == 6

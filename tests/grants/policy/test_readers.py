@@ -6,15 +6,15 @@ import pytest
 
 from grants.policy import readers
 from grants.policy.mistakes import Mistakes
-from grants.policy.source import Part, Row, Table, Word
+from grants.policy.source import Part, YamlMapping, YamlScalar, YamlSequence
 
 
-def word(value: Any) -> Word:
-    return Word(value, 3, 7)
+def word(value: Any) -> YamlScalar:
+    return YamlScalar(value, 3, 7)
 
 
-ROW = Row((word("a"),), 3, 7)
-TABLE = Table({"a": (word("a"), word(1))}, 3, 7)
+ROW = YamlSequence((word("a"),), 3, 7)
+TABLE = YamlMapping({"a": (word("a"), word(1))}, 3, 7)
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ from grants import yaml_text
 from grants.errors import PolicyRefused
 from grants.policy import source
 from grants.policy.mistakes import Mistakes
-from grants.policy.source import Row, Table, Word, read_source
+from grants.policy.source import YamlMapping, YamlScalar, YamlSequence, read_source
 
 
 def read(text: str) -> object:
@@ -28,14 +28,14 @@ def refusal(text: str) -> str:
 
 def test_every_part_knows_its_place() -> None:
     part = read("a: 1\nb:\n  - x\n  - {c: d}\n")
-    assert isinstance(part, Table)
+    assert isinstance(part, YamlMapping)
     row = part.get("b")
-    assert isinstance(row, Row)
+    assert isinstance(row, YamlSequence)
     inner = row.items[1]
-    assert isinstance(inner, Table)
+    assert isinstance(inner, YamlMapping)
     key, value = inner.entries["c"]
     assert (key.line, key.column) == (4, 6)
-    assert isinstance(value, Word)
+    assert isinstance(value, YamlScalar)
     assert (value.value, value.line, value.column) == ("d", 4, 9)
     assert part.get("absent") is None
 
@@ -51,9 +51,9 @@ def test_every_part_knows_its_place() -> None:
 )  # fmt: skip
 def test_words_stay_what_was_written(text: str, value: object) -> None:
     part = read(f"a: {text}")
-    assert isinstance(part, Table)
+    assert isinstance(part, YamlMapping)
     word = part.get("a")
-    assert isinstance(word, Word)
+    assert isinstance(word, YamlScalar)
     assert (word.value, type(word.value)) == (value, type(value))
 
 
@@ -90,7 +90,7 @@ def test_an_empty_file_is_nothing() -> None:
 
 
 def test_a_list_at_the_top_is_read(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert isinstance(read("- 1\n- 2"), Row)
+    assert isinstance(read("- 1\n- 2"), YamlSequence)
 
 
 @given(st.text(max_size=60))

@@ -12,7 +12,7 @@ from grants.model import Right
 from grants.request import GrantRequest, Wish, sign_request
 from rossec.authority import approvals as module
 from rossec.authority import requests
-from rossec.authority.approvals import Desk, today
+from rossec.authority.approvals import ApprovalQueue, today
 from rossec.authority.home import AuthorityHome
 from rossec.authority.policyfile import PolicyFile
 from rossec.errors import ConfigurationError
@@ -43,11 +43,11 @@ class Place:
         asked = GrantRequest("home", name, self.now, secrets.token_bytes(16), wishes, "please")
         return sign_request(self.node.credentials().signer, asked)
 
-    def desk(self, later: int = 0) -> Desk:
+    def desk(self, later: int = 0) -> ApprovalQueue:
         path = self.root / "p.yaml"
         if not path.exists():
             path.write_text(POLICY)
-        return Desk(self.home, PolicyFile.read(path), self.now + later)
+        return ApprovalQueue(self.home, PolicyFile.read(path), self.now + later)
 
 
 @pytest.fixture

@@ -13,7 +13,7 @@ from grants import document
 from grants.model import Draft, Permission, Right
 from rossec.authority import list_contents
 from rossec.authority.home import ENTRIES, AuthorityHome
-from rossec.authority.signing import OpenAuthority
+from rossec.authority.signing import SigningAuthority
 from rossec.errors import ConfigurationError
 
 NOW = 1_800_000_000
@@ -27,15 +27,15 @@ def home(tmp_path: Path) -> AuthorityHome:
 
 
 @pytest.fixture
-def opened(home: AuthorityHome) -> OpenAuthority:
+def opened(home: AuthorityHome) -> SigningAuthority:
     return home.unlock(PASSPHRASE)
 
 
-def missing(opened: OpenAuthority, now: int = NOW) -> frozenset[bytes]:
+def missing(opened: SigningAuthority, now: int = NOW) -> frozenset[bytes]:
     return list_contents.missing(opened.store, opened.signer.public_key, now)
 
 
-def lose(opened: OpenAuthority, entry: bytes) -> None:
+def lose(opened: SigningAuthority, entry: bytes) -> None:
     """A signer that was slower: what it revoked is recorded before a list that lacks it."""
     opened.store.revoke(entry, "lost", NOW)
     number = opened.store.next_number()
@@ -43,12 +43,12 @@ def lose(opened: OpenAuthority, entry: bytes) -> None:
     opened.store.save_list(number, data, NOW)
 
 
-def granted(opened: OpenAuthority, cap: int) -> bytes:
+def granted(opened: SigningAuthority, cap: int) -> bytes:
     draft = Draft("home", "/a", KEY, NOW, cap, cap, bytes(16), (Permission("/t", Right.PUBLISH),))
     return document.grant_id(opened.grant(draft, NOW))
 
 
-def test_what_the_newest_list_lacks(opened: OpenAuthority) -> None:
+def test_what_the_newest_list_lacks(opened: SigningAuthority) -> None:
     assert missing(opened) == frozenset()
     opened.store.revoke(KEY, "killed before it signed", NOW)
     assert missing(opened) == {KEY}
@@ -58,7 +58,7 @@ def test_what_the_newest_list_lacks(opened: OpenAuthority) -> None:
     assert missing(opened) == {KEY, b"l" * 32}
 
 
-def test_what_ended_is_not_missing(opened: OpenAuthority) -> None:
+def test_what_ended_is_not_missing(opened: SigningAuthority) -> None:
     entry = granted(opened, NOW + 100)
     lose(opened, entry)
     assert missing(opened, NOW + 160) == {entry}
@@ -66,14 +66,14 @@ def test_what_ended_is_not_missing(opened: OpenAuthority) -> None:
 
 
 def test_everything_is_missing_before_there_is_a_list(
-    opened: OpenAuthority, monkeypatch: pytest.MonkeyPatch
+    opened: SigningAuthority, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     opened.revoke(KEY, "", NOW)
     monkeypatch.setattr(opened.store, "newest_list", lambda: None)
     assert missing(opened) == {KEY}
 
 
-HEALS: dict[str, Callable[[OpenAuthority], object]] = {
+HEALS: dict[str, Callable[[SigningAuthority], object]] = {
     "grant": lambda opened: granted(opened, NOW + 100),
     "revoke another": lambda opened: opened.revoke(OTHER, "", NOW),
     "revoke again": lambda opened: opened.revoke_identity("/never", "", NOW),
@@ -85,7 +85,7 @@ HEALS: dict[str, Callable[[OpenAuthority], object]] = {
 @pytest.mark.parametrize("tree", [False, True])
 @pytest.mark.parametrize("act", HEALS)
 def test_every_command_that_signs_makes_good_what_was_lost(
-    opened: OpenAuthority, act: str, tree: bool, monkeypatch: pytest.MonkeyPatch
+    opened: SigningAuthority, act: str, tree: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     lose(opened, b"l" * 32)
     monkeypatch.setattr("rossec.authority.signing.MAX_ENTRIES", 0 if tree else 4096)
@@ -98,7 +98,7 @@ def test_every_command_that_signs_makes_good_what_was_lost(
 
 
 def test_the_entries_of_a_tree_are_in_the_record(
-    home: AuthorityHome, opened: OpenAuthority, monkeypatch: pytest.MonkeyPatch
+    home: AuthorityHome, opened: SigningAuthority, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("rossec.authority.signing.MAX_ENTRIES", 0)
     opened.revoke(KEY, "", NOW)
@@ -121,7 +121,7 @@ def test_the_entries_of_a_tree_are_in_the_record(
 class SlowToken:
     """A key whose every signature gives somebody else the time to act."""
 
-    def __init__(self, opened: OpenAuthority, meanwhile: Callable[[], object]) -> None:
+    def __init__(self, opened: SigningAuthority, meanwhile: Callable[[], object]) -> None:
         self._signer = opened.authority.signer
         self.public_key = self._signer.public_key
         self._meanwhile = meanwhile
@@ -131,7 +131,7 @@ class SlowToken:
         return self._signer.sign(data)
 
 
-def test_a_second_signer_waits_for_the_first(home: AuthorityHome, opened: OpenAuthority) -> None:
+def test_a_second_signer_waits_for_the_first(home: AuthorityHome, opened: SigningAuthority) -> None:
     """In 180d0d3 both took the next list's number, and the slower one's revocation was lost."""
     other, refusals = home.unlock(PASSPHRASE), list[str]()
     other.store.database.connection.execute("PRAGMA busy_timeout = 0")
@@ -150,7 +150,7 @@ def test_a_second_signer_waits_for_the_first(home: AuthorityHome, opened: OpenAu
     assert missing(opened) == frozenset()
 
 
-def test_a_revocation_whose_list_cannot_be_signed_is_not_recorded(opened: OpenAuthority) -> None:
+def test_a_revocation_whose_list_cannot_be_signed_is_not_recorded(opened: SigningAuthority) -> None:
     def fail() -> None:
         raise ConfigurationError("the token was pulled out")
 

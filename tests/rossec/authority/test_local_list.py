@@ -7,7 +7,7 @@ import pytest
 from ca.revocation.state import open_list
 from ca.revocation.tree import Listing, is_tree, open_tree
 from rossec.authority.home import AuthorityHome
-from rossec.authority.local_list import NearAuthority
+from rossec.authority.local_list import LocalList
 from rossec.errors import NotWritten
 from tests.support.commands import Shell
 
@@ -20,13 +20,13 @@ def shell(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Shell:
 
 
 def test_where_no_authority_is_there_is_nothing(tmp_path: Path) -> None:
-    near = NearAuthority(tmp_path)
+    near = LocalList(tmp_path)
     assert near.newest() is None
     assert near.news() is None
 
 
 def test_a_new_list_is_news_once(shell: Shell) -> None:
-    near, key = NearAuthority(shell.root), AuthorityHome.at(shell.root).anchor().public_key
+    near, key = LocalList(shell.root), AuthorityHome.at(shell.root).anchor().public_key
     first = near.newest()
     assert first is not None
     assert first[1] == b""
@@ -42,7 +42,7 @@ def test_a_new_list_is_news_once(shell: Shell) -> None:
 
 def test_a_tree_comes_with_its_entries(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("rossec.authority.signing.MAX_ENTRIES", 0)
-    near, key = NearAuthority(shell.root), AuthorityHome.at(shell.root).anchor().public_key
+    near, key = LocalList(shell.root), AuthorityHome.at(shell.root).anchor().public_key
     shell.enroll("/robot")
     shell.unlocked("ca", "revoke", "/robot")
     found = near.news()
@@ -55,7 +55,7 @@ def test_what_could_not_be_read_is_read_again(
     shell: Shell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Else who fills the disk for a moment keeps a revocation from the master for good."""
-    near = NearAuthority(shell.root)
+    near = LocalList(shell.root)
     near.newest()
     shell.unlocked("ca", "refresh")
 

@@ -20,7 +20,7 @@ from rossec.authority.renewals import (
     renew_own,
     sign_intermediate,
 )
-from rossec.authority.signing import OWN_NODE, OpenAuthority
+from rossec.authority.signing import OWN_NODE, SigningAuthority
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
 from tests.support.site import Site
@@ -41,7 +41,7 @@ def asks(home: NodeHome, key: KeySigner, now: int = LATER) -> bytes:
     return sign_renewal(old.signer, old.chain, build_request(key, "home", home.name), now)
 
 
-def below(site: Site, *, may_enroll: bool = False) -> tuple[str, OpenAuthority]:
+def below(site: Site, *, may_enroll: bool = False) -> tuple[str, SigningAuthority]:
     """An intermediate of the site, with a record of its own."""
     signer = KeySigner(generate())
     request = build_intermediate_request(signer, "home")
@@ -49,7 +49,7 @@ def below(site: Site, *, may_enroll: bool = False) -> tuple[str, OpenAuthority]:
     der, root = from_pem(bundle)
     path = site.root / f"below{may_enroll}"
     path.mkdir()
-    host = OpenAuthority(Authority(signer, root, der), Store.create(path / "ca.db"), path)
+    host = SigningAuthority(Authority(signer, root, der), Store.create(path / "ca.db"), path)
     return name, host
 
 

@@ -12,7 +12,7 @@ from ca.store.record import Store
 from grants.model import Right
 from grants.request import GrantRequest, Wish, sign_request
 from rossec.authority import requests
-from rossec.authority.requests import Inbox
+from rossec.authority.requests import GrantRequestStore
 from rossec.errors import ConfigurationError
 from tests.support.oldstore import write_version_1
 
@@ -30,7 +30,7 @@ def path(tmp_path: Path) -> Path:
 
 
 def test_a_request_is_answered_wish_by_wish(path: Path) -> None:
-    box = Inbox.of(path)
+    box = GrantRequestStore.of(path)
     box.add(ASKED, DATA, NOW + 5)
     first, second = box.unanswered()
     assert (first.request, first.at, [first.wish, second.wish]) == (ASKED, NOW + 5, list(WISHES))
@@ -38,12 +38,12 @@ def test_a_request_is_answered_wish_by_wish(path: Path) -> None:
     box.answer(first, "granted", "policy", NOW)
     assert box.unanswered() == [second]
     box.close()
-    assert Inbox.of(path).unanswered() == [second]
+    assert GrantRequestStore.of(path).unanswered() == [second]
     Store.open(path / "ca.db").close()  # still a record
 
 
 def test_once(path: Path) -> None:
-    box = Inbox.of(path)
+    box = GrantRequestStore.of(path)
     box.add(ASKED, DATA, NOW)
     (first, _) = box.unanswered()
     box.answer(first, "denied", "", NOW)
@@ -56,7 +56,7 @@ def test_once(path: Path) -> None:
 @pytest.mark.parametrize("table", ["grant_request", "decision"])
 @pytest.mark.parametrize("change", ["DELETE FROM {}", "UPDATE {} SET at = 0"])
 def test_nothing_is_changed_or_deleted(path: Path, table: str, change: str) -> None:
-    box = Inbox.of(path)
+    box = GrantRequestStore.of(path)
     box.add(ASKED, DATA, NOW)
     box.answer(box.unanswered()[0], "granted", "", NOW)
     with pytest.raises(sqlite3.IntegrityError, match="append-only"):
@@ -64,7 +64,7 @@ def test_nothing_is_changed_or_deleted(path: Path, table: str, change: str) -> N
 
 
 def test_a_record_that_is_closed_cannot_be_written(path: Path) -> None:
-    box = Inbox.of(path)
+    box = GrantRequestStore.of(path)
     box.close()
     with pytest.raises(StoreError, match="cannot be used"):
         box.add(ASKED, DATA, NOW)
@@ -84,8 +84,8 @@ def test_files_are_laid_and_found(path: Path) -> None:
 
 def test_an_inbox_in_an_older_record_stays(tmp_path: Path) -> None:
     write_version_1(tmp_path / "ca.db")
-    box = Inbox.of(tmp_path)
+    box = GrantRequestStore.of(tmp_path)
     box.add(ASKED, DATA, NOW)
     box.close()
     Store.open(tmp_path / "ca.db").close()
-    assert [asked.wish for asked in Inbox.of(tmp_path).unanswered()] == list(WISHES)
+    assert [asked.wish for asked in GrantRequestStore.of(tmp_path).unanswered()] == list(WISHES)

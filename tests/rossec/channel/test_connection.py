@@ -5,24 +5,24 @@ import pytest
 from rossec.channel.connection import Connection
 from rossec.channel.edhoc.known import KnownCertificates
 from rossec.channel.edhoc.messages import encode_error
-from rossec.channel.opening import REFUSAL, Flavour, tcpros_refusal
-from rossec.channel.records import Bytes, Frame, Limits, frame
-from rossec.channel.states import TABLE, Authenticated, Closed, State
+from rossec.channel.opening import REFUSAL, WireProtocol, tcpros_refusal
+from rossec.channel.records import Bytes, ChannelLimits, Frame, frame
+from rossec.channel.states import TABLE, Authenticated, Closed, ConnectionState
 from rossec.errors import (
     ChannelClosed,
     ChannelError,
     ConnectionTruncated,
-    CredentialUnknown,
     HandshakeFailed,
     HandshakeTimeout,
     IdentityExpired,
     IdentityRefused,
     LimitExceeded,
+    OwnCredentialUnknown,
+    PeerCredentialUnknown,
     PeerRefused,
     PlainPeer,
     ProtocolViolation,
     RecordForged,
-    UnknownCredential,
 )
 from rossec.progress import STEP, WINDOW
 from tests.support.wire import (
@@ -40,7 +40,7 @@ from tests.support.wire import (
     wire,
 )
 
-SMALL = Limits(records=4, octets=1 << 20, seconds=100, unit=1 << 20)
+SMALL = ChannelLimits(records=4, octets=1 << 20, seconds=100, unit=1 << 20)
 
 
 def names(end: End) -> list[str]:
@@ -48,8 +48,8 @@ def names(end: End) -> list[str]:
 
 
 @pytest.mark.parametrize("step", [0, 1, 7])
-@pytest.mark.parametrize("flavour", list(Flavour))
-def test_a_connection_from_end_to_end(flavour: Flavour, step: int) -> None:
+@pytest.mark.parametrize("flavour", list(WireProtocol))
+def test_a_connection_from_end_to_end(flavour: WireProtocol, step: int) -> None:
     w = wire(alice(flavour), step=step).pump()
     assert names(w.left) == ["/bob"]
     assert names(w.right) == ["/alice"]
@@ -63,8 +63,8 @@ def test_a_connection_from_end_to_end(flavour: Flavour, step: int) -> None:
     assert w.right.events[-1] == Closed()
     w.left.core.receive_eof()
     w.right.core.receive_eof()
-    assert w.left.core.state is State.CLOSED
-    assert w.right.core.state is State.CLOSED
+    assert w.left.core.state is ConnectionState.CLOSED
+    assert w.right.core.state is ConnectionState.CLOSED
     assert w.right.core.flavour is flavour
     assert w.left.error is None
     assert w.right.error is None
@@ -103,7 +103,7 @@ def test_an_empty_unit_sends_nothing() -> None:
 
 
 def test_a_unit_beyond_the_limit_is_refused_before_anything_happens() -> None:
-    w = joined(left=alice(limits=Limits(unit=10)))
+    w = joined(left=alice(limits=ChannelLimits(unit=10)))
     with pytest.raises(LimitExceeded, match="11 bytes"):
         w.left.core.send_unit(b"x" * 11)
     w.left.core.send_unit(b"x" * 10)
@@ -112,14 +112,14 @@ def test_a_unit_beyond_the_limit_is_refused_before_anything_happens() -> None:
 
 @pytest.mark.parametrize("size", [11, 300_000])
 def test_a_peer_that_sends_a_unit_beyond_the_limit(size: int) -> None:
-    w = joined(right=bob(limits=Limits(unit=10)))
+    w = joined(right=bob(limits=ChannelLimits(unit=10)))
     w.left.core.send_unit(b"x" * size)
     assert isinstance(w.pump().right.error, LimitExceeded)
     assert w.right.units == []
 
 
 def test_a_peer_is_given_more_room_once_it_is_welcome() -> None:
-    limits = Limits(unit=100, greeting=10)
+    limits = ChannelLimits(unit=100, greeting=10)
     w = joined(right=bob(limits=limits))
     w.left.core.send_unit(b"x" * 10)
     w.pump().right.core.welcome()
@@ -135,13 +135,13 @@ def test_a_peer_is_given_more_room_once_it_is_welcome() -> None:
 
 
 def test_who_was_judged_is_given_what_its_messages_need() -> None:
-    w = joined(right=bob(limits=Limits(unit=100)))
+    w = joined(right=bob(limits=ChannelLimits(unit=100)))
     w.right.core.welcome(20)
     w.left.core.send_unit(b"x" * 20)
     assert w.pump().right.units == [b"x" * 20]
     w.left.core.send_unit(b"x" * 21)
     assert isinstance(w.pump().right.error, LimitExceeded)
-    w = joined(right=bob(limits=Limits(unit=100)))
+    w = joined(right=bob(limits=ChannelLimits(unit=100)))
     w.right.core.welcome(1000)
     w.left.core.send_unit(b"x" * 101)
     assert isinstance(w.pump().right.error, LimitExceeded), "never more than the channel takes"
@@ -176,7 +176,7 @@ def test_a_unit_that_was_begun_must_get_on() -> None:
         for second in range(0, 2 * WINDOW, STEP):
             core.tick(start + second)
     assert core.deadline() is None
-    assert core.state is State.CLOSED
+    assert core.state is ConnectionState.CLOSED
 
 
 def test_a_unit_that_comes_in_drops_is_given_up() -> None:
@@ -196,13 +196,13 @@ def test_sending_before_the_handshake_and_after_the_close() -> None:
     with pytest.raises(ChannelClosed):
         w.left.core.send_unit(b"too late")
     w.left.core.close()
-    assert w.left.core.state is State.CLOSING
+    assert w.left.core.state is ConnectionState.CLOSING
 
 
 def test_closing_during_the_handshake_sends_nothing() -> None:
     core = bob()
     core.close()
-    assert core.state is State.CLOSED
+    assert core.state is ConnectionState.CLOSED
     assert core.data_to_send() == b""
     assert core.receive_data(b"whatever", NOW) == []
 
@@ -295,7 +295,7 @@ def test_a_bug_in_verify_ends_the_connection() -> None:
     w.right.give(bytes(core.data_to_send()))
     with pytest.raises(ZeroDivisionError):
         core.receive_data(w.right.take(), NOW)
-    assert core.state is State.CLOSED
+    assert core.state is ConnectionState.CLOSED
     assert core.data_to_send() == b""
 
 
@@ -348,14 +348,14 @@ def test_a_plain_caller_hears_why() -> None:
     core = bob()
     request = b"\x0a\0\0\0" + b"\x06\0\0\0a=bcde"
     core.receive_data(request[:-1], NOW)
-    assert core.state is State.DRAINING
+    assert core.state is ConnectionState.DRAINING
     with pytest.raises(PlainPeer):
         core.receive_data(request[-1:], NOW)
     assert core.data_to_send() == tcpros_refusal(REFUSAL)
 
 
 def test_an_opening_that_is_not_accepted_hears_the_refusal() -> None:
-    w = wire(alice(Flavour.HTTP), bob(accept=frozenset({Flavour.TCPROS}))).pump()
+    w = wire(alice(WireProtocol.HTTP), bob(accept=frozenset({WireProtocol.TCPROS}))).pump()
     assert isinstance(w.right.error, PlainPeer)
     assert isinstance(w.left.error, PlainPeer)
     assert "200 OK" in str(w.left.error)
@@ -377,21 +377,26 @@ def test_garbage_is_dropped_silently() -> None:
 # -- the table
 
 
-HANDSHAKE_STATES = (State.WAIT_1, State.WAIT_2, State.WAIT_3, State.WAIT_4)
+HANDSHAKE_STATES = (
+    ConnectionState.WAIT_1,
+    ConnectionState.WAIT_2,
+    ConnectionState.WAIT_3,
+    ConnectionState.WAIT_4,
+)
 
 
 @pytest.mark.parametrize(
     ("state", "kind"),
     [(state, kind) for state in HANDSHAKE_STATES for kind in Frame if (state, kind) not in TABLE],
 )
-def test_what_is_not_in_the_table_ends_the_connection(state: State, kind: Frame) -> None:
+def test_what_is_not_in_the_table_ends_the_connection(state: ConnectionState, kind: Frame) -> None:
     end = _in_state(state)
     end.give(frame(kind, b"\0" * 20))
     assert isinstance(end.error, ProtocolViolation)
-    assert end.core.state is State.CLOSED
+    assert end.core.state is ConnectionState.CLOSED
     told = end.take()
     assert (told == frame(Frame.ERROR, encode_error(1, "handshake refused"))) == (
-        state is not State.WAIT_4
+        state is not ConnectionState.WAIT_4
     )
 
 
@@ -403,19 +408,19 @@ def test_frames_that_an_open_connection_does_not_know(kind: int) -> None:
     assert w.right.take() == b""
 
 
-def _in_state(state: State) -> End:
+def _in_state(state: ConnectionState) -> End:
     w = wire()
-    if state is State.WAIT_2:
+    if state is ConnectionState.WAIT_2:
         w.left.take()
-        w.left.core.state = State.WAIT_2
+        w.left.core.state = ConnectionState.WAIT_2
         return w.left
-    if state is State.WAIT_1:
+    if state is ConnectionState.WAIT_1:
         w.right.give(w.left.take()[:16])
         return w.right
     w.right.give(w.left.take())
     w.left.give(w.right.take())
     w.left.take()
-    return w.right if state is State.WAIT_3 else w.left
+    return w.right if state is ConnectionState.WAIT_3 else w.left
 
 
 # -- time
@@ -431,11 +436,11 @@ def test_the_handshake_has_one_deadline() -> None:
 
 
 def test_the_connection_ends_with_the_peers_certificate() -> None:
-    w = joined(right=bob(limits=Limits(seconds=1 << 40)))
+    w = joined(right=bob(limits=ChannelLimits(seconds=1 << 40)))
     assert w.right.core.deadline() == NOT_AFTER
     with pytest.raises(IdentityExpired):
         w.right.core.tick(NOT_AFTER)
-    assert w.right.core.state is State.CLOSED
+    assert w.right.core.state is ConnectionState.CLOSED
 
 
 def test_keys_are_renewed_by_time() -> None:
@@ -458,7 +463,7 @@ def test_a_peer_that_does_not_follow_is_left() -> None:
     w.left.core.tick(NOW + 100)
     with pytest.raises(LimitExceeded):
         w.left.core.tick(NOW + 200)
-    assert w.left.core.state is State.CLOSED
+    assert w.left.core.state is ConnectionState.CLOSED
 
 
 def test_renewal_both_ways_and_one_way() -> None:
@@ -481,7 +486,7 @@ def test_the_hard_stop_of_the_sender() -> None:
     with pytest.raises(LimitExceeded, match="does not follow"):
         w.left.core.send_unit(b"x")
     assert w.left.take() == b""
-    assert w.left.core.state is State.CLOSED
+    assert w.left.core.state is ConnectionState.CLOSED
 
 
 def test_the_hard_stop_of_the_receiver() -> None:
@@ -589,8 +594,8 @@ def test_nothing_is_sent_before_a_named_certificate_is_accepted() -> None:
 def test_a_responder_that_forgot_says_so() -> None:
     left, _ = met()
     w = wire(alice(known=left, brief=True), bob(known=KnownCertificates())).pump()
-    assert isinstance(w.right.error, UnknownCredential)
-    assert isinstance(w.left.error, CredentialUnknown)
+    assert isinstance(w.right.error, PeerCredentialUnknown)
+    assert isinstance(w.left.error, OwnCredentialUnknown)
     left.forget_introductions()
     assert names(wire(alice(known=left), bob(known=KnownCertificates())).pump().right) == ["/alice"]
 
@@ -598,8 +603,8 @@ def test_a_responder_that_forgot_says_so() -> None:
 def test_an_initiator_that_does_not_know_the_name_says_so() -> None:
     _, right = met()
     w = wire(alice(known=KnownCertificates(), brief=True), bob(known=right)).pump()
-    assert isinstance(w.left.error, UnknownCredential)
-    assert isinstance(w.right.error, CredentialUnknown)
+    assert isinstance(w.left.error, PeerCredentialUnknown)
+    assert isinstance(w.right.error, OwnCredentialUnknown)
     assert names(w.left) == []
 
 
@@ -643,7 +648,7 @@ def test_the_socket_writes_into_the_buffer_of_the_connection() -> None:
     right.get_buffer()[: len(flight)] = flight
     assert right.buffer_updated(len(flight), NOW) == []
     assert right.has_data_to_send
-    assert left.unit_limit == Limits().unit
+    assert left.unit_limit == ChannelLimits().unit
 
 
 def test_what_is_abandoned_says_and_seals_nothing() -> None:

@@ -8,8 +8,8 @@ from rossec.channel.opening import (
     MAX_OPENING,
     REFUSAL,
     Accepted,
-    Flavour,
-    Plain,
+    PlainCaller,
+    WireProtocol,
     first_bytes,
     http_refusal,
     judge_answer,
@@ -23,12 +23,12 @@ SWITCH = b"HTTP/1.1 101 Switching Protocols\r\nConnection: Upgrade\r\nUpgrade: r
 
 
 def test_the_bytes_of_the_tcpros_opening() -> None:
-    assert first_bytes(Flavour.TCPROS) == b"\x0c\0\0\0\x08\0\0\0rossec=1"
+    assert first_bytes(WireProtocol.TCPROS) == b"\x0c\0\0\0\x08\0\0\0rossec=1"
 
 
-@pytest.mark.parametrize("flavour", list(Flavour))
+@pytest.mark.parametrize("flavour", list(WireProtocol))
 @pytest.mark.parametrize("tail", [b"", b"\x10\0\0\x05"])
-def test_our_own_opening_byte_by_byte_and_with_a_tail(flavour: Flavour, tail: bytes) -> None:
+def test_our_own_opening_byte_by_byte_and_with_a_tail(flavour: WireProtocol, tail: bytes) -> None:
     opening = first_bytes(flavour)
     for count in range(len(opening)):
         assert judge_caller(opening[:count]) is None
@@ -36,7 +36,7 @@ def test_our_own_opening_byte_by_byte_and_with_a_tail(flavour: Flavour, tail: by
     assert isinstance(verdict, Accepted)
     assert verdict.flavour is flavour
     assert verdict.consumed == len(opening)
-    assert verdict.reply == (SWITCH if flavour is Flavour.HTTP else b"")
+    assert verdict.reply == (SWITCH if flavour is WireProtocol.HTTP else b"")
 
 
 @pytest.mark.parametrize(
@@ -49,7 +49,7 @@ def test_our_own_opening_byte_by_byte_and_with_a_tail(flavour: Flavour, tail: by
     ],
 )
 def test_a_plain_tcpros_header(data: bytes, drain: int) -> None:
-    assert judge_caller(data) == Plain(Flavour.TCPROS, drain)
+    assert judge_caller(data) == PlainCaller(WireProtocol.TCPROS, drain)
 
 
 @pytest.mark.parametrize(
@@ -85,15 +85,15 @@ def test_garbage_gets_no_answer(data: bytes) -> None:
 )
 def test_plain_http(head: bytes, body: int) -> None:
     assert judge_caller(head[:-1]) is None
-    assert judge_caller(head + b"tail") == Plain(Flavour.HTTP, len(head) + body)
+    assert judge_caller(head + b"tail") == PlainCaller(WireProtocol.HTTP, len(head) + body)
 
 
 def test_the_refusals_are_valid_in_their_own_protocol() -> None:
-    tcpros = refusal(Flavour.TCPROS)
+    tcpros = refusal(WireProtocol.TCPROS)
     assert int.from_bytes(tcpros[:4], "little") == len(tcpros) - 4
     assert int.from_bytes(tcpros[4:8], "little") == len(tcpros) - 8
     assert tcpros[8:].decode() == f"error={REFUSAL}"
-    head, body = refusal(Flavour.HTTP).split(b"\r\n\r\n")
+    head, body = refusal(WireProtocol.HTTP).split(b"\r\n\r\n")
     assert head.startswith(b"HTTP/1.1 200 OK\r\n")
     assert f"Content-length: {len(body)}".encode() in head.split(b"\r\n")
     assert loads(body)[0] == ([-1, REFUSAL, 0],)
@@ -104,32 +104,32 @@ def test_the_refusals_are_valid_in_their_own_protocol() -> None:
 
 
 def test_a_frame_is_no_preamble() -> None:
-    assert judge_answer(b"\x10\0\0", Flavour.TCPROS) is None
-    assert judge_answer(b"\x10\0\x02\0", Flavour.TCPROS) == 0
-    assert judge_answer(b"\x20\0\0\x05", Flavour.TCPROS) == 0
+    assert judge_answer(b"\x10\0\0", WireProtocol.TCPROS) is None
+    assert judge_answer(b"\x10\0\x02\0", WireProtocol.TCPROS) == 0
+    assert judge_answer(b"\x20\0\0\x05", WireProtocol.TCPROS) == 0
 
 
 def test_the_switch_of_protocols() -> None:
     for count in range(len(SWITCH)):
-        assert judge_answer(SWITCH[:count], Flavour.HTTP) is None
-    assert judge_answer(SWITCH + b"\x10", Flavour.HTTP) == len(SWITCH)
+        assert judge_answer(SWITCH[:count], WireProtocol.HTTP) is None
+    assert judge_answer(SWITCH + b"\x10", WireProtocol.HTTP) == len(SWITCH)
 
 
 @pytest.mark.parametrize(
     ("answer", "flavour", "said"),
     [
-        (tcpros_refusal("no topic"), Flavour.TCPROS, "says: no topic"),
-        (tcpros_refusal("a\nb\x1b[31m" + "x" * 500), Flavour.TCPROS, r"says: a b \[31mx+$"),
-        (b"\x09\0\0\0\x05\0\0\0a=b=c", Flavour.TCPROS, "answers without an error"),
-        (b"\xff\xff\0\0" + b"x" * MAX_OPENING, Flavour.TCPROS, "answers without an error"),
-        (b"HTTP/1.1 501 Unsupported method\r\n\r\n", Flavour.HTTP, "HTTP/1.1 501 Unsupported"),
-        (b"HTTP/1.1 400 Bad\r\n\r\n", Flavour.TCPROS, "HTTP/1.1 400 Bad"),
-        (SWITCH, Flavour.TCPROS, "101"),
-        (b"HTTP" + b"x" * MAX_OPENING, Flavour.HTTP, "HTTPx+$"),
-        (b"\x10\0\x02\0", Flavour.HTTP, "does not answer in HTTP"),
+        (tcpros_refusal("no topic"), WireProtocol.TCPROS, "says: no topic"),
+        (tcpros_refusal("a\nb\x1b[31m" + "x" * 500), WireProtocol.TCPROS, r"says: a b \[31mx+$"),
+        (b"\x09\0\0\0\x05\0\0\0a=b=c", WireProtocol.TCPROS, "answers without an error"),
+        (b"\xff\xff\0\0" + b"x" * MAX_OPENING, WireProtocol.TCPROS, "answers without an error"),
+        (b"HTTP/1.1 501 Unsupported method\r\n\r\n", WireProtocol.HTTP, "HTTP/1.1 501 Unsupported"),
+        (b"HTTP/1.1 400 Bad\r\n\r\n", WireProtocol.TCPROS, "HTTP/1.1 400 Bad"),
+        (SWITCH, WireProtocol.TCPROS, "101"),
+        (b"HTTP" + b"x" * MAX_OPENING, WireProtocol.HTTP, "HTTPx+$"),
+        (b"\x10\0\x02\0", WireProtocol.HTTP, "does not answer in HTTP"),
     ],
 )
-def test_a_plain_peer_is_quoted(answer: bytes, flavour: Flavour, said: str) -> None:
+def test_a_plain_peer_is_quoted(answer: bytes, flavour: WireProtocol, said: str) -> None:
     with pytest.raises(PlainPeer, match=said) as caught:
         judge_answer(answer, flavour)
     assert len(str(caught.value)) < 300
@@ -137,4 +137,4 @@ def test_a_plain_peer_is_quoted(answer: bytes, flavour: Flavour, said: str) -> N
 
 
 def test_a_plain_answer_that_is_still_coming() -> None:
-    assert judge_answer(tcpros_refusal("no topic")[:-1], Flavour.TCPROS) is None
+    assert judge_answer(tcpros_refusal("no topic")[:-1], WireProtocol.TCPROS) is None

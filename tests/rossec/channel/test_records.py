@@ -2,7 +2,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rossec.channel.edhoc.keyschedule import Exporter
+from rossec.channel.edhoc.keyschedule import EdhocExporter
 from rossec.channel.edhoc.suites import SUITES
 from rossec.channel.records import (
     MAX_PLAINTEXT,
@@ -20,7 +20,7 @@ from rossec.channel.records import (
 from rossec.errors import ConnectionTruncated, LimitExceeded, ProtocolViolation, RecordForged
 from tests.support.wire import Wire, alice, bob, joined
 
-EXPORTER = Exporter(bytes(32))
+EXPORTER = EdhocExporter(bytes(32))
 
 
 def direction(suite: int = 6, epoch: int = 0) -> Direction:

@@ -1,4 +1,4 @@
-from rossec.channel.records import HEADER, MAX_PLAINTEXT, TAG, Limits
+from rossec.channel.records import HEADER, MAX_PLAINTEXT, TAG, ChannelLimits
 from tests.support.wire import NOW, Wire, alice, bob, joined
 
 RECORD = HEADER + MAX_PLAINTEXT + TAG
@@ -15,7 +15,7 @@ def send(wire: Wire, unit: bytes) -> list[int]:
 
 
 def test_nothing_is_renewed_before_its_time() -> None:
-    w = joined(left=alice(limits=Limits(seconds=100)), right=bob())
+    w = joined(left=alice(limits=ChannelLimits(seconds=100)), right=bob())
     session = w.left.core._open_session()
     session.seal_small(b"used")
     assert session.renew(NOW + 99) == b""
@@ -48,7 +48,7 @@ def test_small_units_go_out_alone() -> None:
 
 
 def test_a_renewal_comes_between_records_that_go_out_together() -> None:
-    limits = Limits(records=3)
+    limits = ChannelLimits(records=3)
     w = joined(left=alice(limits=limits), right=bob(limits=limits))
     unit = bytes(8 * MAX_PLAINTEXT)
     lengths = send(w, unit)
@@ -57,7 +57,7 @@ def test_a_renewal_comes_between_records_that_go_out_together() -> None:
 
 
 def test_a_side_that_renewed_awaits_its_peer() -> None:
-    limits = Limits(seconds=10)
+    limits = ChannelLimits(seconds=10)
     w = joined(left=alice(limits=limits))
     seen = [w.left.core.awaits_peer]
     w.left.core.send_unit(b"x")

@@ -3,7 +3,7 @@
 import re
 from pathlib import Path
 
-from rossec.channel.states import HANDSHAKING, TABLE, WITHOUT_FRAME, State
+from rossec.channel.states import HANDSHAKING, TABLE, WITHOUT_FRAME, ConnectionState
 
 _ROOT = Path(__file__).parents[3]
 _SPEC = (_ROOT / "docs" / "spec" / "channel.md").read_text()
@@ -11,11 +11,11 @@ _SPEC = (_ROOT / "docs" / "spec" / "channel.md").read_text()
 
 def diagram() -> str:
     """The table as mermaid draws it."""
-    edges: dict[tuple[State, State], list[str]] = {}
+    edges: dict[tuple[ConnectionState, ConnectionState], list[str]] = {}
     for start, end, reason in WITHOUT_FRAME:
         edges.setdefault((start, end), []).append(reason)
     for (start, kind), (_, following) in TABLE.items():
-        for end in following or (State.CLOSED,):
+        for end in following or (ConnectionState.CLOSED,):
             edges.setdefault((start, end), []).append(kind.name)
     lines = [f"  {a.name} --> {b.name}: {', '.join(why)}" for (a, b), why in edges.items()]
     return "\n".join(["stateDiagram-v2", *lines])
@@ -32,7 +32,7 @@ def test_every_state_has_a_way_out_and_every_row_a_method() -> None:
     from rossec.channel.negotiation import Negotiation
 
     leaving = {start for start, _ in TABLE} | {start for start, _, _ in WITHOUT_FRAME}
-    assert leaving == set(State) - {State.CLOSED}
+    assert leaving == set(ConnectionState) - {ConnectionState.CLOSED}
     for (state, _), (name, _) in TABLE.items():
         assert hasattr(Negotiation if state in HANDSHAKING else Connection, name)
 

@@ -7,7 +7,7 @@ import pytest
 
 from rossec.channel.edhoc.handshake import Responder, WrongSuite
 from rossec.channel.edhoc.messages import Message1, decode_message_1, encode_error, suites_item
-from rossec.channel.edhoc.peer import Party
+from rossec.channel.edhoc.peer import EdhocConfig
 from rossec.channel.opening import Accepted, judge_caller
 from rossec.errors import HandshakeFailed, ProtocolViolation
 from tests.support.wire import BOB, dice, trust
@@ -61,7 +61,7 @@ def test_message_1(vector: dict[str, Any]) -> None:
 def test_suites(vector: dict[str, Any]) -> None:
     policy, offered = tuple(vector["policy"]), tuple(vector["suites_i"])
     length = 1216 if offered[-1] == -24 else 32
-    responder = Responder(Party(BOB, trust, dice("bob"), policy))
+    responder = Responder(EdhocConfig(BOB, trust, dice("bob"), policy))
     message = Message1(0, offered, share(length), b"\x00").encode()
     if "error" in vector:
         with pytest.raises(WrongSuite) as wrong:

@@ -8,12 +8,12 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
-from rossec.channel.records import Limits
-from rossec.channel.states import State
+from rossec.channel.records import ChannelLimits
+from rossec.channel.states import ConnectionState
 from rossec.errors import ChannelError
 from tests.support.wire import NOW, End, alice, bob, wire
 
-LIMITS = Limits(records=5, octets=1 << 20, seconds=1 << 30)
+LIMITS = ChannelLimits(records=5, octets=1 << 20, seconds=1 << 30)
 SIDES = st.sampled_from(["left", "right"])
 SIZES = st.sampled_from([1, 2, 100, 40_000, 300_000])
 
@@ -100,7 +100,7 @@ class TwoConnections(RuleBasedStateMachine):
             end.core.receive_eof()
         except ChannelError as error:
             end.error = end.error or error
-        assert end.core.state is State.CLOSED
+        assert end.core.state is ConnectionState.CLOSED
 
     @invariant()
     def nothing_but_a_prefix_is_delivered(self) -> None:
@@ -112,7 +112,7 @@ class TwoConnections(RuleBasedStateMachine):
     def who_failed_stays_closed(self) -> None:
         for end in self.ends.values():
             if end.error is not None:
-                assert end.core.state is State.CLOSED
+                assert end.core.state is ConnectionState.CLOSED
                 assert end.core.receive_data(b"\x40\0\0\x11" + bytes(17), NOW) == []
 
     @invariant()

@@ -1,6 +1,6 @@
 import pytest
 
-from rossec.discovery.budget import MAX_PROVEN, MAX_SOURCES, Bucket, Budget
+from rossec.discovery.budget import MAX_PROVEN, MAX_SOURCES, AttemptBucket, Budget
 from rossec.errors import AnnouncementRefused
 
 
@@ -17,7 +17,7 @@ def spend(
 
 
 def test_a_bucket_fills_at_its_rate() -> None:
-    bucket = Bucket(10.0)
+    bucket = AttemptBucket(10.0)
     assert bucket.has(10, 1.0)
     bucket.take(10)
     assert not bucket.has(1, 1.05)

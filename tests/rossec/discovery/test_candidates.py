@@ -1,12 +1,12 @@
 import pytest
 
 from rossec.discovery.announcement import Announcement, sign
-from rossec.discovery.candidates import MAX_CANDIDATES, Candidate, Candidates, Source
+from rossec.discovery.candidates import MAX_CANDIDATES, Candidate, Candidates, DatagramSource
 from rossec.errors import AnnouncementRefused
 from tests.rossec.discovery.conftest import NOW, Make
 from tests.support.site import Site
 
-NEAR, FAR = Source("fe80::1%near", 1), Source("fe80::1%far", 2)
+NEAR, FAR = DatagramSource("fe80::1%near", 1), DatagramSource("fe80::1%far", 2)
 
 
 @pytest.fixture
@@ -14,7 +14,7 @@ def candidates(site: Site) -> Candidates:
     return Candidates(site.anchor)
 
 
-def heard(candidates: Candidates, data: bytes, source: Source = NEAR) -> Candidate:
+def heard(candidates: Candidates, data: bytes, source: DatagramSource = NEAR) -> Candidate:
     found = candidates.heard(data, source, NOW, 1.0)
     assert found is not None
     return found
@@ -57,7 +57,7 @@ def test_who_falls_silent_is_forgotten(candidates: Candidates, make: Make) -> No
 def test_an_announcement_counts_once_on_each_link(candidates: Candidates, make: Make) -> None:
     data = make()
     heard(candidates, data)
-    echo = Source("fe80::bad%near", NEAR.link)
+    echo = DatagramSource("fe80::bad%near", NEAR.link)
     assert candidates.heard(data, echo, NOW, 1.0) is None
     assert candidates.heard(data, NEAR, NOW, 1.0) is None
     assert [one.source for one in candidates.ranked(NOW, 1.0)] == [NEAR]
@@ -95,7 +95,7 @@ def test_a_repetition_costs_no_check(candidates: Candidates, make: Make) -> None
     heard(candidates, make(2))
 
 
-def flood(candidates: Candidates, data: bytes, *sources: Source) -> int:
+def flood(candidates: Candidates, data: bytes, *sources: DatagramSource) -> int:
     """How many of these were not even checked."""
     unchecked = 0
     for source in sources:
@@ -105,8 +105,8 @@ def flood(candidates: Candidates, data: bytes, *sources: Source) -> int:
     return unchecked
 
 
-def addresses(count: int) -> list[Source]:
-    return [Source(f"fe80::{number:x}%near", NEAR.link) for number in range(count)]
+def addresses(count: int) -> list[DatagramSource]:
+    return [DatagramSource(f"fe80::{number:x}%near", NEAR.link) for number in range(count)]
 
 
 def test_one_address_spends_its_own_share(
@@ -156,7 +156,7 @@ def test_reasons_are_counted_and_bounded(candidates: Candidates) -> None:
 
 def test_so_many_are_remembered_and_no_more(candidates: Candidates, make: Make) -> None:
     for number in range(MAX_CANDIDATES):
-        source = Source(f"fe80::{number}%near", 100 + number)
+        source = DatagramSource(f"fe80::{number}%near", 100 + number)
         assert candidates.heard(make(), source, NOW, float(number)) is not None
     with pytest.raises(AnnouncementRefused, match="more masters"):
         candidates.heard(make(), FAR, NOW, 100.0)

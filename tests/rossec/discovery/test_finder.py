@@ -16,7 +16,7 @@ import pytest
 
 from ca.revocation.tree import is_tree
 from rossec.discovery import announcer, choose, finder, multicast
-from rossec.discovery.candidates import Candidates, Source
+from rossec.discovery.candidates import Candidates, DatagramSource
 from rossec.errors import AnnouncementRefused, ConfigurationError, MasterNotFound
 from tests.rossec.discovery.conftest import Make
 from tests.support.hosts import Host, Hosts, two_hosts
@@ -140,8 +140,8 @@ class Link(multicast.MulticastSocket):
         said.append(data)
         return self.takes
 
-    def receive(self) -> Iterator[tuple[bytes, Source]]:
-        yield self.inner.recv(2048), Source("127.0.0.1", 1)
+    def receive(self) -> Iterator[tuple[bytes, DatagramSource]]:
+        yield self.inner.recv(2048), DatagramSource("127.0.0.1", 1)
 
     def close(self) -> None:
         super().close()
@@ -212,10 +212,10 @@ async def test_announcements_are_counted_and_survive_links_that_go_down(
     assert ["no link" in caplog.text, "the links again" in caplog.text] == [True, True]
     candidates, now = Candidates(home.anchor), int(time.time())
     for data in said[:3]:
-        heard = candidates.heard(data, Source("fe80::1", 1), now, 1.0)
+        heard = candidates.heard(data, DatagramSource("fe80::1", 1), now, 1.0)
         assert heard is not None
     with pytest.raises(AnnouncementRefused):
-        candidates.heard(said[0][:-1], Source("fe80::1", 1), now, 1.0)
+        candidates.heard(said[0][:-1], DatagramSource("fe80::1", 1), now, 1.0)
 
 
 def test_who_came_over_a_router_is_not_heard() -> None:

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from ca.enrollment import qr
-from ca.enrollment.authority import AuthorityEnrollment, State
+from ca.enrollment.authority import AuthorityEnrollment, AuthorityState
 from ca.enrollment.messages import Abort, Delivery, Reason, frame, write
 from ca.errors import EnrollmentExpired, EnrollmentOver, RequestSwapped
 from rossec.enrollment import authority
@@ -37,7 +37,7 @@ async def test_an_enrollment(host: str, label: bool) -> None:
     with WaitingRobot(Robot(), host=host, label=label) as robot:
         core = AuthorityEnrollment(qr.parse(robot.code), "home")
         shown = await enrolled(robot, core)
-    assert core.state is State.ENROLLED
+    assert core.state is AuthorityState.ENROLLED
     assert [pending.digits for pending in robot.trusted] == shown == [core.digits]
 
 

@@ -5,10 +5,9 @@ from contextlib import asynccontextmanager, suppress
 import pytest
 
 from ca.enrollment import qr
-from ca.enrollment.authority import AuthorityEnrollment
-from ca.enrollment.authority import State as AuthorityState
+from ca.enrollment.authority import AuthorityEnrollment, AuthorityState
 from ca.enrollment.messages import Abort, Fetch, Message, Reason, frame, read, write
-from ca.enrollment.node import NodeEnrollment, Pending, State
+from ca.enrollment.node import NodeEnrollment, NodeState, Pending
 from ca.errors import DigitsRefused, EnrollmentExpired, EnrollmentLocked, EnrollmentOver, RivalOffer
 from rossec.enrollment import wire
 from rossec.enrollment.node import WaitingNode
@@ -86,7 +85,7 @@ class Stage:
         caller.says(offer)
         return authority, offer, caller
 
-    async def ends(self, *states: State) -> None:
+    async def ends(self, *states: NodeState) -> None:
         async with asyncio.timeout(20):
             await self.node.until(*states, every=lambda _: None)
 
@@ -111,11 +110,11 @@ async def waiting(
 async def test_an_enrollment(host: str, label: bool) -> None:
     async with waiting(label=label, host=host) as stage:
         authority, _, caller = await stage.offered()
-        await stage.ends(State.PENDING)
+        await stage.ends(NodeState.PENDING)
         await caller.answers(authority)
         stage.node.confirm(authority.digits, stage.trusted.append)
         await caller.answers(authority)
-        await stage.ends(State.ENROLLED)
+        await stage.ends(NodeState.ENROLLED)
     assert authority.state is AuthorityState.ENROLLED
     assert [pending.root for pending in stage.trusted] == [SITE.root]
     assert stage.refused == []
@@ -124,7 +123,7 @@ async def test_an_enrollment(host: str, label: bool) -> None:
 async def test_an_answer_that_was_lost_comes_again() -> None:
     async with waiting() as stage:
         authority, offer, first = await stage.offered()
-        await stage.ends(State.PENDING)
+        await stage.ends(NodeState.PENDING)
         first.writer.transport.abort()
         second = await stage.caller()
         second.says(offer)
@@ -146,7 +145,7 @@ async def test_a_rival_ends_it_for_both() -> None:
         assert await first.hears() == Abort(Reason.RIVAL)
         assert await second.hears() == Abort(Reason.RIVAL)
         with pytest.raises(RivalOffer):
-            await stage.ends(State.ENROLLED)
+            await stage.ends(NodeState.ENROLLED)
         assert await second.is_left()
     assert "127.0.0.1: two different offers" in stage.refused[0]
 
@@ -172,7 +171,7 @@ async def test_offers_without_the_secret_lock_the_code() -> None:
             reasons.append(answer.reason)
         assert reasons == [Reason.REFUSED] * 4 + [Reason.OVER]
         with pytest.raises(EnrollmentLocked):
-            await stage.ends(State.PENDING)
+            await stage.ends(NodeState.PENDING)
     assert len(stage.refused) == 5
 
 
@@ -191,7 +190,7 @@ async def test_garbage_ends_its_connection_only() -> None:
         quitter.writer.write(b"\0\0")
         quitter.writer.close()
         await stage.offered()
-        await stage.ends(State.PENDING)
+        await stage.ends(NodeState.PENDING)
     assert len(stage.refused) == 3
 
 
@@ -240,7 +239,7 @@ async def test_time_is_over() -> None:
             stage.clock.now += WINDOW + 1
 
         with pytest.raises(EnrollmentExpired):
-            await stage.node.until(State.PENDING, every=every)
+            await stage.node.until(NodeState.PENDING, every=every)
     assert left == [WINDOW]
 
 
@@ -258,7 +257,7 @@ async def test_what_cannot_be_written_is_not_trusted() -> None:
             stage.node.confirm(authority.digits, full)
         assert await caller.hears() == Abort(Reason.OVER)
         with pytest.raises(EnrollmentOver, match="could not be written: no space"):
-            await stage.ends(State.ENROLLED)
+            await stage.ends(NodeState.ENROLLED)
 
 
 async def test_who_is_gone_before_being_seen() -> None:
@@ -291,4 +290,4 @@ async def test_who_asks_and_does_not_read_is_not_written_to_for_ever() -> None:
                 while True:
                     caller.writer.write(many)
                     await caller.writer.drain()
-        assert stage.core.state is State.SHOWING
+        assert stage.core.state is NodeState.SHOWING

@@ -1,6 +1,6 @@
 import pytest
 
-from rossec.errors import SettingsRefused
+from rossec.errors import ConfigurationError
 from rossec.inprocess.addresses import bracketed, parse_rosrpc
 
 
@@ -35,6 +35,6 @@ def test_a_services_uri_is_read(uri: str, address: tuple[str, int]) -> None:
     "uri", ["", "http://robot:80", "rosrpc://robot", "rosrpc://:80", "rosrpc://a:x"]
 )
 def test_what_is_no_services_uri_is_refused(uri: str) -> None:
-    with pytest.raises(SettingsRefused, match="no URI of a service") as caught:
+    with pytest.raises(ConfigurationError, match="no URI of a service") as caught:
         parse_rosrpc(uri)
     assert "rosrpc://host:port" in caught.value.hint

@@ -9,7 +9,7 @@ import pytest
 from grants.model import Right
 from rossec.channel.opening import REFUSAL
 from rossec.errors import ConfigurationError
-from rossec.inprocess.allow_plain import Plain
+from rossec.inprocess.allow_plain import PlainPeers
 from rossec.inprocess.live_connections import PEER_CONNECTIONS
 from rossec.net.halfopen import HalfOpen
 from rossec.ros import header
@@ -22,9 +22,9 @@ HERE = "127.0.0.1"
 
 
 def test_only_what_is_named_is_allowed() -> None:
-    plain = Plain(["/open", "/far@192.168.1.7", "/six@::1"])
+    plain = PlainPeers(["/open", "/far@192.168.1.7", "/six@::1"])
     assert plain
-    assert not Plain()
+    assert not PlainPeers()
     assert plain.allows("/open", "10.0.0.1")
     assert plain.allows("/far", "192.168.1.7")
     assert plain.allows("/far", "::ffff:192.168.1.7")
@@ -37,7 +37,7 @@ def test_only_what_is_named_is_allowed() -> None:
 @pytest.mark.parametrize("entry", ["", "*", "/**", "open", "/a@", "/a@robot", "/a@10.0.0.0/8"])
 def test_what_is_no_entry_is_refused(entry: str) -> None:
     with pytest.raises(ConfigurationError, match="allow_plain holds"):
-        Plain([entry])
+        PlainPeers([entry])
 
 
 STOCK = """

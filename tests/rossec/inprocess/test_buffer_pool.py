@@ -3,7 +3,7 @@
 from collections import deque
 from io import BytesIO
 
-from rossec.inprocess.buffer_pool import Spare
+from rossec.inprocess.buffer_pool import BufferPool
 
 
 def handed_out(content: bytes) -> tuple[BytesIO, bytes]:
@@ -13,7 +13,7 @@ def handed_out(content: bytes) -> tuple[BytesIO, bytes]:
 
 
 def test_what_nobody_holds_is_written_over() -> None:
-    spare = Spare(4)
+    spare = BufferPool(4)
     buffer, data = handed_out(b"first message")
     del data
     assert spare.exchange(buffer) is buffer
@@ -22,7 +22,7 @@ def test_what_nobody_holds_is_written_over() -> None:
 
 
 def test_what_somebody_holds_is_not() -> None:
-    spare = Spare(2)
+    spare = BufferPool(2)
     first, held = handed_out(b"first message")
     view = memoryview(held)[3:]
     del held
@@ -46,7 +46,7 @@ def test_a_holder_loses_nothing_whatever_the_count_says() -> None:
 
 
 def test_another_thread_may_take_the_last() -> None:
-    spare = Spare(2)
+    spare = BufferPool(2)
 
     class Emptied(deque[BytesIO]):
         def popleft(self) -> BytesIO:

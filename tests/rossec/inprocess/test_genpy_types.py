@@ -5,7 +5,7 @@ from geometry_msgs.msg import Twist
 from rospy import AnyMsg
 from std_msgs.msg import String
 
-from rossec.channel.records import Limits
+from rossec.channel.records import ChannelLimits
 from rossec.inprocess.genpy_types import described, installed, longest, room
 from rossec.net.bounds import JOINED
 from rossec.participant.message_types import message_type
@@ -25,8 +25,8 @@ def test_how_long_messages_may_be() -> None:
     assert longest(Twist) == HEADER_LIMIT
     assert room(Twist) == HEADER_LIMIT + JOINED
     for kind in (AnyMsg, String):
-        assert longest(kind) == Limits.unit
-        assert room(kind) > Limits.unit
+        assert longest(kind) == ChannelLimits.unit
+        assert room(kind) > ChannelLimits.unit
 
 
 def test_what_is_installed_is_known() -> None:

@@ -11,8 +11,8 @@ from grants.model import Right
 from rossec.clock import Clock
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
-from rossec.inprocess.identity import Member, now
-from rossec.inprocess.process import Process
+from rossec.inprocess.identity import LocalIdentity, now
+from rossec.inprocess.process import SecuredProcess
 from rossec.inprocess.reporting import Reporter
 from tests.support.site import Site
 
@@ -32,14 +32,14 @@ def _seq(site: Site, data: bytes) -> int:
 
 
 def test_a_member_is_what_its_directory_says(site: Site) -> None:
-    member = Member(site.enroll("/robot"), "/robot")
+    member = LocalIdentity(site.enroll("/robot"), "/robot")
     assert member.identity.name == "/robot"
     with pytest.raises(ConfigurationError, match=r"has no ca\.pem"):
-        Member(NodeHome.of(site.root, "/other"), "/other")
+        LocalIdentity(NodeHome.of(site.root, "/other"), "/other")
 
 
 def test_a_list_counts_only_with_its_confirmation(site: Site) -> None:
-    member = Member(site.enroll("/robot"), "/robot")
+    member = LocalIdentity(site.enroll("/robot"), "/robot")
     master, peer = site.identity("/master"), site.identity("/viewer")
     data = site.revoke(bytes(32))
     with pytest.raises(CAError):
@@ -51,7 +51,7 @@ def test_a_list_counts_only_with_its_confirmation(site: Site) -> None:
     with pytest.raises(GrantMissing):
         member.access.authorize(peer, None, Right.CALL, "/x", int(time.time()))
     assert not member.is_revoked(peer)
-    again = Member(site.enroll("/robot"), "/robot")
+    again = LocalIdentity(site.enroll("/robot"), "/robot")
     assert again.revocations.data == data, "the newest list outlives the process"
     revoked = site.revoke(peer.thumbprint)
     member.take_revocations(revoked, stamped(site, revoked), master)
@@ -60,7 +60,7 @@ def test_a_list_counts_only_with_its_confirmation(site: Site) -> None:
 
 def test_a_renewed_identity_is_taken_over(site: Site) -> None:
     home = site.enroll("/robot")
-    member = Member(home, "/robot")
+    member = LocalIdentity(home, "/robot")
     assert not member.refresh_identity()
     site.renew("/robot", 3600)
     before = member.credentials
@@ -70,7 +70,7 @@ def test_a_renewed_identity_is_taken_over(site: Site) -> None:
 
 
 def test_a_key_that_vouches_for_a_peer_ends_it_too(site: Site) -> None:
-    member = Member(site.enroll("/robot"), "/robot")
+    member = LocalIdentity(site.enroll("/robot"), "/robot")
     peer = dataclasses.replace(site.identity("/viewer"), issuers=(b"i" * 32,))
     assert not member.is_revoked(peer)
     member.revocations.update(site.revoke(b"i" * 32), site.now())
@@ -84,10 +84,10 @@ def test_after_a_clock_that_went_back_it_waits_for_news(
     shows = time.time()
     monkeypatch.setattr("rossec.clock.HOST", Clock(lambda: shows, lambda: 0.0))
     said: list[str] = []
-    process = Process(Reporter(print))
+    process = SecuredProcess(Reporter(print))
     monkeypatch.setattr(process.reporter, "warn", said.append)
-    member = Member(site.enroll("/robot"), "/robot")
-    monkeypatch.setattr(Process, "member", member)
+    member = LocalIdentity(site.enroll("/robot"), "/robot")
+    monkeypatch.setattr(SecuredProcess, "member", member)
     data = site.authority.store.newest_list()
     assert data is not None
     member.take_revocations(data, stamped(site, data), site.identity("/master"))

@@ -7,7 +7,7 @@ from grants.decision import Decision
 from grants.errors import MessageRefused
 from grants.model import Restriction, Right, filter_rules
 from rossec.errors import ChannelClosed, FrameRefused, ServiceRefused
-from rossec.inprocess.service_filter import ClientExchange, ServerExchange
+from rossec.inprocess.service_filter import ClientFilter, ServerFilter
 from rossec.participant.service_guard import ServiceGuard
 from rossec.participant.service_types import service_type
 from rossec.ros import service as wire
@@ -31,7 +31,7 @@ def guard(*restrictions: Restriction) -> ServiceGuard:
     return ServiceGuard(service_type("std_srvs/SetBool"), decision, lambda _: b"", fresh())
 
 
-class Server(ServerExchange):
+class Server(ServerFilter):
     def __init__(self, *restrictions: Restriction) -> None:
         self.cut: str | None = None
         self.heard: list[HintedError] = []
@@ -88,7 +88,7 @@ def test_a_response_of_another_form_is_none() -> None:
 
 
 def test_a_caller_holds_its_provider_to_its_grant() -> None:
-    client = ClientExchange(guard(CLEARED, ONLY_OFF), lambda: NOW)
+    client = ClientFilter(guard(CLEARED, ONLY_OFF), lambda: NOW)
     assert b"".join(client.outgoing(OFF)) == OFF
     with pytest.raises(ServiceRefused):
         client.outgoing(ON)

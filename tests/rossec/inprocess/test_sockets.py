@@ -10,13 +10,13 @@ from typing import Any
 
 import pytest
 
-from rossec.channel.opening import Flavour
+from rossec.channel.opening import WireProtocol
 from rossec.errors import ChannelClosed, ChannelError, LimitExceeded
 from rossec.inprocess import plain_stream, sockets
-from rossec.inprocess.allow_plain import Plain
-from rossec.inprocess.connector import Doors
-from rossec.inprocess.identity import Member
-from rossec.inprocess.module_proxy import Stand
+from rossec.inprocess.allow_plain import PlainPeers
+from rossec.inprocess.connector import Connector
+from rossec.inprocess.identity import LocalIdentity
+from rossec.inprocess.module_proxy import ModuleProxy
 from rossec.inprocess.sockets import RosSocket
 from rossec.net.halfopen import HalfOpen
 from rossec.ros.framing import Framing
@@ -28,8 +28,8 @@ from tests.support.site import Site
 class Owner:
     """A process as far as a socket sees it."""
 
-    def __init__(self, member: Member, plain: Plain, half_open: HalfOpen) -> None:
-        self.doors = Doors(member, half_open)
+    def __init__(self, member: LocalIdentity, plain: PlainPeers, half_open: HalfOpen) -> None:
+        self.doors = Connector(member, half_open)
         self.plain = plain
         self.over: list[RosSocket] = []
         self.ports: list[int] = []
@@ -51,17 +51,19 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Site:
 
 
 @pytest.fixture(scope="module")
-def member(site: Site) -> Member:
-    return Member(site.enroll("/robot"), "/robot")
+def member(site: Site) -> LocalIdentity:
+    return LocalIdentity(site.enroll("/robot"), "/robot")
 
 
-def owner(member: Member, plain: Plain | None = None, half_open: HalfOpen | None = None) -> Owner:
-    return Owner(member, plain or Plain(()), half_open or HalfOpen())
+def owner(
+    member: LocalIdentity, plain: PlainPeers | None = None, half_open: HalfOpen | None = None
+) -> Owner:
+    return Owner(member, plain or PlainPeers(()), half_open or HalfOpen())
 
 
 @pytest.fixture
 def listening(site: Site) -> Iterator[RosSocket]:
-    viewer = Member(site.enroll("/viewer"), "/viewer")
+    viewer = LocalIdentity(site.enroll("/viewer"), "/viewer")
     sock = RosSocket(owner(viewer), socket.socket())
     sock.bind(("127.0.0.1", 0))
     sock.listen(1)
@@ -69,7 +71,7 @@ def listening(site: Site) -> Iterator[RosSocket]:
     sock.close()
 
 
-def connected(member: Member, listening: RosSocket) -> tuple[RosSocket, RosSocket]:
+def connected(member: LocalIdentity, listening: RosSocket) -> tuple[RosSocket, RosSocket]:
     accepted: list[RosSocket] = []
 
     def accept() -> None:
@@ -84,7 +86,7 @@ def connected(member: Member, listening: RosSocket) -> tuple[RosSocket, RosSocke
     return sock, accepted[0]
 
 
-def test_a_socket_of_rospys(member: Member, listening: RosSocket) -> None:
+def test_a_socket_of_rospys(member: LocalIdentity, listening: RosSocket) -> None:
     left, right = connected(member, listening)
     assert (left.peer.name, right.peer.name, left.is_plain) == ("/viewer", "/robot", False)
     assert left.fileno() > 0
@@ -113,7 +115,7 @@ def test_a_socket_of_rospys(member: Member, listening: RosSocket) -> None:
 
 
 def test_a_message_that_was_begun_must_get_on(
-    member: Member, listening: RosSocket, monkeypatch: pytest.MonkeyPatch
+    member: LocalIdentity, listening: RosSocket, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(sockets, "PATIENCE", 0.05)
     monkeypatch.setattr("rossec.progress.WINDOW", 1)
@@ -136,7 +138,7 @@ def test_a_message_that_was_begun_must_get_on(
 
 
 def test_nothing_goes_past_the_queue_while_the_peer_may_have_words(
-    member: Member, listening: RosSocket
+    member: LocalIdentity, listening: RosSocket
 ) -> None:
     left, right = connected(member, listening)
     assert not left.send_now(b"first"), "the peer's side was never looked at"
@@ -147,7 +149,7 @@ def test_nothing_goes_past_the_queue_while_the_peer_may_have_words(
         sock.close()
 
 
-def test_what_is_not_connected_says_so(member: Member) -> None:
+def test_what_is_not_connected_says_so(member: LocalIdentity) -> None:
     sock = RosSocket(owner(member), socket.socket())
     with pytest.raises(ChannelClosed, match="not connected"):
         _ = sock.stream
@@ -159,7 +161,7 @@ def test_what_is_not_connected_says_so(member: Member) -> None:
     sock.close()
 
 
-def test_a_caller_too_many_is_dropped(member: Member) -> None:
+def test_a_caller_too_many_is_dropped(member: LocalIdentity) -> None:
     sock = RosSocket(owner(member, half_open=HalfOpen(total=1, per_address=1)), socket.socket())
     sock.bind(("127.0.0.1", 0))
     sock.listen()
@@ -183,7 +185,7 @@ def test_a_caller_too_many_is_dropped(member: Member) -> None:
 
 
 def test_a_host_without_descriptors_rests_and_goes_on(
-    member: Member, monkeypatch: pytest.MonkeyPatch
+    member: LocalIdentity, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(sockets, "_REST", 0.0)
     answers: list[Any] = [
@@ -224,15 +226,17 @@ def stock() -> Iterator[tuple[str, int]]:
     thread.join(30)
 
 
-def test_a_peer_that_is_plain_is_refused_or_named(member: Member, stock: tuple[str, int]) -> None:
+def test_a_peer_that_is_plain_is_refused_or_named(
+    member: LocalIdentity, stock: tuple[str, int]
+) -> None:
     sock = RosSocket(owner(member), socket.socket())
     with pytest.raises(ConnectionError, match="plain"):
         sock.connect(stock)
     sock.close()
 
 
-def test_a_plain_peer_that_may_stay_so(member: Member, stock: tuple[str, int]) -> None:
-    sock = RosSocket(owner(member, Plain(["/x"])), socket.socket())
+def test_a_plain_peer_that_may_stay_so(member: LocalIdentity, stock: tuple[str, int]) -> None:
+    sock = RosSocket(owner(member, PlainPeers(["/x"])), socket.socket())
     sock.connect(stock)
     assert sock.is_plain
     with pytest.raises(ChannelClosed, match="proves nothing"):
@@ -247,7 +251,7 @@ def test_a_plain_peer_that_may_stay_so(member: Member, stock: tuple[str, int]) -
     sock.close()
 
 
-def test_a_plain_caller_is_looked_at_and_left(member: Member) -> None:
+def test_a_plain_caller_is_looked_at_and_left(member: LocalIdentity) -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         for sent, seen in (
             (b"POST / HTTP/1.1\r\n", b"POST"),
@@ -267,37 +271,37 @@ def test_a_plain_caller_is_looked_at_and_left(member: Member) -> None:
 
 
 def test_a_stand_is_the_module_but_for_some_names() -> None:
-    stand = Stand(socket, socket=dict)
+    stand = ModuleProxy(socket, socket=dict)
     assert stand.socket is dict
     assert stand.AF_INET == socket.AF_INET
 
 
-def test_a_caller_that_is_gone_gives_its_place_back(member: Member) -> None:
+def test_a_caller_that_is_gone_gives_its_place_back(member: LocalIdentity) -> None:
     """Else a stranger who breaks off often enough keeps everybody out for ever."""
-    doors = Doors(member, HalfOpen(total=1, per_address=1))
+    doors = Connector(member, HalfOpen(total=1, per_address=1))
     for _ in range(3):
         gone = socket.socket()
         assert doors.admit(gone, "127.0.0.1")
         gone.close()
         with pytest.raises(OSError, match="descriptor"):
-            doors.answer(gone, Flavour.TCPROS)
+            doors.answer(gone, WireProtocol.TCPROS)
 
 
 def test_a_caller_that_is_gone_does_not_end_the_accepting(
-    member: Member, monkeypatch: pytest.MonkeyPatch
+    member: LocalIdentity, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     sock = RosSocket(owner(member), socket.socket())
     sock.bind(("127.0.0.1", 0))
     sock.listen()
-    answer, first = Doors.answer, [OSError("gone")]
+    answer, first = Connector.answer, [OSError("gone")]
 
-    def fail_once(doors: Doors, caller: socket.socket, *more: Any) -> Any:
+    def fail_once(doors: Connector, caller: socket.socket, *more: Any) -> Any:
         if first:
             caller.close()
             raise first.pop()
         return answer(doors, caller, *more)
 
-    monkeypatch.setattr(Doors, "answer", fail_once)
+    monkeypatch.setattr(Connector, "answer", fail_once)
     callers = [socket.create_connection(sock.getsockname()) for _ in range(2)]
     accepted, where = sock.accept()
     assert where == callers[1].getsockname()
@@ -319,7 +323,7 @@ def test_a_silent_caller_is_not_waited_for(monkeypatch: pytest.MonkeyPatch) -> N
                 sock.close()
 
 
-def test_what_was_cut_is_ended(member: Member, listening: RosSocket) -> None:
+def test_what_was_cut_is_ended(member: LocalIdentity, listening: RosSocket) -> None:
     left, right = connected(member, listening)
     right.sendall(b"before")
     left.abort()

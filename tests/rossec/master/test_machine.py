@@ -21,7 +21,7 @@ from rossec.master.api.dispatch import MasterApi
 from rossec.master.rights.access_rules import SEES_TOPICS
 from rossec.master.rights.delegation import Delegate
 from rossec.master.rights.enforce import enforce, steps
-from rossec.master.rights.statements import Trust
+from rossec.master.rights.statements import TrustState
 from rossec.master.state.registry import Kind, NodeRef, PublishersChanged, Registry, ShutdownNode
 from rossec.participant.graph_view import GraphView
 from tests.support.authority import Member, Site
@@ -59,7 +59,7 @@ class Master(RuleBasedStateMachine):
         signer = self.master.credentials.signer
         delegate = Delegate(self.site.anchor, signer)
         delegate.take(self.site.delegation(self.master, lifetime=1000 * HOUR))
-        self.trust = Trust(
+        self.trust = TrustState(
             self.site.anchor, signer, self.site.revocations(), lambda _: None, delegate
         )
         self.registry = Registry()

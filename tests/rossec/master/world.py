@@ -11,9 +11,9 @@ from ca.certificates import Identity
 from grants.model import Right
 from rossec.errors import RossecError
 from rossec.master.api.turns import Turns
-from rossec.master.rights.statements import Trust
+from rossec.master.rights.statements import TrustState
 from rossec.master.server.server import MasterServer
-from rossec.net.aio import Flavour, SecureStream, connect, serve
+from rossec.net.aio import SecureStream, WireProtocol, connect, serve
 from rossec.net.rpc.client import RpcClient, serve_calls
 from rossec.ros.settings import parse_uri
 from tests.support.authority import Member, Site
@@ -60,7 +60,7 @@ class World:
         self.exit = exit_stack
         self.site = Site()
         self.master = self.site.enroll("/master")
-        self.trust = Trust(
+        self.trust = TrustState(
             self.site.anchor,
             self.master.credentials.signer,
             self.site.revocations(),
@@ -89,7 +89,7 @@ class World:
     async def call_as(self, member: Member) -> RpcClient:
         host, port = parse_uri(self.server.uri)
         stream = await connect(
-            host, port, member.credentials, self.site.anchor.verify, opening=Flavour.HTTP
+            host, port, member.credentials, self.site.anchor.verify, opening=WireProtocol.HTTP
         )
         client = RpcClient(stream)
         self.exit.push_async_callback(client.close)

@@ -14,8 +14,8 @@ import pytest
 
 from rossec.channel.edhoc.known import KnownCertificates
 from rossec.channel.edhoc.suites import POST_QUANTUM
-from rossec.channel.opening import REFUSAL, Flavour
-from rossec.channel.records import Limits
+from rossec.channel.opening import REFUSAL, WireProtocol
+from rossec.channel.records import ChannelLimits
 from rossec.errors import (
     ChannelClosed,
     ChannelError,
@@ -59,7 +59,9 @@ async def server() -> AsyncIterator[SecureServer[FakeIdentity]]:
         yield running
 
 
-async def call(server: SecureServer[FakeIdentity], opening: Flavour = Flavour.TCPROS) -> Stream:
+async def call(
+    server: SecureServer[FakeIdentity], opening: WireProtocol = WireProtocol.TCPROS
+) -> Stream:
     return await connect("127.0.0.1", server.port, ALICE, live, opening=opening)
 
 
@@ -69,10 +71,10 @@ async def still_works(server: SecureServer[FakeIdentity]) -> None:
         assert await stream.receive() == b"ping"
 
 
-@pytest.mark.parametrize("opening", list(Flavour))
+@pytest.mark.parametrize("opening", list(WireProtocol))
 @pytest.mark.parametrize("size", [1, 70_000, 3_000_000])
 async def test_units_there_and_back(
-    server: SecureServer[FakeIdentity], opening: Flavour, size: int
+    server: SecureServer[FakeIdentity], opening: WireProtocol, size: int
 ) -> None:
     async with await call(server, opening) as stream:
         assert stream.peer.name == "/bob"
@@ -385,7 +387,7 @@ async def test_calling_a_plain_server() -> None:
 
 async def test_the_handshake_deadline(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO)
-    limits = Limits(handshake_seconds=1)
+    limits = ChannelLimits(handshake_seconds=1)
     async with serve(echo, "127.0.0.1", 0, BOB, live, limits=limits) as server:
         stream = await call(server)
         assert await raw(server, b"\x0c\0\0") == b""
@@ -575,7 +577,7 @@ async def test_units_that_came_while_a_large_one_waited() -> None:
 
 
 async def test_a_unit_limit_below_what_is_joined() -> None:
-    limits = Limits(unit=10)
+    limits = ChannelLimits(unit=10)
     async with serve(echo, "127.0.0.1", 0, BOB, live, limits=limits) as server:
         stream = await connect("127.0.0.1", server.port, ALICE, live, limits=limits)
         for _ in range(5):
@@ -594,7 +596,7 @@ async def test_a_unit_limit_below_what_is_joined() -> None:
 
 
 async def test_a_peer_that_does_not_follow_a_renewal_ends_the_queue() -> None:
-    limits = Limits(records=1)
+    limits = ChannelLimits(records=1)
     async with serve(echo, "127.0.0.1", 0, BOB, live) as server:
         stream = await connect("127.0.0.1", server.port, ALICE, live, limits=limits)
         stream._driver.transport.pause_reading()
@@ -643,7 +645,7 @@ async def test_addresses_are_those_of_the_connection(server: SecureServer[FakeId
 
 
 async def test_keys_are_renewed_by_the_clock() -> None:
-    limits = Limits(seconds=1)
+    limits = ChannelLimits(seconds=1)
     async with serve(echo, "127.0.0.1", 0, BOB, live, limits=limits) as server:
         stream = await connect("127.0.0.1", server.port, ALICE, live, limits=limits)
         for _ in range(2):

@@ -3,10 +3,10 @@
 import gc
 import socket
 
-from rossec.net.halfopen import HalfOpen, HalfOpenCount, Place
+from rossec.net.halfopen import HalfOpen, HalfOpenCount, HalfOpenSlot
 
 
-def taken(count: HalfOpenCount, *addresses: str) -> tuple[list[Place], list[str]]:
+def taken(count: HalfOpenCount, *addresses: str) -> tuple[list[HalfOpenSlot], list[str]]:
     """A place from each address, and who was closed to make room, by the name `address-number`."""
     places, closed = [], []
     for number, address in enumerate(addresses):

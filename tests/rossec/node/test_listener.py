@@ -11,11 +11,11 @@ from ca.certificates import Identity
 from ca.encoding import encode
 from grants.model import Right
 from rossec.errors import ChannelError, PlainPeer
-from rossec.net.aio import Flavour, SecureStream, connect
+from rossec.net.aio import SecureStream, WireProtocol, connect
 from rossec.net.rpc.client import RpcClient
 from rossec.node import Node, listener
 from rossec.participant import accepted, slave_api
-from rossec.participant.slave_rights import QUESTIONS
+from rossec.participant.slave_rights import SLAVE_CALLS
 from rossec.ros import header
 from rossec.ros.settings import parse_uri
 from tests.support.site import Site
@@ -128,7 +128,7 @@ async def test_each_port_speaks_one_protocol(site: Site, robot: Node) -> None:
     credentials = site.enroll("/viewer").credentials()
     _, topic_port = robot.topic_endpoint()
     slave_port = int(robot.uri.rstrip("/").rpartition(":")[2])
-    for port, flavour in ((topic_port, Flavour.HTTP), (slave_port, Flavour.TCPROS)):
+    for port, flavour in ((topic_port, WireProtocol.HTTP), (slave_port, WireProtocol.TCPROS)):
         with pytest.raises(PlainPeer):
             await connect("127.0.0.1", port, credentials, site.anchor.verify, opening=flavour)
 
@@ -137,7 +137,7 @@ async def test_the_slave_api_answers_no_revoked_node(site: Site, robot: Node) ->
     credentials = site.enroll("/viewer").credentials()
     port = int(robot.uri.rstrip("/").rpartition(":")[2])
     dial = (credentials, site.anchor.verify)
-    stream = await connect("127.0.0.1", port, *dial, opening=Flavour.HTTP)
+    stream = await connect("127.0.0.1", port, *dial, opening=WireProtocol.HTTP)
     answer = await RpcClient(stream).call("requestTopic", "/viewer", "/t", [["TCPROS"]])
     assert isinstance(answer, list)
     assert answer[0] == 1
@@ -145,7 +145,7 @@ async def test_the_slave_api_answers_no_revoked_node(site: Site, robot: Node) ->
         "rossec.updateRevocations", site.revoke(site.identity("/viewer").thumbprint)
     )
     await ended(stream)
-    again = await connect("127.0.0.1", port, *dial, opening=Flavour.HTTP)
+    again = await connect("127.0.0.1", port, *dial, opening=WireProtocol.HTTP)
     answer = await RpcClient(again).call("requestTopic", "/viewer", "/t", [["TCPROS"]])
     assert isinstance(answer, list)
     assert (answer[0], "is revoked" in answer[1], answer[2]) == (-1, True, 0)
@@ -160,7 +160,7 @@ async def test_one_identity_holds_a_bounded_number_of_connections(
 
     async def met(name: str) -> SecureStream[Identity]:
         who = site.enroll(name).credentials(), site.anchor.verify
-        return await connect("127.0.0.1", port, *who, opening=Flavour.HTTP)
+        return await connect("127.0.0.1", port, *who, opening=WireProtocol.HTTP)
 
     callers = ["/viewer"] * 3 + ["/master"] * 4
     streams = [await met(name) for name in callers]
@@ -177,7 +177,7 @@ async def test_a_caller_that_stays_is_sent_away(
     credentials = site.enroll("/viewer").credentials()
     port = int(robot.uri.rstrip("/").rpartition(":")[2])
     dial = (credentials, site.anchor.verify)
-    await ended(await connect("127.0.0.1", port, *dial, opening=Flavour.HTTP))
+    await ended(await connect("127.0.0.1", port, *dial, opening=WireProtocol.HTTP))
 
 
 async def test_who_shows_the_right_may_ask_and_who_may_administer_ends_it(
@@ -190,7 +190,7 @@ async def test_who_shows_the_right_may_ask_and_who_may_administer_ends_it(
     stolen = site.grant("/viewer", Right.GRAPH | Right.ADMIN, "/robot")
     credentials = site.enroll("/operator").credentials()
     host, port = parse_uri(robot.uri)
-    stream = await connect(host, port, credentials, site.anchor.verify, opening=Flavour.HTTP)
+    stream = await connect(host, port, credentials, site.anchor.verify, opening=WireProtocol.HTTP)
     client = RpcClient(stream)
 
     async def ask(method: str, *params: object) -> object:
@@ -203,7 +203,7 @@ async def test_who_shows_the_right_may_ask_and_who_may_administer_ends_it(
         assert await ask("rossec.presentGrants", encode([*grants])) == 1
         assert await ask("getPid") == await ask("shutdown", "bye") == -1
     assert await ask("rossec.presentGrants", encode([sees])) == 1
-    for method, right in QUESTIONS.items():
+    for method, right in SLAVE_CALLS.items():
         if right is Right.GRAPH:
             assert await ask(method) == 1, method
     assert await client.call("getName", "/operator") == [1, "", "/robot"]

@@ -8,10 +8,10 @@ import pytest
 from grants.errors import MessageRefused
 from grants.filters import layout
 from rossec.errors import ChannelClosed, ConfigurationError, NodeShutdown
-from rossec.node.publisher import Publisher, SubscriberLink
+from rossec.node.publisher import Publisher, SubscriberConnection
 from rossec.participant.limit_memory import recall
 from rossec.participant.message_types import message_type
-from rossec.participant.topic_handshake import Endpoint
+from rossec.participant.topic_handshake import TopicEndpoint
 
 STRING = message_type("std_msgs/String")
 
@@ -57,7 +57,7 @@ def no_keys(name: str) -> bytes:
 def publisher(**options: Any) -> Publisher:
     shape = layout.parse(STRING.name, STRING.definition)
     return Publisher(
-        Endpoint("/t", STRING), shape, no_keys, recall("/robot"), **{"latch": False, **options}
+        TopicEndpoint("/t", STRING), shape, no_keys, recall("/robot"), **{"latch": False, **options}
     )
 
 
@@ -181,7 +181,7 @@ async def test_waiting_for_subscribers() -> None:
 
 async def test_a_batch_is_bounded() -> None:
     topic, stream = publisher(queue_size=100), Stream()
-    link = SubscriberLink(stream, decision(), Guard(), 100)  # type: ignore[arg-type]  # stand-ins
+    link = SubscriberConnection(stream, decision(), Guard(), 100)  # type: ignore[arg-type]  # stand-ins
     for _ in range(5):
         link.offer([bytes(100_000)])
     assert [len(link._next_batch()) for _ in range(2)] == [6, 4]

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from grants.model import Restriction, Right
-from rossec.errors import ChannelError, ServiceFailed, TopicRefused
+from rossec.errors import ChannelError, ConnectionHeaderRefused, ServiceFailed
 from rossec.node import Node
 from rossec.node import service as provider
 from tests.support.lamp import BOOL, LAMP, called, only, switch
@@ -132,7 +132,9 @@ async def test_conditions_and_filters_of_the_caller(site: Site, lamp: Node) -> N
         with pytest.raises(ServiceFailed, match="does not allow this response"):
             await shy.client(LAMP, BOOL)(data=True)
     async with site.node("/pose") as pose:
-        with pytest.raises(TopicRefused, match="restricted for messages of type std_srvs/Other"):
+        with pytest.raises(
+            ConnectionHeaderRefused, match="restricted for messages of type std_srvs/Other"
+        ):
             await pose.client(LAMP, BOOL)(data=True)
     async with site.node("/rare") as rare:
         client = rare.client(LAMP, BOOL, persistent=True)

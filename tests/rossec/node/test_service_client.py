@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from grants.model import Right
-from rossec.errors import ChannelError, MessageError, ServiceRefused, TopicRefused
+from rossec.errors import ChannelError, ConnectionHeaderRefused, MessageError, ServiceRefused
 from rossec.net.aio import SecureStream
 from rossec.node import Node
 from tests.support.lamp import BOOL, LAMP, called, only, switch
@@ -36,7 +36,7 @@ async def test_a_kept_connection(lamp: Node, hall: Node) -> None:
 
 async def test_types_must_agree(lamp: Node, hall: Node) -> None:
     await lamp.service(LAMP, BOOL, switch)
-    with pytest.raises(TopicRefused, match="has the checksum"):
+    with pytest.raises(ConnectionHeaderRefused, match="has the checksum"):
         await hall.client(LAMP, TRIGGER)()
     with pytest.raises(MessageError, match="unknown service type"):
         hall.client(LAMP, "std_srvs/SetBoool")

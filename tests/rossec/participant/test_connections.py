@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from ca.revocation.state import Revocations, Timestamp, digest
-from rossec.participant.connections import STALE_GRACE, why_cut
+from rossec.participant.connections import STALE_GRACE, termination_reason
 from tests.support.site import Site
 
 NOW = int(time.time())
@@ -37,48 +37,48 @@ def revocations(site: Site) -> Revocations:
 
 
 def test_a_link_in_order_lives(site: Site) -> None:
-    assert why_cut(Linked(), revocations(site), NOW) is None
+    assert termination_reason(Linked(), revocations(site), NOW) is None
 
 
 @pytest.mark.parametrize("late", [0, 1])
 def test_an_expired_one_is_cut_to_the_second(site: Site, late: int) -> None:
-    assert why_cut(Linked(ends=NOW), revocations(site), NOW - 1) is None
-    reason = why_cut(Linked(ends=NOW), revocations(site), NOW + late)
+    assert termination_reason(Linked(ends=NOW), revocations(site), NOW - 1) is None
+    reason = termination_reason(Linked(ends=NOW), revocations(site), NOW + late)
     assert reason == "its grant or its certificate has expired"
 
 
 @pytest.mark.parametrize("entry", [GRANT, KEY, ABOVE])
 def test_a_revoked_grant_or_key_cuts(site: Site, entry: bytes) -> None:
     site.authority.revoke(entry, "", NOW)
-    assert why_cut(Linked(), revocations(site), NOW) == f"{entry.hex()} is revoked"
+    assert termination_reason(Linked(), revocations(site), NOW) == f"{entry.hex()} is revoked"
 
 
 def test_silence_is_borne_for_a_while(site: Site) -> None:
     held = revocations(site)
     last = held.fresh_until + STALE_GRACE
-    assert why_cut(Linked(), held, last - 1) is None
-    assert "confirmation ran out" in (why_cut(Linked(), held, last) or "")
+    assert termination_reason(Linked(), held, last - 1) is None
+    assert "confirmation ran out" in (termination_reason(Linked(), held, last) or "")
 
 
 def test_without_any_list_nothing_lives(site: Site) -> None:
     never = Revocations(site.anchor.public_key)
-    assert why_cut(Linked(), never, NOW) is not None
+    assert termination_reason(Linked(), never, NOW) is not None
 
 
 def test_what_must_not_stop_outlives_silence_but_neither_revocation_nor_expiry(site: Site) -> None:
     never = Revocations(site.anchor.public_key)
     held = revocations(site)
     long_after = held.fresh_until + 10 * STALE_GRACE
-    assert why_cut(Linked(keep=True), never, NOW) is None
-    assert why_cut(Linked(ends=long_after + 1, keep=True), held, long_after) is None
-    assert why_cut(Linked(keep=True), held, NOW + 1000) is not None
+    assert termination_reason(Linked(keep=True), never, NOW) is None
+    assert termination_reason(Linked(ends=long_after + 1, keep=True), held, long_after) is None
+    assert termination_reason(Linked(keep=True), held, NOW + 1000) is not None
     site.authority.revoke(GRANT, "", NOW)
-    assert why_cut(Linked(ends=long_after + 1, keep=True), revocations(site), long_after) == (
-        f"{GRANT.hex()} is revoked"
-    )
+    assert termination_reason(
+        Linked(ends=long_after + 1, keep=True), revocations(site), long_after
+    ) == (f"{GRANT.hex()} is revoked")
 
 
 def test_a_revoked_grant_cuts_while_silence_is_still_borne(site: Site) -> None:
     site.authority.revoke(GRANT, "", NOW)
     held = revocations(site)
-    assert why_cut(Linked(), held, held.fresh_until + 1) == f"{GRANT.hex()} is revoked"
+    assert termination_reason(Linked(), held, held.fresh_until + 1) == f"{GRANT.hex()} is revoked"

@@ -8,7 +8,7 @@ import pytest
 from grants.decision import Decision
 from grants.errors import DefinitionRefused, RestrictionMismatch
 from grants.model import Restriction, Right
-from rossec.errors import TopicRefused
+from rossec.errors import ConnectionHeaderRefused
 from rossec.participant.definitions import (
     Definition,
     as_received,
@@ -64,7 +64,7 @@ def test_a_header_says_what_it_says() -> None:
     odd = from_header({**fields, "message_definition": b"# caf\xe9\nstring data"})
     with pytest.raises(DefinitionRefused, match="not text"):
         _ = odd.layout
-    with pytest.raises(TopicRefused, match="'md5sum'"):
+    with pytest.raises(ConnectionHeaderRefused, match="'md5sum'"):
         from_header({"type": b"*"})
 
 
@@ -88,14 +88,16 @@ def test_what_the_receivers_md5sum_proves_may_be_said_by_the_publisher() -> None
     lie = replace(WORD, definition="string[] data")
     assert as_received(undefined(WORD), lie, wanted, host) == WORD
     for own, said in ((undefined(WORD), lie), (ANY, WORD), (replace(ANY, name=WORD.name), WORD)):
-        with pytest.raises(TopicRefused, match="how this subscriber reads a std_msgs/String"):
+        with pytest.raises(
+            ConnectionHeaderRefused, match="how this subscriber reads a std_msgs/String"
+        ):
             as_received(own, said, wanted, nothing)
 
 
 def test_what_nobody_vouches_for_is_refused() -> None:
     other = replace(PATH, md5sum="0" * 32)
     for own, known in ((undefined(PATH), nothing), (ANY, nothing), (undefined(other), host)):
-        with pytest.raises(TopicRefused, match="is not known here") as caught:
+        with pytest.raises(ConnectionHeaderRefused, match="is not known here") as caught:
             as_received(own, FORGED, restricted(PATH.name), known)
         assert "ROS_PACKAGE_PATH" in str(caught.value.hint)
 
@@ -115,9 +117,9 @@ def test_a_sender_reads_by_its_own_unless_the_host_knows_better() -> None:
     assert as_sent(WORD, restricted(WORD.name), unasked) is WORD
     newer = Definition(PATH.name, "f" * 32, PATH.definition)
     assert as_sent(FORGED, wanted, lambda _: newer) is FORGED
-    with pytest.raises(TopicRefused, match="not the one this host knows"):
+    with pytest.raises(ConnectionHeaderRefused, match="not the one this host knows"):
         as_sent(FORGED, wanted, host)
-    with pytest.raises(TopicRefused, match="does not have the md5sum"):
+    with pytest.raises(ConnectionHeaderRefused, match="does not have the md5sum"):
         as_sent(newer, wanted, host)
 
 

@@ -13,7 +13,7 @@ from ca.keys.key_files import generate
 from ca.keys.signer import KeySigner
 from ca.store.record import Store
 from rossec.authority.renewals import renew, sign_intermediate
-from rossec.authority.signing import OpenAuthority
+from rossec.authority.signing import SigningAuthority
 from rossec.channel.edhoc.credentials import LiveCredentials
 from rossec.errors import AnswerMalformed, AnswerRefused
 from rossec.home import NodeHome
@@ -140,7 +140,7 @@ def test_a_master_that_renews_nothing(site: Site, caplog: pytest.LogCaptureFixtu
     assert "this master renews no identities" in caplog.text
 
 
-def below(site: Site) -> OpenAuthority:
+def below(site: Site) -> SigningAuthority:
     """The intermediate on the master's host."""
     signer = KeySigner(generate())
     request = build_intermediate_request(signer, site.anchor.domain)
@@ -148,7 +148,7 @@ def below(site: Site) -> OpenAuthority:
     der, root = from_pem(bundle)
     path = site.root / "below"
     path.mkdir()
-    return OpenAuthority(Authority(signer, root, der), Store.create(path / "ca.db"), path)
+    return SigningAuthority(Authority(signer, root, der), Store.create(path / "ca.db"), path)
 
 
 async def test_nodes_go_on_with_what_the_master_signed(site: Site) -> None:

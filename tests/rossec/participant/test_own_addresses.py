@@ -2,19 +2,19 @@
 
 import pytest
 
-from rossec.errors import TopicRefused
-from rossec.participant.own_addresses import OwnPlaces
+from rossec.errors import ConnectionHeaderRefused
+from rossec.participant.own_addresses import OwnAddresses
 
 
 @pytest.fixture
-def own() -> OwnPlaces:
-    own = OwnPlaces()
+def own() -> OwnAddresses:
+    own = OwnAddresses()
     own.listens("Robot.local", 4000)
     own.listens("Robot.local", 4001)
     return own
 
 
-def test_its_own_places(own: OwnPlaces) -> None:
+def test_its_own_places(own: OwnAddresses) -> None:
     assert own.is_own(("robot.LOCAL", 4001))
     assert own.dials_for(("robot.local", 4000)) is own.dials
     for other in ("robot.local", 4002), ("other", 4000), ("", 4000):
@@ -23,18 +23,18 @@ def test_its_own_places(own: OwnPlaces) -> None:
 
 
 def test_while_it_listens_nowhere() -> None:
-    assert not OwnPlaces().is_own(("", 0))
+    assert not OwnAddresses().is_own(("", 0))
 
 
 def test_ipv6_with_and_without_brackets() -> None:
-    own = OwnPlaces()
+    own = OwnAddresses()
     own.listens("[fd00::A]", 4000)
     assert own.is_own(("fd00::a", 4000))
 
 
-def test_nobody_else_leads_it_to_itself(own: OwnPlaces) -> None:
+def test_nobody_else_leads_it_to_itself(own: OwnAddresses) -> None:
     own.check_step(("other", 1), ("other", 2))
     own.check_step(("robot.local", 4000), ("robot.local", 4001))
     own.check_step(("robot.local", 4000), ("other", 1))
-    with pytest.raises(TopicRefused, match="at other port 1 sends this node to itself"):
+    with pytest.raises(ConnectionHeaderRefused, match="at other port 1 sends this node to itself"):
         own.check_step(("other", 1), ("robot.local", 4001))

@@ -7,7 +7,7 @@ import pytest
 
 from rossec import clock
 from rossec.clock import Clock
-from rossec.participant.publisher_grace import GRACE, NamedPublishers
+from rossec.participant.publisher_grace import GRACE, PublisherGrace
 from tests.support.site import Site
 
 A, B, C = "http://a/", "http://b/", "http://c/"
@@ -19,7 +19,7 @@ class Told:
 
     def __init__(self) -> None:
         self.now = 100.0
-        self.named = NamedPublishers(lambda: self.now)
+        self.named = PublisherGrace(lambda: self.now)
         assert self.named.are(T, [A, B]) == [A, B]
 
 

@@ -12,7 +12,7 @@ from ca.revocation.state import Revocations, Timestamp, digest
 from ca.revocation.tree import Listing, RevocationTree, sign_tree
 from grants.model import Right
 from rossec.errors import AnswerMalformed
-from rossec.participant.connections import STALE_GRACE, why_cut
+from rossec.participant.connections import STALE_GRACE, termination_reason
 from rossec.participant.revocation_proofs import AT_ONCE, METHOD, prove, prove_blocking
 from tests.rossec.node.test_node import POSE, first, pose, tell_master, until
 from tests.rossec.participant.test_connections import Linked
@@ -79,11 +79,11 @@ def test_without_proof_nothing_is_known(held: Revocations, said: object) -> None
 def test_a_link_lives_as_long_without_a_proof_as_without_news(held: Revocations) -> None:
     now = int(time.time())
     last = held.known_until(b"g" * 16) + STALE_GRACE
-    assert why_cut(Linked(ends=last + 99), held, now) is None
+    assert termination_reason(Linked(ends=last + 99), held, now) is None
     assert held.held is not None
     held.confirm(Timestamp(1, digest(held.data), last, 30), last)  # news go on, proofs do not
-    assert why_cut(Linked(ends=last + 99), held, last - 1) is None
-    assert "no proof" in (why_cut(Linked(ends=last + 99), held, last) or "")
+    assert termination_reason(Linked(ends=last + 99), held, last - 1) is None
+    assert "no proof" in (termination_reason(Linked(ends=last + 99), held, last) or "")
 
 
 @pytest.fixture

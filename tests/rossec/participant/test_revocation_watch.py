@@ -9,7 +9,7 @@ from ca.errors import RevocationsStale
 from ca.revocation.state import Revocations, Timestamp, digest
 from rossec import clock
 from rossec.clock import Clock
-from rossec.participant.revocation_watch import Watch
+from rossec.participant.revocation_watch import ConnectionWatchdog
 from tests.support.site import Site
 from tests.support.witness import until
 
@@ -43,7 +43,7 @@ async def test_an_expired_link_is_cut_once_however_long_it_lingers(
         return (link,)
 
     async with asyncio.TaskGroup() as group:
-        watching = group.create_task(Watch(revocations, links, door).run())
+        watching = group.create_task(ConnectionWatchdog(revocations, links, door).run())
         await until(lambda: link.cuts)
         for _ in range(1000):
             await asyncio.sleep(0)
@@ -66,7 +66,7 @@ def test_after_a_clock_that_went_back_news_are_waited_for(
     held.confirm(news, now)
     door: Any = SimpleNamespace(cut=lambda _: None)
     link = Linked(ends=now + 3600)
-    watch = Watch(held, lambda: (link,), door)
+    watch = ConnectionWatchdog(held, lambda: (link,), door)
     watch.look(now)
     held.check_fresh(now)
     shows -= 3600

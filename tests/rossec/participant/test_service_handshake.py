@@ -7,7 +7,7 @@ from ca.certificates import Identity
 from ca.revocation.state import Revocations, Timestamp, digest
 from grants.errors import GrantMissing
 from grants.model import Right
-from rossec.errors import CallerMismatch, TopicRefused
+from rossec.errors import CallerMismatch, ConnectionHeaderRefused
 from rossec.participant import service_handshake
 from rossec.participant.access import Access
 from rossec.participant.header_fields import Fields
@@ -89,19 +89,19 @@ def test_names_are_those_of_the_certificates(pair: Pair) -> None:
 
 
 def test_a_refusal_is_passed_on(pair: Pair) -> None:
-    with pytest.raises(TopicRefused, match=r"^/door refuses: closed$"):
+    with pytest.raises(ConnectionHeaderRefused, match=r"^/door refuses: closed$"):
         pair.admit_door({"error": b"closed"})
 
 
 def test_a_header_without_a_service(pair: Pair) -> None:
     question = pair.question()
     del question["service"]
-    with pytest.raises(TopicRefused, match="'service'"):
+    with pytest.raises(ConnectionHeaderRefused, match="'service'"):
         pair.admit_hall(question)
 
 
 def test_headers_of_both_sides_fit_each_other(pair: Pair) -> None:
-    kind = service_handshake.Expected("std_srvs/SetBool", "09fb03525b03e7ea1fd3992bafd87e16")
+    kind = service_handshake.ExpectedService("std_srvs/SetBool", "09fb03525b03e7ea1fd3992bafd87e16")
     asked = service_handshake.client_header(
         "/hall", SERVICE, kind, pair.hall_access, NOW, persistent=True
     )
@@ -136,7 +136,9 @@ def test_flags_as_stock_clients_write_them(value: bytes, means: bool) -> None:
 
 def test_checksums_must_agree() -> None:
     service_handshake.check_md5({"md5sum": b"a"}, SERVICE, "*")
-    with pytest.raises(TopicRefused, match="/door/open has the checksum b here, a at the peer"):
+    with pytest.raises(
+        ConnectionHeaderRefused, match="/door/open has the checksum b here, a at the peer"
+    ):
         service_handshake.check_md5({"md5sum": b"a"}, SERVICE, "b")
-    with pytest.raises(TopicRefused, match="has no 'md5sum'"):
+    with pytest.raises(ConnectionHeaderRefused, match="has no 'md5sum'"):
         service_handshake.check_md5({}, SERVICE, "b")

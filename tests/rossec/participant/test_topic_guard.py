@@ -7,7 +7,7 @@ import pytest
 
 from grants.errors import RestrictionMismatch
 from grants.model import Restriction, Right, filter_rules
-from rossec.errors import TopicRefused
+from rossec.errors import ConnectionHeaderRefused
 from rossec.participant.definitions import Definition
 from rossec.participant.limit_memory import recall
 from rossec.participant.topic_guard import guard_for
@@ -58,7 +58,7 @@ def test_what_only_counts_or_looks_at_the_clock_needs_no_definition(stage: Stage
 
 def test_what_cannot_be_told_is_refused(stage: Stage) -> None:
     restricted = decision(stage, Restriction("std_msgs/String", ("true",)))
-    with pytest.raises(TopicRefused, match="does not have the md5sum"):
+    with pytest.raises(ConnectionHeaderRefused, match="does not have the md5sum"):
         guard_for(
             Definition(WORD.name, WORD.md5sum, "int32 data"), restricted, keyed, recall("/viewer")
         )

@@ -7,16 +7,16 @@ import pytest
 from ca.certificates import Identity
 from ca.revocation.state import Revocations, Timestamp, digest
 from grants.errors import GrantMissing
-from rossec.errors import CallerMismatch, TopicRefused
+from rossec.errors import CallerMismatch, ConnectionHeaderRefused
 from rossec.participant import topic_handshake
 from rossec.participant.access import Access
 from rossec.participant.header_fields import Fields
 from rossec.participant.message_types import message_type
-from rossec.participant.topic_handshake import Endpoint
+from rossec.participant.topic_handshake import TopicEndpoint
 from tests.support.site import Site
 
 NOW = int(time.time())
-ENDPOINT = Endpoint("/robot/pose", message_type("geometry_msgs/PoseStamped"))
+ENDPOINT = TopicEndpoint("/robot/pose", message_type("geometry_msgs/PoseStamped"))
 
 
 class Pair:
@@ -103,7 +103,7 @@ def test_a_header_that_is_not_in_order(
     del fields[key]
     if value is not None:
         fields[key] = value
-    with pytest.raises(TopicRefused, match=said):
+    with pytest.raises(ConnectionHeaderRefused, match=said):
         pair.admit_viewer(fields)
 
 
@@ -120,14 +120,14 @@ def test_a_publisher_must_prove_its_right_too(pair: Pair) -> None:
 
 
 def test_a_publisher_must_answer_what_was_asked(pair: Pair) -> None:
-    with pytest.raises(TopicRefused, match="another topic"):
+    with pytest.raises(ConnectionHeaderRefused, match="another topic"):
         pair.admit_robot(pair.answer() | {"topic": b"/robot/camera"})
 
 
 def test_an_error_of_the_publisher_is_quoted_on_one_line(pair: Pair) -> None:
-    with pytest.raises(TopicRefused, match=r"^/robot refuses: no \[2J way$"):
+    with pytest.raises(ConnectionHeaderRefused, match=r"^/robot refuses: no \[2J way$"):
         pair.admit_robot({"error": b"no\x1b[2J\nway"})
-    with pytest.raises(TopicRefused, match="is not text"):
+    with pytest.raises(ConnectionHeaderRefused, match="is not text"):
         pair.admit_robot({"error": b"\xff"})
 
 
@@ -146,7 +146,7 @@ def test_types_are_compared_as_in_ros(pair: Pair, change: Fields, fits: bool) ->
     if fits:
         topic_handshake.check_type(fields, ENDPOINT.expected)
         return
-    with pytest.raises(TopicRefused, match="the peer expects") as caught:
+    with pytest.raises(ConnectionHeaderRefused, match="the peer expects") as caught:
         topic_handshake.check_type(fields, ENDPOINT.expected)
     assert "same version" in caught.value.hint
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from rossec.errors import SettingsRefused
+from rossec.errors import ConfigurationError
 from rossec.ros.settings import Settings, build_uri, is_loopback, parse_uri, read
 
 
@@ -84,13 +84,13 @@ def test_arguments_beat_the_environment() -> None:
 def test_refusals_teach(
     argv: tuple[str, ...], environ: dict[str, str], message: str, hint: str
 ) -> None:
-    with pytest.raises(SettingsRefused, match=message) as refused:
+    with pytest.raises(ConfigurationError, match=message) as refused:
         settings(*argv, **environ)
     assert hint in refused.value.hint
 
 
 def test_parse_uri_names_what_it_read() -> None:
-    with pytest.raises(SettingsRefused, match="node uri"):
+    with pytest.raises(ConfigurationError, match="node uri"):
         parse_uri("x", "node uri")
 
 
@@ -107,7 +107,7 @@ def test_what_only_this_host_can_reach(address: str, alone: bool) -> None:
 
 def test_the_uri_of_a_service() -> None:
     assert parse_uri("rosrpc://[::1]:4000", scheme="rosrpc") == ("::1", 4000)
-    with pytest.raises(SettingsRefused, match="does not begin with rosrpc://") as refused:
+    with pytest.raises(ConfigurationError, match="does not begin with rosrpc://") as refused:
         parse_uri("http://localhost:1", scheme="rosrpc")
     assert "rosrpc://localhost" in refused.value.hint
 

@@ -7,11 +7,11 @@ from typing import TypeVar
 from ca.certificates import Identity
 from ca.revocation.state import Revocations, Timestamp, digest
 from rossec.participant.access import Access
-from rossec.participant.publisher_grace import NamedPublishers
+from rossec.participant.publisher_grace import PublisherGrace
 from rossec.sidecar.core.commands import Command
-from rossec.sidecar.core.endpoints import Doors
+from rossec.sidecar.core.endpoints import EndpointMap
 from rossec.sidecar.core.events import Event
-from rossec.sidecar.core.layers import Tenant
+from rossec.sidecar.core.layers import AgentState
 from rossec.sidecar.host_types import known_type
 from tests.support.site import Site
 
@@ -49,13 +49,13 @@ class Stage:
 
     def __post_init__(self) -> None:
         self.site.enroll(self.name, wildcard=self.wildcard)
-        self.tenant = Tenant(
+        self.tenant = AgentState(
             self.identity(self.name),
             self.access(self.name),
-            Doors(HOST),
+            EndpointMap(HOST),
             MASTER_URI,
             known_type,
-            NamedPublishers(lambda: self.time),
+            PublisherGrace(lambda: self.time),
         )
 
     def identity(self, name: str) -> Identity:

@@ -7,7 +7,7 @@ import struct
 from collections.abc import AsyncIterator, Collection
 from typing import Self
 
-from rossec.channel.opening import Flavour
+from rossec.channel.opening import WireProtocol
 from rossec.net.aio.dial import dial
 from rossec.net.rpc.client import RpcClient, serve_calls
 from rossec.participant.header_fields import Fields
@@ -89,12 +89,12 @@ class Program:
         assert isinstance(answer, list)
         assert answer[0] == 1, answer
         _, host, port = answer[2]
-        place = Endpoint(Flavour.TCPROS, host, port)
+        place = Endpoint(WireProtocol.TCPROS, host, port)
         return await self.meet(place, {"topic": topic.encode(), "type": b"*", "md5sum": b"*"})
 
     async def call(self, uri: object, service: str) -> tuple[PlainStream, Fields]:
         """Connect to a service."""
-        place = endpoint(uri, Flavour.TCPROS)
+        place = endpoint(uri, WireProtocol.TCPROS)
         assert place is not None
         return await self.meet(place, {"service": service.encode(), "md5sum": b"*"})
 

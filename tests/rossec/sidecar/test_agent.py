@@ -4,7 +4,7 @@ import time
 
 import pytest
 
-from rossec.channel.opening import Flavour
+from rossec.channel.opening import WireProtocol
 from rossec.clock import Clock
 from rossec.errors import RossecError
 from rossec.sidecar.core.endpoints import Endpoint, inside
@@ -67,12 +67,12 @@ async def test_old_doors_make_room(pair: Pair, monkeypatch: pytest.MonkeyPatch) 
         agent = (pair.near if name == "/talker" else pair.far)._agent_for(name)
         for table in (agent._exports.doorways, agent._imports.doorways):
             monkeypatch.setattr(table, "_limit", 4)
-        far = [Endpoint(Flavour.TCPROS, "127.0.0.9", port) for port in range(1, 9)]
+        far = [Endpoint(WireProtocol.TCPROS, "127.0.0.9", port) for port in range(1, 9)]
         ports = [agent.tenant.doors.opened_inside(place, agent.bring(place)).port for place in far]
-        assert agent.tenant.doors.peer_behind(inside(Flavour.TCPROS, ports[-1])) == far[-1]
-        assert agent.tenant.doors.peer_behind(inside(Flavour.TCPROS, ports[0])) is None
+        assert agent.tenant.doors.peer_behind(inside(WireProtocol.TCPROS, ports[-1])) == far[-1]
+        assert agent.tenant.doors.peer_behind(inside(WireProtocol.TCPROS, ports[0])) is None
         for port in range(1, 9):
-            agent.export(inside(Flavour.HTTP, port))
+            agent.export(inside(WireProtocol.HTTP, port))
         assert len(list(agent._exports.doorways)) == len(list(agent._imports.doorways)) == 4
     await source.send(word("still"))
     assert await heard(stream, len(word("still"))) == word("still")

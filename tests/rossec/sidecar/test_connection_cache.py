@@ -5,13 +5,13 @@ from typing import Any
 
 import pytest
 
-from rossec.channel.opening import Flavour
+from rossec.channel.opening import WireProtocol
 from rossec.sidecar import connection_cache
-from rossec.sidecar.connection_cache import Kept
+from rossec.sidecar.connection_cache import ConnectionCache
 from rossec.sidecar.core.endpoints import Endpoint
 from tests.support.witness import until
 
-PLACE = Endpoint(Flavour.HTTP, "10.0.0.7", 6000)
+PLACE = Endpoint(WireProtocol.HTTP, "10.0.0.7", 6000)
 
 
 class Kind:
@@ -26,7 +26,7 @@ class Kind:
 
 
 async def test_for_one_caller_alone() -> None:
-    shelf, one = Kept(), Kind()
+    shelf, one = ConnectionCache(), Kind()
     shelf.keep(PLACE, _as(one))
     assert shelf.take(PLACE) == _as(one)
     assert shelf.take(PLACE) is None
@@ -35,7 +35,7 @@ async def test_for_one_caller_alone() -> None:
 
 
 async def test_the_older_one_is_let_go() -> None:
-    shelf, old, new = Kept(), Kind(), Kind()
+    shelf, old, new = ConnectionCache(), Kind(), Kind()
     shelf.keep(PLACE, _as(old))
     shelf.keep(PLACE, _as(new))
     await until(lambda: old.closed)
@@ -46,7 +46,7 @@ async def test_the_older_one_is_let_go() -> None:
 
 async def test_for_a_moment(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(connection_cache, "_KEEP", 0.0)
-    shelf, one, other = Kept(), Kind(), Kind()
+    shelf, one, other = ConnectionCache(), Kind(), Kind()
     shelf.keep(PLACE, _as(one))
     await until(lambda: one.closed)
     assert shelf.take(PLACE) is None

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from ca.certificates import Identity
-from rossec.channel.opening import Flavour
+from rossec.channel.opening import WireProtocol
 from rossec.errors import HangUp
 from rossec.net.aio import SecureStream
 from rossec.sidecar import loopback_port
@@ -41,8 +41,8 @@ async def test_whoever_answers_is_judged_before_it_is_spoken_to(site: Site) -> N
         robot, viewer = near._agent_for("/robot"), near._agent_for("/viewer")
         await begun(near, "/robot")
         await begun(near, "/viewer")
-        server = robot._network.listen(nothing, "127.0.0.1", Flavour.HTTP)
-        place = Endpoint(Flavour.HTTP, "127.0.0.1", server.port)
+        server = robot._network.listen(nothing, "127.0.0.1", WireProtocol.HTTP)
+        place = Endpoint(WireProtocol.HTTP, "127.0.0.1", server.port)
         stream = await viewer.dial(place)
         assert stream.peer.name == "/robot"
         stream.abort("enough")
@@ -64,9 +64,9 @@ async def test_a_port_that_is_taken_meanwhile(site: Site, monkeypatch: pytest.Mo
         )
         async with sidecar(site) as near:
             robot = near._agent_for("/robot")._network
-            server = robot.listen(nothing, "127.0.0.1", Flavour.HTTP)
+            server = robot.listen(nothing, "127.0.0.1", WireProtocol.HTTP)
             assert server.port != taken.getsockname()[1]
             await server.close()
             monkeypatch.setattr(loopback_port, "free_port", lambda: taken.getsockname()[1])
             with pytest.raises(OSError, match="in use"):
-                robot.listen(nothing, "127.0.0.1", Flavour.HTTP)
+                robot.listen(nothing, "127.0.0.1", WireProtocol.HTTP)

@@ -7,20 +7,20 @@ import pytest
 
 from ca.certificates import Identity
 from grants.model import Right
-from rossec.channel.opening import Flavour
+from rossec.channel.opening import WireProtocol
 from rossec.errors import PeerUnreachable
 from rossec.net.aio import SecureStream
 from rossec.ros.xmlrpc import Fault
 from rossec.sidecar import executor as visits
-from rossec.sidecar.core.commands import AskMaster, AskRemote, Import, Knock
+from rossec.sidecar.core.commands import AskMaster, AskRemote, OpenEgress, Probe
 from rossec.sidecar.core.endpoints import Endpoint, inside
-from rossec.sidecar.core.events import Event, Opened, Silent
+from rossec.sidecar.core.events import Event, NoAnswer, Opened
 from rossec.sidecar.core.layers import Layer
-from rossec.sidecar.executor import Correspondent, Visit
+from rossec.sidecar.executor import CommandExecutor, SlaveApiClient
 from rossec.sidecar.loopback_port import free_port
 from tests.rossec.sidecar.program import ANYBODY
 
-PEER = Endpoint(Flavour.HTTP, "10.0.0.7", 6000)
+PEER = Endpoint(WireProtocol.HTTP, "10.0.0.7", 6000)
 
 
 class House:
@@ -46,10 +46,10 @@ class House:
         self.closed.append(remote)
         return 1
 
-    def keep(self, remote: Endpoint, correspondent: Correspondent) -> None:
+    def keep(self, remote: Endpoint, correspondent: SlaveApiClient) -> None:
         raise AssertionError(remote)
 
-    def kept(self, remote: Endpoint) -> Correspondent | None:
+    def kept(self, remote: Endpoint) -> SlaveApiClient | None:
         return None
 
     async def dial(self, remote: Endpoint) -> SecureStream[Identity]:
@@ -74,7 +74,7 @@ def asking(command: Any) -> Layer[Event]:
 
 
 async def outcome(house: House, command: Any) -> Event:
-    visit = Visit(house)
+    visit = CommandExecutor(house)
     try:
         return await visit.run(asking(command))
     finally:
@@ -91,7 +91,7 @@ async def test_a_fault_is_given_to_the_layer() -> None:
 
     house = House()
     house.answer = Fault(1, "no such method")
-    assert await Visit(house).run(multicall()) == "no such method"
+    assert await CommandExecutor(house).run(multicall()) == "no such method"
     with pytest.raises(Fault):
         await outcome(house, AskMaster("odd", ()))
 
@@ -99,16 +99,16 @@ async def test_a_fault_is_given_to_the_layer() -> None:
 async def test_a_peer_out_of_reach_has_its_door_shut() -> None:
     house = House()
     event = await outcome(house, AskRemote(PEER, "getPid", ("/robot",), Right.GRAPH))
-    assert isinstance(event, Silent)
+    assert isinstance(event, NoAnswer)
     assert not event.dead
     assert house.closed == [PEER]
-    assert await outcome(house, Import(PEER, probe=True)) == Opened(1)
-    assert await outcome(house, Import(PEER)) == Opened(PEER.port)
+    assert await outcome(house, OpenEgress(PEER, probe=True)) == Opened(1)
+    assert await outcome(house, OpenEgress(PEER)) == Opened(PEER.port)
 
 
 async def test_a_program_that_does_not_listen_is_dead() -> None:
-    event = await outcome(House(), Knock(inside(Flavour.HTTP, free_port())))
-    assert isinstance(event, Silent)
+    event = await outcome(House(), Probe(inside(WireProtocol.HTTP, free_port())))
+    assert isinstance(event, NoAnswer)
     assert event.dead
 
 
@@ -117,4 +117,4 @@ async def test_who_does_not_answer_in_time_is_silent(monkeypatch: pytest.MonkeyP
     house = House()
     house.answer = asyncio.Event().wait
     event = await outcome(house, AskMaster("getPid", ("/robot",)))
-    assert event == Silent("no answer in time")
+    assert event == NoAnswer("no answer in time")

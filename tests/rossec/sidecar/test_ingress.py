@@ -5,7 +5,7 @@ import asyncio
 import pytest
 
 from grants.model import Restriction, Right, filter_rules
-from rossec.channel.opening import Flavour
+from rossec.channel.opening import WireProtocol
 from rossec.errors import RossecError
 from rossec.net.aio.dial import dial
 from rossec.net.rpc.client import RpcClient
@@ -96,7 +96,7 @@ async def test_a_program_that_died_is_refused_as_a_dead_node_is(pair: Pair) -> N
         await dial(*parse_uri(again[2]), 10)
 
 
-async def door(pair: Pair, flavour: Flavour) -> tuple[Agent, Endpoint]:
+async def door(pair: Pair, flavour: WireProtocol) -> tuple[Agent, Endpoint]:
     """The listener's identity, and where peers meet the talker."""
     await connect(pair)
     exports = pair.near._agent_for("/talker")._exports.doorways
@@ -105,7 +105,7 @@ async def door(pair: Pair, flavour: Flavour) -> tuple[Agent, Endpoint]:
 
 
 async def test_a_subscriber_that_says_more_than_its_header_is_cut(pair: Pair) -> None:
-    agent, place = await door(pair, Flavour.TCPROS)
+    agent, place = await door(pair, WireProtocol.TCPROS)
     asked = {"callerid": b"/listener", "topic": b"/word", "type": b"*", "md5sum": b"*"}
     proof = {FIELD: agent.proof(Right.SUBSCRIBE, "/word")}
     for fields, more in ((asked | proof, b"more"), (asked, b"")):
@@ -118,7 +118,7 @@ async def test_a_subscriber_that_says_more_than_its_header_is_cut(pair: Pair) ->
 
 
 async def test_what_is_for_the_master_alone(pair: Pair) -> None:
-    agent, place = await door(pair, Flavour.HTTP)
+    agent, place = await door(pair, WireProtocol.HTTP)
     client = RpcClient(await agent.dial(place))
     params = ("/master", b"list", b"timestamp")
     answer = await client.call("rossec.revocationUpdate", *params)

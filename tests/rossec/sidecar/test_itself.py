@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from grants.model import Right
-from rossec.channel.opening import Flavour
+from rossec.channel.opening import WireProtocol
 from rossec.sidecar.core.endpoints import endpoint
 from tests.rossec.sidecar.program import Program, sidecar, word
 from tests.support.site import Site
@@ -39,7 +39,7 @@ async def call(program: Program) -> bytes:
     """What the service echoes, through the door that the master's answer leads to."""
     found = await program.ask(program.master_uri, "lookupService", SERVICE)
     assert isinstance(found, list)
-    place = endpoint(found[2], Flavour.TCPROS)
+    place = endpoint(found[2], WireProtocol.TCPROS)
     assert place is not None
     assert place.port != program.topics.port, "around the channel, and around what its grants say"
     stream, answer = await program.call(found[2], SERVICE)

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from grants.model import Right
-from rossec.channel.opening import Flavour
+from rossec.channel.opening import WireProtocol
 from rossec.errors import HangUp, RossecError
 from rossec.sidecar.core.endpoints import Endpoint, inside
 from tests.rossec.sidecar.conversation import Pair, connect, ends, heard
@@ -120,7 +120,9 @@ async def test_a_dead_program_does_not_come_back_in_the_place_of_its_successor(
             stream.abort("a cable is pulled")
         await until(lambda: "/talker: connected to the master again" in caplog.text, within=30)
         place = Endpoint(
-            Flavour.HTTP, "127.0.0.1", agent.export(inside(Flavour.HTTP, successor.slave.port))
+            WireProtocol.HTTP,
+            "127.0.0.1",
+            agent.export(inside(WireProtocol.HTTP, successor.slave.port)),
         )
         assert await agent.ask_master("lookupNode", ("/talker", "/talker")) == [
             1,

@@ -10,7 +10,7 @@ from grants.errors import GrantExpired
 from grants.model import Right
 from rossec.clock import Clock
 from rossec.errors import HangUp
-from rossec.sidecar.peer_connections import Links
+from rossec.sidecar.peer_connections import PeerConnections
 from tests.rossec.sidecar.playbook import Stage
 from tests.support.site import Site
 
@@ -26,7 +26,7 @@ class Ends:
         self.reasons.append(reason)
 
 
-def setting(site: Site) -> tuple[Links, Any, Any]:
+def setting(site: Site) -> tuple[PeerConnections, Any, Any]:
     """The links of /robot, a connection of /viewer, and why it was admitted a moment ago."""
     stage = Stage(site)
     site.subscribe("/viewer", "/word")
@@ -35,7 +35,7 @@ def setting(site: Site) -> tuple[Links, Any, Any]:
     decision = access.authorize(
         stage.identity("/viewer"), shown, Right.SUBSCRIBE, "/word", site.now()
     )
-    return Links(access._revocations), Ends(stage), decision
+    return PeerConnections(access._revocations), Ends(stage), decision
 
 
 def test_a_link_is_known_while_it_lives(stage: Stage) -> None:

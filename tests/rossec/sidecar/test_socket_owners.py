@@ -9,13 +9,13 @@ import pytest
 from rossec.net.host import peeruid
 from rossec.sidecar import processes, socket_owners
 from rossec.sidecar.processes import Process
-from rossec.sidecar.socket_owners import Holders
+from rossec.sidecar.socket_owners import SocketOwners
 from tests.rossec.sidecar.manyprograms import programs
 
 
 @pytest.fixture
-def ours() -> Holders:
-    return Holders(os.getpid())
+def ours() -> SocketOwners:
+    return SocketOwners(os.getpid())
 
 
 @pytest.fixture
@@ -33,7 +33,7 @@ def searches(monkeypatch: pytest.MonkeyPatch) -> list[None]:
 
 
 async def test_those_who_wait_share_a_search(
-    ours: Holders, searches: list[None], monkeypatch: pytest.MonkeyPatch
+    ours: SocketOwners, searches: list[None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(socket_owners, "_TURN", 0.0)  # a fast search would end before the next asks
     with programs(4) as several:
@@ -47,16 +47,18 @@ async def test_those_who_wait_share_a_search(
             end.close()
 
 
-async def test_the_socket_of_another_program_is_searched_for_and_not_found(ours: Holders) -> None:
+async def test_the_socket_of_another_program_is_searched_for_and_not_found(
+    ours: SocketOwners,
+) -> None:
     with programs() as one, one.connection(0) as end:
         inode = peeruid.holder_of(end).inode
-        assert not await Holders(one.running[0].pid).have(inode)  # it is not its own child
+        assert not await SocketOwners(one.running[0].pid).have(inode)  # it is not its own child
         assert await ours.have(inode)
         assert not await ours.have(os.fstat(end.fileno()).st_ino)
         assert not await ours.have(0)
 
 
-async def test_what_is_remembered_is_read_again(ours: Holders, searches: list[None]) -> None:
+async def test_what_is_remembered_is_read_again(ours: SocketOwners, searches: list[None]) -> None:
     """The next connection takes the descriptor of one that was closed."""
     with programs() as one:
         with one.connection(0) as end:
@@ -70,7 +72,7 @@ async def test_what_is_remembered_is_read_again(ours: Holders, searches: list[No
 
 
 async def test_a_number_that_is_given_again_proves_nothing(
-    ours: Holders, monkeypatch: pytest.MonkeyPatch
+    ours: SocketOwners, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with programs() as one, one.connection(0) as end:
         inode = peeruid.holder_of(end).inode
@@ -83,7 +85,7 @@ async def test_a_number_that_is_given_again_proves_nothing(
 
 
 async def test_a_number_given_again_while_it_is_read_proves_nothing(
-    ours: Holders, monkeypatch: pytest.MonkeyPatch
+    ours: SocketOwners, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Before, it is the process that was found; afterwards another one is."""
     with programs() as one, one.connection(0) as end:
@@ -103,7 +105,7 @@ async def test_a_number_given_again_while_it_is_read_proves_nothing(
 
 
 async def test_who_gives_up_takes_nobody_along(
-    ours: Holders, monkeypatch: pytest.MonkeyPatch
+    ours: SocketOwners, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(socket_owners, "_TURN", 0.0)  # it gives way after each descriptor
     with programs(2, files=20) as two, two.connection(0) as one, two.connection(1) as other:
@@ -117,7 +119,7 @@ async def test_who_gives_up_takes_nobody_along(
 
 
 async def test_what_is_remembered_is_bounded(
-    ours: Holders, monkeypatch: pytest.MonkeyPatch, searches: list[None]
+    ours: SocketOwners, monkeypatch: pytest.MonkeyPatch, searches: list[None]
 ) -> None:
     monkeypatch.setattr(socket_owners, "_REMEMBERED", 1)
     with programs() as one, one.connection(0) as end, one.connection(0) as other:

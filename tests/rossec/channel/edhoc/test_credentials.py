@@ -9,7 +9,7 @@ from rossec.channel.edhoc.credentials import (
     x5chain,
 )
 from rossec.channel.edhoc.suites import verify_es256
-from rossec.errors import HandshakeFailed, UnknownCredential
+from rossec.errors import HandshakeFailed, PeerCredentialUnknown
 from tests.support.wire import ALICE, BOB
 
 
@@ -53,7 +53,7 @@ def test_the_short_way_to_id_cred(id_cred: Value) -> None:
 
 
 def test_a_reference_is_unknown_where_none_is_kept() -> None:
-    with pytest.raises(UnknownCredential):
+    with pytest.raises(PeerCredentialUnknown):
         x5chain({34: [-15, b"12345678"]})
 
 

@@ -12,7 +12,7 @@ from ca.encoding import Value, decode_sequence, encode
 from ca.errors import CAError
 from rossec.channel.edhoc.handshake import Initiator, Responder, WrongSuite
 from rossec.channel.edhoc.messages import Message1, decode_bytes, decode_message_1, decode_plaintext
-from rossec.channel.edhoc.peer import Party
+from rossec.channel.edhoc.peer import EdhocConfig
 from rossec.channel.edhoc.suites import SUITES
 from rossec.errors import HandshakeFailed, IdentityRefused
 from tests.support.wire import ALICE, BOB, NOW, FakeIdentity, dice, node, trust
@@ -54,9 +54,9 @@ class TraceCredential:
         return self._key.sign(message)
 
 
-def trace_party(own: str, secret: str) -> Party[TraceIdentity]:
+def trace_party(own: str, secret: str) -> EdhocConfig[TraceIdentity]:
     credentials = [TraceCredential("I"), TraceCredential("R")]
-    return Party(
+    return EdhocConfig(
         TraceCredential(own),
         lambda chain, _: next(c.identity for c in credentials if c.certificate == chain[0]),
         lambda _: value(secret),
@@ -114,7 +114,7 @@ def _decode(vector: dict[str, str], data: bytes) -> None:
         decode_bytes(data)
     elif "low order" in vector["under"]:
         low_order = decode_message_1(data).g_x
-        responder = Responder(Party(BOB, trust, dice("r"), suites=(0,)))
+        responder = Responder(EdhocConfig(BOB, trust, dice("r"), suites=(0,)))
         responder.message_1(Message1(0, (0,), low_order, b"").encode())
     else:
         decode_message_1(data)
@@ -126,8 +126,8 @@ def _decode(vector: dict[str, str], data: bytes) -> None:
 
 def pair(**options: Any) -> tuple[Initiator[FakeIdentity], Responder[FakeIdentity]]:
     return (
-        Initiator(Party(ALICE, trust, dice("i"), **options)),
-        Responder(Party(BOB, trust, dice("r"), **options)),
+        Initiator(EdhocConfig(ALICE, trust, dice("i"), **options)),
+        Responder(EdhocConfig(BOB, trust, dice("r"), **options)),
     )
 
 
@@ -183,7 +183,7 @@ def test_a_chain_that_does_not_fit_into_message_2() -> None:
     long = node("/long")
     heavy = type(long)(long.signer, (long.chain[0], b"x" * 7000, b"y" * 2000))
     initiator, _ = pair()
-    responder = Responder(Party(heavy, trust, dice("r")))
+    responder = Responder(EdhocConfig(heavy, trust, dice("r")))
     with pytest.raises(HandshakeFailed, match="too long") as caught:
         responder.message_1(initiator.message_1())
     assert "8160" in caught.value.hint
@@ -197,8 +197,8 @@ def test_a_chain_of_two_travels_whole() -> None:
         return trust(chain, now)
 
     two = type(BOB)(BOB.signer, (BOB.chain[0], b"intermediate"))
-    initiator = Initiator(Party(ALICE, remember, dice("i")))
-    responder = Responder(Party(two, trust, dice("r")))
+    initiator = Initiator(EdhocConfig(ALICE, remember, dice("i")))
+    responder = Responder(EdhocConfig(two, trust, dice("r")))
     initiator.message_2(responder.message_1(initiator.message_1()), NOW)
     assert chains == [two.chain]
 
@@ -206,7 +206,7 @@ def test_a_chain_of_two_travels_whole() -> None:
 def test_a_foreign_signature_is_refused() -> None:
     impostor = type(BOB)(ALICE.signer, BOB.chain)
     initiator, _ = pair()
-    message_2 = Responder(Party(impostor, trust, dice("r"))).message_1(initiator.message_1())
+    message_2 = Responder(EdhocConfig(impostor, trust, dice("r"))).message_1(initiator.message_1())
     with pytest.raises(HandshakeFailed, match="signature does not verify"):
         initiator.message_2(message_2, NOW)
 
@@ -215,7 +215,7 @@ def test_a_refused_certificate_keeps_its_reason_and_hint() -> None:
     def refuse(chain: tuple[bytes, ...], now: int) -> FakeIdentity:
         raise CAError("expired", "renew it")
 
-    initiator = Initiator(Party(ALICE, refuse, dice("i")))
+    initiator = Initiator(EdhocConfig(ALICE, refuse, dice("i")))
     _, responder = pair()
     with pytest.raises(IdentityRefused, match="expired") as caught:
         initiator.message_2(responder.message_1(initiator.message_1()), NOW)
@@ -224,8 +224,8 @@ def test_a_refused_certificate_keeps_its_reason_and_hint() -> None:
 
 def test_an_unknown_extension_is_ignored_and_covered_by_the_signature() -> None:
     ead = encode(40) + encode(b"value") + encode(0)
-    initiator = Initiator(Party(ALICE, trust, dice("i"), ead=ead))
-    responder = Responder(Party(BOB, trust, dice("r"), ead=ead))
+    initiator = Initiator(EdhocConfig(ALICE, trust, dice("i"), ead=ead))
+    responder = Responder(EdhocConfig(BOB, trust, dice("r"), ead=ead))
     message_3, _ = initiator.message_2(responder.message_1(initiator.message_1()), NOW)
     message_4, _ = responder.message_3(message_3, NOW)
     initiator.message_4(message_4)
@@ -237,7 +237,7 @@ def test_a_critical_unknown_extension_ends_the_handshake(ead: bytes) -> None:
     with pytest.raises(HandshakeFailed, match="critical"):
         responder.message_1(initiator.message_1() + ead)
     _, responder = pair()
-    loud = Initiator(Party(ALICE, trust, dice("i"), ead=ead))
+    loud = Initiator(EdhocConfig(ALICE, trust, dice("i"), ead=ead))
     message_3, _ = loud.message_2(responder.message_1(loud.message_1()), NOW)
     with pytest.raises(HandshakeFailed, match="critical"):
         responder.message_3(message_3, NOW)
@@ -258,14 +258,14 @@ def test_a_critical_unknown_extension_ends_the_handshake(ead: bytes) -> None:
 def test_the_responder_insists_on_the_first_suite_it_uses(
     offered: tuple[int, ...], supported: tuple[int, ...], told: tuple[int, ...]
 ) -> None:
-    responder = Responder(Party(BOB, trust, dice("r"), suites=supported))
+    responder = Responder(EdhocConfig(BOB, trust, dice("r"), suites=supported))
     with pytest.raises(WrongSuite) as caught:
         responder.message_1(Message1(0, offered, b"\x09" * 32, b"").encode())
     assert caught.value.suites == told
 
 
 def test_a_retry_has_the_whole_list_and_a_new_key() -> None:
-    first = Initiator(Party(ALICE, trust, dice("i"), suites=(4, 6)))
+    first = Initiator(EdhocConfig(ALICE, trust, dice("i"), suites=(4, 6)))
     second = first.after_wrong_suite((6,))
     before, after = map(decode_message_1, (first.message_1(), second.message_1()))
     assert before.suites == (4,)
@@ -275,7 +275,7 @@ def test_a_retry_has_the_whole_list_and_a_new_key() -> None:
 
 @pytest.mark.parametrize("offered", [(), (4,), (99,)])
 def test_no_retry_below_policy(offered: tuple[int, ...]) -> None:
-    first = Initiator(Party(ALICE, trust, dice("i"), suites=(4, 6)))
+    first = Initiator(EdhocConfig(ALICE, trust, dice("i"), suites=(4, 6)))
     with pytest.raises(HandshakeFailed, match="no cipher suite"):
         first.after_wrong_suite(offered)
 

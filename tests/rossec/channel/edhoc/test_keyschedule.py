@@ -3,7 +3,7 @@ from cryptography.hazmat.primitives import hashes
 from cryptography.hazmat.primitives.kdf.hkdf import HKDF, HKDFExpand
 
 from ca.encoding import encode
-from rossec.channel.edhoc.keyschedule import Exporter, Secret, bstr, extract, kdf
+from rossec.channel.edhoc.keyschedule import EdhocExporter, Secret, bstr, extract, kdf
 
 
 @pytest.mark.parametrize("length", [0, 1, 23, 24, 255, 256, 65535, 65536])
@@ -30,7 +30,7 @@ def test_kdf_has_the_info_of_the_rfc() -> None:
 
 
 def test_an_exporter_says_nothing_and_updates_to_another() -> None:
-    exporter = Exporter(b"k" * 32)
+    exporter = EdhocExporter(b"k" * 32)
     assert repr(exporter) == "Exporter(...)"
     assert exporter.update(b"") == exporter.update(b"")
     assert exporter.update(b"a") != exporter.update(b"b")

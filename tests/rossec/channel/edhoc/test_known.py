@@ -2,14 +2,14 @@ import pytest
 
 from rossec.channel.edhoc import known
 from rossec.channel.edhoc.known import KnownCertificates, reference
-from rossec.errors import HandshakeFailed, UnknownCredential
+from rossec.errors import HandshakeFailed, PeerCredentialUnknown
 
 CHAIN = (b"certificate", b"intermediate")
 
 
 def test_a_reference_finds_what_was_remembered() -> None:
     memory = KnownCertificates()
-    with pytest.raises(UnknownCredential):
+    with pytest.raises(PeerCredentialUnknown):
         memory.find(reference(CHAIN[0]))
     memory.remember(CHAIN)
     memory.remember(CHAIN)
@@ -30,7 +30,7 @@ def test_a_hash_that_two_certificates_share_finds_neither(monkeypatch: pytest.Mo
     memory = KnownCertificates()
     for chain in (CHAIN, (b"other",), CHAIN):
         memory.remember(chain)
-    with pytest.raises(UnknownCredential):
+    with pytest.raises(PeerCredentialUnknown):
         memory.find(reference(CHAIN[0]))
 
 
@@ -41,7 +41,7 @@ def test_the_memory_is_bounded() -> None:
         memory.introduce(certificate)
         memory.visit(("host", certificate[0]))
     assert len(memory) == 2
-    with pytest.raises(UnknownCredential):
+    with pytest.raises(PeerCredentialUnknown):
         memory.find(reference(b"a"))
     assert [memory.is_introduced(c) for c in (b"a", b"b", b"c")] == [False, True, True]
     assert [memory.was_at(("host", c)) for c in b"abc"] == [False, True, True]

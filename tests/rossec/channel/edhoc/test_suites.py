@@ -9,7 +9,7 @@ from cryptography.hazmat.primitives.asymmetric import ec, ed25519
 from rossec.channel.connection import Connection
 from rossec.channel.edhoc.credentials import Credentials
 from rossec.channel.edhoc.suites import HYBRID, POST_QUANTUM, PRODUCTION, SUITES
-from rossec.channel.states import State
+from rossec.channel.states import ConnectionState
 from rossec.errors import HandshakeFailed
 from tests.support.wire import NOT_AFTER, NOW, dice
 
@@ -103,6 +103,6 @@ def test_suite_4_from_the_opening_to_a_record() -> None:
     for _ in range(2):
         right.receive_data(left.data_to_send(), NOW)
         left.receive_data(right.data_to_send(), NOW)
-    assert left.state is State.OPEN
+    assert left.state is ConnectionState.OPEN
     left.send_unit(b"x" * 300_000)
     assert len(right.receive_data(left.data_to_send(), NOW)) == 1

@@ -5,7 +5,7 @@ import pytest
 
 from ca.certificates import from_pem
 from ca.enrollment import qr
-from ca.store.lifecycle import State
+from ca.store.lifecycle import RequestState
 from rossec.authority.home import AuthorityHome
 from tests.support.commands import Said, Shell, refused
 from tests.support.enrolling import Robot, WaitingRobot
@@ -23,7 +23,7 @@ def enroll(shell: Shell, robot: WaitingRobot, *more: str) -> Said:
     return shell.unlocked("ca", "enroll", robot.code, "--yes", *more)
 
 
-def states(shell: Shell) -> list[State]:
+def states(shell: Shell) -> list[RequestState]:
     rows = AuthorityHome.at(shell.root).store().requests.all()
     return [row.state for row in rows if row.name != "/ca"]
 
@@ -44,7 +44,7 @@ def test_a_node_is_enrolled_by_its_code(shell: Shell, host: str) -> None:
     assert lines[5] == f"digits {trusted.digits[:3]} {trusted.digits[3:]}"
     assert lines[-1] == "enrolled /robot1/camera"
     assert trusted.root == AuthorityHome.at(shell.root).anchor().certificate
-    assert states(shell) == [State.ISSUED]
+    assert states(shell) == [RequestState.ISSUED]
 
 
 def test_what_the_policy_holds_ready_is_shown(shell: Shell) -> None:
@@ -84,12 +84,12 @@ def test_the_answer_counts(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> Non
         monkeypatch.setattr("sys.stdin", io.StringIO(""))
         said = shell.unlocked(*asked)
         assert "there was no answer, nothing was done" in said.err
-        assert states(shell) == [State.PENDING]
+        assert states(shell) == [RequestState.PENDING]
         monkeypatch.setattr("sys.stdin", io.StringIO("n\n"))
         said = shell.unlocked(*asked)
         assert said.code == 1
         assert "rossec: error: denied\n" in said.err
-        assert states(shell) == [State.DENIED]
+        assert states(shell) == [RequestState.DENIED]
         refused(shell.unlocked(*asked), "is denied", "new request")
     assert robot.trusted == []
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from rossec.authority import intermediate_home
-from rossec.authority.local_list import NearAuthority
+from rossec.authority.local_list import LocalList
 from rossec.authority.renewals import sign_intermediate
 from rossec.cli.master.group import JsonLines
 from tests.support.commands import Shell, refused
@@ -66,7 +66,7 @@ def test_the_host_of_an_intermediate_has_no_list_of_its_own(shell: Shell) -> Non
     request = intermediate_home.begin(shell.root, "home", "secret").read_bytes()
     _, bundle = sign_intermediate(site.authority, request, site.now(), may_enroll=False)
     intermediate_home.install(shell.root, bundle, "secret", site.now())
-    assert NearAuthority(shell.root).newest() is None
+    assert LocalList(shell.root).newest() is None
     refused(shell("master"), "/master has no ca.pem", "rossec node request /master")
 
 

@@ -13,8 +13,7 @@ import pytest
 
 from ca.certificates import from_pem
 from ca.enrollment import qr
-from ca.enrollment.authority import AuthorityEnrollment
-from ca.enrollment.authority import State as AuthorityState
+from ca.enrollment.authority import AuthorityEnrollment, AuthorityState
 from ca.errors import HintedError
 from rossec.cli.main import run
 from rossec.enrollment import address, authority, control

@@ -2,12 +2,12 @@
 
 import pytest
 
-from rossec.master.api.methods import Request
+from rossec.master.api.methods import CallRequest
 from tests.rossec.master.fakes import caller
 
 
 def test_what_a_check_returned_is_what_a_handler_reads() -> None:
-    request = Request(caller("/a"), ("/a", b"bytes"), 0)
+    request = CallRequest(caller("/a"), ("/a", b"bytes"), 0)
     assert request.binary(1) == b"bytes"
     with pytest.raises(TypeError):
         request.text(1)

@@ -8,7 +8,7 @@ import pytest
 
 from grants.model import Right
 from rossec.master.api.dispatch import MasterApi
-from rossec.master.api.methods import CallRefused, Denied
+from rossec.master.api.methods import CallDenied, Denied
 from rossec.master.api.multicall import (
     MULTICALL_ANSWER,
     MULTICALL_LIMIT,
@@ -121,7 +121,7 @@ def test_refusals_are_told_one_by_one_also_within_a_multicall(api: MasterApi) ->
         element("setParam", "/a", "/x", 1), element("getUri", "/victim"), element("getUri", "/a"),
     ]  # fmt: skip
     events = api.call("system.multicall", [calls], who, 0).events
-    refused = [event for event in events if isinstance(event, CallRefused)]
+    refused = [event for event in events if isinstance(event, CallDenied)]
     assert [(event.node, event.method) for event in refused] == [
         ("/a", "setParam"), ("/a", "getUri"),
     ]  # fmt: skip

@@ -9,7 +9,7 @@ from rossec.master.api import parameter_calls
 from rossec.master.api.dispatch import MasterApi
 from rossec.master.api.methods import MasterEvent, ParameterChanged, ParameterKept
 from rossec.master.rights.access_rules import LOOKS_AT_ONCE, Caller
-from rossec.master.state.parameter_journal import Change
+from rossec.master.state.parameter_journal import ParameterChange
 from rossec.master.state.registry import NodeRef, Registry
 from rossec.ros.xmlrpc import BODY_LIMIT, Fault
 from tests.rossec.master.fakes import FakeStatements, caller, everything
@@ -42,8 +42,8 @@ def test_every_change_is_to_be_kept_and_nothing_else(api: MasterApi) -> None:
         outcome = api.call(method, ("/a", *params), everything("/a"), 0)
         return [event for event in outcome.events if isinstance(event, ParameterKept)]
 
-    assert kept("setParam", "k", 1) == [ParameterKept(Change("/k", 1))]
-    assert kept("deleteParam", "k") == [ParameterKept(Change("/k", deleted=True))]
+    assert kept("setParam", "k", 1) == [ParameterKept(ParameterChange("/k", 1))]
+    assert kept("deleteParam", "k") == [ParameterKept(ParameterChange("/k", deleted=True))]
     assert kept("deleteParam", "k") == kept("setParam", "/", 1) == kept("getParam", "k") == []
 
 

@@ -7,8 +7,8 @@ from rossec.master.api.revoked_calls import (
     CALLS,
     MOST,
     MOST_BELOW,
-    Hearers,
     RevokedCalls,
+    RevokedConnections,
     answer_revoked,
 )
 from rossec.master.api.statement_calls import PROOF_LIMIT
@@ -57,7 +57,7 @@ def test_everything_else_ends_the_connection(method: str, params: tuple[object, 
 
 
 def test_each_identity_has_a_share_and_so_has_all_that_is_below_one_intermediate() -> None:
-    hearers, one = Hearers(), (b"one", b"above")
+    hearers, one = RevokedConnections(), (b"one", b"above")
     assert [hearers.admit(one) for _ in range(MOST + 1)] == [True] * MOST + [False]
     others = [(b"%d" % number, b"above") for number in range(MOST_BELOW)]
     assert sum(map(hearers.admit, others)) == MOST_BELOW - MOST

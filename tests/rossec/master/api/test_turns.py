@@ -2,13 +2,13 @@
 
 import pytest
 
-from rossec.master.api.turns import TURN, Outcome, Turns, Work, advance, finished, never
+from rossec.master.api.turns import TURN, CallOutcome, Turns, Work, advance, finished, never
 
 
 def work(steps: int) -> Work:
     for _ in range(steps):
         yield
-    return Outcome(steps)
+    return CallOutcome(steps)
 
 
 def test_a_turn_ends_by_the_clock() -> None:
@@ -23,9 +23,9 @@ def test_a_turn_ends_by_the_clock() -> None:
 
 def test_work_goes_on_where_it_was_left() -> None:
     left = work(3)
-    assert [advance(left, lambda: True) for _ in range(4)] == [None, None, None, Outcome(3)]
-    assert advance(work(3), never) == Outcome(3)
-    assert finished(work(0)) == finished(work(0)) == Outcome(0)
+    assert [advance(left, lambda: True) for _ in range(4)] == [None, None, None, CallOutcome(3)]
+    assert advance(work(3), never) == CallOutcome(3)
+    assert finished(work(0)) == finished(work(0)) == CallOutcome(0)
 
 
 def test_what_work_raises_is_raised() -> None:

@@ -6,7 +6,7 @@ import pytest
 
 from rossec.errors import ConfigurationError
 from rossec.master.operation.config import Config, load, parse
-from rossec.master.operation.limits import Limits
+from rossec.master.operation.limits import MasterLimits
 
 FULL = """
 port: 11312
@@ -25,7 +25,7 @@ limits:
 def test_everything_can_be_said() -> None:
     assert parse(FULL, "m.yaml") == Config(
         port=11312, log="json", audit=False, admin=True, announce=True, metrics=9311,
-        complaints=Path("/tmp/complaints"), limits=Limits(body=65536, idle_seconds=60),
+        complaints=Path("/tmp/complaints"), limits=MasterLimits(body=65536, idle_seconds=60),
     )  # fmt: skip
 
 

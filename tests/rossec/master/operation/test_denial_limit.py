@@ -6,13 +6,13 @@ from collections.abc import Mapping
 import pytest
 
 from rossec.master.operation.audit import LEFT_OUT
-from rossec.master.operation.denial_limit import DENIALS, MOST_NODES, Throttle
+from rossec.master.operation.denial_limit import DENIALS, MOST_NODES, DenialRateLimit
 
 
 class Lines:
     def __init__(self) -> None:
         self.now = 1000.0
-        self.throttle = Throttle(lambda: self.now)
+        self.throttle = DenialRateLimit(lambda: self.now)
 
     def __call__(self, node: object) -> bool:
         self.last = logging.makeLogRecord({"msg": "%s may not", "args": (node,)})

@@ -7,13 +7,13 @@ from grants.model import Right
 from grants.policy.learn import from_log
 from rossec.errors import RossecError
 from rossec.master.operation import denial_log
-from rossec.master.operation.denial_log import ComplainLog
+from rossec.master.operation.denial_log import DenialLog
 from tests.support.site import Site
 
 
 def test_what_is_written_can_be_learnt_from(tmp_path: Path) -> None:
     path = tmp_path / "complaints"
-    log = ComplainLog(path)
+    log = DenialLog(path)
     log(7, "/arm", Right.CALL, "/gripper/close")
     log(8, "/arm", Right.CALL, "/gripper/close")
     log(9, "/arm", Right.PARAM_GET, "/arm/speed")
@@ -33,7 +33,7 @@ def test_a_restart_appends_and_a_flood_ends(
     monkeypatch.setattr(denial_log, "MAX_LINES", 1)
     monkeypatch.setattr(denial_log, "SHARE", 2)
     for _ in range(2):
-        log = ComplainLog(tmp_path / "complaints")
+        log = DenialLog(tmp_path / "complaints")
         for number in range(10):
             log(7, "/eve", Right.SUBSCRIBE, f"/flood{number}")
         log.close()
@@ -43,7 +43,7 @@ def test_a_restart_appends_and_a_flood_ends(
 def test_no_node_uses_up_what_is_anothers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(denial_log, "MAX_LINES", 5)
     monkeypatch.setattr(denial_log, "SHARE", 3)
-    log = ComplainLog(tmp_path / "complaints")
+    log = DenialLog(tmp_path / "complaints")
     for node, lines in (("/eve", 99), ("/mallory", 99), ("/robot", 3)):
         for number in range(lines):
             log(7, node, Right.SUBSCRIBE, f"/t{number}")

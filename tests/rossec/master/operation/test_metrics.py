@@ -11,14 +11,14 @@ import pytest
 
 from rossec.errors import ConfigurationError
 from rossec.master.operation import metrics
-from rossec.master.operation.metrics import Exporter, of_loop
+from rossec.master.operation.metrics import MetricsExporter, of_loop
 
 STATUS = {"calls": 5, "denials": 2, "nodes": 3, "registrations": 9, "connections": 4,
           "revocation_number": 7}  # fmt: skip
 
 
 def test_they_are_served_on_loopback() -> None:
-    exporter = Exporter(lambda: STATUS, 0)
+    exporter = MetricsExporter(lambda: STATUS, 0)
     try:
         with urllib.request.urlopen(
             f"http://127.0.0.1:{exporter.port}/metrics", timeout=10
@@ -34,7 +34,7 @@ def test_they_are_served_on_loopback() -> None:
 def test_callers_that_say_nothing_are_few(monkeypatch: pytest.MonkeyPatch) -> None:
     """Anybody on the host can connect: each one was a thread and a descriptor for ever."""
     monkeypatch.setattr(metrics._Handler, "timeout", 1.0)
-    exporter = Exporter(lambda: STATUS, 0)
+    exporter = MetricsExporter(lambda: STATUS, 0)
     silent: list[socket.socket] = []
     place = "127.0.0.1", exporter.port
     try:
@@ -56,7 +56,7 @@ def test_callers_that_say_nothing_are_few(monkeypatch: pytest.MonkeyPatch) -> No
 def test_without_the_package_the_operator_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "prometheus_client", None)
     with pytest.raises(ConfigurationError, match="prometheus-client") as caught:
-        Exporter(lambda: STATUS, 0)
+        MetricsExporter(lambda: STATUS, 0)
     assert "pip install" in caught.value.hint
 
 
@@ -64,7 +64,7 @@ def test_a_taken_port_is_said() -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         with pytest.raises(ConfigurationError, match=f"on port {port}: address already in use"):
-            Exporter(lambda: STATUS, port)
+            MetricsExporter(lambda: STATUS, port)
 
 
 async def test_the_loop_is_asked_so_that_nothing_changes_meanwhile() -> None:

@@ -6,8 +6,8 @@ import pytest
 
 from grants.model import Right
 from rossec.master.api.dispatch import MasterApi
-from rossec.master.api.methods import CallRefused, Denied
-from rossec.master.rights.access_rules import RULES, Caller, Gatekeeper, Refused, Scope, require
+from rossec.master.api.methods import CallDenied, Denied
+from rossec.master.rights.access_rules import RULES, AccessControl, Caller, Refused, Scope, require
 from rossec.master.state.registry import Registry
 from tests.rossec.master.fakes import ALL, FakeStatements, anonymous, caller, everything
 
@@ -45,7 +45,7 @@ def test_every_rule_that_names_or_reaches_something_has_a_right() -> None:
 
 def test_a_method_without_a_rule_is_refused() -> None:
     with pytest.raises(Refused, match="no rule"):
-        Gatekeeper(Registry(), "/master").check("newMethod", everything("/a"), ("/a",))
+        AccessControl(Registry(), "/master").check("newMethod", everything("/a"), ("/a",))
 
 
 @pytest.mark.parametrize(
@@ -143,7 +143,7 @@ def test_m2_m3_m4_nobody_acts_under_another_name(
 ) -> None:
     before = ask(api, everything("/victim"), "getSystemState", "/victim")
     outcome = api.call(method, ("/victim", *params), caller("/eve", BUT_ADMIN), 0)
-    assert [type(event) for event in outcome.events] == [CallRefused]
+    assert [type(event) for event in outcome.events] == [CallDenied]
     assert isinstance(outcome.answer, list)
     assert outcome.answer[0] == -1
     assert "belongs to /eve" in outcome.answer[1]

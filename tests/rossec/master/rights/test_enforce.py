@@ -4,7 +4,7 @@ import pytest
 
 from grants.model import Right
 from rossec.master.api.methods import MasterEvent
-from rossec.master.rights.enforce import BATCH, Step, enforce, steps
+from rossec.master.rights.enforce import BATCH, EnforcementStep, enforce, steps
 from rossec.master.state.registry import Kind, NodeRef, PublishersChanged, Registry
 from tests.rossec.master.fakes import FakeStatements, caller
 
@@ -84,7 +84,9 @@ def test_a_step_is_small_and_judges_what_is_there_when_it_is_taken() -> None:
     first, second = steps(state)
     assert (len(first.keys), len(second.keys)) == (BATCH, 1)
     nobody = FakeStatements()
-    assert enforce(state, nobody, Step(A._replace(uri="http://h:9/"), *first[1:]), 0) == []
+    assert (
+        enforce(state, nobody, EnforcementStep(A._replace(uri="http://h:9/"), *first[1:]), 0) == []
+    )
     assert len(state.keys_of("/a", Kind.PUBLISHER)) == BATCH + 1
     nothing = FakeStatements({"/a": caller("/a")})
     assert len(enforce(state, nothing, second, 0)) == 1

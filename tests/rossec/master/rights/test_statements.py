@@ -16,7 +16,7 @@ from grants.renewal import open_delegation
 from rossec.master.rights import statements as module
 from rossec.master.rights.access_rules import Caller
 from rossec.master.rights.presented_grants import FAILURES_WITHIN, MAX_FAILURES, MAX_HELD
-from rossec.master.rights.statements import Trust
+from rossec.master.rights.statements import TrustState
 from rossec.master.state.registry import NodeRef
 from tests.support.authority import DAY, Site
 
@@ -28,7 +28,7 @@ class World:
         self.master = self.site.enroll("/master")
         self.node = self.site.enroll("/node")
         self.persisted: list[bytes] = []
-        self.trust = Trust(
+        self.trust = TrustState(
             self.site.anchor,
             self.master.credentials.signer,
             self.site.revocations(),
@@ -125,7 +125,7 @@ def test_a_revoked_grant_ends_at_once(world: World) -> None:
 def test_a_list_that_came_by_another_way_counts_at_once_too() -> None:
     site = Site()
     node, revocations = site.enroll("/node"), site.revocations()
-    trust = Trust(
+    trust = TrustState(
         site.anchor, site.enroll("/master").credentials.signer, revocations, lambda _: None
     )
     token = site.grant(node, {"/t": Right.PUBLISH})
@@ -384,7 +384,7 @@ def test_a_tree_takes_the_place_of_the_list(world: World) -> None:
 def test_the_entries_of_a_tree_are_on_the_disk_before_it(world: World) -> None:
     """A master that dies between the two finds entries for no tree: a tree alone knows nothing."""
     order: list[bytes] = []
-    world.trust = Trust(
+    world.trust = TrustState(
         world.site.anchor, world.master.credentials.signer, world.site.revocations(),
         order.append, persist_entries=order.append,
     )  # fmt: skip

@@ -2,17 +2,17 @@
 
 import asyncio
 
-from rossec.master.server.graph_news import News
+from rossec.master.server.graph_news import GraphNews
 
 
-async def waits(news: News) -> "asyncio.Task[None]":
+async def waits(news: GraphNews) -> "asyncio.Task[None]":
     task = asyncio.ensure_future(news.wait(60))
     await asyncio.sleep(0)
     return task
 
 
 async def test_a_change_wakes_everybody_who_waits() -> None:
-    news = News()
+    news = GraphNews()
     news.tell(1)
     tasks = [await waits(news) for _ in range(2)]
     news.tell(1)  # nothing new
@@ -24,7 +24,7 @@ async def test_a_change_wakes_everybody_who_waits() -> None:
 
 
 async def test_what_is_no_change_of_state_may_be_news_as_well() -> None:
-    news = News()
+    news = GraphNews()
     task = await waits(news)
     news.tell()
     async with asyncio.timeout(30):
@@ -33,4 +33,4 @@ async def test_what_is_no_change_of_state_may_be_news_as_well() -> None:
 
 async def test_without_news_the_wait_ends() -> None:
     async with asyncio.timeout(30):
-        await News().wait(0.01)
+        await GraphNews().wait(0.01)

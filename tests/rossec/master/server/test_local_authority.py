@@ -4,7 +4,7 @@ import pytest
 
 from ca.errors import RevocationRefused
 from rossec.errors import ConfigurationError
-from rossec.master.server.local_authority import Nearby, nothing
+from rossec.master.server.local_authority import LocalAuthority, nothing
 from tests.rossec.master.fakes import FakeStatements
 
 
@@ -13,7 +13,7 @@ class Found:
         self.there: tuple[bytes, bytes] | Exception | None = None
         self.statements = FakeStatements()
         self.changes = 0
-        self.nearby = Nearby(self.find, self.statements, self.changed)
+        self.nearby = LocalAuthority(self.find, self.statements, self.changed)
 
     def find(self) -> tuple[bytes, bytes] | None:
         if isinstance(self.there, Exception):
@@ -37,7 +37,7 @@ def test_what_is_newer_is_taken() -> None:
 
 def test_without_an_authority_nothing_is_ever_taken() -> None:
     found = Found()
-    Nearby(nothing, found.statements, found.changed).look(7)
+    LocalAuthority(nothing, found.statements, found.changed).look(7)
     assert (found.changes, found.statements.lists) == (0, [])
 
 

@@ -9,7 +9,7 @@ import pytest
 from rossec.errors import NotWritten
 from rossec.master.server import parameter_file as module
 from rossec.master.server.parameter_file import ParameterFile
-from rossec.master.state.parameter_journal import MAGIC, Change, decode
+from rossec.master.state.parameter_journal import MAGIC, ParameterChange, decode
 from tests.rossec.test_files import no_room
 
 
@@ -26,30 +26,30 @@ def opened(path: Path) -> ParameterFile:
 
 def change(memory: ParameterFile, key: str, value: object) -> None:
     memory.parameters.set(key, value)
-    memory.write(Change(key, value))
+    memory.write(ParameterChange(key, value))
 
 
 def test_a_change_survives_without_a_close(path: Path) -> None:
     memory = opened(path)
-    memory.write(Change("/a", 1))
+    memory.write(ParameterChange("/a", 1))
     again = opened(path)
     assert again.parameters.get("/") == {"a": 1}
     assert stat.S_IMODE(path.stat().st_mode) == 0o600
     memory.close()
     again.close()
-    memory.write(Change("/b", 1))  # closed: nothing happens
+    memory.write(ParameterChange("/b", 1))  # closed: nothing happens
     memory.close()
     assert opened(path).parameters.get("/") == {"a": 1}
 
 
 def test_a_torn_end_is_cut_off_and_kept_aside(path: Path, caplog: pytest.LogCaptureFixture) -> None:
     memory = opened(path)
-    memory.write(Change("/a", 1))
+    memory.write(ParameterChange("/a", 1))
     memory.close()
     whole = path.read_bytes()
     path.write_bytes(whole + whole[len(MAGIC) : -3])
     memory = opened(path)
-    memory.write(Change("/b", 2))
+    memory.write(ParameterChange("/b", 2))
     assert opened(path).parameters.get("/") == {"a": 1, "b": 2}
     assert "damaged" in caplog.text
     assert path.with_suffix(".damaged").read_bytes().startswith(whole)
@@ -60,11 +60,11 @@ def test_it_is_rewritten_when_it_has_grown(path: Path, monkeypatch: pytest.Monke
     memory = opened(path)
     for number in range(100):
         memory.parameters.set("/a", number)
-        memory.write(Change("/a", number))
+        memory.write(ParameterChange("/a", number))
     assert len(decode(path.read_bytes())[0]) == 100
     memory.sync()
-    assert decode(path.read_bytes())[0] == [Change("/a", 99)]
-    memory.write(Change("/b", 1))
+    assert decode(path.read_bytes())[0] == [ParameterChange("/a", 99)]
+    memory.write(ParameterChange("/b", 1))
     memory.sync()
     memory.sync()
     assert opened(path).parameters.get("/") == {"a": 99, "b": 1}

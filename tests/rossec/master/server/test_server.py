@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from rossec.errors import AnswerRefused
-from rossec.master.operation.limits import Limits
+from rossec.master.operation.limits import MasterLimits
 from rossec.master.server.server import PEER_CONNECTIONS
 from rossec.net.aio import SecureStream
 from rossec.net.rpc.client import serve_calls
@@ -105,7 +105,7 @@ async def test_the_limits_of_a_call_are_those_of_the_configuration(
         await serve_calls(*args, **limits)
 
     monkeypatch.setattr("rossec.master.server.server.serve_calls", note)
-    world.server._limits = Limits(body=5000, request_seconds=7, idle_seconds=8)
+    world.server._limits = MasterLimits(body=5000, request_seconds=7, idle_seconds=8)
     client = await world.call_as(world.site.enroll("/node"))
     assert isinstance(await client.ask("getPid", "/node"), int)
     assert given == [{"limit": 5000, "request_deadline": 7, "idle_deadline": 8}]

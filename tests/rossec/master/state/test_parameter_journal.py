@@ -5,15 +5,22 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rossec.errors import XmlRpcRefused
-from rossec.master.state.parameter_journal import MAGIC, Change, decode, encode, replay, snapshot
+from rossec.master.state.parameter_journal import (
+    MAGIC,
+    ParameterChange,
+    decode,
+    encode,
+    replay,
+    snapshot,
+)
 from rossec.master.state.parameters import Parameters
 from rossec.ros import xmlrpc
 
 CHANGES = [
-    Change("/a", 1),
-    Change("/b/c", {"d": [True, 2.5, "caf\u00e9"], "e": b"\0"}),
-    Change("/a", deleted=True),
-    Change("/", {"x": 1}),
+    ParameterChange("/a", 1),
+    ParameterChange("/b/c", {"d": [True, 2.5, "caf\u00e9"], "e": b"\0"}),
+    ParameterChange("/a", deleted=True),
+    ParameterChange("/", {"x": 1}),
 ]
 WHOLE = MAGIC + b"".join(map(encode, CHANGES))
 
@@ -59,7 +66,9 @@ def test_anything_else_ends_the_journal(call: bytes) -> None:
 
 def test_replay_and_snapshot_lead_to_the_same() -> None:
     parameters, again = Parameters(), Parameters()
-    replay(parameters, [*CHANGES[:2], Change("/none", deleted=True), Change("/", 5)])
+    replay(
+        parameters, [*CHANGES[:2], ParameterChange("/none", deleted=True), ParameterChange("/", 5)]
+    )
     assert parameters.get("/") == {"a": 1, "b": {"c": CHANGES[1].value}}
     replay(again, decode(snapshot(parameters))[0])
     assert again.get("/") == parameters.get("/")
@@ -68,4 +77,4 @@ def test_replay_and_snapshot_lead_to_the_same() -> None:
 
 def test_what_no_client_can_set_cannot_be_written() -> None:
     with pytest.raises(XmlRpcRefused):
-        encode(Change("/a", None))
+        encode(ParameterChange("/a", None))

@@ -155,7 +155,7 @@ def test_a_kernel_that_cannot_be_asked_still_has_its_tables(
 
 def test_a_socket_that_nobody_holds_is_nobodys(monkeypatch: pytest.MonkeyPatch) -> None:
     """The kernel shows user 0 for it, who is somebody else."""
-    entry = sockdiag.Entry(1, (b"", 0), (b"", 0), 0, 0)
+    entry = sockdiag.SocketEntry(1, (b"", 0), (b"", 0), 0, 0)
     monkeypatch.setattr(sockdiag, "find", lambda *_: entry)
     monkeypatch.setattr(sockdiag, "listener", lambda _: entry)
     with pair(socket.AF_INET, "127.0.0.1") as (near, _), pytest.raises(PeerUserRefused):

@@ -89,7 +89,7 @@ def test_what_is_no_answer_is_refused(data: bytes) -> None:
         sockdiag.parse(data)
 
 
-ROW = sockdiag.Entry(1, (b"\x7f\0\0\1", 5000), (b"\x7f\0\0\1", 6000), 1000, 4711)
+ROW = sockdiag.SocketEntry(1, (b"\x7f\0\0\1", 5000), (b"\x7f\0\0\1", 6000), 1000, 4711)
 
 
 @pytest.mark.parametrize(
@@ -102,7 +102,7 @@ ROW = sockdiag.Entry(1, (b"\x7f\0\0\1", 5000), (b"\x7f\0\0\1", 6000), 1000, 4711
     ],
 )
 def test_only_the_very_connection_counts(
-    monkeypatch: pytest.MonkeyPatch, other: sockdiag.Entry
+    monkeypatch: pytest.MonkeyPatch, other: sockdiag.SocketEntry
 ) -> None:
     ends = ("127.0.0.1", 5000), ("127.0.0.1", 6000)
     monkeypatch.setattr(sockdiag, "_ask", lambda _: ROW)

@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator
 import pytest
 
 from rossec.channel.connection import Connection
-from rossec.channel.records import Limits
+from rossec.channel.records import ChannelLimits
 from rossec.errors import (
     ChannelClosed,
     ChannelError,
@@ -239,7 +239,7 @@ def test_a_false_responder(listener: SecureListener[FakeIdentity]) -> None:
 
 
 def test_the_handshake_deadline() -> None:
-    listener = make_listener(limits=Limits(handshake_seconds=1))
+    listener = make_listener(limits=ChannelLimits(handshake_seconds=1))
     with listener, socket.create_connection(listener.getsockname()):
         sock, _ = listener.accept()
         with sock, pytest.raises(HandshakeTimeout):
@@ -317,7 +317,7 @@ def test_a_certificate_that_runs_out_cuts_a_waiting_reader() -> None:
 
 
 def test_renewals_under_way(listener: SecureListener[FakeIdentity]) -> None:
-    left, right = pair(listener, limits=Limits(records=3))
+    left, right = pair(listener, limits=ChannelLimits(records=3))
     with left, right:
         for count in range(40):
             left.sendall(b"%02d" % count)
@@ -355,7 +355,7 @@ def test_units_are_handed_out_whole(listener: SecureListener[FakeIdentity]) -> N
 
 def test_a_side_that_only_sends_follows_its_peer(listener: SecureListener[FakeIdentity]) -> None:
     """Renewals are answered, units are dropped, a close is noticed."""
-    left, right = pair(listener, limits=Limits(records=2))
+    left, right = pair(listener, limits=ChannelLimits(records=2))
     with left, right:
         for number in range(20):
             while left.awaits_peer:
@@ -496,7 +496,7 @@ def test_the_core_looks_at_the_clock_once_in_a_second(
 
 def test_an_idle_connection_is_tended(listener: SecureListener[FakeIdentity]) -> None:
     """Nobody reads or writes: renewals are begun and followed nevertheless, and units stay."""
-    left, right = pair(listener, limits=Limits(seconds=1))
+    left, right = pair(listener, limits=ChannelLimits(seconds=1))
     with left, right:
         left.sendall(b"map")
         assert right.recv(10) == b"map"

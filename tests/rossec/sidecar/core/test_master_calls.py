@@ -5,16 +5,23 @@ from pathlib import Path
 
 import pytest
 
-from rossec.channel.opening import Flavour
+from rossec.channel.opening import WireProtocol
 from rossec.errors import HangUp
 from rossec.master.api.dispatch import MasterApi
 from rossec.master.state.registry import Registry
 from rossec.participant.publisher_grace import GRACE
 from rossec.ros.xmlrpc import Fault
-from rossec.sidecar.core.commands import AskLocal, AskMaster, Export, Import, Knock, Rest
+from rossec.sidecar.core.commands import (
+    AskLocal,
+    AskMaster,
+    OpenEgress,
+    OpenIngress,
+    Probe,
+    Suspend,
+)
 from rossec.sidecar.core.endpoints import Endpoint, inside
-from rossec.sidecar.core.events import Answered, Done, Opened, Passed, Silent
-from rossec.sidecar.core.layers import Unforeseen
+from rossec.sidecar.core.events import Answered, CommandDone, NoAnswer, Opened, Passed
+from rossec.sidecar.core.layers import UnexpectedEvent
 from rossec.sidecar.core.master_calls import (
     MULTICALL_LIMIT,
     RULES,
@@ -28,20 +35,20 @@ from tests.rossec.sidecar.playbook import HOST, MASTER_URI, Stage, play
 from tests.support.site import Site
 
 OWN = "http://localhost:5000"  # as a program may spell it
-SLAVE = inside(Flavour.HTTP, 5000)
+SLAVE = inside(WireProtocol.HTTP, 5000)
 OUTSIDE = f"http://{HOST}:7000/"
-SERVICE = inside(Flavour.TCPROS, 5001)
-PEER = Endpoint(Flavour.HTTP, "10.0.0.7", 6000)
+SERVICE = inside(WireProtocol.TCPROS, 5001)
+PEER = Endpoint(WireProtocol.HTTP, "10.0.0.7", 6000)
 OK = Answered([1, "done", 0])
-ALIVE = (Knock(SLAVE), Done())
+ALIVE = (Probe(SLAVE), CommandDone())
 
 
 def register(stage: Stage, *uris: str) -> object:
-    imports = [(Import(PEER), Opened(8000)) for uri in uris if uri == PEER.uri]
+    imports = [(OpenEgress(PEER), Opened(8000)) for uri in uris if uri == PEER.uri]
     params = ("/robot", "/scan", "pkg/Type", OUTSIDE)
     return play(
         call(stage.tenant, "registerSubscriber", ("/robot", "/scan", "pkg/Type", OWN)),
-        (Export(SLAVE), Opened(7000)),
+        (OpenIngress(SLAVE), Opened(7000)),
         (AskMaster("registerSubscriber", params), Answered([1, "ok", list(uris)])),
         *imports,
     )
@@ -57,14 +64,14 @@ def test_its_own_uri_comes_back_byte_for_byte(stage: Stage) -> None:
 
 def test_another_program_of_the_same_identity_is_met_through_the_channel(stage: Stage) -> None:
     """Its messages must pass the guard like everybody's."""
-    stage.tenant.doors.opened_outside(inside(Flavour.HTTP, 5555), 7777)
-    other = Endpoint(Flavour.HTTP, HOST, 7777)
+    stage.tenant.doors.opened_outside(inside(WireProtocol.HTTP, 5555), 7777)
+    other = Endpoint(WireProtocol.HTTP, HOST, 7777)
     params = ("/robot", "/scan", "pkg/Type", OUTSIDE)
     answer = play(
         call(stage.tenant, "registerSubscriber", ("/robot", "/scan", "pkg/Type", OWN)),
-        (Export(SLAVE), Opened(7000)),
+        (OpenIngress(SLAVE), Opened(7000)),
         (AskMaster("registerSubscriber", params), Answered([1, "ok", [other.uri]])),
-        (Import(other), Opened(8000)),
+        (OpenEgress(other), Opened(8000)),
     )
     assert answer == [1, "ok", ["http://127.0.0.1:8000/"]]
 
@@ -72,8 +79,8 @@ def test_another_program_of_the_same_identity_is_met_through_the_channel(stage: 
 def test_a_service_is_exported_with_the_slave_api(stage: Stage) -> None:
     answer = play(
         call(stage.tenant, "registerService", ("/robot", "/say", "rosrpc://127.0.0.1:5001", OWN)),
-        (Export(SLAVE), Opened(7000)),
-        (Export(SERVICE), Opened(7001)),
+        (OpenIngress(SLAVE), Opened(7000)),
+        (OpenIngress(SERVICE), Opened(7001)),
         (AskMaster("registerService", ("/robot", "/say", f"rosrpc://{HOST}:7001", OUTSIDE)), OK),
     )
     assert answer == [1, "done", 0]
@@ -83,7 +90,7 @@ def test_what_was_registered_is_unregistered_and_forgotten(stage: Stage) -> None
     register(stage)
     play(
         call(stage.tenant, "unregisterSubscriber", ("/robot", "/scan", OWN)),
-        (Export(SLAVE), Opened(7000)),
+        (OpenIngress(SLAVE), Opened(7000)),
         (AskMaster("unregisterSubscriber", ("/robot", "/scan", OUTSIDE)), OK),
     )
     assert play(restore(stage.tenant), ALIVE) is None
@@ -92,10 +99,10 @@ def test_what_was_registered_is_unregistered_and_forgotten(stage: Stage) -> None
 def test_a_successor_keeps_its_registration(stage: Stage) -> None:
     """The old instance that the master ends says goodbye after the new one has registered."""
     register(stage)
-    elsewhere = inside(Flavour.HTTP, 5999)
+    elsewhere = inside(WireProtocol.HTTP, 5999)
     play(
         call(stage.tenant, "unregisterSubscriber", ("/robot", "/scan", elsewhere.uri)),
-        (Export(elsewhere), Opened(7999)),
+        (OpenIngress(elsewhere), Opened(7999)),
         (AskMaster("unregisterSubscriber", ("/robot", "/scan", f"http://{HOST}:7999/")), OK),
     )
     params = ("/robot", "/scan", "pkg/Type", OUTSIDE)
@@ -108,20 +115,20 @@ def test_a_service_is_forgotten_by_its_own_address(stage: Stage) -> None:
     params = ("/robot", "/say", outside, OUTSIDE)
     play(
         call(stage.tenant, "registerService", ("/robot", "/say", SERVICE.uri, OWN)),
-        (Export(SLAVE), Opened(7000)),
-        (Export(SERVICE), Opened(7001)),
+        (OpenIngress(SLAVE), Opened(7000)),
+        (OpenIngress(SERVICE), Opened(7001)),
         (AskMaster("registerService", params), OK),
     )
-    other = inside(Flavour.TCPROS, 5002)
+    other = inside(WireProtocol.TCPROS, 5002)
     play(
         call(stage.tenant, "unregisterService", ("/robot", "/say", other.uri)),
-        (Export(other), Opened(7002)),
+        (OpenIngress(other), Opened(7002)),
         (AskMaster("unregisterService", ("/robot", "/say", f"rosrpc://{HOST}:7002")), OK),
     )
     play(restore(stage.tenant), ALIVE, (AskMaster("registerService", params), OK))
     play(
         call(stage.tenant, "unregisterService", ("/robot", "/say", SERVICE.uri)),
-        (Export(SERVICE), Opened(7001)),
+        (OpenIngress(SERVICE), Opened(7001)),
         (AskMaster("unregisterService", params[:3]), OK),
     )
     assert play(restore(stage.tenant), ALIVE) is None
@@ -133,7 +140,7 @@ def test_who_takes_a_dead_programs_port_has_none_of_its_registrations(tmp_path: 
     params = ("/robot_2", "/word", "pkg/Type", OUTSIDE)
     play(
         call(stage.tenant, "registerPublisher", ("/robot_2", "/word", "pkg/Type", OWN)),
-        (Export(SLAVE), Opened(7000)),
+        (OpenIngress(SLAVE), Opened(7000)),
         (AskMaster("registerPublisher", params), OK),
     )
     play(restore(stage.tenant), ALIVE, (AskMaster("registerPublisher", params), OK))
@@ -147,16 +154,16 @@ def test_a_restarted_master_hears_of_everything_again(stage: Stage) -> None:
         restore(stage.tenant),
         ALIVE,
         (AskMaster("registerSubscriber", params), Answered([1, "ok", [PEER.uri]])),
-        (Import(PEER), Opened(8000)),
-        (AskLocal(SLAVE, "publisherUpdate", update), Silent("gone", dead=True)),
-        (Rest(SLAVE), Done()),
+        (OpenEgress(PEER), Opened(8000)),
+        (AskLocal(SLAVE, "publisherUpdate", update), NoAnswer("gone", dead=True)),
+        (Suspend(SLAVE), CommandDone()),
     )
     assert play(restore(stage.tenant)) is None
 
 
 def test_a_dead_program_is_left_out(stage: Stage) -> None:
     register(stage)
-    gone = (Knock(SLAVE), Silent("refused", dead=True)), (Rest(SLAVE), Done())
+    gone = (Probe(SLAVE), NoAnswer("refused", dead=True)), (Suspend(SLAVE), CommandDone())
     assert play(restore(stage.tenant), *gone) is None
     assert play(restore(stage.tenant)) is None
 
@@ -166,7 +173,7 @@ def test_restoring_ends_with_the_connection_and_bears_refusals(stage: Stage) -> 
     ask = AskMaster("registerSubscriber", ("/robot", "/scan", "pkg/Type", OUTSIDE))
     play(restore(stage.tenant), ALIVE, (ask, Answered([-1, "no right", []])))
     with pytest.raises(HangUp):
-        play(restore(stage.tenant), ALIVE, (ask, Silent("cut")))
+        play(restore(stage.tenant), ALIVE, (ask, NoAnswer("cut")))
 
 
 def test_a_lost_topic_has_its_publishers_named_again(stage: Stage) -> None:
@@ -177,7 +184,7 @@ def test_a_lost_topic_has_its_publishers_named_again(stage: Stage) -> None:
             AskMaster("registerSubscriber", ("/robot", "/scan", "pkg/Type", OUTSIDE)),
             Answered([1, "ok", [PEER.uri]]),
         ),
-        (Import(PEER), Opened(8000)),
+        (OpenEgress(PEER), Opened(8000)),
         (
             AskLocal(SLAVE, "publisherUpdate", ("/master", "/scan", ["http://127.0.0.1:8000/"])),
             Answered([1, "", 0]),
@@ -199,7 +206,7 @@ def test_a_publisher_that_a_new_master_does_not_name_yet_is_named_for_a_while(st
         restore(stage.tenant),
         ALIVE,
         (again, Answered([1, "ok", []])),
-        (Import(PEER), Opened(8000)),
+        (OpenEgress(PEER), Opened(8000)),
         named(inside_uri),
     )
     assert play(let_go(stage.tenant)) is None
@@ -248,14 +255,14 @@ def test_lookups(stage: Stage) -> None:
     answer = play(
         call(tenant, "lookupNode", ("/robot", "/viewer")),
         (AskMaster("lookupNode", ("/robot", "/viewer")), Answered([1, "node api", PEER.uri])),
-        (Import(PEER, probe=True), Opened(8000)),
+        (OpenEgress(PEER, probe=True), Opened(8000)),
     )
     assert answer == [1, "node api", "http://127.0.0.1:8000/"]
-    remote = Endpoint(Flavour.TCPROS, "10.0.0.7", 6001)
+    remote = Endpoint(WireProtocol.TCPROS, "10.0.0.7", 6001)
     answer = play(
         call(tenant, "lookupService", ("/robot", "/say")),
         (AskMaster("lookupService", ("/robot", "/say")), Answered([1, "x", remote.uri])),
-        (Import(remote), Opened(8001)),
+        (OpenEgress(remote), Opened(8001)),
     )
     assert answer == [1, "rosrpc URI: [rosrpc://127.0.0.1:8001]", "rosrpc://127.0.0.1:8001"]
     for method in ("lookupNode", "lookupService"):
@@ -362,15 +369,15 @@ def test_a_search_under_ones_own_name_is_the_masters(stage: Stage) -> None:
 
 def test_a_master_out_of_reach_or_out_of_its_mind_ends_the_connection(stage: Stage) -> None:
     ask = AskMaster("getPid", ("/robot",))
-    for event in (Silent("no answer"), Answered(7), Answered([1, "short"])):
+    for event in (NoAnswer("no answer"), Answered(7), Answered([1, "short"])):
         with pytest.raises(HangUp):
             play(call(stage.tenant, "getPid", ("/robot",)), (ask, event))
-    with pytest.raises(Unforeseen):
+    with pytest.raises(UnexpectedEvent):
         play(call(stage.tenant, "getPid", ("/robot",)), (ask, Passed(b"")))
-    with pytest.raises(Unforeseen):
+    with pytest.raises(UnexpectedEvent):
         play(
             call(stage.tenant, "registerPublisher", ("/robot", "/x", "pkg/Type", OWN)),
-            (Export(SLAVE), Done()),
+            (OpenIngress(SLAVE), CommandDone()),
         )
 
 
@@ -379,7 +386,7 @@ def test_an_anonymous_program_uses_the_wildcard(stage: Stage) -> None:
     params = ("/rviz_12_34", "/x", "pkg/Type", OWN)
     play(
         call(anonymous.tenant, "registerPublisher", params),
-        (Export(SLAVE), Opened(7000)),
+        (OpenIngress(SLAVE), Opened(7000)),
         (AskMaster("registerPublisher", (*params[:3], OUTSIDE)), Answered([1, "", []])),
     )
     assert replace(anonymous.tenant).name_for("/rvizx") == "/rviz"

@@ -1,14 +1,14 @@
 """Where programs behind a sidecar remember."""
 
 from grants.memory import Memories, Recall
-from rossec.sidecar.core.program_memory import Places
+from rossec.sidecar.core.program_memory import ProgramMemories
 
 RECALL = Recall(Memories(lambda: 0), ("/robot",))
 
 
 def test_a_program_has_one_place_and_keeps_it() -> None:
     gone: set[int] = set()
-    places = Places[int](RECALL, gone.__contains__)
+    places = ProgramMemories[int](RECALL, gone.__contains__)
     first, second = RECALL.apart("0"), RECALL.apart("1")
     assert places.take("/a", 1) == first
     assert places.take("/b", 2) == second, "they live at the same time"
@@ -21,7 +21,7 @@ def test_a_program_has_one_place_and_keeps_it() -> None:
 def test_as_many_places_as_programs_at_a_time() -> None:
     """And not as many as names: `rostopic pub` has a new one in each run."""
     gone: set[int] = set()
-    places = Places[int](RECALL, gone.__contains__)
+    places = ProgramMemories[int](RECALL, gone.__contains__)
     assert places.take("/robot", 0) == RECALL.apart("0")
     for number in range(1, 50):
         assert places.take(f"/rostopic_{number}_1700000000000", number) == RECALL.apart("1")
@@ -29,7 +29,7 @@ def test_as_many_places_as_programs_at_a_time() -> None:
 
 
 def test_who_leaves_makes_room_when_all_of_its_name_have_left() -> None:
-    places = Places[str](RECALL)
+    places = ProgramMemories[str](RECALL)
     assert places.take("/a", "one") == places.take("/a", "two") == RECALL.apart("0")
     places.leave("one")
     assert places.take("/b", "three") == RECALL.apart("1")

@@ -1,4 +1,4 @@
-from rossec.sidecar.core.resubscribe import FIRST_PAUSE, LONGEST_PAUSE, Lost
+from rossec.sidecar.core.resubscribe import FIRST_PAUSE, LONGEST_PAUSE, ResubscribeQueue
 
 
 def always(_: str) -> bool:
@@ -6,7 +6,7 @@ def always(_: str) -> bool:
 
 
 def test_a_lost_topic_is_tried_again_once_after_a_pause() -> None:
-    lost = Lost()
+    lost = ResubscribeQueue()
     lost.add("/a", 0, 100)
     assert lost.take_due(100, always) == []
     assert lost.take_due(100 + FIRST_PAUSE, always) == ["/a"]
@@ -14,14 +14,14 @@ def test_a_lost_topic_is_tried_again_once_after_a_pause() -> None:
 
 
 def test_without_a_right_it_waits_for_one() -> None:
-    lost = Lost()
+    lost = ResubscribeQueue()
     lost.add("/a", 0, 100)
     assert lost.take_due(500, lambda topic: topic == "/b") == []
     assert lost.take_due(501, always) == ["/a"]
 
 
 def test_what_soon_ends_again_is_waited_for_longer() -> None:
-    lost = Lost()
+    lost = ResubscribeQueue()
     pauses = []
     for _ in range(8):
         lost.add("/a", 0, 1)

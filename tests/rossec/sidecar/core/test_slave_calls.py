@@ -7,19 +7,26 @@ import pytest
 from ca.errors import CAError, RevocationsStale, Revoked
 from grants.errors import GrantMissing
 from grants.model import Right
-from rossec.channel.opening import Flavour
+from rossec.channel.opening import WireProtocol
 from rossec.errors import CallRefused, HangUp
 from rossec.participant.slave_api import NO_TRANSPORT
 from rossec.ros.xmlrpc import Encoded, Fault
-from rossec.sidecar.core.commands import AskLocal, AskRemote, Export, Import, Knock, Rest
+from rossec.sidecar.core.commands import (
+    AskLocal,
+    AskRemote,
+    OpenEgress,
+    OpenIngress,
+    Probe,
+    Suspend,
+)
 from rossec.sidecar.core.endpoints import Endpoint, inside, topics_of
-from rossec.sidecar.core.events import Answered, Done, Event, Opened, Passed, Silent
-from rossec.sidecar.core.layers import Layer, Unforeseen
+from rossec.sidecar.core.events import Answered, CommandDone, Event, NoAnswer, Opened, Passed
+from rossec.sidecar.core.layers import Layer, UnexpectedEvent
 from rossec.sidecar.core.slave_calls import ask_peer, ask_program
 from tests.rossec.sidecar.playbook import HOST, MASTER_URI, Stage, play
 
-SLAVE = inside(Flavour.HTTP, 5000)
-PEER = Endpoint(Flavour.HTTP, "10.0.0.7", 6000)
+SLAVE = inside(WireProtocol.HTTP, 5000)
+PEER = Endpoint(WireProtocol.HTTP, "10.0.0.7", 6000)
 DOOR = "http://127.0.0.1:8000/"
 UDP = ["UDPROS", b"header", "host", 1, 1500]
 
@@ -37,7 +44,7 @@ def test_the_master_steers(stage: Stage) -> None:
     params = ("/master", "/scan", [PEER.uri, "nonsense"])
     answer = play(
         asked(stage, "publisherUpdate", *params[1:], peer="/master"),
-        (Import(PEER), Opened(8000)),
+        (OpenEgress(PEER), Opened(8000)),
         (
             AskLocal(SLAVE, "publisherUpdate", ("/master", "/scan", ["http://127.0.0.1:8000/"])),
             Answered([1, "", 0]),
@@ -87,8 +94,8 @@ def test_the_same_door_is_offered_for_every_topic(stage: Stage, topic: object) -
     """N5: the program is not asked, so nothing in the answer can depend on it."""
     answer = play(
         asked(stage, "requestTopic", topic, [UDP, ["TCPROS"]]),
-        (Knock(SLAVE), Done()),
-        (Export(topics_of(SLAVE)), Opened(7001)),
+        (Probe(SLAVE), CommandDone()),
+        (OpenIngress(topics_of(SLAVE)), Opened(7001)),
     )
     assert answer == [1, "ready", ["TCPROS", HOST, 7001]]
 
@@ -112,7 +119,7 @@ def test_udp_is_never_offered(stage: Stage, offer: object) -> None:
 
 def test_no_peer_sends_a_program_to_its_own_door(stage: Stage) -> None:
     """A program may reach itself, where it was told of itself: not as another's topic."""
-    stage.tenant.doors.opened_outside(inside(Flavour.TCPROS, 5000), 4001)
+    stage.tenant.doors.opened_outside(inside(WireProtocol.TCPROS, 5000), 4001)
     params = ("/robot", "/scan", [["TCPROS"]])
     ask = AskRemote(PEER, "requestTopic", params, None)
     for host in (HOST, HOST.upper()):
@@ -130,7 +137,7 @@ def test_what_a_program_says_of_itself_names_doors(stage: Stage) -> None:
         [4, SLAVE.uri, "i", "INTRAPROCESS", "/loop", True],
         [5, 7, "i"],
     ]
-    door = ((Export(SLAVE), Opened(7000)),)
+    door = ((OpenIngress(SLAVE), Opened(7000)),)
     own = f"http://{HOST}:7000/"
     seen = [[1, PEER.uri, *info[0][2:]], *info[1:3], [4, own, *info[3][2:]], info[4]]
     for method, value, script, expected in (
@@ -150,18 +157,18 @@ def test_what_a_program_says_of_itself_names_doors(stage: Stage) -> None:
 
 def test_a_dead_program_answers_like_a_dead_node(stage: Stage) -> None:
     knock = asked(stage, "rossec.presentGrants", b"")
-    assert play(knock, (Knock(SLAVE), Done())) == [1, "", 0]
+    assert play(knock, (Probe(SLAVE), CommandDone())) == [1, "", 0]
     with pytest.raises(HangUp):
         play(
             asked(stage, "rossec.presentGrants", b""),
-            (Knock(SLAVE), Silent("refused", dead=True)),
-            (Rest(SLAVE), Done()),
+            (Probe(SLAVE), NoAnswer("refused", dead=True)),
+            (Suspend(SLAVE), CommandDone()),
         )
     ask = AskLocal(SLAVE, "getPid", ("/master",))
     with pytest.raises(HangUp):
-        play(asked(stage, "getPid", peer="/master"), (ask, Silent("slow")))
-    with pytest.raises(Unforeseen):
-        play(asked(stage, "getPid", peer="/master"), (ask, Done()))
+        play(asked(stage, "getPid", peer="/master"), (ask, NoAnswer("slow")))
+    with pytest.raises(UnexpectedEvent):
+        play(asked(stage, "getPid", peer="/master"), (ask, CommandDone()))
 
 
 def test_a_revoked_peer_does_not_even_knock(stage: Stage) -> None:
@@ -210,14 +217,14 @@ def test_a_program_asks_under_its_certified_name_and_with_its_grants(stage: Stag
 
 def test_a_peers_topics_are_met_at_a_door(stage: Stage) -> None:
     params = ("/robot", "/scan", [["TCPROS"]])
-    remote = Endpoint(Flavour.TCPROS, "10.0.0.7", 6001)
+    remote = Endpoint(WireProtocol.TCPROS, "10.0.0.7", 6001)
     answer = play(
         ask_peer(stage.tenant, PEER, "requestTopic", params),
         (
             AskRemote(PEER, "requestTopic", params, None),
             Answered([1, "ready", ["TCPROS", remote.host, remote.port]]),
         ),
-        (Import(remote), Opened(8001)),
+        (OpenEgress(remote), Opened(8001)),
     )
     assert answer == [1, "ready", ["TCPROS", "127.0.0.1", 8001]]
 
@@ -225,14 +232,14 @@ def test_a_peers_topics_are_met_at_a_door(stage: Stage) -> None:
 @pytest.mark.parametrize(
     ("method", "value", "script", "expected"),
     [
-        ("getUri", "http://x:1/", [(Import(PEER), Opened(8000))], "http://127.0.0.1:8000/"),
+        ("getUri", "http://x:1/", [(OpenEgress(PEER), Opened(8000))], "http://127.0.0.1:8000/"),
         ("getMasterUri", "http://x:1/", [], MASTER_URI),
         ("getBusInfo", [[1], [2, "/x", "o"]], [], [[1], [2, "/x", "o"]]),
         ("getBusInfo", 7, [], 7),
         (
             "getBusInfo",
             [[1, PEER.uri, "i", "TCPROS"], [2, PEER.uri, "i", "TCPROS"], [3, "odd", "i"]],
-            [(Import(PEER), Opened(8000))],
+            [(OpenEgress(PEER), Opened(8000))],
             [[1, DOOR, "i", "TCPROS"], [2, DOOR, "i", "TCPROS"], [3, "odd", "i"]],
         ),
     ],
@@ -241,7 +248,7 @@ def test_what_a_peer_says_names_doors(
     stage: Stage,
     method: str,
     value: object,
-    script: list[tuple[Import, Event]],
+    script: list[tuple[OpenEgress, Event]],
     expected: object,
 ) -> None:
     ask = AskRemote(PEER, method, ("/robot",), Right.GRAPH)
@@ -262,7 +269,7 @@ def test_a_peer_cannot_have_any_number_of_doors_opened(stage: Stage) -> None:
     layer = ask_peer(stage.tenant, PEER, "getBusInfo", ("/robot",))
     ask = AskRemote(PEER, "getBusInfo", ("/robot",), Right.GRAPH)
     doors = [
-        (Import(Endpoint(Flavour.HTTP, "10.0.0.7", port)), Opened(8000 + port))
+        (OpenEgress(Endpoint(WireProtocol.HTTP, "10.0.0.7", port)), Opened(8000 + port))
         for port in range(1, 65)
     ]
     answer = play(layer, (ask, Answered([1, "", [[1, uri, "i"] for uri in uris]])), *doors)
@@ -274,7 +281,7 @@ def test_a_peer_that_refuses_or_is_gone(stage: Stage) -> None:
     ask = AskRemote(PEER, "getBusInfo", ("/robot",), Right.GRAPH)
     layer = ask_peer(stage.tenant, PEER, "getBusInfo", ("/robot",))
     assert play(layer, (ask, Answered([-1, "rossec: no", 0]))) == [-1, "rossec: no", 0]
-    for event, error in ((Silent("gone"), HangUp), (Done(), Unforeseen)):
+    for event, error in ((NoAnswer("gone"), HangUp), (CommandDone(), UnexpectedEvent)):
         with pytest.raises(error):
             play(ask_peer(stage.tenant, PEER, "getBusInfo", ("/robot",)), (ask, event))
 
@@ -313,5 +320,5 @@ def test_an_answer_that_nobody_parsed_goes_no_further(stage: Stage, method: str)
         command = next(layer)
         assert isinstance(command, AskRemote | AskLocal)
         assert command.parse
-        with pytest.raises(Unforeseen):
+        with pytest.raises(UnexpectedEvent):
             layer.send(Passed(b"anything"))

@@ -6,24 +6,24 @@ import pytest
 
 from grants.errors import GrantMissing, RestrictionMismatch
 from grants.model import Restriction, Right, filter_rules
-from rossec.channel.opening import Flavour
-from rossec.errors import CallerMismatch, HangUp, TopicRefused
+from rossec.channel.opening import WireProtocol
+from rossec.errors import CallerMismatch, ConnectionHeaderRefused, HangUp
 from rossec.participant.access import FIELD
 from rossec.participant.header_fields import Fields
 from rossec.participant.limit_memory import recall
 from rossec.participant.message_types import message_type
-from rossec.sidecar.core.commands import AskLocal, Command, MeetPeer, MeetProgram, Rest
+from rossec.sidecar.core.commands import AskLocal, Command, ConnectPeer, ConnectProgram, Suspend
 from rossec.sidecar.core.endpoints import Endpoint, inside, topics_of
-from rossec.sidecar.core.events import Answered, Done, Event, HeaderArrived, Silent
-from rossec.sidecar.core.layers import Layer, Unforeseen
-from rossec.sidecar.core.tcpros import Joined, admit_peer, reach_peer
+from rossec.sidecar.core.events import Answered, CommandDone, Event, HeaderArrived, NoAnswer
+from rossec.sidecar.core.layers import Layer, UnexpectedEvent
+from rossec.sidecar.core.tcpros import AdmittedConnection, admit_peer, reach_peer
 from tests.rossec.sidecar.playbook import Stage, play
 
-SLAVE = inside(Flavour.HTTP, 5000)
+SLAVE = inside(WireProtocol.HTTP, 5000)
 DOOR = topics_of(SLAVE)
 PLACE = ["TCPROS", "localhost", 5001]
-TOPICS = inside(Flavour.TCPROS, 5001)
-PEER = Endpoint(Flavour.TCPROS, "10.0.0.7", 6001)
+TOPICS = inside(WireProtocol.TCPROS, 5001)
+PEER = Endpoint(WireProtocol.TCPROS, "10.0.0.7", 6001)
 STRING = {"type": b"std_msgs/String", "md5sum": b"992ce8a1687cec8c8bd883ec73ca41d1"}
 ASKED = {"callerid": b"/viewer", "topic": b"/word", "tcp_nodelay": b"1", **STRING}
 ANSWER = {"callerid": b"/robot", "message_definition": b"string data\n", "latching": b"0", **STRING}
@@ -38,7 +38,7 @@ def proof(stage: Stage, name: str, right: Right, topic: str) -> Fields:
     return {FIELD: stage.access(name).present(right, topic, stage.site.now())}
 
 
-def admit(stage: Stage, fields: Fields, door: Endpoint = DOOR) -> Layer[Joined]:
+def admit(stage: Stage, fields: Fields, door: Endpoint = DOOR) -> Layer[AdmittedConnection]:
     peer = stage.identity("/viewer")
     return admit_peer(
         stage.tenant, door, fields, peer, no_key, recall("/robot").apart, stage.site.now()
@@ -65,7 +65,7 @@ def shown(stage: Stage) -> Fields:
 
 def test_a_subscriber_with_a_grant_meets_the_program(stage: Stage, shown: Fields) -> None:
     """The program sees no grant; the peer sees the program's; rospy leaves out the topic."""
-    meet = MeetProgram(TOPICS, ASKED)
+    meet = ConnectProgram(TOPICS, ASKED)
     joined = play(admit(stage, shown), WHERE, (meet, arrived(stage, ANSWER)))
     expected = ANSWER | {"topic": b"/word"} | proof(stage, "/robot", Right.PUBLISH, "/word")
     assert joined.answer == expected
@@ -88,28 +88,33 @@ def test_a_subscriber_may_not_lie_about_its_name(stage: Stage, shown: Fields) ->
 def test_the_programs_own_name_is_never_taken_on_trust(stage: Stage, shown: Fields) -> None:
     for given in (ANSWER | {"callerid": b"/victim"}, STRING):
         joined = play(
-            admit(stage, shown), WHERE, (MeetProgram(TOPICS, ASKED), arrived(stage, given))
+            admit(stage, shown), WHERE, (ConnectProgram(TOPICS, ASKED), arrived(stage, given))
         )
         assert joined.answer["callerid"] == b"/robot"
 
 
 def test_what_the_program_refuses_is_passed_on(stage: Stage, shown: Fields) -> None:
-    with pytest.raises(TopicRefused, match="no such topic"):
+    with pytest.raises(ConnectionHeaderRefused, match="no such topic"):
         play(
             admit(stage, shown),
             WHERE,
-            (MeetProgram(TOPICS, ASKED), arrived(stage, {"error": b"no such topic"})),
+            (ConnectProgram(TOPICS, ASKED), arrived(stage, {"error": b"no such topic"})),
         )
 
 
 def test_a_program_that_is_gone_closes_its_door(stage: Stage, shown: Fields) -> None:
-    meet = MeetProgram(TOPICS, ASKED)
+    meet = ConnectProgram(TOPICS, ASKED)
     with pytest.raises(HangUp):
-        play(admit(stage, shown), WHERE, (meet, Silent("gone", dead=True)), (Rest(DOOR), Done()))
+        play(
+            admit(stage, shown),
+            WHERE,
+            (meet, NoAnswer("gone", dead=True)),
+            (Suspend(DOOR), CommandDone()),
+        )
     with pytest.raises(HangUp):
-        play(admit(stage, shown), WHERE, (meet, Silent("slow")))
-    with pytest.raises(Unforeseen):
-        play(admit(stage, shown), WHERE, (meet, Done()))
+        play(admit(stage, shown), WHERE, (meet, NoAnswer("slow")))
+    with pytest.raises(UnexpectedEvent):
+        play(admit(stage, shown), WHERE, (meet, CommandDone()))
 
 
 @pytest.mark.parametrize(
@@ -122,25 +127,27 @@ def test_a_program_that_is_gone_closes_its_door(stage: Stage, shown: Fields) -> 
 )  # fmt: skip
 def test_what_the_program_does_not_publish(stage: Stage, shown: Fields, answer: object) -> None:
     """Only who may subscribe hears of it."""
-    with pytest.raises(TopicRefused, match=r"^/robot does not publish /word$"):
+    with pytest.raises(ConnectionHeaderRefused, match=r"^/robot does not publish /word$"):
         play(admit(stage, shown), (ASK, Answered(answer)))
 
 
 def test_a_program_that_cannot_be_asked(stage: Stage, shown: Fields) -> None:
     with pytest.raises(HangUp):
-        play(admit(stage, shown), (ASK, Silent("gone", dead=True)), (Rest(DOOR), Done()))
+        play(
+            admit(stage, shown), (ASK, NoAnswer("gone", dead=True)), (Suspend(DOOR), CommandDone())
+        )
     with pytest.raises(HangUp):
-        play(admit(stage, shown), (ASK, Silent("slow")))
-    with pytest.raises(Unforeseen):
-        play(admit(stage, shown), (ASK, Done()))
+        play(admit(stage, shown), (ASK, NoAnswer("slow")))
+    with pytest.raises(UnexpectedEvent):
+        play(admit(stage, shown), (ASK, CommandDone()))
 
 
 def test_topics_and_services_have_doors_of_their_own(stage: Stage, shown: Fields) -> None:
     """Whatever the right."""
     for fields in (shown, ASKED):
-        with pytest.raises(TopicRefused, match="this port is not for topics"):
+        with pytest.raises(ConnectionHeaderRefused, match="this port is not for topics"):
             play(admit(stage, fields, TOPICS))
-    with pytest.raises(TopicRefused, match="this port is not for services"):
+    with pytest.raises(ConnectionHeaderRefused, match="this port is not for services"):
         play(admit(stage, SERVICE))
 
 
@@ -152,7 +159,7 @@ def restricted(stage: Stage) -> Fields:
 
 
 def test_a_restricted_subscriber_gets_a_guard(stage: Stage, restricted: Fields) -> None:
-    meet = MeetProgram(TOPICS, ASKED)
+    meet = ConnectProgram(TOPICS, ASKED)
     joined = play(admit(stage, restricted), WHERE, (meet, arrived(stage, ANSWER)))
     assert joined.guard is not None
     pieces = joined.guard(b"\x05\0\0\0hello", stage.site.now())
@@ -161,9 +168,9 @@ def test_a_restricted_subscriber_gets_a_guard(stage: Stage, restricted: Fields) 
 
 
 def test_a_definition_that_cannot_be_proved_is_refused(stage: Stage, restricted: Fields) -> None:
-    meet = MeetProgram(TOPICS, ASKED)
+    meet = ConnectProgram(TOPICS, ASKED)
     answer = ANSWER | {"message_definition": b"int32 data\n"}
-    with pytest.raises(TopicRefused, match="does not have the md5sum"):
+    with pytest.raises(ConnectionHeaderRefused, match="does not have the md5sum"):
         play(admit(stage, restricted), WHERE, (meet, arrived(stage, answer)))
 
 
@@ -178,13 +185,13 @@ def test_what_a_relay_repeats_is_not_taken_on_trust(stage: Stage) -> None:
         .replace("Vector3 angular", "Vector3[2] angular").encode(),
     }  # fmt: skip
     shown = ASKED | proof(stage, "/viewer", Right.SUBSCRIBE, "/word")
-    with pytest.raises(TopicRefused, match="not the one this host knows"):
-        play(admit(stage, shown), WHERE, (MeetProgram(TOPICS, ASKED), arrived(stage, said)))
+    with pytest.raises(ConnectionHeaderRefused, match="not the one this host knows"):
+        play(admit(stage, shown), WHERE, (ConnectProgram(TOPICS, ASKED), arrived(stage, said)))
 
 
 def test_a_definition_that_nobody_looks_at_may_be_anything(stage: Stage, shown: Fields) -> None:
     said = ANSWER | {"message_definition": b"# caf\xe9\nstring data"}
-    joined = play(admit(stage, shown), WHERE, (MeetProgram(TOPICS, ASKED), arrived(stage, said)))
+    joined = play(admit(stage, shown), WHERE, (ConnectProgram(TOPICS, ASKED), arrived(stage, said)))
     assert joined.answer["message_definition"] == said["message_definition"]
 
 
@@ -195,7 +202,7 @@ def test_services_both_ways(stage: Stage) -> None:
     shown = SERVICE | proof(stage, "/viewer", Right.CALL, "/say")
     answer = {"callerid": b"/robot", "md5sum": b"0" * 32}
     joined = play(
-        admit(stage, shown, TOPICS), (MeetProgram(TOPICS, SERVICE), arrived(stage, answer))
+        admit(stage, shown, TOPICS), (ConnectProgram(TOPICS, SERVICE), arrived(stage, answer))
     )
     assert joined.service
     provided = answer | proof(stage, "/robot", Right.PROVIDE, "/say")
@@ -212,13 +219,13 @@ def test_services_both_ways(stage: Stage) -> None:
             recall("/viewer").apart,
             now,
         ),
-        (MeetPeer(PEER, shown), arrived(stage, provided, "/robot")),
+        (ConnectPeer(PEER, shown), arrived(stage, provided, "/robot")),
     )
     assert there.answer == answer
     with pytest.raises(GrantMissing):
         play(
             reach_peer(viewer.tenant, PEER, SERVICE, no_key, recall("/viewer").apart, now),
-            (MeetPeer(PEER, shown), arrived(stage, answer, "/robot")),
+            (ConnectPeer(PEER, shown), arrived(stage, answer, "/robot")),
         )
 
 
@@ -227,7 +234,7 @@ def test_a_program_subscribes_with_its_grants(stage: Stage, shown: Fields) -> No
     now = stage.site.now()
     everything = ASKED | {"type": b"*", "md5sum": b"*"}
     proven = ANSWER | {"topic": b"/word"} | proof(stage, "/robot", Right.PUBLISH, "/word")
-    meet = MeetPeer(PEER, everything | {FIELD: shown[FIELD]})
+    meet = ConnectPeer(PEER, everything | {FIELD: shown[FIELD]})
     joined = play(
         reach_peer(viewer.tenant, PEER, everything, no_key, recall("/viewer").apart, now),
         (meet, arrived(stage, proven, "/robot")),
@@ -237,8 +244,8 @@ def test_a_program_subscribes_with_its_grants(stage: Stage, shown: Fields) -> No
     unproven = ANSWER | {"topic": b"/word"}
     for event, error in (
         (arrived(stage, unproven, "/robot"), GrantMissing),
-        (arrived(stage, proven), Unforeseen),
-        (Silent("gone"), HangUp),
+        (arrived(stage, proven), UnexpectedEvent),
+        (NoAnswer("gone"), HangUp),
     ):
         with pytest.raises(error):
             play(
@@ -253,9 +260,9 @@ def test_a_header_is_for_a_topic_or_for_a_service(stage: Stage, both: Fields) ->
     stage.site.grant("/viewer", Right.CALL, "/say")
     shown = SERVICE | proof(stage, "/viewer", Right.CALL, "/say")
     for fields in (shown | both, {"callerid": b"/viewer"}):
-        with pytest.raises(TopicRefused, match="for a topic or for a service"):
+        with pytest.raises(ConnectionHeaderRefused, match="for a topic or for a service"):
             play(admit(stage, fields))
-        with pytest.raises(TopicRefused, match="for a topic or for a service"):
+        with pytest.raises(ConnectionHeaderRefused, match="for a topic or for a service"):
             play(
                 reach_peer(
                     stage.tenant, PEER, fields, no_key, recall("/robot").apart, stage.site.now()
@@ -275,7 +282,7 @@ def test_restrictions_on_calls_are_refused_not_ignored(stage: Stage) -> None:
     answer = {"callerid": b"/viewer", **proof(stage, "/viewer", Right.PROVIDE, "/do")}
     layer = reach_peer(stage.tenant, PEER, asked, no_key, recall("/robot").apart, stage.site.now())
     command = next(layer)
-    assert isinstance(command, MeetPeer)
+    assert isinstance(command, ConnectPeer)
     with pytest.raises(RestrictionMismatch):
         layer.send(arrived(stage, answer, "/viewer"))
 
@@ -285,7 +292,7 @@ def test_a_restricted_publisher_gets_a_guard(stage: Stage, shown: Fields) -> Non
     stage.site.grant("/robot", Right.PUBLISH, "/word", restriction=restriction)
     viewer, now = Stage(stage.site, "/viewer"), stage.site.now()
     proven = ANSWER | {"topic": b"/word"} | proof(stage, "/robot", Right.PUBLISH, "/word")
-    meet = MeetPeer(PEER, shown)
+    meet = ConnectPeer(PEER, shown)
     layer = reach_peer(viewer.tenant, PEER, ASKED, no_key, recall("/viewer").apart, now)
     joined = play(layer, (meet, arrived(stage, proven, "/robot")))
     assert joined.guard is not None
@@ -296,5 +303,7 @@ def test_a_restricted_publisher_gets_a_guard(stage: Stage, shown: Fields) -> Non
     assert joined.answer["message_definition"].strip() == b"string data"  # as this host knows it
     viewer.tenant.known = lambda _: None
     layer = reach_peer(viewer.tenant, PEER, ASKED, no_key, recall("/viewer").apart, now)
-    with pytest.raises(TopicRefused, match="how this subscriber reads a std_msgs/String"):
+    with pytest.raises(
+        ConnectionHeaderRefused, match="how this subscriber reads a std_msgs/String"
+    ):
         play(layer, (meet, arrived(stage, undefined, "/robot")))
