@@ -11,7 +11,8 @@ from typing import Final, Protocol
 
 from grants.errors import GrantError
 from rossec.errors import AnswerMalformed
-from rossec.participant.access import Access, HeldGrant
+from rossec.participant.access import HeldGrant
+from rossec.participant.access_interfaces import HeldGrants
 from rossec.ros.text import printable
 
 METHOD: Final = "rossec.renewGrants"
@@ -25,7 +26,7 @@ _log = logging.getLogger("rossec.node")
 class Renewals:
     """Which grants of one node are due, and the ones that come back."""
 
-    def __init__(self, access: Access) -> None:
+    def __init__(self, access: HeldGrants) -> None:
         self._access = access
         self._retry_at: dict[bytes, int] = {}
         self._epoch = access.epoch
