@@ -6,7 +6,7 @@ asyncio and for threads: call either every few seconds, and before registering o
 """
 
 import logging
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable
 from typing import Final, Protocol
 
 from grants.errors import GrantError
@@ -76,14 +76,14 @@ class Renewals:
         return True
 
 
-class Call(Protocol):
+class MasterCall(Protocol):
     """Calls a method of the master."""
 
     def __call__(self, method: str, *params: object) -> Awaitable[object]:
         """The value it answers."""
 
 
-async def renew(call: Call, renewals: Renewals, now: int) -> int:
+async def renew(call: MasterCall, renewals: Renewals, now: int) -> int:
     """Have renewed what is due; returns how many were.
 
     Raises:
@@ -93,14 +93,6 @@ async def renew(call: Call, renewals: Renewals, now: int) -> int:
     if not due:
         return 0
     return renewals.take(due, await call(METHOD, [held.original for held in due]), now)
-
-
-def renew_blocking(call: Callable[..., object], renewals: Renewals, now: int) -> int:
-    """As `renew`, with a call that blocks."""
-    due = renewals.due(now)
-    if not due:
-        return 0
-    return renewals.take(due, call(METHOD, [held.original for held in due]), now)
 
 
 def _pause(held: HeldGrant, now: int) -> int:
