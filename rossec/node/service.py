@@ -145,7 +145,7 @@ class Service:
     ) -> None:
         """Answer one admitted caller: its header, then its calls, until its stream ends.
 
-        It is registered before the answer is sent, so that a revocation received meanwhile closes it.
+        It is registered before the answer is sent: a revocation received meanwhile closes it.
         """
         connection = CallerConnection(stream, decision, guard, self._share_of(stream.peer))
         self.links.add(connection)

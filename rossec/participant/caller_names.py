@@ -34,7 +34,7 @@ def resolve_params(method: str, params: Params, caller: str) -> Params:
 
 
 def searched_key(method: str, params: Params) -> str | None:
-    """The key that is searched_key from the caller's namespace, if that is what a call does."""
+    """The key that `searchParam` looks for from the caller's namespace; None for other calls."""
     match method, params:
         case "searchParam", (_, str() as key) if key and key[0] not in "/~":
             return key
@@ -43,7 +43,7 @@ def searched_key(method: str, params: Params) -> str | None:
 
 
 def search_places(caller: str, key: str) -> Iterator[tuple[str, str]]:
-    """Where stock looks for `key`, innermost first: the name that must exist, and the result then."""
+    """Where stock looks for `key`, innermost first: names that must exist, with their results."""
     return names.upwards(caller[:MAX_NAME], key)
 
 
