@@ -21,7 +21,7 @@ from rossec.net.aio.tasks import TaskSet
 from rossec.net.rpc.client import serve_calls
 from rossec.participant import slave_api
 from rossec.participant.connections import AcceptedConnections
-from rossec.participant.limit_memory import recall
+from rossec.participant.limit_memory import memory_scope
 from rossec.participant.slave_rights import MASTER
 from rossec.participant.topic_guard import FilterKey
 from rossec.ros import header
@@ -74,7 +74,7 @@ class Ingress:
         self._tasks = TaskSet()
         self._guests = guests
         self._copies = Copies()
-        self._places = ProgramMemories(recall(tenant.identity.name), self._is_dead)
+        self._places = ProgramMemories(memory_scope(tenant.identity.name), self._is_dead)
         self.doorways = PortPool(self._close_door, self._is_dead)
 
     def open(self, local: Endpoint) -> int:
