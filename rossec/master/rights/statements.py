@@ -285,7 +285,7 @@ class TrustState:
             raise GrantError(f"the master holds at most {MAX_HELD} grants of one node")
         grant = self._verifier().open(token, now)
         if grant.holder != caller.thumbprint:
-            raise GrantNotHeld("a grant bound to another key", f"it was given to {grant.subject}")
+            raise GrantNotHeld("a grant bound to another key", f"it was issued to {grant.subject}")
         held.put(token, grant)
 
     def _renew(self, held: PresentedGrants, caller: Caller, token: bytes, now: int) -> bytes:
@@ -326,7 +326,7 @@ class TrustState:
 
 def _reaches(grant: Grant, names: frozenset[str]) -> Generator[None, None, bool]:
     for permission in grant.permissions:
-        if any(permission.names(name, permission.rights) for name in names):
+        if any(permission.matches(name, permission.rights) for name in names):
             return True
         yield
     return False
