@@ -158,6 +158,6 @@ class Egress:
             if joined.service:
                 await pump.exchange(program, stream, early, first)
             else:
-                stream.welcome(unit_limit(joined.size, ChannelLimits.unit))
+                stream.raise_unit_limit(unit_limit(joined.size, ChannelLimits.unit))
                 longest = message_limit(joined.size, MESSAGE_LIMIT)
                 await pump.subscribe(program, stream, joined.guard, first, longest)

@@ -190,7 +190,7 @@ class Ingress:
         with self._links.linked(stream, joined.decision):
             await stream.send(header.encode(joined.answer))
             if joined.service:
-                stream.welcome()
+                stream.raise_unit_limit()
                 await pump.exchange(program, stream, first, early)
             elif early:
                 _log.warning("%s sends data where it subscribes", stream.peer.name)
