@@ -20,12 +20,12 @@ from ca.certificates import (
     from_pem,
     to_pem,
 )
-from ca.errors import HintedError, PlaceRefused
+from ca.errors import HintedError, PathRefused
 from ca.keys import key_files, ownership
 from ca.keys.signer import KeySigner
 from ca.names import check_name
 from ca.revocation.state import NO_FLOOR, open_statement
-from ca.revocation.tree import MAX_LISTING
+from ca.revocation.tree import MAX_TREE_ENTRIES_SIZE
 from grants.filters.hashing import FILTER_KEY_SIZE, check_key_name
 from rossec import files
 from rossec.channel.edhoc.credentials import Credentials
@@ -58,7 +58,7 @@ def own_home(environ: Mapping[str, str]) -> Path:
 
     Raises:
         ConfigurationError: as for `rossec_home`.
-        PlaceRefused: it belongs to somebody else, or others can write in it.
+        PathRefused: it belongs to somebody else, or others can write in it.
     """
     path = rossec_home(environ)
     ownership.check_directory(path)
@@ -225,7 +225,7 @@ class NodeHome:
 
         Raises:
             ConfigurationError: it is gone, or too large.
-            PlaceRefused: it is no file, or somebody else could have written it.
+            PathRefused: it is no file, or somebody else could have written it.
         """
         return files.read_own(path, _SIZE_LIMIT, self._missing(path, ""))
 
@@ -259,7 +259,11 @@ class NodeHome:
     def load_entries(self) -> bytes | None:
         """The entries of the revocation tree, in the master's home, if there are any."""
         path = self.path / "revocations.entries"
-        return files.read_own(path, MAX_LISTING, self._missing(path, "")) if path.exists() else None
+        return (
+            files.read_own(path, MAX_TREE_ENTRIES_SIZE, self._missing(path, ""))
+            if path.exists()
+            else None
+        )
 
     def save_entries(self, data: bytes) -> None:
         """Keep the entries of a revocation tree; durable on return."""
@@ -288,7 +292,7 @@ class NodeHome:
                 files.create(path, secrets.token_bytes(FILTER_KEY_SIZE))
         try:
             key = files.read_own(path, FILTER_KEY_SIZE, self._missing(path, ""))
-        except PlaceRefused as error:  # a peer may read this: no path in it
+        except PathRefused as error:  # a peer may read this: no path in it
             raise ConfigurationError(
                 f"others could have written the filter key {name}", f"{error}: {error.hint}"
             ) from error

@@ -57,7 +57,7 @@ def termination_reason(link: AuthorizedPeer, revocations: Revocations, now: int)
     if link.decision.keep_when_stale:
         return None
     for entry, reason in reasons.items():
-        if reason is not None and now >= revocations.known_until(entry) + STALE_GRACE:
+        if reason is not None and now >= revocations.status_valid_until(entry) + STALE_GRACE:
             return str(reason)
     return None
 

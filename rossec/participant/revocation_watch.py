@@ -59,7 +59,7 @@ class ConnectionWatchdog:
         """Cut what must end; after a clock that went back, wait for news of revocations."""
         if self._setbacks.any_new():
             _log.warning(WENT_BACK)
-            self._revocations.doubt(now - 1)
+            self._revocations.expire_confirmation(now - 1)
         self.cut(now)
 
     def cut(self, now: int) -> None:
