@@ -136,7 +136,7 @@ def _treat(topic: Any, link: LiveConnection, samples: Samples, moment: int) -> P
     assert guard is not None  # noqa: S101 - asked by the caller
     for sample in samples(guard):
         try:
-            pieces = guard.treat(memoryview(sample.data)[LENGTH.size :], moment, sample.mark)
+            pieces = guard.apply(memoryview(sample.data)[LENGTH.size :], moment, sample.mark)
         except GrantError as error:
             name = topic.resolved_name
             withheld_log.warn(_log, withheld_log.SENT, name, link.stream.peer.name, error)

@@ -17,7 +17,7 @@ from grants.decision import Decision
 from grants.errors import GrantError
 from grants.filters.layout import Layout
 from grants.guard import Guard, needed_keys
-from grants.memory import Recall
+from grants.memory import MemoryScope
 from rossec import clock
 from rossec.errors import NodeShutdown, RossecError
 from rossec.net import withheld_log
@@ -98,7 +98,7 @@ class Publisher:
         endpoint: TopicEndpoint,
         layout: Layout,
         filter_key: Callable[[str], bytes],
-        recall: Recall,
+        recall: MemoryScope,
         *,
         latch: bool,
         queue_size: int = QUEUE_SIZE,
@@ -212,7 +212,7 @@ class Publisher:
         self, link: SubscriberConnection, sample: Sample[memoryview], now: int
     ) -> Pieces | None:
         try:
-            pieces = link.guard.treat(sample.data, now, sample.mark)
+            pieces = link.guard.apply(sample.data, now, sample.mark)
         except GrantError as error:
             withheld_log.warn(_log, withheld_log.SENT, self.topic, link.stream.peer.name, error)
             return None

@@ -16,7 +16,7 @@ from ca.errors import HintedError
 from grants.decision import Decision
 from grants.errors import GrantError
 from grants.guard import Guard
-from grants.memory import Recall
+from grants.memory import MemoryScope
 from rossec import clock
 from rossec.errors import ConfigurationError, MessageError
 from rossec.net import withheld_log
@@ -66,7 +66,7 @@ class Subscriber:
         dial: Dial,
         on_close: OnClose,
         filter_key: FilterKey,
-        recall: Recall,
+        recall: MemoryScope,
         *,
         queue_size: int = QUEUE_SIZE,
     ) -> None:

@@ -10,7 +10,7 @@ from itertools import count
 
 from ca.errors import HintedError
 from grants.filters import layout
-from grants.memory import Recall
+from grants.memory import MemoryScope
 from rossec import clock
 from rossec.errors import ConfigurationError
 from rossec.node.context import NodeContext
@@ -170,11 +170,11 @@ class Topics:
                 )
 
 
-def _free(recall: Recall, beside: Sequence[Subscriber]) -> Recall:
+def _free(recall: MemoryScope, beside: Sequence[Subscriber]) -> MemoryScope:
     """Where a further subscriber of a topic remembers: apart from those that live.
 
     Each of them gets every message. The next one goes on where one that was closed has stopped.
     """
     taken = {subscriber.recall for subscriber in beside}
-    places = (recall.apart(str(number)) for number in count())
+    places = (recall.child(str(number)) for number in count())
     return next(place for place in places if place not in taken)

@@ -9,14 +9,14 @@ from collections.abc import Callable
 
 from grants.decision import Decision
 from grants.guard import Guard, needed_keys
-from grants.memory import Recall
+from grants.memory import MemoryScope
 from rossec.participant.definitions import Definition, looks_inside
 
 FilterKey = Callable[[str], bytes]
 
 
 def guard_for(
-    kind: Definition, decision: Decision, filter_key: FilterKey, recall: Recall
+    kind: Definition, decision: Decision, filter_key: FilterKey, recall: MemoryScope
 ) -> Guard | None:
     """The guard for messages of `kind`; None: nothing to apply.
 

@@ -13,7 +13,7 @@ from typing import TypeAlias
 from ca.certificates import Identity
 from grants.decision import Decision
 from grants.guard import Guard
-from grants.memory import Recall
+from grants.memory import MemoryScope
 from grants.model import Right
 from rossec.channel.opening import WireProtocol
 from rossec.errors import ConnectionHeaderRefused, HangUp
@@ -38,7 +38,7 @@ from rossec.sidecar.core.slave_calls import REQUEST_TOPIC, succeeded
 
 _CALLER = "callerid"
 _LONGEST_NAME = 255
-FindRecall: TypeAlias = Callable[[str], Recall]  # of a program that calls itself so
+FindRecall: TypeAlias = Callable[[str], MemoryScope]  # of a program that calls itself so
 
 
 @dataclass(frozen=True)

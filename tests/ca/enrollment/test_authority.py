@@ -6,7 +6,7 @@ from ca.enrollment.messages import (
     Abort,
     Acknowledgement,
     Delivery,
-    EnrollmentDone,
+    Done,
     Fetch,
     Reason,
     read,
@@ -152,7 +152,7 @@ def test_a_replayed_last_word() -> None:
     assert later.state is AuthorityState.OVER
     authority.receive(recorded, NOW)
     with pytest.raises(AcknowledgementRefused, match="not signed by the node"):
-        authority.receive(write(EnrollmentDone(b"no")), NOW)
+        authority.receive(write(Done(b"no")), NOW)
     assert authority.state is AuthorityState.ENROLLED
 
 
@@ -163,7 +163,7 @@ def test_the_last_word_before_the_answer_changes_nothing() -> None:
     node.confirm(node.pending.digits, NOW)
     (done,) = node.activated()
     with pytest.raises(
-        EnrollmentMessageRefused, match="unexpected EnrollmentDone in state 'waiting for the ack"
+        EnrollmentMessageRefused, match="unexpected Done in state 'waiting for the ack"
     ):
         authority.receive(done, NOW)
     for message in (answer, answer, done, answer):

@@ -45,7 +45,7 @@ class Guard:
 
     memory = None
 
-    def treat(self, message: Any, _now: int, _mark: object) -> Any:
+    def apply(self, message: Any, _now: int, _mark: object) -> Any:
         self.treated += 1
         return self._treat(message)
 

@@ -20,7 +20,7 @@ def guard(memory: Memory | None) -> Guard:
 def shown(latch: Latch[bytes], receiver: Guard, now: int = NOW) -> bytes | None:
     """What a newcomer gets."""
     for sample in latch.shown(receiver):
-        if receiver.treat(sample.data, now, sample.mark) is not None:
+        if receiver.apply(sample.data, now, sample.mark) is not None:
             latch.passed(receiver, sample)
             return sample.data
     return None
