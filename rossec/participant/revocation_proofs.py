@@ -12,7 +12,7 @@ from rossec.errors import AnswerMalformed
 from rossec.participant.grant_renewal import MasterCall
 
 METHOD: Final = "rossec.revocationProofs"
-AT_ONCE: Final = 64  # entries in one call: what the master takes
+MAX_PER_CALL: Final = 64  # entries in one call: what the master takes
 
 _log = logging.getLogger("rossec.node")
 
@@ -34,7 +34,7 @@ async def prove(call: MasterCall, revocations: Provable) -> int:
     Raises:
         RossecError: the master refuses, answers nonsense, or is out of reach.
     """
-    wanted = revocations.unproved[:AT_ONCE]
+    wanted = revocations.unproved[:MAX_PER_CALL]
     return take(revocations, wanted, await call(METHOD, wanted)) if wanted else 0
 
 

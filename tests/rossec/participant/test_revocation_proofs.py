@@ -14,7 +14,7 @@ from grants.model import Right
 from rossec.errors import AnswerMalformed
 from rossec.participant.connections import STALE_GRACE, termination_reason
 from rossec.participant.grant_renewal import MasterCall
-from rossec.participant.revocation_proofs import AT_ONCE, METHOD, prove
+from rossec.participant.revocation_proofs import MAX_PER_CALL, METHOD, prove
 from tests.rossec.node.test_node import POSE, first, pose, tell_master, until
 from tests.rossec.participant.test_connections import Linked
 from tests.support.authority import Site as Authority
@@ -61,10 +61,10 @@ async def test_what_is_wanted_is_asked_for_once(held: Revocations) -> None:
 
 
 async def test_only_so_many_at_once(held: Revocations) -> None:
-    for n in range(100, 100 + AT_ONCE):
+    for n in range(100, 100 + MAX_PER_CALL):
         with pytest.raises(RevocationsStale):
             held.check(n.to_bytes(16), int(time.time()))
-    assert await prove(answer, held) == AT_ONCE
+    assert await prove(answer, held) == MAX_PER_CALL
     assert await prove(answer, held) == 2
 
 
