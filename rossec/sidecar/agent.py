@@ -72,7 +72,7 @@ class Agent:
         self._watch = ConnectionWatchdog(revocations, lambda: self._links, guests)
         self._membership = Membership(
             self, home, self.tenant, credentials, revocations,
-            self._dial_master, self._watch.cut,
+            self._dial_master, self._watch.close_terminated,
         )  # fmt: skip
         self._exports = Ingress(
             self, self.tenant, self._network, self._links, guests, home.filter_key,
@@ -146,7 +146,7 @@ class Agent:
 
     async def ask_master(self, method: str, params: tuple[object, ...]) -> object:
         """The master's answer."""
-        return await self._membership.answer(method, params)
+        return await self._membership.forward(method, params)
 
     def proof(self, right: Right, name: str) -> bytes:
         """Grants that prove `right` on `name`."""

@@ -168,7 +168,7 @@ def _judged(guard: Judge, messages: list[bytes], peer: str, now: int) -> list[Bu
 
 def _treated(guard: Judge, message: bytes, peer: str, now: int) -> list[Buffer]:
     try:
-        treated = guard.treat(message, now)
+        treated = guard.apply(message, now)
     except GrantError as error:
         withheld_log.warn(_log, "%(peer)s: withheld a message: %(cause)s", "", peer, error)
         return []

@@ -12,13 +12,13 @@ from typing import Final
 from rossec.channel.opening import WireProtocol
 from rossec.errors import HangUp
 from rossec.participant.caller_names import (
-    RELATIVE,
+    RELATIVE_NAME,
     SEARCH,
-    as_meant,
-    nowhere,
-    places,
-    searched,
-    settled,
+    not_found,
+    resolve_params,
+    search_places,
+    search_result,
+    searched_key,
 )
 from rossec.participant.slave_api import without_caller
 from rossec.ros.text import printable
@@ -117,7 +117,7 @@ def call(tenant: AgentState, method: str, params: tuple[object, ...]) -> Layer[o
     outside = yield from _outward(tenant, method, rule, caller, params)
     if outside is None:
         return [-1, "rossec: this address is not the program's own", 0]
-    key = None if outside[0] == caller else searched(method, params)
+    key = None if outside[0] == caller else searched_key(method, params)
     if key is None:
         answer = yield from _ask(method, outside)
     else:
@@ -125,7 +125,7 @@ def call(tenant: AgentState, method: str, params: tuple[object, ...]) -> Layer[o
     if answer[0] == 1:
         _remember(tenant, method, rule, params, outside)
         if method == _SUBSCRIBE:
-            answer[2] = tenant.publishers_are(outside[RELATIVE[method]], answer[2])
+            answer[2] = tenant.publishers_are(outside[RELATIVE_NAME[method]], answer[2])
         return (yield from _inward(tenant, rule, _own(rule, params), answer))
     return answer
 
@@ -154,11 +154,11 @@ def _ask(method: str, params: tuple[object, ...]) -> Layer[list[object]]:
 
 def _search(asker: str, name: object, key: str) -> Layer[list[object]]:
     """Search from the namespace of `asker`; the master would, from that of `name`."""
-    for place, found in places(asker, key):
-        answer = settled((yield from _ask(SEARCH, (name, place))), found)
+    for place, found in search_places(asker, key):
+        answer = search_result((yield from _ask(SEARCH, (name, place))), found)
         if answer is not None:
             return answer
-    return nowhere(key)
+    return not_found(key)
 
 
 def _multicall(tenant: AgentState, params: tuple[object, ...]) -> Layer[object]:
@@ -189,7 +189,7 @@ def _outward(
     name = caller
     if rule.undoes is None:  # `rosnode cleanup` speaks for dead nodes; the master judges that
         name = tenant.name_for(caller)
-    changed = list(params if name == caller else as_meant(method, params, caller))
+    changed = list(params if name == caller else resolve_params(method, params, caller))
     changed[0] = name
     for index, flavour in ((rule.api, WireProtocol.HTTP), (rule.service, WireProtocol.TCPROS)):
         if index is None or index >= len(params):
@@ -236,7 +236,7 @@ def _remember(
     params: tuple[object, ...],
     outside: tuple[object, ...],
 ) -> None:
-    key = str(outside[RELATIVE[method]]) if method in RELATIVE else ""
+    key = str(outside[RELATIVE_NAME[method]]) if method in RELATIVE_NAME else ""
     own = _own(rule, params)
     if rule.registers and own is not None:
         program = tenant.programs.setdefault(own, Program(str(params[0])))
@@ -328,7 +328,7 @@ def _again(
 
 def let_go(tenant: AgentState) -> Layer[None]:
     """Name to programs who is left of publishers that the master did not name again in time."""
-    for topic in tenant.named.overdue():
+    for topic in tenant.named.expired_topics():
         for own, program in tuple(tenant.programs.items()):
             if (_SUBSCRIBE, topic) in program.registrations:
                 uris = yield from tenant.bring_all(tenant.named.to_follow(topic), own)

@@ -10,7 +10,7 @@ from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field
 from typing import Generic, TypeVar
 
-from grants.memory import Recall
+from grants.memory import MemoryScope
 
 HolderT = TypeVar("HolderT", bound=Hashable)
 
@@ -31,19 +31,21 @@ class ProgramMemories(Generic[HolderT]):
         gone: whether a holder, that has not left, has ended.
     """
 
-    def __init__(self, recall: Recall, gone: Callable[[HolderT], bool] = lambda _: False) -> None:
+    def __init__(
+        self, recall: MemoryScope, gone: Callable[[HolderT], bool] = lambda _: False
+    ) -> None:
         self._recall = recall
         self._gone = gone
         self._places: list[_ProgramMemory[HolderT]] = []
 
-    def take(self, name: str, holder: HolderT) -> Recall:
+    def take(self, name: str, holder: HolderT) -> MemoryScope:
         """What `holder`, a program by that name, has let each key use up."""
         place = self._held_by(holder) or self._named(name) or self._freed() or self._new()
         self._let_go(place)
         if not place.holders:
             place.name = name
         place.holders.add(holder)
-        return self._recall.apart(str(self._places.index(place)))
+        return self._recall.child(str(self._places.index(place)))
 
     def leave(self, holder: HolderT) -> None:
         """`holder` has ended."""

@@ -54,7 +54,7 @@ async def test_an_identity_that_nobody_watches_over_serves_nobody(
     def crash(_: int) -> None:
         raise ArithmeticError
 
-    monkeypatch.setattr(agent._watch, "cut", crash)
+    monkeypatch.setattr(agent._watch, "close_terminated", crash)
     await ends(stream)
     await ends(source)
     with pytest.raises(RossecError):

@@ -41,7 +41,7 @@ def proof(stage: Stage, name: str, right: Right, topic: str) -> Fields:
 def admit(stage: Stage, fields: Fields, door: Endpoint = DOOR) -> Layer[AdmittedConnection]:
     peer = stage.identity("/viewer")
     return admit_peer(
-        stage.tenant, door, fields, peer, no_key, recall("/robot").apart, stage.site.now()
+        stage.tenant, door, fields, peer, no_key, recall("/robot").child, stage.site.now()
     )
 
 
@@ -216,7 +216,7 @@ def test_services_both_ways(stage: Stage) -> None:
             PEER,
             SERVICE | {"callerid": b"/rosservice"},
             no_key,
-            recall("/viewer").apart,
+            recall("/viewer").child,
             now,
         ),
         (ConnectPeer(PEER, shown), arrived(stage, provided, "/robot")),
@@ -224,7 +224,7 @@ def test_services_both_ways(stage: Stage) -> None:
     assert there.answer == answer
     with pytest.raises(GrantMissing):
         play(
-            reach_peer(viewer.tenant, PEER, SERVICE, no_key, recall("/viewer").apart, now),
+            reach_peer(viewer.tenant, PEER, SERVICE, no_key, recall("/viewer").child, now),
             (ConnectPeer(PEER, shown), arrived(stage, answer, "/robot")),
         )
 
@@ -236,7 +236,7 @@ def test_a_program_subscribes_with_its_grants(stage: Stage, shown: Fields) -> No
     proven = ANSWER | {"topic": b"/word"} | proof(stage, "/robot", Right.PUBLISH, "/word")
     meet = ConnectPeer(PEER, everything | {FIELD: shown[FIELD]})
     joined = play(
-        reach_peer(viewer.tenant, PEER, everything, no_key, recall("/viewer").apart, now),
+        reach_peer(viewer.tenant, PEER, everything, no_key, recall("/viewer").child, now),
         (meet, arrived(stage, proven, "/robot")),
     )
     assert joined.answer == ANSWER | {"topic": b"/word"}
@@ -249,7 +249,7 @@ def test_a_program_subscribes_with_its_grants(stage: Stage, shown: Fields) -> No
     ):
         with pytest.raises(error):
             play(
-                reach_peer(viewer.tenant, PEER, everything, no_key, recall("/viewer").apart, now),
+                reach_peer(viewer.tenant, PEER, everything, no_key, recall("/viewer").child, now),
                 (meet, event),
             )
 
@@ -265,7 +265,7 @@ def test_a_header_is_for_a_topic_or_for_a_service(stage: Stage, both: Fields) ->
         with pytest.raises(ConnectionHeaderRefused, match="for a topic or for a service"):
             play(
                 reach_peer(
-                    stage.tenant, PEER, fields, no_key, recall("/robot").apart, stage.site.now()
+                    stage.tenant, PEER, fields, no_key, recall("/robot").child, stage.site.now()
                 )
             )
 
@@ -280,7 +280,7 @@ def test_restrictions_on_calls_are_refused_not_ignored(stage: Stage) -> None:
     stage.site.grant("/viewer", Right.PROVIDE, "/do", restriction=limited)
     asked = {"callerid": b"/robot", "service": b"/do", "md5sum": b"*"}
     answer = {"callerid": b"/viewer", **proof(stage, "/viewer", Right.PROVIDE, "/do")}
-    layer = reach_peer(stage.tenant, PEER, asked, no_key, recall("/robot").apart, stage.site.now())
+    layer = reach_peer(stage.tenant, PEER, asked, no_key, recall("/robot").child, stage.site.now())
     command = next(layer)
     assert isinstance(command, ConnectPeer)
     with pytest.raises(RestrictionMismatch):
@@ -293,16 +293,16 @@ def test_a_restricted_publisher_gets_a_guard(stage: Stage, shown: Fields) -> Non
     viewer, now = Stage(stage.site, "/viewer"), stage.site.now()
     proven = ANSWER | {"topic": b"/word"} | proof(stage, "/robot", Right.PUBLISH, "/word")
     meet = ConnectPeer(PEER, shown)
-    layer = reach_peer(viewer.tenant, PEER, ASKED, no_key, recall("/viewer").apart, now)
+    layer = reach_peer(viewer.tenant, PEER, ASKED, no_key, recall("/viewer").child, now)
     joined = play(layer, (meet, arrived(stage, proven, "/robot")))
     assert joined.guard is not None
     assert joined.guard(b"\x04\0\0\0stop", now) is None
-    layer = reach_peer(viewer.tenant, PEER, ASKED, no_key, recall("/viewer").apart, now)
+    layer = reach_peer(viewer.tenant, PEER, ASKED, no_key, recall("/viewer").child, now)
     undefined = proven | {"message_definition": b""}
     joined = play(layer, (meet, arrived(stage, undefined, "/robot")))
     assert joined.answer["message_definition"].strip() == b"string data"  # as this host knows it
     viewer.tenant.known = lambda _: None
-    layer = reach_peer(viewer.tenant, PEER, ASKED, no_key, recall("/viewer").apart, now)
+    layer = reach_peer(viewer.tenant, PEER, ASKED, no_key, recall("/viewer").child, now)
     with pytest.raises(
         ConnectionHeaderRefused, match="how this subscriber reads a std_msgs/String"
     ):
