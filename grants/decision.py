@@ -25,7 +25,7 @@ from grants.errors import (
 from grants.model import Grant, Restriction, Right, merge
 from grants.validity import check_time, moment
 
-Check = Callable[[bytes, int], None]
+RevocationCheck = Callable[[bytes, int], None]
 
 MAX_NEAR_MISSES: Final = 5
 
@@ -85,7 +85,7 @@ def authorize(
     *,
     holder: bytes,
     now: int,
-    check: Check,
+    check: RevocationCheck,
 ) -> Decision:
     """Decide whether the key `holder` may use `right` on `name`.
 
@@ -149,7 +149,7 @@ def _covers(grant: Grant, right: Right, name: str) -> bool:
 
 
 def _usable(
-    covering: dict[bytes, Grant], holder: bytes, now: int, check: Check
+    covering: dict[bytes, Grant], holder: bytes, now: int, check: RevocationCheck
 ) -> tuple[Grant, ...]:
     """The grants that hold, by id; if there is none, raise the refusal that came furthest."""
     usable: list[Grant] = []
@@ -171,7 +171,7 @@ def _progress(error: GrantError) -> int:
     return _PROGRESS.index(type(error))
 
 
-def _check(grant: Grant, holder: bytes, now: int, check: Check) -> None:
+def _check(grant: Grant, holder: bytes, now: int, check: RevocationCheck) -> None:
     if grant.holder != holder:
         raise GrantNotHeld(
             f"grant {grant.short_id} is bound to another key",

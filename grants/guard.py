@@ -101,7 +101,7 @@ class Guard:
         with self.memory.lock:
             return self.memory.ready(self._bucket, now)
 
-    def treat(self, message: Buffer, now: int, mark: object = None) -> list[Buffer] | None:
+    def apply(self, message: Buffer, now: int, mark: object = None) -> list[Buffer] | None:
         """Return `message` in pieces as the receiver may see it, or None if it may not.
 
         Args:
@@ -128,7 +128,7 @@ class Guard:
             GrantExpired, MessageRefused: as they do.
         """
         self.check(now)
-        return self.treat(message, now)
+        return self.apply(message, now)
 
     def _treat(self, message: Buffer, now: int, mark: object) -> list[Buffer] | None:
         for condition in self._conditions:

@@ -1,10 +1,10 @@
-"""What a right that is limited over time remembers: its rate, its hysteresis. Pure.
+"""State of rights that are limited over time: rates and hysteresis. Pure.
 
-It belongs to a key, a right and a name, never to a connection: whoever comes back, or comes a
-hundred times, finds what he left. A message is judged once: under the same mark it is let through
-to every connection of the key. `Memories` keeps them for as long as it lives and is bounded: only
-what has recovered and nobody uses is forgotten, which gains nobody anything, and else a newcomer
-is refused.
+It belongs to a key, a right and a name, never to a connection: a peer that reconnects, or opens a
+hundred connections, continues with the same state. A message counts once: under one message id it
+is admitted on every connection of the key. `MemoryStore` keeps the state of one process and is
+bounded: only state that equals fresh state and is not in use is evicted, so eviction gains a peer
+nothing; otherwise a new peer is refused.
 """
 
 from collections.abc import Callable
@@ -125,7 +125,7 @@ class Memory:
             return full and all(cell.held is None for cell in self._cells.values())
 
 
-class Memories:
+class MemoryStore:
     """All of one process.
 
     Args:
@@ -176,17 +176,17 @@ class Memories:
 
 
 @dataclass(frozen=True)
-class Recall:
+class MemoryScope:
     """Finds the memory of a decision: of one node, and of one part of what the node does."""
 
-    memories: Memories
+    memories: MemoryStore
     scope: tuple[str, ...]
 
     def __call__(self, decision: Decision) -> Memory:
-        """As `Memories.find`."""
+        """As `MemoryStore.find`."""
         return self.memories.find(self.scope, decision)
 
-    def apart(self, part: str) -> "Recall":
+    def child(self, part: str) -> "MemoryScope":
         """For what must be counted apart from the rest."""
         return replace(self, scope=(*self.scope, part))
 

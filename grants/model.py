@@ -139,7 +139,7 @@ class Restriction:
     def __post_init__(self) -> None:
         if self.type is not None and _TYPE.fullmatch(self.type) is None:
             raise GrantMalformed(f"not a message type: {self.type[:80]!r}")
-        if not self.treats_messages and not self.keep_when_stale:
+        if not self.restricts_messages and not self.keep_when_stale:
             raise GrantMalformed("a restriction that restricts nothing")
         if self.filters and self.type is None:
             raise GrantMalformed("filters without the message type they are written for")
@@ -151,7 +151,7 @@ class Restriction:
             raise GrantMalformed(f"a rate must be above zero and at most {MAX_RATE} a second")
 
     @property
-    def treats_messages(self) -> bool:
+    def restricts_messages(self) -> bool:
         """Whether messages are looked at: for whoever has none there is nothing to apply."""
         return bool(self.conditions or self.filters) or self.rate is not None
 
@@ -261,6 +261,6 @@ def merge(restrictions: Iterable[Restriction | None]) -> tuple[Restriction, ...]
     unique = {
         replace(restriction, keep_when_stale=False)
         for restriction in restrictions
-        if restriction is not None and restriction.treats_messages
+        if restriction is not None and restriction.restricts_messages
     }
     return tuple(sorted(unique, key=repr))

@@ -50,7 +50,7 @@ _ID_PREFIX: Final = (
 _ISS, _AUD, _EXP, _NBF, _CTI, _CNF, _CKT = 1, 3, 4, 5, 7, 8, 5
 _SEQ, _MAX_TTL, _GRANT = -70002, -70010, -70011
 
-Check = Callable[[bytes, int], None]
+RevocationCheck = Callable[[bytes, int], None]
 
 
 @dataclass(frozen=True)
@@ -182,7 +182,7 @@ def renew(
     *,
     now: int,
     seq: int,
-    check: Check,
+    check: RevocationCheck,
 ) -> Grant:
     """The same grant, valid until the ticket ends.
 

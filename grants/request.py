@@ -22,8 +22,8 @@ from grants.model import ALL_RIGHTS, Right
 from grants.names import check_pattern
 
 REQUEST: Final = Profile("rossec-request+cwt")
-MAX_WISHES: Final = 64
-MAX_WHY: Final = 500
+MAX_RIGHTS: Final = 64
+MAX_REASON: Final = 500
 SKEW: Final = 300  # seconds a request may seem to come from the future
 FRESH: Final = 7 * 86400  # files are carried by people
 
@@ -33,7 +33,7 @@ _ID_DOMAIN: Final = b"rossec-request-id\0"
 
 
 @dataclass(frozen=True, order=True)
-class Wish:
+class RequestedRight:
     """One thing a node asks for: one right on a name or pattern."""
 
     right: Right
@@ -51,19 +51,19 @@ class GrantRequest:
     node: str
     issued: int
     serial: bytes
-    wishes: tuple[Wish, ...]
+    rights: tuple[RequestedRight, ...]
     why: str
 
     def __post_init__(self) -> None:
         check_name(self.node)
-        if not 0 < len(self.wishes) <= MAX_WISHES:
-            raise GrantMalformed(f"a request names 1 to {MAX_WISHES} rights")
-        for wish in self.wishes:
-            check_pattern(wish.pattern)
-            if wish.right not in list(ALL_RIGHTS):
-                raise GrantMalformed(f"{int(wish.right)} is not one right")
-        if len(self.why) > MAX_WHY:
-            raise GrantMalformed(f"a reason has at most {MAX_WHY} characters")
+        if not 0 < len(self.rights) <= MAX_RIGHTS:
+            raise GrantMalformed(f"a request names 1 to {MAX_RIGHTS} rights")
+        for requested in self.rights:
+            check_pattern(requested.pattern)
+            if requested.right not in list(ALL_RIGHTS):
+                raise GrantMalformed(f"{int(requested.right)} is not one right")
+        if len(self.why) > MAX_REASON:
+            raise GrantMalformed(f"a reason has at most {MAX_REASON} characters")
         if len(self.serial) != 16 or not 0 <= self.issued < 1 << 53:
             raise GrantMalformed("serial must be 16 bytes, issued a time")
 
@@ -115,7 +115,7 @@ def open_request(
 
 
 def _claims(request: GrantRequest) -> Value:
-    scope: list[Value] = [[wish.pattern, int(wish.right)] for wish in request.wishes]
+    scope: list[Value] = [[requested.pattern, int(requested.right)] for requested in request.rights]
     return {
         _SUB: request.node,
         _AUD: request.domain,
@@ -134,7 +134,9 @@ def _read(payload: Value) -> GrantRequest:
                 node=_typed(claims[_SUB], str),
                 issued=_typed(claims[_IAT], int),
                 serial=_typed(claims[_CTI], bytes),
-                wishes=tuple(_wishes(_typed(decode(_typed(claims[_SCOPE], bytes)), list))),
+                rights=tuple(
+                    _requested_rights(_typed(decode(_typed(claims[_SCOPE], bytes)), list))
+                ),
                 why=_typed(claims[_WHY], str),
             )
         case _:
@@ -142,11 +144,11 @@ def _read(payload: Value) -> GrantRequest:
     raise GrantMalformed("not the claims of a request")
 
 
-def _wishes(entries: list[Value]) -> Iterable[Wish]:
+def _requested_rights(entries: list[Value]) -> Iterable[RequestedRight]:
     for entry in entries:
         match entry:
             case [str() as pattern, int() as bits] if 0 < bits <= int(ALL_RIGHTS):
-                yield Wish(Right(bits), pattern)
+                yield RequestedRight(Right(bits), pattern)
             case _:
                 raise GrantMalformed("a wish is not [pattern, right]")
 

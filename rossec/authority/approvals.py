@@ -154,7 +154,7 @@ class ApprovalQueue:
     def _verdict(self, asked: StoredRequest) -> Verdict:
         row = self._store.live_certificate(asked.request.node, self._now)
         subject = Subject(row.name, row.thumbprint)
-        return self._decider.decide(subject, asked.wish.right, asked.wish.pattern)
+        return self._decider.decide(subject, asked.requested.right, asked.requested.pattern)
 
     def _refusal(self, asked: StoredRequest, waiting: dict[str, int]) -> str:
         if self._now > asked.at + self._decider.policy.defaults.prompt_timeout:

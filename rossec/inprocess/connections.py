@@ -28,7 +28,12 @@ from rossec.inprocess.process import SecuredProcess
 from rossec.inprocess.service_filter import ClientFilter, ServerFilter
 from rossec.inprocess.sockets import RosSocket
 from rossec.participant.access import FIELD
-from rossec.participant.definitions import Definition, as_received, from_header, told
+from rossec.participant.definitions import (
+    Definition,
+    definition_fields,
+    from_header,
+    receiver_definition,
+)
 from rossec.participant.limit_memory import recall
 from rossec.participant.message_types import MessageType
 from rossec.participant.service_guard import ServiceGuard
@@ -119,8 +124,8 @@ class Connections:
         own = described(protocol.recv_data_class)
         expected = ExpectedTopic(name, own.name, own.md5sum)
         decision = admit_publisher(fields, peer, expected, access, now())
-        kind = as_received(own, from_header(fields), decision, installed)
-        fields |= told(kind, decision)
+        kind = receiver_definition(own, from_header(fields), decision, installed)
+        fields |= definition_fields(kind, decision)
         sock.welcome(room(protocol.recv_data_class))
         return LiveConnection(sock, decision, self._guard_for(kind, decision))
 

@@ -2,16 +2,16 @@
 
 import contextlib
 import logging
-from collections.abc import Awaitable, Callable, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 from ca.revocation.state import Revocations
-from grants.memory import Recall
+from grants.memory import MemoryScope
 from rossec.errors import AnswerRefused
 from rossec.participant.access import Access
 from rossec.participant.dialer import Dialer
+from rossec.participant.grant_renewal import MasterCall
 
-Call = Callable[..., Awaitable[object]]
 _log = logging.getLogger("rossec.node")
 
 
@@ -30,10 +30,10 @@ class NodeContext:
     name: str
     access: Access
     revocations: Revocations
-    call: Call
+    call: MasterCall
     dialer: Dialer
     filter_key: Callable[[str], bytes]
-    recall: Recall
+    recall: MemoryScope
     uri: Callable[[], str]
     rosrpc: Callable[[], str]
 

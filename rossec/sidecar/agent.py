@@ -17,8 +17,8 @@ from rossec.home import NodeHome
 from rossec.net.aio import SecureStream
 from rossec.net.aio.tasks import TaskSet
 from rossec.net.halfopen import HalfOpenCount
-from rossec.participant.accepted import AcceptedConnections
 from rossec.participant.access import Access
+from rossec.participant.connections import AcceptedConnections
 from rossec.participant.publisher_grace import PublisherGrace
 from rossec.participant.revocation_watch import ConnectionWatchdog
 from rossec.ros.settings import Settings
@@ -74,7 +74,7 @@ class Agent:
         self._watchdog = ConnectionWatchdog(revocations, lambda: self._connections, accepted)
         self._membership = Membership(
             self, home, self.state, credentials, revocations,
-            self._dial_master, self._watchdog.cut,
+            self._dial_master, self._watchdog.close_terminated,
         )  # fmt: skip
         self._ingress = Ingress(
             self, self.state, self._connector, self._connections, accepted, home.filter_key,

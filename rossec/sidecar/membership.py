@@ -90,7 +90,7 @@ class Membership:
         except (HintedError, OSError, TimeoutError) as error:
             _log.warning("%s: the master does not answer: %s", name, error)
             raise HangUp(str(error)) from error
-        self._tasks.spawn(self._session.keep(), f"{name}: master session")
+        self._tasks.spawn(self._session.run(), f"{name}: master session")
         self._tasks.spawn(self._collect_grants(), f"{name}: grants")
         self._tasks.spawn(self._resubscribe_topics(), f"{name}: lost topics")
         return stream.local_address
@@ -102,7 +102,7 @@ class Membership:
 
     async def call_master(self, method: str, params: tuple[object, ...]) -> object:
         """The master's answer; a program that is refused may not show why."""
-        answer = await self._session.answer(method, *params)
+        answer = await self._session.forward(method, *params)
         match answer:
             case [code, str(status), *_] if code != 1 and status.startswith("rossec: "):
                 _log.warning("the master refuses %s: %s", method, status.removeprefix("rossec: "))
@@ -115,7 +115,7 @@ class Membership:
         now = clock.now()
         try:
             access, save = self._agent.access, self._home.save_revocations
-            access.take_news(data, timestamp, master, now, save)
+            access.update_revocations(data, timestamp, master, now, save)
         finally:  # what the list revokes ends, whatever is wrong with the timestamp
             self._cut(now)
 

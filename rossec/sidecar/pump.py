@@ -170,7 +170,7 @@ def _filter_messages(
 
 def _filter_message(guard: MessageGuard, message: bytes, peer: str, now: int) -> list[Buffer]:
     try:
-        treated = guard.treat(message, now)
+        treated = guard.apply(message, now)
     except GrantError as error:
         withheld_log.warn(_log, "%(peer)s: withheld a message: %(cause)s", "", peer, error)
         return []

@@ -26,7 +26,7 @@ from grants.errors import GrantError
 from grants.filters import layout
 from grants.guard import Guard
 from grants.model import Draft, Grant, Permission, Restriction, Right, filter_rules, merge
-from grants.request import Wish
+from grants.request import RequestedRight
 from rossec.channel.edhoc.known import KnownCertificates, reference
 from rossec.channel.edhoc.messages import decode_error, decode_message_1, decode_plaintext
 from rossec.discovery import announcement
@@ -206,7 +206,7 @@ RENEWAL: Final = renewal.sign_renewal(
 REQUEST: Final = request.sign_request(
     NODE,
     request.GrantRequest(
-        "home", "/heating", NOW, bytes(16), (Wish(Right.SUBSCRIBE, "/pose"),), "to heat"
+        "home", "/heating", NOW, bytes(16), (RequestedRight(Right.SUBSCRIBE, "/pose"),), "to heat"
     ),
 )
 

@@ -5,7 +5,7 @@ from itertools import permutations
 import pytest
 
 from ca.errors import NameRefused, Revoked
-from grants.decision import Check, Decision, authorize
+from grants.decision import Decision, RevocationCheck, authorize
 from grants.errors import (
     GrantError,
     GrantExpired,
@@ -27,7 +27,7 @@ def fine(grant_id: bytes, now: int) -> None:
     assert (len(grant_id), now) == (16, NOW)
 
 
-def revoked(*grants: Grant) -> Check:
+def revoked(*grants: Grant) -> RevocationCheck:
     def check(grant_id: bytes, now: int) -> None:
         if grant_id in [grant.id for grant in grants]:
             raise Revoked("on the list", "ask for a new grant")
@@ -36,7 +36,7 @@ def revoked(*grants: Grant) -> Check:
 
 
 def decide(
-    *grants: Grant, right: Right = SUBSCRIBE, name: str = POSE, check: Check = fine
+    *grants: Grant, right: Right = SUBSCRIBE, name: str = POSE, check: RevocationCheck = fine
 ) -> Decision:
     return authorize(grants, right, name, holder=HOLDER, now=NOW, check=check)
 

@@ -68,7 +68,7 @@ def test_expiry() -> None:
     for check in (guard.check, lambda now: guard(message(), now)):
         with pytest.raises(GrantExpired, match="the grant expired at"):
             check(NOW + 10)
-    assert guard.treat(message(), NOW + 10) == [message()]  # expiry is `check`'s
+    assert guard.apply(message(), NOW + 10) == [message()]  # expiry is `check`'s
 
 
 def test_another_type() -> None:
@@ -166,9 +166,9 @@ def test_rate() -> None:
     data = message()
 
     def passed(*times: int) -> list[bool]:
-        return [guard.treat(data, NOW + at) is not None for at in times]
+        return [guard.apply(data, NOW + at) is not None for at in times]
 
-    assert guard.treat(message(9.0), NOW) is None  # withheld by its condition, and not counted
+    assert guard.apply(message(9.0), NOW) is None  # withheld by its condition, and not counted
     assert passed(0, 0, 4, 5, 6, 10, 100, 100) == [
         True,
         False,
@@ -185,8 +185,8 @@ def test_rate() -> None:
 
 def test_the_tightest_rate_counts() -> None:
     guard = Guard(None, decision(Restriction(rate=3), Restriction(rate=2.5)))
-    assert [guard.treat(b"", NOW) is not None for _ in range(4)] == [True, True, False, False]
-    assert [guard.treat(b"", NOW + 1) is not None for _ in range(4)] == [True, True, False, False]
+    assert [guard.apply(b"", NOW) is not None for _ in range(4)] == [True, True, False, False]
+    assert [guard.apply(b"", NOW + 1) is not None for _ in range(4)] == [True, True, False, False]
 
 
 def test_hysteresis_belongs_to_one_receiver() -> None:
@@ -219,11 +219,11 @@ def test_guards_of_one_memory_are_one_receiver() -> None:
     one, other = (Guard(LAYOUT, decision(limited), None, lambda _: memory) for _ in range(2))
     assert one.key == other.key
     mark = object()
-    assert one.treat(message(1.4), NOW, mark) == other.treat(message(1.4), NOW, mark)
-    assert other.treat(message(1.6), NOW) is None
+    assert one.apply(message(1.4), NOW, mark) == other.apply(message(1.4), NOW, mark)
+    assert other.apply(message(1.6), NOW) is None
     assert not other.ready(NOW)
     assert other.ready(NOW + 2)
-    treated = other.treat(message(1.6), NOW + 2)
+    treated = other.apply(message(1.6), NOW + 2)
     assert treated is not None
     assert b"".join(treated)[:8] == _double(1.0)
     assert Guard(LAYOUT, decision()).ready(NOW)

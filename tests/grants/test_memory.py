@@ -8,7 +8,7 @@ import pytest
 
 from grants.decision import Decision
 from grants.errors import MemoryExhausted
-from grants.memory import Memories, Memory, Recall
+from grants.memory import Memory, MemoryScope, MemoryStore
 from grants.model import Right
 
 
@@ -84,12 +84,12 @@ def test_one_memory_has_bounds() -> None:
 
 
 def test_whose_it_is() -> None:
-    recall = Recall(Memories(lambda: 0), ("/node",))
+    recall = MemoryScope(MemoryStore(lambda: 0), ("/node",))
     memory = recall(decision())
     assert recall(decision()) is memory
     others = [
         recall(decision(2)), recall(decision(name="/b")), recall(decision(right=Right.PUBLISH)),
-        recall.apart("response")(decision()), Recall(recall.memories, ("/other",))(decision()),
+        recall.child("response")(decision()), MemoryScope(recall.memories, ("/other",))(decision()),
     ]  # fmt: skip
     assert len({memory, *others}) == 6
     assert len(recall.memories) == 6
@@ -97,7 +97,7 @@ def test_whose_it_is() -> None:
 
 def test_what_has_recovered_gives_way_and_nothing_else() -> None:
     now = [0]
-    recall = Recall(Memories(lambda: now[0], most=2), ("/node",))
+    recall = MemoryScope(MemoryStore(lambda: now[0], most=2), ("/node",))
     assert passes(recall(decision(1)), 0.5, 0)
     recall(decision(2)).cell(("x",)).held = 0.0
     for _ in range(2):
@@ -113,7 +113,7 @@ def test_what_has_recovered_gives_way_and_nothing_else() -> None:
 def test_what_is_used_is_not_forgotten() -> None:
     """Else a holder that has others fill the memory would begin anew when it comes back."""
     now = [10]
-    recall = Recall(Memories(lambda: now[0], most=1), ("/node",))
+    recall = MemoryScope(MemoryStore(lambda: now[0], most=1), ("/node",))
     used = recall(decision(1))
     cell = used.cell(("x",))
     with pytest.raises(MemoryExhausted, match="1 limited rights are remembered already"):
@@ -129,7 +129,7 @@ def test_what_is_used_is_not_forgotten() -> None:
 
 
 def test_what_nobody_uses_and_holds_nothing_gives_way() -> None:
-    recall = Recall(Memories(lambda: 0, most=1), ("/node",))
+    recall = MemoryScope(MemoryStore(lambda: 0, most=1), ("/node",))
     recall(decision(1)).cell(("x",))
     recall(decision(2))
     assert len(recall.memories) == 1

@@ -16,7 +16,7 @@ from grants.request import (
     REQUEST,
     SKEW,
     GrantRequest,
-    Wish,
+    RequestedRight,
     open_request,
     peek_request,
     sign_request,
@@ -25,7 +25,12 @@ from tests.grants.authority import NOW
 
 NODE = KeySigner(ec.generate_private_key(ec.SECP256R1()))
 ASKED = GrantRequest(
-    "home", "/toaster", NOW, bytes(16), (Wish(Right.SUBSCRIBE, "/robot/pose"),), "to toast"
+    "home",
+    "/toaster",
+    NOW,
+    bytes(16),
+    (RequestedRight(Right.SUBSCRIBE, "/robot/pose"),),
+    "to toast",
 )
 CLAIMS: dict[int | str, Value] = {
     2: "/toaster", 3: "home", 6: NOW, 7: bytes(16), 9: encode([["/robot/pose", 2]]),
@@ -88,4 +93,4 @@ def test_a_request_that_cannot_be_made() -> None:
     with pytest.raises(NameRefused):
         replace(ASKED, node="toaster")
     with pytest.raises(PatternRefused):
-        replace(ASKED, wishes=(Wish(Right.CALL, "x"),))
+        replace(ASKED, rights=(RequestedRight(Right.CALL, "x"),))

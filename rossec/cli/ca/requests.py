@@ -10,7 +10,7 @@ from ca.names import spiffe_id
 from ca.store.lifecycle import OPEN, RequestRow, RequestState
 from ca.store.record import Store
 from grants.policy.model import Subject
-from grants.policy.projected_grants import prospects
+from grants.policy.projected_grants import projected_grants
 from rossec import files
 from rossec.authority.home import AuthorityHome, grouped
 from rossec.authority.policyfile import PolicyFile, place
@@ -143,7 +143,7 @@ def _prospects(environment: Environment, row: RequestRow) -> list[str]:
     if not path.exists():
         return ["there is no policy: it gets nothing by itself"]
     policy = PolicyFile.read(path, own=True).policy
-    lines = prospects(policy, Subject(row.name, row.thumbprint))
+    lines = projected_grants(policy, Subject(row.name, row.thumbprint))
     if not lines:
         return [f"the policy has no rule for it: {policy.defaults.decision}"]
     return ["the policy for this name:", *(f"  {line}" for line in lines)]

@@ -1,13 +1,9 @@
 """`rossec master`: run the ROS master of a trust domain, and ask how it is."""
 
 import asyncio
-import json
 import logging
 import os
-import resource
-import signal
-import sys
-from collections.abc import Coroutine, Mapping
+from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
@@ -16,7 +12,6 @@ from typing import Any
 
 import click
 
-from rossec import files
 from rossec.authority.local_list import LocalList
 from rossec.channel import suite_selection
 from rossec.cli.master.audit import AUDIT
@@ -26,11 +21,14 @@ from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
 from rossec.master.operation import config as configs
 from rossec.master.operation.admin import AdminPort, ask
-from rossec.master.operation.audit import AuditFile
+from rossec.master.operation.audit_log import audit_written, denials_limited
 from rossec.master.operation.config import Config
-from rossec.master.operation.denial_limit import DENIALS, DenialRateLimit
 from rossec.master.operation.denial_log import DenialLog, unheard
+from rossec.master.operation.descriptor_limit import raise_descriptor_limit
+from rossec.master.operation.json_log import log_as_json
 from rossec.master.operation.metrics import MetricsExporter, of_loop
+from rossec.master.operation.process_lock import process_lock
+from rossec.master.operation.shutdown import stop_on_signals, until_first_ends
 from rossec.master.operation.systemd import READY, STOPPING, notify
 from rossec.master.rights.statements import Renewer
 from rossec.master.server.server import MasterServer
@@ -40,8 +38,6 @@ from rossec.ros.names import MASTER
 from rossec.terminal import printable, say, say_json
 
 _ADMIN = "admin.sock"
-_LOCK = "master.lock"
-_DESCRIPTORS = 65536
 
 
 @click.group(invoke_without_command=True)
@@ -104,15 +100,16 @@ def master(
     config = replace(config, **{key: value for key, value in given.items() if value is not None})
     config = replace(config, admin=config.admin or admin, announce=config.announce or announce)
     with ExitStack() as stack:
-        _log_as(config.log)
-        _allow_descriptors()
-        _bound_denials(stack)
+        if config.log == "json":
+            log_as_json()
+        raise_descriptor_limit()
+        stack.enter_context(denials_limited())
         home = NodeHome.of(environment.home, MASTER)
         home.anchor()  # before anything is written there
         settings.read((), environment.variables, default_name=MASTER)  # likewise
-        stack.callback(os.close, files.hold(home.path / _LOCK, _busy(home)))
+        stack.enter_context(process_lock(home.path))
         if config.audit:
-            _keep_audit(home, stack)
+            stack.enter_context(audit_written(home.path / AUDIT, home.signer()))
         renewer = _renewer(environment, passphrase_file) if renew_identities else None
         asyncio.run(_serve(environment, home, config, suites, renewer, as_json=as_json))
 
@@ -142,63 +139,6 @@ def _home(environment: Environment) -> NodeHome:
     return NodeHome.of(environment.home, MASTER)
 
 
-class JsonLines(logging.Formatter):
-    """One JSON object a line, for machines that read logs."""
-
-    def format(self, record: logging.LogRecord) -> str:
-        """Time, level, logger and text; a traceback, if there is one."""
-        entry: dict[str, Any] = {
-            "at": round(record.created, 3),
-            "level": record.levelname.lower(),
-            "logger": record.name,
-            "text": printable(record.getMessage()),
-        }
-        if record.exc_info:
-            entry["traceback"] = self.formatException(record.exc_info)
-        return json.dumps(entry, sort_keys=True)
-
-
-def _log_as(form: str) -> None:
-    if form == "json":
-        handler = logging.StreamHandler(sys.stderr)
-        handler.setFormatter(JsonLines())
-        logging.basicConfig(level=logging.INFO, handlers=[handler], force=True)
-
-
-def _bound_denials(stack: ExitStack) -> None:
-    throttle, log = DenialRateLimit(), logging.getLogger(DENIALS)
-    log.addFilter(throttle)
-    stack.callback(log.removeFilter, throttle)
-
-
-def _keep_audit(home: NodeHome, stack: ExitStack) -> None:
-    handler = AuditFile(home.path / AUDIT, signer=home.signer())
-    log = logging.getLogger("rossec.audit")
-    before, root = log.level, logging.getLogger()
-    log.setLevel(logging.INFO)
-    for other in root.handlers:  # who reads along need not hear more than without an audit
-        other.setLevel(max(other.level, root.level))
-    log.addHandler(handler)
-    stack.callback(handler.close)
-    stack.callback(log.removeHandler, handler)
-    stack.callback(log.setLevel, before)
-
-
-def _busy(home: NodeHome) -> ConfigurationError:
-    return ConfigurationError(
-        f"another master runs from {home.path}",
-        "end it first; two would lose each other's parameters",
-    )
-
-
-def _allow_descriptors() -> None:
-    """Each node takes two; what a shell gives a program is less than the program may have."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    wanted = _DESCRIPTORS if hard == resource.RLIM_INFINITY else min(hard, _DESCRIPTORS)
-    if soft != resource.RLIM_INFINITY and soft < wanted:
-        resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, hard))
-
-
 async def _serve(
     environment: Environment,
     home: NodeHome,
@@ -209,9 +149,7 @@ async def _serve(
     as_json: bool,
 ) -> None:
     own = settings.read((), environment.variables, default_name=MASTER)
-    stop = asyncio.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        asyncio.get_running_loop().add_signal_handler(number, stop.set)
+    stop = stop_on_signals()
     near = LocalList(environment.home)
     newest = near.newest()
     server = master_of(
@@ -238,7 +176,8 @@ async def _serve(
         _greet(server, home, exporter, as_json=as_json)
         logging.getLogger("rossec.audit").info("the master began at %s", server.uri)
         notify(READY, environment.variables)
-        await _until_stopped(server, stop, _announcing(server, home) if config.announce else None)
+        announcing = (_announce(server, home),) if config.announce else ()
+        await until_first_ends(server.stopped(), stop.wait(), *announcing)
         notify(STOPPING, environment.variables)
         logging.getLogger("rossec.audit").info("the master ended")
     finally:
@@ -272,20 +211,7 @@ def _greet(
         say(f"metrics at {uri}")
 
 
-async def _until_stopped(
-    server: MasterServer, stop: asyncio.Event, announcing: Coroutine[Any, Any, None] | None
-) -> None:
-    ends = {asyncio.ensure_future(server.stopped()), asyncio.ensure_future(stop.wait())}
-    if announcing is not None:
-        ends.add(asyncio.ensure_future(announcing))
-    done, running = await asyncio.wait(ends, return_when=asyncio.FIRST_COMPLETED)
-    for task in running:
-        task.cancel()
-    for task in done:
-        await task
-
-
-async def _announcing(server: MasterServer, home: NodeHome) -> None:
+async def _announce(server: MasterServer, home: NodeHome) -> None:
     from rossec.discovery.announcer import announce  # noqa: PLC0415 - carried when it is used
 
     await announce(home.credentials(), server.uri)

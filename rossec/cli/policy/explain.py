@@ -7,7 +7,7 @@ import click
 from ca.names import check_name
 from grants.errors import PolicyRefused
 from grants.model import Right
-from grants.policy.mistakes import nearest
+from grants.policy.mistakes import suggest
 from grants.policy.model import Subject
 from grants.policy.rules import RIGHTS
 from grants.policy.trial import Trial
@@ -126,7 +126,7 @@ def _short(value: str) -> str:
 
 def _right(label: str) -> Right:
     if label not in RIGHTS:
-        raise PolicyRefused(f"unknown right {label!r}", nearest(label, RIGHTS))
+        raise PolicyRefused(f"unknown right {label!r}", suggest(label, RIGHTS))
     return RIGHTS[label]
 
 

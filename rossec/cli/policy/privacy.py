@@ -16,7 +16,7 @@ from grants.policy import privacy as report
 from grants.policy.decision import Decider
 from grants.policy.editing import NewRule, add_rules, free_id
 from grants.policy.model import Subject
-from grants.policy.patterns import meets
+from grants.policy.patterns import intersects
 from grants.policy.privacy import PrivacyRow, ReceiverAccess
 from rossec import files
 from rossec.authority.home import AuthorityHome
@@ -147,7 +147,7 @@ def _shows(grant: Grant, name: str, node: str | None) -> bool:
 
 def _permits(permission: Permission, name: str, node: str | None) -> bool:
     seen = Right.SUBSCRIBE in permission.rights
-    return seen and (node is not None or meets(permission.pattern, name))
+    return seen and (node is not None or intersects(permission.pattern, name))
 
 
 def _rest(grant: Grant, name: str, node: str | None) -> Draft | None:

@@ -14,7 +14,7 @@ from ca.keys.publickey import thumbprint
 from ca.keys.signer import Signer
 from ca.revocation.state import SKEW
 from grants import renewal
-from grants.decision import Check
+from grants.decision import RevocationCheck
 from grants.document import verify
 from grants.errors import GrantNotHeld, RenewalForOther, RenewalNotInTime, RenewalTooWide
 from grants.model import Grant
@@ -72,7 +72,7 @@ class Delegate:
         return None if self._held is None else self._held.id
 
     def renew(
-        self, token: bytes, holder: bytes, now: int, *, seq: int, check: Check
+        self, token: bytes, holder: bytes, now: int, *, seq: int, check: RevocationCheck
     ) -> tuple[Grant, bytes]:
         """The renewed grant in `token` and its new token.
 

@@ -15,7 +15,7 @@ from ca.errors import HintedError, RenewalRefused, RevocationRefused, Revoked
 from ca.keys.signer import Signer
 from ca.revocation.state import MAX_AGE, Revocations, Timestamp, digest, sign_timestamp
 from ca.revocation.tree import Listing, is_tree, open_tree
-from grants.decision import Check
+from grants.decision import RevocationCheck
 from grants.errors import GrantError, GrantNotHeld
 from grants.model import Grant
 from grants.token import Verifier
@@ -36,7 +36,7 @@ _PUBLISH: Final = "deliver it with: rossec ca publish"
 MAX_NAMES: Final = 16 * 1024  # nodes of which is known which list they hold
 
 
-Renewer = Callable[[bytes, int, Check], bytes]
+Renewer = Callable[[bytes, int, RevocationCheck], bytes]
 """Answers a renewal request (`ca.renewal`) with the node's new bundle."""
 
 

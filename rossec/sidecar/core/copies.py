@@ -25,7 +25,7 @@ class MessageGuard(Protocol):
     def check(self, now: int) -> None:
         """As of `Guard`."""
 
-    def treat(self, message: bytes, now: int) -> list[Buffer] | None:
+    def apply(self, message: bytes, now: int) -> list[Buffer] | None:
         """As of `Guard`."""
 
 
@@ -64,16 +64,16 @@ class SharedGuard:
         last = self._group.last
         if last is None or not self._latching or self._guard.ready(now):
             return []
-        return self._guard.treat(last.message, now, last.mark) or []
+        return self._guard.apply(last.message, now, last.mark) or []
 
-    def treat(self, message: bytes, now: int) -> list[Buffer] | None:
+    def apply(self, message: bytes, now: int) -> list[Buffer] | None:
         """As of `Guard`."""
         last = self._group.last
         if last is not None and self._is_copy(last, message, now):
             last.pending.discard(self)
-            return self._guard.treat(message, now, last.mark)
+            return self._guard.apply(message, now, last.mark)
         mark = object()
-        pieces = self._guard.treat(message, now, mark)
+        pieces = self._guard.apply(message, now, mark)
         if pieces is not None:
             self._group.last = _LastMessage(message, mark, now, self._group.open - {self})
         return pieces

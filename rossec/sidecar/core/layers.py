@@ -12,7 +12,7 @@ from ca.certificates import Identity
 from rossec.channel.opening import WireProtocol
 from rossec.errors import RossecError
 from rossec.participant.access import Access
-from rossec.participant.definitions import Known
+from rossec.participant.definitions import FindDefinition
 from rossec.participant.publisher_grace import PublisherGrace
 from rossec.sidecar.core.commands import Command, OpenEgress, OpenIngress
 from rossec.sidecar.core.endpoints import Endpoint, EndpointMap, local_endpoint, parse_endpoint
@@ -52,7 +52,7 @@ class AgentState:
     access: Access
     endpoints: EndpointMap
     master_uri: str
-    known_types: Known
+    known_types: FindDefinition
     publisher_grace: PublisherGrace
     programs: dict[Endpoint, Program] = field(default_factory=dict)
 
@@ -84,7 +84,7 @@ class AgentState:
     def followed_publishers(self, topic: object, uris: object) -> list[str]:
         """The publishers to follow of those the master names, and of those it may yet name."""
         named = [uri for uri in uris if isinstance(uri, str)] if isinstance(uris, list) else []
-        return self.publisher_grace.are(topic, named) if isinstance(topic, str) else named
+        return self.publisher_grace.update(topic, named) if isinstance(topic, str) else named
 
     def egress_uris(self, uris: object, own: Endpoint | None) -> Layer[list[str]]:
         """`bring` for a list of slave API URIs; what is no URI is left out."""

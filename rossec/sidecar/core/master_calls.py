@@ -12,13 +12,13 @@ from typing import Final
 from rossec.channel.opening import WireProtocol
 from rossec.errors import HangUp
 from rossec.participant.caller_names import (
-    RELATIVE,
+    RELATIVE_NAME,
     SEARCH,
-    as_meant,
-    nowhere,
-    places,
-    searched,
-    settled,
+    not_found,
+    resolve_params,
+    search_places,
+    search_result,
+    searched_key,
 )
 from rossec.participant.slave_api import without_caller
 from rossec.ros.text import printable
@@ -117,7 +117,7 @@ def handle_call(agent: AgentState, method: str, params: tuple[object, ...]) -> L
     outside = yield from _params_for_master(agent, method, rule, caller, params)
     if outside is None:
         return [-1, "rossec: this address is not the program's own", 0]
-    key = None if outside[0] == caller else searched(method, params)
+    key = None if outside[0] == caller else searched_key(method, params)
     if key is None:
         answer = yield from _call_master(method, outside)
     else:
@@ -125,7 +125,7 @@ def handle_call(agent: AgentState, method: str, params: tuple[object, ...]) -> L
     if answer[0] == 1:
         _record_registration(agent, method, rule, params, outside)
         if method == _SUBSCRIBE:
-            answer[2] = agent.followed_publishers(outside[RELATIVE[method]], answer[2])
+            answer[2] = agent.followed_publishers(outside[RELATIVE_NAME[method]], answer[2])
         return (yield from _answer_for_program(agent, rule, _own_api(rule, params), answer))
     return answer
 
@@ -154,11 +154,11 @@ def _call_master(method: str, params: tuple[object, ...]) -> Layer[list[object]]
 
 def _search(caller: str, name: object, key: str) -> Layer[list[object]]:
     """Search from the namespace of `asker`; the master would, from that of `name`."""
-    for place, found in places(caller, key):
-        answer = settled((yield from _call_master(SEARCH, (name, place))), found)
+    for place, found in search_places(caller, key):
+        answer = search_result((yield from _call_master(SEARCH, (name, place))), found)
         if answer is not None:
             return answer
-    return nowhere(key)
+    return not_found(key)
 
 
 def _multicall(agent: AgentState, params: tuple[object, ...]) -> Layer[object]:
@@ -189,7 +189,7 @@ def _params_for_master(
     name = caller
     if rule.unregisters is None:  # `rosnode cleanup` speaks for dead nodes; the master judges that
         name = agent.name_for(caller)
-    changed = list(params if name == caller else as_meant(method, params, caller))
+    changed = list(params if name == caller else resolve_params(method, params, caller))
     changed[0] = name
     for index, protocol in ((rule.api, WireProtocol.HTTP), (rule.service, WireProtocol.TCPROS)):
         if index is None or index >= len(params):
@@ -236,7 +236,7 @@ def _record_registration(
     params: tuple[object, ...],
     outside: tuple[object, ...],
 ) -> None:
-    key = str(outside[RELATIVE[method]]) if method in RELATIVE else ""
+    key = str(outside[RELATIVE_NAME[method]]) if method in RELATIVE_NAME else ""
     own = _own_api(rule, params)
     if rule.registers and own is not None:
         program = agent.programs.setdefault(own, Program(str(params[0])))
@@ -328,7 +328,7 @@ def _register_again(
 
 def drop_overdue_publishers(agent: AgentState) -> Layer[None]:
     """Name to programs who is left of publishers that the master did not name again in time."""
-    for topic in agent.publisher_grace.overdue():
+    for topic in agent.publisher_grace.expired_topics():
         for own, program in tuple(agent.programs.items()):
             if (_SUBSCRIBE, topic) in program.registrations:
                 uris = yield from agent.egress_uris(agent.publisher_grace.to_follow(topic), own)

@@ -10,7 +10,7 @@ from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field
 from typing import Generic, TypeVar
 
-from grants.memory import Recall
+from grants.memory import MemoryScope
 
 HolderT = TypeVar("HolderT", bound=Hashable)
 
@@ -32,20 +32,20 @@ class ProgramMemories(Generic[HolderT]):
     """
 
     def __init__(
-        self, recall: Recall, has_ended: Callable[[HolderT], bool] = lambda _: False
+        self, recall: MemoryScope, has_ended: Callable[[HolderT], bool] = lambda _: False
     ) -> None:
         self._recall = recall
         self._has_ended = has_ended
         self._memories: list[_ProgramMemory[HolderT]] = []
 
-    def acquire(self, name: str, holder: HolderT) -> Recall:
+    def acquire(self, name: str, holder: HolderT) -> MemoryScope:
         """What `holder`, a program by that name, has let each key use up."""
         memory = self._held_by(holder) or self._with_name(name) or self._released() or self._new()
         self._drop_ended(memory)
         if not memory.holders:
             memory.name = name
         memory.holders.add(holder)
-        return self._recall.apart(str(self._memories.index(memory)))
+        return self._recall.child(str(self._memories.index(memory)))
 
     def release(self, holder: HolderT) -> None:
         """`holder` has ended."""

@@ -15,7 +15,13 @@ from ca.certificates import Identity
 from rossec.channel.opening import WireProtocol
 from rossec.errors import HangUp
 from rossec.participant.slave_api import NO_TRANSPORT, RULES, TCPROS, offers_tcpros, without_caller
-from rossec.participant.slave_rights import OPEN, PRESENT, SLAVE_CALLS, STEERING, check_slave_call
+from rossec.participant.slave_rights import (
+    MASTER_ONLY,
+    OPEN,
+    PRESENT,
+    SLAVE_CALLS,
+    check_slave_call,
+)
 from rossec.ros.text import printable
 from rossec.ros.xmlrpc import Encoded, Fault
 from rossec.sidecar.core.commands import CallPeer, CallProgram, Probe, Suspend
@@ -166,7 +172,7 @@ def handle_program_call(
         Fault: no such method.
         HangUp: the peer does not answer.
     """
-    if method not in OPEN | STEERING | SLAVE_CALLS.keys():
+    if method not in OPEN | MASTER_ONLY | SLAVE_CALLS.keys():
         raise Fault(1, f"<class 'Exception'>:method \"{printable(method, 80)}\" is not supported")
     refused = without_caller(params, RULES[method].default)
     if refused is None and method == REQUEST_TOPIC:

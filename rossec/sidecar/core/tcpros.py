@@ -13,19 +13,19 @@ from typing import TypeAlias
 from ca.certificates import Identity
 from grants.decision import Decision
 from grants.guard import Guard
-from grants.memory import Recall
+from grants.memory import MemoryScope
 from grants.model import Right
 from rossec.channel.opening import WireProtocol
 from rossec.errors import ConnectionHeaderRefused, HangUp
 from rossec.participant import service_handshake, topic_handshake
 from rossec.participant.access import FIELD
 from rossec.participant.definitions import (
-    as_received,
-    as_sent,
-    described,
+    definition_fields,
     from_header,
+    receiver_definition,
+    reported_definition,
+    sender_definition,
     size_of,
-    told,
 )
 from rossec.participant.header_fields import Fields, text
 from rossec.participant.slave_api import TCPROS
@@ -38,7 +38,7 @@ from rossec.sidecar.core.slave_calls import REQUEST_TOPIC, succeeded
 
 _CALLER = "callerid"
 _LONGEST_NAME = 255
-FindRecall: TypeAlias = Callable[[str], Recall]  # of a program that calls itself so
+FindRecall: TypeAlias = Callable[[str], MemoryScope]  # of a program that calls itself so
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ def admit_peer(
     answer = _answer_for_peer(agent, fields, arrived.fields)
     guard = None
     if decision.restrictions:
-        kind = as_sent(from_header(answer), decision, agent.known_types)
+        kind = sender_definition(from_header(answer), decision, agent.known_types)
         guard = guard_for(kind, decision, filter_key, recall_of(_program_name(arrived.fields)))
     return AdmittedConnection(
         {**answer, **_own_proof(agent, fields, arrived.now)}, decision, guard, service
@@ -210,11 +210,11 @@ def connect_to_peer(
             arrived.fields, peer, expected, agent.access, arrived.now
         )
         sent = from_header(arrived.fields)
-        kind = as_received(own, sent, decision, agent.known_types)
+        kind = receiver_definition(own, sent, decision, agent.known_types)
         if decision.restrictions:
             guard = guard_for(kind, decision, filter_key, recall_of(_program_name(fields)))
-        answer = without_grants(arrived.fields) | told(kind, decision)
-        message_size = size_of(described(kind, sent))
+        answer = without_grants(arrived.fields) | definition_fields(kind, decision)
+        message_size = size_of(reported_definition(kind, sent))
     return AdmittedConnection(answer, decision, guard, service, message_size)
 
 

@@ -11,7 +11,7 @@ from grants.model import Draft, FilterRule, Restriction, Right
 from grants.policy.decision import Decider, Verdict
 from grants.policy.drafts import approve, approximate, drafts, permissions, plan, shorten
 from grants.policy.model import DAY, HOUR, Effect, Policy
-from grants.request import Wish
+from grants.request import RequestedRight
 from tests.grants.authority import CA, NOW
 from tests.grants.policy.policies import HEADER, decide, node, rules
 
@@ -41,8 +41,9 @@ def made(*verdicts: Verdict) -> list[Draft]:
 
 def test_wishes_are_sorted_by_what_the_policy_says(policy: Policy) -> None:
     wishes = [
-        Wish(Right.CALL, "/door"), Wish(Right.CALL, "/lift"), Wish(Right.SUBSCRIBE, "/b"),
-        Wish(Right.SUBSCRIBE, "/b"), Wish(Right.SUBSCRIBE, "/unheard"),
+        RequestedRight(Right.CALL, "/door"), RequestedRight(Right.CALL, "/lift"),
+        RequestedRight(Right.SUBSCRIBE, "/b"),
+        RequestedRight(Right.SUBSCRIBE, "/b"), RequestedRight(Right.SUBSCRIBE, "/unheard"),
     ]  # fmt: skip
     sorted_ = plan(Decider(policy), X, wishes)
     assert [v.name for v in sorted_.allowed] == ["/b"]

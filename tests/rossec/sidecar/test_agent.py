@@ -54,7 +54,7 @@ async def test_an_identity_that_nobody_watches_over_serves_nobody(
     def crash(_: int) -> None:
         raise ArithmeticError
 
-    monkeypatch.setattr(agent._watchdog, "cut", crash)
+    monkeypatch.setattr(agent._watchdog, "close_terminated", crash)
     await wait_closed(stream)
     await wait_closed(source)
     with pytest.raises(RossecError):

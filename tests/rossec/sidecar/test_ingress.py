@@ -61,7 +61,7 @@ async def test_a_guard_that_crashes_lets_nothing_through(
     def crash(*_: object) -> None:
         raise ArithmeticError
 
-    monkeypatch.setattr("grants.guard.Guard.treat", crash)
+    monkeypatch.setattr("grants.guard.Guard.apply", crash)
     await source.send(string_message("hello"))
     with pytest.raises(RossecError):
         await receive_bytes(stream, 1)

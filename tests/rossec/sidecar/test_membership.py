@@ -98,7 +98,7 @@ async def test_who_begins_in_vain_keeps_no_connection(
         with pytest.raises(RossecError):
             await pair.talker.ask(pair.talker.master_uri, "getPid")
         with pytest.raises(RossecError, match="out of reach"):
-            await session.answer("getPid", "/talker")
+            await session.forward("getPid", "/talker")
 
 
 @pytest.mark.parametrize("restart", [False, True])

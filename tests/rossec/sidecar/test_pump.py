@@ -56,7 +56,7 @@ class FakeGuard:
         if self.expired:
             raise GrantExpired("the grant has expired")
 
-    def treat(self, message: bytes, now: int) -> list[bytes] | None:
+    def apply(self, message: bytes, now: int) -> list[bytes] | None:
         if message.startswith(b"x"):
             raise RestrictionMismatch("it cannot be judged")
         return None if message.startswith(b"-") else [message[:1], message[1:]]

@@ -1,8 +1,5 @@
 """`rossec master` as far as it goes without running for long; the rest is in tests/integration."""
 
-import json
-import logging
-import resource
 import subprocess
 import sys
 from pathlib import Path
@@ -12,7 +9,6 @@ import pytest
 from rossec.authority import intermediate_home
 from rossec.authority.local_list import LocalList
 from rossec.authority.renewals import sign_intermediate
-from rossec.cli.master.group import JsonLines
 from tests.support.commands import Shell, refused
 from tests.support.site import Site
 
@@ -37,29 +33,6 @@ def test_a_node_that_is_not_enrolled_is_no_master(shell: Shell) -> None:
     refused(shell("master"), "/master has no ca.pem", "rossec node request /master")
 
 
-@pytest.mark.parametrize(
-    ("limits", "wanted"),
-    [
-        ((1024, 1 << 20), (65536, 1 << 20)),
-        ((1024, 4096), (4096, 4096)),
-        ((1024, resource.RLIM_INFINITY), (65536, resource.RLIM_INFINITY)),
-        ((1 << 17, 1 << 20), None),
-        ((resource.RLIM_INFINITY, resource.RLIM_INFINITY), None),
-    ],
-)
-def test_it_takes_the_descriptors_it_may_have(
-    shell: Shell,
-    monkeypatch: pytest.MonkeyPatch,
-    limits: tuple[int, int],
-    wanted: tuple[int, int] | None,
-) -> None:
-    taken: list[tuple[int, int]] = []
-    monkeypatch.setattr(resource, "getrlimit", lambda _: limits)
-    monkeypatch.setattr(resource, "setrlimit", lambda _, limit: taken.append(limit))
-    refused(shell("master"), "/master has no ca.pem", "rossec node request")
-    assert taken == ([] if wanted is None else [wanted])
-
-
 def test_the_host_of_an_intermediate_has_no_list_of_its_own(shell: Shell) -> None:
     """Its master waits for the root's, as one on any other host."""
     site = Site(shell.root / "site")
@@ -68,16 +41,6 @@ def test_the_host_of_an_intermediate_has_no_list_of_its_own(shell: Shell) -> Non
     intermediate_home.install(shell.root, bundle, "secret", site.now())
     assert LocalList(shell.root).newest() is None
     refused(shell("master"), "/master has no ca.pem", "rossec node request /master")
-
-
-def test_a_line_of_the_log_is_json() -> None:
-    record = logging.makeLogRecord({"msg": "%s\nforged", "args": ("x",), "levelname": "INFO"})
-    entry = json.loads(JsonLines().format(record))
-    assert (entry["text"], entry["level"]) == ("x\\u000aforged", "info")
-    with pytest.raises(ValueError, match="inside") as caught:
-        int("inside")
-    record.exc_info = caught._excinfo
-    assert "ValueError: invalid" in json.loads(JsonLines().format(record))["traceback"]
 
 
 _CARRIED = """

@@ -48,15 +48,15 @@ def test_a_copy_passes_once_on_each_connection_that_was_open() -> None:
         one, two, three = (connections.open()[0] for _ in range(3))
         for guard in (one, two, three):
             guard.check(NOW)
-        assert one.treat(b"a", NOW) == [b"a"]
-        assert one.treat(b"a", NOW) is None
-        assert two.treat(b"b", NOW) is None
-        assert two.treat(b"a", NOW + 1) == [b"a"]
-        assert two.treat(b"a", NOW + 1) is None
+        assert one.apply(b"a", NOW) == [b"a"]
+        assert one.apply(b"a", NOW) is None
+        assert two.apply(b"b", NOW) is None
+        assert two.apply(b"a", NOW + 1) == [b"a"]
+        assert two.apply(b"a", NOW + 1) is None
         late, initial = connections.open()
         assert initial == []
-        assert late.treat(b"a", NOW) is None
-        assert three.treat(b"a", NOW + 2) is None, "it may be another one by now"
+        assert late.apply(b"a", NOW) is None
+        assert three.apply(b"a", NOW + 2) is None, "it may be another one by now"
 
 
 def test_a_latching_programs_newcomer() -> None:
@@ -64,20 +64,20 @@ def test_a_latching_programs_newcomer() -> None:
         connections = Connections(stack, latching=True)
         first, initial = connections.open()
         assert initial == []
-        assert first.treat(b"a", NOW) == [b"a"]
+        assert first.apply(b"a", NOW) == [b"a"]
         second, initial = connections.open(NOW + 5)
         assert initial == [b"a"]
-        assert second.treat(b"b", NOW + 5) is None
+        assert second.apply(b"b", NOW + 5) is None
         third, initial = connections.open(NOW + 10)
         assert initial == []
-        assert third.treat(b"b", NOW + 10) == [b"b"]
+        assert third.apply(b"b", NOW + 10) == [b"b"]
 
 
 def test_what_nobody_will_be_shown_is_not_kept() -> None:
     for latching, kept in ((True, [b"a"]), (False, [])):
         with ExitStack() as stack:
             connections = Connections(stack, latching=latching)
-            assert connections.open()[0].treat(b"a", NOW) == [b"a"]
+            assert connections.open()[0].apply(b"a", NOW) == [b"a"]
         with ExitStack() as stack:
             connections.stack = stack
             connections.latching = True
