@@ -236,7 +236,7 @@ async def test_old_news_held_back_do_not_put_it_right(site: Site, hand: Hand) ->
     """A push may have been on the way for as long as somebody liked."""
     signer = site.enroll(MASTER).credentials().signer
     async with site.node("/robot") as robot:
-        held = robot.revocations.held
+        held = robot.revocations.current
         assert held is not None
         then = clock.now() - HOUR
         stamp = sign_timestamp(

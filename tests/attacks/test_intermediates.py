@@ -49,7 +49,7 @@ def below(site: Site, *names: str) -> bytes:
     host = SigningAuthority(Authority(signer, root, der), site.authority.store, site.root)
     for name in names:
         identity = site.identity(name)
-        leaf = host.authority.certify_again(
+        leaf = host.authority.reissue(
             identity, identity.public_key, now=site.now(), serial=secrets.randbits(127)
         )
         site.enroll(name).install(host.bundle(leaf), site.now())

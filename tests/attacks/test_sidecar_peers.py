@@ -129,7 +129,7 @@ async def test_nobody_but_the_master_says_what_is_revoked(site: Site, near: Side
     async with Program("/robot", near) as robot:
         await robot.register("registerPublisher", "/word", "std_msgs/String")
         agent = near._agent_for("/robot")
-        held = agent._membership._revocations.held
+        held = agent._membership._revocations.current
         assert held is not None
         until_then = agent._membership._revocations.fresh_until
         signer = site.enroll("/mallory").credentials().signer

@@ -68,6 +68,6 @@ class AgentSetup:
         assert data is not None
         now = self.site.now()
         held.update(data, now)
-        assert held.held is not None
-        held.confirm(Timestamp(held.held.seq, digest(data), now, 30), now)
+        assert held.current is not None
+        held.confirm(Timestamp(held.current.seq, digest(data), now, 30), now)
         return Access(self.site.anchor, held, self.site.enroll(name).grants())
