@@ -115,7 +115,7 @@ class _Builder:
             key = self._part(event)
             value = self._part(next(self._events))
             if not isinstance(key, YamlScalar):
-                self._mistakes.add(key, "a key must be a word")
+                self._mistakes.add(key, "a key must be a scalar")
                 continue
             name = str(key.value)
             if name in entries:

@@ -12,7 +12,7 @@ from typing import Final
 
 from ca.certificates import Identity, build_request
 from ca.errors import HintedError
-from ca.renewal import ask_again_in, renew_at, sign_renewal
+from ca.renewal import renew_at, retry_delay, sign_renewal
 from grants.validity import format_time
 from rossec.channel.edhoc.credentials import LiveCredentials
 from rossec.errors import ConfigurationError
@@ -49,7 +49,7 @@ class OwnIdentity:
         held = self._identity
         if now >= max(self._again, renew_at(held.not_before, held.not_after)):
             longest = _HOUR if self.renew is None else _RETRY
-            self._again = now + ask_again_in(held.not_before, held.not_after, longest)
+            self._again = now + retry_delay(held.not_before, held.not_after, longest)
             self._attempt(self._renew, now)
 
     def _attempt(self, action: Callable[[int], None], now: int) -> None:
