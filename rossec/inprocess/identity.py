@@ -126,18 +126,18 @@ class LocalIdentity:
     def doubt(self) -> None:
         """Rely on what the master said no longer: the clock it was heard by went back."""
         with self.access.lock:
-            self.revocations.doubt(now() - 1)
+            self.revocations.expire_confirmation(now() - 1)
 
     @property
-    def wanted(self) -> list[bytes]:
+    def unproved(self) -> list[bytes]:
         """Entries of a tree of revocations that wait for a proof."""
         with self.access.lock:
-            return self.revocations.wanted
+            return self.revocations.unproved
 
-    def prove(self, entry: bytes, proof: bytes) -> None:
+    def add_proof(self, entry: bytes, proof: bytes) -> None:
         """As of `Revocations`."""
         with self.access.lock:
-            self.revocations.prove(entry, proof)
+            self.revocations.add_proof(entry, proof)
 
     def refresh_identity(self) -> bool:
         """Speak with the certificate that is in the directory now; whether it is another one.

@@ -89,7 +89,7 @@ class Access:
     @property
     def epoch(self) -> int:
         """The epoch of the revocation list held; 0 without one."""
-        held = self._revocations.held
+        held = self._revocations.current
         return 0 if held is None else held.epoch
 
     def update_revocations(
@@ -108,12 +108,12 @@ class Access:
             RevocationsStale: the master sends the list without a timestamp.
             CAError: the list or timestamp is refused or missing, or the master's key is revoked.
         """
-        if not timestamp and not revocations and self._revocations.held is None:
+        if not timestamp and not revocations and self._revocations.current is None:
             raise CAError(*NO_LIST)
         if revocations:
             self._revocations.update(revocations, now, persist)
         if revocations and not timestamp:
-            self._revocations.doubt()
+            self._revocations.expire_confirmation()
             raise RevocationsStale(
                 "the master sends this node the revocation list without a timestamp",
                 "its identity, or the intermediate above it, is revoked: enroll the node anew",
@@ -211,7 +211,7 @@ class Access:
         return grant
 
     def _verifier(self) -> Verifier:
-        held = self._revocations.held
+        held = self._revocations.current
         return Verifier(
             self._anchor.public_key,
             self._anchor.domain,

@@ -20,10 +20,10 @@ class Provable(Protocol):
     """`ca.revocation.state.Revocations`, or an object that locks it."""
 
     @property
-    def wanted(self) -> list[bytes]:
+    def unproved(self) -> list[bytes]:
         """Entries that wait for a proof."""
 
-    def prove(self, entry: bytes, proof: bytes) -> None:
+    def add_proof(self, entry: bytes, proof: bytes) -> None:
         """Take a proof. Raises `RevocationRefused`."""
 
 
@@ -33,7 +33,7 @@ async def prove(call: MasterCall, revocations: Provable) -> int:
     Raises:
         RossecError: the master refuses, sends a malformed answer, or is out of reach.
     """
-    wanted = revocations.wanted[:MAX_PER_CALL]
+    wanted = revocations.unproved[:MAX_PER_CALL]
     return take(revocations, wanted, await call(METHOD, wanted)) if wanted else 0
 
 
@@ -50,7 +50,7 @@ def take(revocations: Provable, wanted: list[bytes], answer: object) -> int:
 
 def _take(revocations: Provable, entry: bytes, proof: object) -> bool:
     try:
-        revocations.prove(entry, proof if isinstance(proof, bytes) else b"")
+        revocations.add_proof(entry, proof if isinstance(proof, bytes) else b"")
     except RevocationRefused as error:
         _log.warning("the master's proof for %s is invalid: %s", entry.hex(), error)
         return False

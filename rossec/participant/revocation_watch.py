@@ -58,7 +58,7 @@ class ConnectionWatchdog:
         """Close what must end; after the clock was set back, wait for fresh revocation data."""
         if self._setbacks.any_new():
             _log.warning(CLOCK_SET_BACK)
-            self._revocations.doubt(now - 1)
+            self._revocations.expire_confirmation(now - 1)
         self.close_terminated(now)
 
     def close_terminated(self, now: int) -> None:

@@ -36,8 +36,8 @@ def revocations(site: Site, now: int = NOW) -> Revocations:
     data = site.authority.store.newest_list()
     assert data is not None
     held.update(data, now)
-    assert held.held is not None
-    held.confirm(Timestamp(held.held.seq, digest(data), now, 30), now)
+    assert held.current is not None
+    held.confirm(Timestamp(held.current.seq, digest(data), now, 30), now)
     return held
 
 

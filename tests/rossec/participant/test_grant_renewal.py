@@ -60,7 +60,7 @@ class World:
         self.list = data or self.list
         self.later = later
         now = self.now + later
-        seq = 1 if self.revocations.held is None else self.revocations.held.seq + bool(data)
+        seq = 1 if self.revocations.current is None else self.revocations.current.seq + bool(data)
         signer = master.credentials.signer
         assert isinstance(signer, KeySigner)
         stamp = sign_timestamp(signer, Timestamp(seq, digest(self.list), now, 30))
@@ -78,7 +78,7 @@ class World:
         return [self.renewed(data) for data in originals]
 
     def renewed(self, data: bytes) -> bytes:
-        held = self.revocations.held
+        held = self.revocations.current
         assert held is not None
         now = self.now + self.later
         _, token = self.delegate.renew(
@@ -244,7 +244,7 @@ def test_a_revoked_master_confirms_nothing(world: World) -> None:
     with pytest.raises(Revoked):
         world.at(25)
     assert world.revocations.fresh_until <= fresh
-    assert world.revocations.held is not None
+    assert world.revocations.current is not None
     with pytest.raises(RevocationsStale):
         world.revocations.check_fresh(world.now + 25)
 
@@ -253,5 +253,5 @@ def test_a_peer_that_does_not_know_the_master_takes_no_renewed_grant(tmp_path: P
     world = World()
     token = world.renewed(world.site.grant(world.node, P, lifetime=60, cap=DAY))
     stranger = Access(world.site.anchor, world.revocations)
-    with pytest.raises(GrantError, match="the master is not known"):
+    with pytest.raises(GrantError, match="the master's key is not known"):
         stranger.hold_renewed(token, int(time.time()))

@@ -61,8 +61,8 @@ def test_after_a_clock_that_went_back_news_are_waited_for(
     data = site.authority.store.newest_list()
     assert data is not None
     held.update(data, now)
-    assert held.held is not None
-    news = Timestamp(held.held.seq, digest(data), now, 30)
+    assert held.current is not None
+    news = Timestamp(held.current.seq, digest(data), now, 30)
     held.confirm(news, now)
     door: Any = SimpleNamespace(abort_revoked=lambda _: None)
     link = Linked(ends=now + 3600)
