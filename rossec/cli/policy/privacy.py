@@ -16,7 +16,7 @@ from grants.policy import privacy as report
 from grants.policy.decision import Decider
 from grants.policy.editing import NewRule, add_rules, free_id
 from grants.policy.model import Subject
-from grants.policy.patterns import meets
+from grants.policy.patterns import intersects
 from grants.policy.privacy import PrivacyRow, ReceiverAccess
 from rossec import files
 from rossec.authority.home import AuthorityHome
@@ -99,7 +99,7 @@ def opt_out(
     read = read.replace(add_rules(read.text, [rule]))
     say(f"rule {rule.id} in {read.path} denies it from now on")
     # With the record locked: who decides by the policy of before has signed already, or cannot.
-    with authority.store.changing():
+    with authority.store.transaction():
         concerned = [grant for grant in _live(authority) if _shows(grant, name, node)]
         given = [(grant.subject, _instead(authority, grant, name, node)) for grant in concerned]
     for subject, data in given:
@@ -147,7 +147,7 @@ def _shows(grant: Grant, name: str, node: str | None) -> bool:
 
 def _permits(permission: Permission, name: str, node: str | None) -> bool:
     seen = Right.SUBSCRIBE in permission.rights
-    return seen and (node is not None or meets(permission.pattern, name))
+    return seen and (node is not None or intersects(permission.pattern, name))
 
 
 def _rest(grant: Grant, name: str, node: str | None) -> Draft | None:

@@ -10,8 +10,8 @@ from typing import Final
 import click
 
 from rossec import clock
+from rossec.environment import own_home
 from rossec.errors import ConfigurationError
-from rossec.home import own_home
 
 _UNITS: Final = {"s": 1, "m": 60, "h": 3600, "d": 86400, "w": 7 * 86400}
 _ANSWER: Final = "answer y, or give --yes where there is nobody to ask"

@@ -13,13 +13,13 @@ from ca.keys.publickey import thumbprint
 from ca.keys.signer import Signer
 from ca.revocation.state import SKEW
 from grants import renewal
-from grants.decision import Check
+from grants.decision import RevocationCheck
 from grants.document import verify
 from grants.errors import GrantNotHeld, RenewalForOther, RenewalNotInTime, RenewalTooWide
 from grants.model import Grant
 from grants.renewal import OpenDelegation, Ticket, open_delegation, sign_ticket
 from grants.token import pack, unpack
-from grants.validity import moment
+from grants.validity import format_time
 
 _HINT: Final = "at the authority: rossec master delegate"
 
@@ -71,7 +71,7 @@ class Delegate:
         return None if self._held is None else self._held.id
 
     def renew(
-        self, token: bytes, holder: bytes, now: int, *, seq: int, check: Check
+        self, token: bytes, holder: bytes, now: int, *, seq: int, check: RevocationCheck
     ) -> tuple[Grant, bytes]:
         """The renewed grant in `token` and its new token.
 
@@ -95,11 +95,11 @@ class Delegate:
         """Valid from `SKEW` ago: nodes whose clocks lag by less accept it at once."""
         if now >= grant.cap:
             raise RenewalTooWide(
-                f"grant {grant.short_id} has reached its cap, {moment(grant.cap)}",
+                f"grant {grant.short_id} has reached its cap, {format_time(grant.cap)}",
                 "ask the authority for a new grant",
             )
         if now >= held.expires:
-            raise RenewalNotInTime(f"the delegation expired at {moment(held.expires)}", _HINT)
+            raise RenewalNotInTime(f"the delegation expired at {format_time(held.expires)}", _HINT)
         ends = min(now - SKEW + held.max_ttl, grant.cap, held.expires)
         if ends <= grant.expires:
             raise RenewalTooWide(
