@@ -105,7 +105,7 @@ class GrantRequestStore:
     @contextmanager
     def _changing(self) -> Iterator[sqlite3.Connection]:
         try:
-            with self._database.changing() as db:
+            with self._database.transaction() as db:
                 yield db
         except RecordUnusable:
             raise

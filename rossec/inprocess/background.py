@@ -175,7 +175,7 @@ class BackgroundLoop:
         except (HintedError, OSError, TimeoutError) as error:
             _log.warning("%s: no answer from the master: %s", self._local_identity.name, error)
         self._first_attempt.set()
-        await self._session.keep()
+        await self._session.run()
 
     async def _dial(self) -> SecureStream[Identity]:
         self._ready.clear()
@@ -185,7 +185,7 @@ class BackgroundLoop:
         if not self._ready.is_set():
             async with asyncio.timeout(_RECONNECT_WAIT):
                 await self._ready.wait()
-        return await self._session.answer(method, *params)
+        return await self._session.forward(method, *params)
 
     async def _restore(self, session: MasterSession) -> None:
         """Renew, present and register everything again: the master may have been restarted."""
@@ -201,7 +201,7 @@ class BackgroundLoop:
     async def _register(
         self, session: MasterSession, method: str, params: tuple[object, ...]
     ) -> None:
-        answer = await session.answer(method, *params)
+        answer = await session.forward(method, *params)
         self._registrations.record(method, params, answer)
         match answer:
             case [1, _, list() as uris] if method == "registerSubscriber":

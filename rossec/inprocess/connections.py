@@ -33,8 +33,13 @@ from rossec.inprocess.process import SecuredProcess
 from rossec.inprocess.service_filter import ClientFilter, ServerFilter
 from rossec.inprocess.sockets import RosSocket
 from rossec.participant.access import FIELD
-from rossec.participant.definitions import Definition, as_received, from_header, told
-from rossec.participant.limit_memory import recall
+from rossec.participant.definitions import (
+    Definition,
+    definition_fields,
+    from_header,
+    receiver_definition,
+)
+from rossec.participant.limit_memory import memory_scope
 from rossec.participant.message_types import MessageType
 from rossec.participant.service_guard import ServiceGuard
 from rossec.participant.service_handshake import admit_caller, admit_provider, requested_service
@@ -124,15 +129,15 @@ class Connections:
         subscribed = definition_of(protocol.recv_data_class)
         expected = ExpectedTopic(name, subscribed.name, subscribed.md5sum)
         decision = admit_publisher(fields, peer, expected, access, now())
-        kind = as_received(subscribed, from_header(fields), decision, installed_definition)
-        fields |= told(kind, decision)
+        kind = receiver_definition(subscribed, from_header(fields), decision, installed_definition)
+        fields |= definition_fields(kind, decision)
         sock.raise_unit_limit(max_unit_size(protocol.recv_data_class))
         return LiveConnection(sock, decision, self._guard_for(kind, decision))
 
     def _guard_for(self, kind: Definition, decision: Decision) -> Guard | None:
         local_identity = self._local_identity
         return guard_for(
-            kind, decision, local_identity.home.filter_key, recall(local_identity.name)
+            kind, decision, local_identity.home.filter_key, memory_scope(local_identity.name)
         )
 
     def _init_error(self, protocol: Any, error: HintedError, sock: RosSocket) -> TransportInitError:
@@ -243,7 +248,7 @@ class Connections:
             raise DefinitionRefused(f"the definition of {kind._type} is not that of its messages")  # noqa: SLF001 - rospy's
         local_identity = self._local_identity
         return ServiceGuard(
-            both, decision, local_identity.home.filter_key, recall(local_identity.name)
+            both, decision, local_identity.home.filter_key, memory_scope(local_identity.name)
         )
 
     def _topic_guard(self, topic: str, decision: Decision) -> Guard | None:

@@ -43,7 +43,8 @@ class Connector:
         core = Connection.initiator(
             self._local_identity.credentials, self._local_identity.anchor.verify,
             random=secrets.token_bytes, now=now(), opening=protocol, limits=DIALLED[protocol],
-            suites=self._local_identity.suites, own_dials=self._own_addresses.dials_for(address),
+            suites=self._local_identity.suites,
+            own_dials=self._own_addresses.own_dials_for(address),
         )  # fmt: skip
         stream = SecureSocket(sock, core)
         try:

@@ -21,7 +21,7 @@ from rossec.inprocess.registrations import Registrations
 from rossec.inprocess.reporting import Reporter
 from rossec.inprocess.sockets import RosSocket
 from rossec.participant.own_addresses import OwnAddresses
-from rossec.participant.revocation_watch import WENT_BACK
+from rossec.participant.revocation_watch import CLOCK_SET_BACK
 
 _NAMELESS: Final = (
     "call rospy.init_node first, or give the name it will have:"
@@ -97,7 +97,7 @@ class SecuredProcess:
 
     def listens(self, port: int, host: str | None = None) -> None:
         """This node accepts callers there; rospy announces the same host for all its ports."""
-        self.own_addresses.listens(self.own_addresses.host if host is None else host, port)
+        self.own_addresses.add_ports(self.own_addresses.host if host is None else host, port)
 
     def add_connection(self, sock: RosSocket, connection: LiveConnection) -> None:
         """Add an admitted connection: it is closed when its right ends."""
@@ -144,7 +144,7 @@ class SecuredProcess:
         """Close every connection whose right has ended."""
         local_identity = self.local_identity
         if self._setbacks.any_new():
-            self.reporter.warn(WENT_BACK)
+            self.reporter.warn(CLOCK_SET_BACK)
             local_identity.expire_confirmation()
         for connection, reason in self.connections.close_ended(local_identity.termination_reason):
             self.reporter.warn(

@@ -109,7 +109,9 @@ def _send(
     new_subscriber: Latch[bytes] | None = None,
 ) -> list[Any]:
     """Send each subscriber what it may see, a new one what is latched; returns failed ones."""
-    samples: Samples = (lambda _: (sample,)) if new_subscriber is None else new_subscriber.shown
+    samples: Samples = (
+        (lambda _: (sample,)) if new_subscriber is None else new_subscriber.candidates
+    )
     filtered: dict[Hashable, Pieces | None] = {}
     moment = now()
     dead = []
@@ -143,7 +145,7 @@ def _filter(topic: Any, connection: LiveConnection, samples: Samples, moment: in
             continue
         if pieces is not None:
             if topic.is_latch:
-                _latch(topic).passed(guard, sample)
+                _latch(topic).record(guard, sample)
             return _packed(pieces)
     return None
 

@@ -91,7 +91,7 @@ class Registrations:
     def set_publishers(self, topic: str, uris: object) -> None:
         """Store the publishers of a topic that the master names."""
         if isinstance(uris, Iterable):
-            self._publishers.are(topic, [uri for uri in uris if isinstance(uri, str)])
+            self._publishers.update(topic, [uri for uri in uris if isinstance(uri, str)])
 
     def is_publisher(self, topic: str, uri: str) -> bool:
         """Whether the master still names `uri`, or may name it again."""

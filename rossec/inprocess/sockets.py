@@ -115,7 +115,7 @@ class RosSocket:
     def raise_unit_limit(self, limit: int) -> None:
         """The peer is authorized: it may send units of up to `limit` bytes."""
         if isinstance(self._stream, SecureSocket):
-            self._stream.welcome(limit)
+            self._stream.raise_unit_limit(limit)
 
     @property
     def is_plain(self) -> bool:
@@ -219,7 +219,7 @@ class RosSocket:
             try:
                 return receive()
             except TimeoutError:
-                framing.look(clock.now())
+                framing.check_progress(clock.now())
             finally:
                 self.settimeout(None)
         return receive()

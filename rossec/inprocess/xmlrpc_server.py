@@ -120,8 +120,8 @@ class XmlRpcServer:
                     return [1, "", 0]
                 case _:
                     pass
-            entitled = self._is_entitled(method, peer, presented)
-            refused = refusal(method, params, peer, entitled=entitled)
+            authorized = self._is_authorized(method, peer, presented)
+            refused = refusal(method, params, peer, authorized=authorized)
             if refused is not None:
                 self._process.reporter.warn(f"refused {peer.name}: {method}: {refused[1]}")
                 return refused
@@ -141,8 +141,8 @@ class XmlRpcServer:
             if method != REVOCATION_UPDATE:  # the call that ends it must pass
                 raise
 
-    def _is_entitled(self, method: str, peer: Identity, presented: PresentedGrants) -> bool:
-        """Whether grants that `peer` has presented on this connection entitle it to the call.
+    def _is_authorized(self, method: str, peer: Identity, presented: PresentedGrants) -> bool:
+        """Whether grants that `peer` has presented on this connection authorize it for the call.
 
         Raises:
             HintedError: those it has presented do not.

@@ -17,11 +17,11 @@ from grants.model import Restriction, Right
 from rossec.authority.renewals import sign_intermediate
 from rossec.authority.signing import SigningAuthority
 from rossec.errors import ChannelError
-from rossec.master.api.revoked_calls import CALLS, MOST, MOST_BELOW
+from rossec.master.api.revoked_calls import MAX_BELOW_INTERMEDIATE, MAX_CALLS, MAX_CONNECTIONS
 from rossec.net.rpc.client import CallFailed, RpcClient
 from rossec.participant.connections import STALE_GRACE
-from tests.rossec.sidecar.conversation import Pair, connect, ends
 from tests.rossec.sidecar.program import Program, sidecar
+from tests.rossec.sidecar.sidecar_pair import SidecarPair, connect, wait_closed
 from tests.support.attacker import (
     EVE,
     call,
@@ -49,7 +49,7 @@ def below(site: Site, *names: str) -> bytes:
     host = SigningAuthority(Authority(signer, root, der), site.authority.store, site.root)
     for name in names:
         identity = site.identity(name)
-        leaf = host.authority.certify_again(
+        leaf = host.authority.reissue(
             identity, identity.public_key, now=site.now(), serial=secrets.randbits(127)
         )
         site.enroll(name).install(host.bundle(leaf), site.now())
@@ -154,10 +154,10 @@ async def test_both_sidecars_below_it_are_cut(tmp_path: Path) -> None:
         Program("/talker", near) as talker,
         Program("/listener", far) as listener,
     ):
-        stream, source = await connect(Pair(site, near, far, talker, listener))
+        stream, source = await connect(SidecarPair(site, near, far, talker, listener))
         await bring(site, site.revoke(intermediate))
-        await ends(stream)
-        await ends(source)
+        await wait_closed(stream)
+        await wait_closed(source)
 
 
 TALKER: Final = (
@@ -214,7 +214,7 @@ async def test_a_revoked_identity_hears_the_list_and_nothing_else(site: Site) ->
     for method in ("rossec.trl", "system.multicall", "getUri"):
         with pytest.raises(ChannelError):
             await call(uri, stolen, method, EVE)
-    held = [await dial(uri, stolen) for _ in range(MOST)]
+    held = [await dial(uri, stolen) for _ in range(MAX_CONNECTIONS)]
     with pytest.raises(ChannelError):
         await call(uri, stolen, "rossec.revocations", EVE)
     for stream in held:
@@ -228,13 +228,13 @@ async def test_a_revoked_intermediate_cannot_fill_the_master_with_names_of_its_m
 ) -> None:
     """Each has a share of its own; without one for all below it they hold every descriptor."""
     assert site.master is not None
-    names = [f"/eve_{number}" for number in range(MOST_BELOW + 8)]
+    names = [f"/eve_{number}" for number in range(MAX_BELOW_INTERMEDIATE + 8)]
     await bring(site, site.revoke(below(site, *names)))
     held = [await dial(site.master.uri, credentials(site, name)) for name in names]
-    for stream in held[MOST_BELOW:]:
+    for stream in held[MAX_BELOW_INTERMEDIATE:]:
         with pytest.raises(ChannelError):
             await stream.receive()
-    assert int(site.master.status()["connections"]) <= MOST_BELOW
+    assert int(site.master.status()["connections"]) <= MAX_BELOW_INTERMEDIATE
     for stream in held:
         stream.abort("seen enough")
 
@@ -245,7 +245,7 @@ async def test_a_revoked_identity_does_not_have_the_list_sent_again_and_again(si
     await bring(site, site.revoke(site.identity(EVE).thumbprint))
     stream = await dial(site.master.uri, credentials(site))
     client = RpcClient(stream)
-    for _ in range(CALLS):
+    for _ in range(MAX_CALLS):
         await client.call("rossec.revocations", EVE)
     with pytest.raises((ChannelError, CallFailed)):
         await client.call("rossec.revocations", EVE)

@@ -152,7 +152,7 @@ LISTED: Final = lists.RevocationList(
 )
 LIST: Final = lists.sign_list(CA, LISTED)
 TIMESTAMP: Final = lists.sign_timestamp(MASTER, lists.Timestamp(2, lists.digest(LIST), NOW, 30))
-LISTING: Final = tree.Listing([bytes([number]) * 32 for number in range(9)])
+LISTING: Final = tree.TreeEntries([bytes([number]) * 32 for number in range(9)])
 SIZE, ROOT = LISTING.size_and_root
 TREE: Final = tree.RevocationTree(1, 2, NOW, NOW + DAY, SIZE, ROOT)
 SIGNED_TREE: Final = tree.sign_tree(CA, TREE)
@@ -184,7 +184,7 @@ def _absence(structure: bytes) -> None:
 
 
 def _listing(structure: bytes) -> None:
-    tree.Listing.read(structure).check(TREE)
+    tree.TreeEntries.read(structure).check(TREE)
 
 
 def _listing_seed() -> Any:

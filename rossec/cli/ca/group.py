@@ -11,7 +11,7 @@ from ca.keys.hsm import KeyUri
 from ca.names import check_wildcard, spiffe_id
 from rossec import files
 from rossec.authority.home import AuthorityHome, fingerprint, grouped
-from rossec.authority.renewals import own_is_due, renew_own
+from rossec.authority.renewals import own_node_is_due, renew_own_node
 from rossec.authority.signing import OWN_NODE
 from rossec.cli.shared import options, passphrase
 from rossec.cli.shared.batch import Batch
@@ -151,8 +151,8 @@ def refresh(environment: Environment, master_uri: str | None, passphrase_file: P
     """
     home = AuthorityHome.at(environment.home)
     authority = home.unlock(passphrase.read(passphrase_file, environment.variables))
-    if own_is_due(authority, now()):
-        say(f"renewed {OWN_NODE} until {moment(renew_own(authority, now()))}")
+    if own_node_is_due(authority, now()):
+        say(f"renewed {OWN_NODE} until {moment(renew_own_node(authority, now()))}")
     listed = authority.sign_list(now())
     say(f"list {listed.seq} holds until {moment(listed.expires)}")
     _tell(environment, master_uri)

@@ -40,7 +40,7 @@ def requests(environment: Environment, everything: bool, as_json: bool) -> None:
         return
     for row in rows:
         say(f"{_short(row)}  {row.state}  {row.name}  {printable(row.source)}")
-        say(f"  fingerprint {grouped(row.thumbprint)}  until {moment(row.until)}")
+        say(f"  fingerprint {grouped(row.thumbprint)}  until {moment(row.expires)}")
     if not rows:
         say("nobody asks for anything")
 
@@ -126,7 +126,7 @@ def tell_of_replaced(
 
 def _standing(store: Store, row: RequestRow) -> str:
     """Whether the name is known here: the one thing that must not be overlooked."""
-    known = store.identities.alive(row.name, now())
+    known = store.identities.valid(row.name, now())
     if any(each.thumbprint != row.thumbprint for each in known):
         return (
             f"WARNING: {row.name} is enrolled with ANOTHER KEY until {moment(known[-1].not_after)}"
@@ -157,7 +157,7 @@ def _summary(row: RequestRow) -> dict[str, object]:
         "key": row.thumbprint.hex(),
         "source": row.source,
         "arrived": row.arrived,
-        "until": row.until,
+        "until": row.expires,
         "reason": row.reason,
     }
 

@@ -85,7 +85,7 @@ def subject_of(environment: Environment, node: str) -> Subject:
     if (environment.home / "ca" / "ca.pem").exists():
         store = AuthorityHome.at(environment.home).store()
         try:
-            name = store.certified(node, now())
+            name = store.certified_name(node, now())
             rows = [row for row in store.certificates() if row.name == name]
         finally:
             store.close()

@@ -178,7 +178,7 @@ def _certified(environment: Environment, seen: list[Observation]) -> list[Observ
     if not (environment.home / "ca" / "ca.pem").exists():
         return seen
     with contextlib.closing(AuthorityHome.at(environment.home).store()) as store:
-        named = (replace(item, node=store.certified(item.node, now())) for item in seen)
+        named = (replace(item, node=store.certified_name(item.node, now())) for item in seen)
         return list(dict.fromkeys(named))
 
 

@@ -99,7 +99,7 @@ def opt_out(
     read = read.replace(add_rules(read.text, [rule]))
     say(f"rule {rule.id} in {read.path} denies it from now on")
     # With the record locked: who decides by the policy of before has signed already, or cannot.
-    with authority.store.changing():
+    with authority.store.transaction():
         concerned = [grant for grant in _live(authority) if _shows(grant, name, node)]
         given = [(grant.subject, _instead(authority, grant, name, node)) for grant in concerned]
     for subject, data in given:

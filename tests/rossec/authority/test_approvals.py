@@ -92,7 +92,7 @@ def test_a_person_says_no(place: Place) -> None:
 def test_a_node_that_asks_for_too_much_is_denied(
     place: Place, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(module, "MAX_ASKED", 2)
+    monkeypatch.setattr(module, "MAX_PENDING", 2)
     desk = place.desk()
     for _ in range(4):
         desk.take(place.request(LIFT))

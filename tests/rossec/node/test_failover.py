@@ -19,7 +19,7 @@ async def site(tmp_path: Path) -> AsyncIterator[Site]:
 
 def registered(site: Site, kind: Kind) -> list[str]:
     assert site.master is not None
-    return [node.name for node in site.master._registry.members(kind, TOPIC)]
+    return [node.name for node in site.master._registry.registered_nodes(kind, TOPIC)]
 
 
 async def test_a_subscriber_that_is_back_first_hangs_up_on_nobody(
@@ -51,7 +51,7 @@ async def test_who_says_goodbye_is_let_go_of_at_once(
             await site.restart_master()
             await until(lambda: registered(site, Kind.PUBLISHER) == ["/robot"])
             await until(lambda: registered(site, Kind.SUBSCRIBER) == ["/viewer"])
-            await until(lambda: not viewer._topics._named._missing)
+            await until(lambda: not viewer._topics._grace._missing)
             uri = robot.uri
             await robot._session.call("unregisterPublisher", TOPIC, uri)
             await until(lambda: not sight.links)

@@ -9,7 +9,7 @@ from grants.errors import MessageRefused
 from grants.filters import layout
 from rossec.errors import ChannelClosed, ConfigurationError, NodeShutdown
 from rossec.node.publisher import Publisher, SubscriberConnection
-from rossec.participant.limit_memory import recall
+from rossec.participant.limit_memory import memory_scope
 from rossec.participant.message_types import message_type
 from rossec.participant.topic_handshake import TopicEndpoint
 
@@ -57,7 +57,11 @@ def no_keys(name: str) -> bytes:
 def publisher(**options: Any) -> Publisher:
     shape = layout.parse(STRING.name, STRING.definition)
     return Publisher(
-        TopicEndpoint("/t", STRING), shape, no_keys, recall("/robot"), **{"latch": False, **options}
+        TopicEndpoint("/t", STRING),
+        shape,
+        no_keys,
+        memory_scope("/robot"),
+        **{"latch": False, **options},
     )
 
 
@@ -183,7 +187,7 @@ async def test_a_batch_is_bounded() -> None:
     topic, stream = publisher(queue_size=100), Stream()
     link = SubscriberConnection(stream, decision(), Guard(), 100)  # type: ignore[arg-type]  # stand-ins
     for _ in range(5):
-        link.offer([bytes(100_000)])
+        link.enqueue([bytes(100_000)])
     assert [len(link._next_batch()) for _ in range(2)] == [6, 4]
     assert topic.topic == "/t"
 
