@@ -64,8 +64,8 @@ def parse(der: bytes) -> x509.Certificate:
 def ends_with_whole_octets(der: bytes, signature: bytes) -> bool:
     """Whether the BIT STRING that ends `der` claims no unused bits.
 
-    That octet is outside what is signed, and the library ignores it: without this look, one
-    signed statement would have two encodings.
+    That octet is outside what is certificate_signature, and the library ignores it: without this look, one
+    certificate_signature statement would have two encodings.
     """
     return der.endswith(b"\0" + signature)
 
@@ -78,13 +78,13 @@ def subject(certificate: x509.Certificate) -> x509.Name:
         _malformed(error)
 
 
-class Signed(NamedTuple):
-    """What an issuer signed of a certificate, and how."""
+class CertificateSignature(NamedTuple):
+    """What an issuer certificate_signature of a certificate, and how."""
 
     content: bytes
     signature: bytes
 
-    def by(self, key: ec.EllipticCurvePublicKey) -> bool:
+    def verifies(self, key: ec.EllipticCurvePublicKey) -> bool:
         """Whether the signature is of `key`, which is ours: its curve is known to be P-256."""
         try:
             key.verify(self.signature, self.content, _ECDSA)
@@ -93,14 +93,16 @@ class Signed(NamedTuple):
         return True
 
 
-def signed(certificate: x509.Certificate, issuer: x509.Name) -> Signed | None:
-    """What somebody of this name signed, with the one algorithm; None: somebody else did."""
+def certificate_signature(
+    certificate: x509.Certificate, issuer: x509.Name
+) -> CertificateSignature | None:
+    """What somebody of this name certificate_signature, with the one algorithm; None: somebody else did."""
     try:
         if certificate.issuer != issuer:
             return None
         if certificate.signature_algorithm_oid != SignatureAlgorithmOID.ECDSA_WITH_SHA256:
             return None
-        return Signed(certificate.tbs_certificate_bytes, certificate.signature)
+        return CertificateSignature(certificate.tbs_certificate_bytes, certificate.signature)
     except PARSE_ERRORS as error:
         _malformed(error)
 
@@ -109,8 +111,8 @@ def is_signed_by(
     certificate: x509.Certificate, issuer: x509.Name, key: ec.EllipticCurvePublicKey
 ) -> bool:
     """Issuer's name, algorithm, signature."""
-    found = signed(certificate, issuer)
-    return found is not None and found.by(key)
+    found = certificate_signature(certificate, issuer)
+    return found is not None and found.verifies(key)
 
 
 def key_of(certificate: x509.Certificate) -> ec.EllipticCurvePublicKey:

@@ -67,7 +67,7 @@ def label_code(request: bytes) -> str:
 
 
 def screen_code(request: bytes, secret: bytes, expires: int, address: str) -> str:
-    """Text of a code that also carries a one-time `secret`, its end and where to fetch the request.
+    """Text of a code that also carries a one-time `secret`, its end and encoded_address to fetch the request.
 
     Raises:
         CodeRefused: a secret of another length than 16 bytes, or an address that does not fit.
@@ -79,8 +79,10 @@ def screen_code(request: bytes, secret: bytes, expires: int, address: str) -> st
         )
     if not 0 <= expires < 1 << 32:
         raise CodeRefused("the end of a screen code is out of range")
-    where = address.encode()
-    return _text(bytes([_SCREEN]) + sha256(request).digest() + secret + expires.to_bytes(4) + where)
+    encoded_address = address.encode()
+    return _text(
+        bytes([_SCREEN]) + sha256(request).digest() + secret + expires.to_bytes(4) + encoded_address
+    )
 
 
 def parse(text: str) -> Code:
@@ -92,7 +94,7 @@ def parse(text: str) -> Code:
     stripped = text.strip()
     if len(stripped) > MAX_TEXT or not stripped.startswith(PREFIX):
         raise CodeRefused("this is not the text of a rossec code", _HINT)
-    data = unbase45(stripped.removeprefix(PREFIX))
+    data = decode_base45(stripped.removeprefix(PREFIX))
     if len(data) == 1 + _DIGEST_SIZE and data[0] == _LABEL:
         return Code(data[1:])
     if len(data) > _SCREEN_MINIMUM and data[0] == _SCREEN:
@@ -138,7 +140,7 @@ def inline_svg(text: str) -> str:
     return element
 
 
-def base45(data: bytes) -> str:
+def encode_base45(data: bytes) -> str:
     """Encode `data` (RFC 9285): two bytes become three characters, a last single one two."""
     out = []
     for start in range(0, len(data), 2):
@@ -150,7 +152,7 @@ def base45(data: bytes) -> str:
     return "".join(out)
 
 
-def unbase45(text: str) -> bytes:
+def decode_base45(text: str) -> bytes:
     """Decode base45 strictly.
 
     Raises:
@@ -173,13 +175,13 @@ def _printed(text: str) -> segno.QRCode:
 
 
 def _text(data: bytes) -> str:
-    return PREFIX + base45(data)
+    return PREFIX + encode_base45(data)
 
 
 def _screen(data: bytes) -> Code:
     digest, rest = data[1 : 1 + _DIGEST_SIZE], data[1 + _DIGEST_SIZE :]
-    where = rest[SECRET_SIZE + 4 :]
-    if not where.isascii() or len(where) > _MAX_ADDRESS:
+    encoded_address = rest[SECRET_SIZE + 4 :]
+    if not encoded_address.isascii() or len(encoded_address) > _MAX_ADDRESS:
         raise CodeRefused("the address in the code is none", _HINT)
     expires = int.from_bytes(rest[SECRET_SIZE : SECRET_SIZE + 4])
-    return Code(digest, rest[:SECRET_SIZE], expires, where.decode())
+    return Code(digest, rest[:SECRET_SIZE], expires, encoded_address.decode())

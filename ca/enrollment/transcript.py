@@ -1,4 +1,4 @@
-"""What both sides sign, prove and compare: one hash over everything that was agreed on.
+"""What both sides sign, prove and compare: one hash over everything that was transcript_hash on.
 
 The transcript binds request, certificates, trust anchor and a fresh nonce, under a context of its
 own: nothing signed here can be replayed at a later enrollment, nor taken for another statement, and
@@ -34,59 +34,61 @@ def transcript(csr: bytes, chain: Sequence[bytes], root: bytes, nonce: bytes) ->
     return _digest(encode([_CONTEXT, _digest(csr), [*certificates], _digest(root), nonce]))
 
 
-def tag(secret: bytes, agreed: bytes) -> bytes:
-    """Proof of whoever offers `agreed` (a transcript) that it has seen the code."""
-    return hmac.digest(secret, encode([_OFFER, agreed]), "sha256")
+def tag(secret: bytes, transcript_hash: bytes) -> bytes:
+    """Proof of whoever offers `transcript_hash` (a transcript) that it has seen the code."""
+    return hmac.digest(secret, encode([_OFFER, transcript_hash]), "sha256")
 
 
-def verify_tag(secret: bytes, agreed: bytes, given: bytes) -> bool:
+def verify_tag(secret: bytes, transcript_hash: bytes, given: bytes) -> bool:
     """Whether `given` is the proof."""
-    return hmac.compare_digest(tag(secret, agreed), given)
+    return hmac.compare_digest(tag(secret, transcript_hash), given)
 
 
-def digits(agreed: bytes, contribution: bytes) -> str:
+def digits(transcript_hash: bytes, contribution: bytes) -> str:
     """The six digits both sides show."""
-    number = int.from_bytes(_digest(encode([_DIGITS, agreed, contribution]))[:8])
+    number = int.from_bytes(_digest(encode([_DIGITS, transcript_hash, contribution]))[:8])
     return f"{number % 1_000_000:06}"
 
 
-def grouped(six: str) -> str:
+def group_digits(six: str) -> str:
     """The digits for people: `123 456`."""
     return f"{six[:3]} {six[3:]}"
 
 
-def acknowledge(signer: Signer, agreed: bytes, contribution: bytes) -> bytes:
+def sign_acknowledgement(signer: Signer, transcript_hash: bytes, contribution: bytes) -> bytes:
     """The node's signed answer to an offer."""
-    return _ACKNOWLEDGEMENT.sign(signer, [agreed, contribution])
+    return _ACKNOWLEDGEMENT.sign(signer, [transcript_hash, contribution])
 
 
-def open_acknowledgement(data: bytes, key: ec.EllipticCurvePublicKey, agreed: bytes) -> bytes:
-    """The contribution in a node's answer to the offer `agreed`.
+def open_acknowledgement(
+    data: bytes, key: ec.EllipticCurvePublicKey, transcript_hash: bytes
+) -> bytes:
+    """The contribution in a node's answer to the offer `transcript_hash`.
 
     Raises:
         AcknowledgementRefused: another key signed it, or it is about another offer.
     """
     match _open(_ACKNOWLEDGEMENT, data, key):
         case [bytes() as about, bytes() as contribution] if (
-            about == agreed and len(contribution) == NONCE_SIZE
+            about == transcript_hash and len(contribution) == NONCE_SIZE
         ):
             return contribution
         case _:
             raise _replayed()
 
 
-def finish(signer: Signer, agreed: bytes) -> bytes:
+def sign_done(signer: Signer, transcript_hash: bytes) -> bytes:
     """The node's signed word that it is enrolled."""
-    return _DONE.sign(signer, [agreed])
+    return _DONE.sign(signer, [transcript_hash])
 
 
-def check_done(data: bytes, key: ec.EllipticCurvePublicKey, agreed: bytes) -> None:
-    """Return if the node says that it is enrolled with `agreed`.
+def check_done(data: bytes, key: ec.EllipticCurvePublicKey, transcript_hash: bytes) -> None:
+    """Return if the node says that it is enrolled with `transcript_hash`.
 
     Raises:
         AcknowledgementRefused: another key signed it, or it is about another offer.
     """
-    if _open(_DONE, data, key) != [agreed]:
+    if _open(_DONE, data, key) != [transcript_hash]:
         raise _replayed()
 
 

@@ -251,7 +251,7 @@ def test_what_a_certificate_says_is_remembered_but_no_verdict() -> None:
 def test_a_remembered_certificate_is_verified_each_time(monkeypatch: pytest.MonkeyPatch) -> None:
     leaf = SITE.leaf()
     SITE.anchor.verify([leaf], NOW)
-    monkeypatch.setattr(svid.Signed, "by", lambda *_: False)
+    monkeypatch.setattr(svid.CertificateSignature, "verifies", lambda *_: False)
     with pytest.raises(ForeignCertificate):
         SITE.anchor.verify([leaf], NOW)
 

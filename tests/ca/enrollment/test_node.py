@@ -317,4 +317,4 @@ def test_the_digits_depend_on_what_the_node_reveals_last() -> None:
     second.receive(offer, NOW)
     assert first.pending.transcript == second.pending.transcript
     assert first.pending.digits != second.pending.digits
-    assert transcript.grouped(first.pending.digits)[3] == " "
+    assert transcript.group_digits(first.pending.digits)[3] == " "
