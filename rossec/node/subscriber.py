@@ -183,7 +183,7 @@ class Subscriber:
         decision = admit_publisher(
             answer, stream.peer, self.endpoint.expected, self._access, clock.now()
         )
-        stream.welcome(unit_limit(self._size, MESSAGE_LIMIT))
+        stream.raise_unit_limit(unit_limit(self._size, MESSAGE_LIMIT))
         guard = guard_for(self.endpoint.type, decision, self._filter_key, self.recall)
         return PublisherConnection(stream, decision, guard), units[1:]
 

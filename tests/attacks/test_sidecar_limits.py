@@ -17,7 +17,7 @@ from rossec.participant.message_types import message_type
 from rossec.ros import header
 from rossec.ros.header import FrameReader
 from rossec.sidecar.server import Sidecar
-from tests.rossec.sidecar.program import Program, sidecar, word
+from tests.rossec.sidecar.program import Program, sidecar, string_message
 from tests.support.attacker import EVE, HOST, fields_for
 from tests.support.limited import (
     ABOUT_A_BORDER,
@@ -51,7 +51,7 @@ async def program(site: Site, kind: type[Program] = Program) -> AsyncIterator["B
 
 def door_of(near: Sidecar) -> int:
     """Of the program of /robot that came last."""
-    return [door.port for door in near._agent_for("/robot")._exports.doorways][-1]
+    return [door.port for door in near._agent_for("/robot")._ingress.ports][-1]
 
 
 class Behind:
@@ -93,9 +93,9 @@ async def test_a_sidecar_begins_no_rate_anew(site: Site) -> None:
         found = []
         for text in ("one", "two", "six", "ten"):
             stream = await eve.connect()
-            await eve.robot.connections[-1].send(word(text))
+            await eve.robot.connections[-1].send(string_message(text))
             found += await eve.heard(stream)
-        assert found == [[word("one")[4:]], [], [], []]
+        assert found == [[string_message("one")[4:]], [], [], []]
 
 
 @pytest.mark.attack("more-by-reconnecting")
@@ -106,8 +106,8 @@ async def test_a_sidecar_lets_copies_through_on_every_connection(site: Site) -> 
         streams = [await eve.connect() for _ in range(5)]
         for text in ("one", "two", "one"):
             for connection in eve.robot.connections:
-                await connection.send(word(text))
-        assert await eve.heard(*streams) == [[word("one")[4:]]] * 5
+                await connection.send(string_message(text))
+        assert await eve.heard(*streams) == [[string_message("one")[4:]]] * 5
 
 
 @pytest.mark.attack("more-by-reconnecting")
@@ -154,8 +154,8 @@ async def test_a_sidecar_shows_a_newcomer_what_its_key_has_seen(site: Site) -> N
         eve.robot.latching = True
         for text in ("one", "two", "six"):
             stream = await eve.connect()
-            await eve.robot.connections[-1].send(word(text))
-            assert await eve.heard(stream) == [[word("one")[4:]]]
+            await eve.robot.connections[-1].send(string_message(text))
+            assert await eve.heard(stream) == [[string_message("one")[4:]]]
 
 
 @pytest.mark.attack("more-by-reconnecting")
@@ -175,7 +175,7 @@ async def test_a_sidecar_believes_a_publisher_no_more_for_another_connection(sit
                 for one.name in names:
                     streams.append((await one.subscribe(uri, TOPIC))[0])
                 await publisher.wait_for_subscribers(len(names))
-                publisher.publish_bytes(word("go")[4:])
+                publisher.publish_bytes(string_message("go")[4:])
                 for link in tuple(publisher.links):
                     await until(lambda: not link._queue)  # noqa: B023 - at once
                     await link.stream.close()
@@ -183,7 +183,7 @@ async def test_a_sidecar_believes_a_publisher_no_more_for_another_connection(sit
                 await until(lambda: not publisher.links)
         gone: tuple[str, tuple[object, ...]] = ("publisherUpdate", ("/master", TOPIC, []))
         await until(lambda: gone in one.calls)
-    assert found == [[word("go")[4:]]] * 2 + [[]] * 3
+    assert found == [[string_message("go")[4:]]] * 2 + [[]] * 3
 
 
 class Pose(Program):

@@ -48,15 +48,15 @@ async def near(site: Site) -> AsyncIterator[Sidecar]:
         yield near
 
 
-async def meet(site: Site, port: int, flavour: WireProtocol) -> SecureStream[Identity]:
+async def meet(site: Site, port: int, protocol: WireProtocol) -> SecureStream[Identity]:
     """Connect as /mallory to a door of the sidecar."""
     credentials = site.enroll("/mallory").credentials()
-    return await connect("127.0.0.1", port, credentials, site.anchor.verify, opening=flavour)
+    return await connect("127.0.0.1", port, credentials, site.anchor.verify, opening=protocol)
 
 
 def door_of(near: Sidecar) -> SecureServer[Identity]:
     """Where peers reach the slave API of /robot."""
-    return next(iter(near._agent_for("/robot")._exports.doorways))
+    return next(iter(near._agent_for("/robot")._ingress.ports))
 
 
 @pytest.mark.attack("two-readings")
