@@ -208,7 +208,7 @@ class NodeEnrollment:
         self._bad_digits += 1
         error = DigitsRefused(
             "these are not the digits of the offer this node has",
-            "if the authority really shows them, somebody is between you: do not go on",
+            "possible attacker in between: if the authority shows these digits, do not continue",
         )
         if self._bad_digits >= MAX_BAD_DIGITS:
             self.stop(error)

@@ -131,7 +131,7 @@ def _open_verified(staging: AuthorityHome, secret: str) -> SigningAuthority:
 
 @contextlib.contextmanager
 def _locked(target: Path) -> Iterator[None]:
-    """Nobody signs or revokes at `target` from its comparison with the backup until it has moved."""
+    """Lock the record at `target` from its comparison with the backup until it is moved away."""
     with contextlib.ExitStack() as stack:
         with contextlib.suppress(HintedError):  # no whole authority: `_read` says so
             store = stack.enter_context(contextlib.closing(AuthorityHome(target).store()))

@@ -111,7 +111,7 @@ class GrantRequestStore:
             raise
         except StoreError as error:
             raise StoreError(
-                "that was stored or answered before", "see: rossec grant pending"
+                "that was asked or answered before", "see: rossec grant pending"
             ) from error
 
 

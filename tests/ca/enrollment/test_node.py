@@ -251,7 +251,7 @@ def test_three_wrong_digits() -> None:
     for _ in range(MAX_BAD_DIGITS):
         with pytest.raises(DigitsRefused, match="not the digits") as caught:
             node.confirm(wrong(authority.digits), NOW)
-        assert "somebody is between you" in caught.value.hint
+        assert "possible attacker in between" in caught.value.hint
     with pytest.raises(EnrollmentOver, match="over: these are not the digits"):
         node.confirm(authority.digits, NOW)
 

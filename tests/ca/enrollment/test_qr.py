@@ -48,7 +48,7 @@ def test_every_text_decodes_to_what_encodes_to_it(text: str) -> None:
 
 @pytest.mark.parametrize("text", ["GGW", "::", ":::", "a", "AB8a", "A", "BB8A", "É"])
 def test_what_is_no_base45(text: str) -> None:
-    with pytest.raises(CodeRefused, match="characters no rossec code has"):
+    with pytest.raises(CodeRefused, match="characters that a rossec code cannot have"):
         qr.decode_base45(text)
 
 
@@ -160,7 +160,7 @@ def enlarge(
 def test_a_screen_code_ends() -> None:
     code = qr.parse(qr.screen_code(REQUEST, b"s" * 16, 1000, "robot:1"))
     code.check_time(1000)
-    with pytest.raises(CodeExpired, match="the code ended 1 s ago") as caught:
+    with pytest.raises(CodeExpired, match="the code expired 1 s ago") as caught:
         code.check_time(1001)
     assert "show a new one" in caught.value.hint
     qr.parse(qr.label_code(REQUEST)).check_time(1001)
@@ -168,7 +168,7 @@ def test_a_screen_code_ends() -> None:
 
 @pytest.mark.parametrize("expires", [-1, 1 << 32])
 def test_ends_that_do_not_fit(expires: int) -> None:
-    with pytest.raises(CodeRefused, match="the end of a screen code is out of range"):
+    with pytest.raises(CodeRefused, match="the expiry of a screen code is out of range"):
         qr.screen_code(REQUEST, b"s" * 16, expires, "robot:1")
 
 
