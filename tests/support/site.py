@@ -20,7 +20,7 @@ from rossec.authority.renewals import renew
 from rossec.authority.signing import SigningAuthority
 from rossec.channel.suite_selection import post_quantum
 from rossec.home import NodeHome
-from rossec.master.operation.denial_log import OnDenial, unheard
+from rossec.master.operation.denial_log import OnDenial, ignore_denial
 from rossec.master.operation.limits import MasterLimits
 from rossec.master.server.server import MasterServer
 from rossec.master.server.start import master_of
@@ -49,7 +49,7 @@ class Site:
         )
         self.authority.sign_list(now)
         self.master: MasterServer | None = None
-        self.complain: OnDenial = unheard
+        self.on_denial: OnDenial = ignore_denial
         self.intermediate: SigningAuthority | None = None
         self.host = "127.0.0.1"
         self.limits = MasterLimits()
@@ -181,7 +181,7 @@ class Site:
         self.master = master_of(
             self.enroll(MASTER), host=self.host, port=port,
             newest=self.authority.store.newest_list(), now=self.now(), entries=self.entries,
-            complain=self.complain, limits=self.limits,
+            on_denial=self.on_denial, limits=self.limits,
             renewer=None if self.intermediate is None else partial(renew, self.intermediate),
             suites=post_quantum(self.environ),
         )  # fmt: skip

@@ -11,7 +11,7 @@ from urllib.parse import urlsplit
 
 from ca.errors import NameRefused
 from ca.names import check_name
-from rossec.master.state.addresses import is_place
+from rossec.master.state.addresses import is_unicast_host
 from rossec.ros import names
 
 URI_LIMIT: Final = 512
@@ -100,7 +100,7 @@ def type_name(label: str) -> Check:
     def check(value: object, _caller: str) -> str:
         if not value or not isinstance(value, str):
             raise ArgumentRefused(f"ERROR: parameter [{label}] must be a non-empty string")
-        if value != names.ANY_TYPE and not _is_resource(value):
+        if value != names.ANY_TYPE and not _is_resource_name(value):
             text = f"ERROR: parameter [{label}] is not a valid package resource name"
             raise ArgumentRefused(text)
         return value
@@ -168,7 +168,7 @@ def binaries(label: str, most: int) -> Check:
     return check
 
 
-def _is_resource(value: str) -> bool:
+def _is_resource_name(value: str) -> bool:
     return value.count("/") == 1 and len(value) <= KEY_LIMIT and value.isprintable()
 
 
@@ -182,7 +182,7 @@ def _dialable(value: str, scheme: str) -> bool:
     except ValueError:
         return False
     host = parts.hostname or ""
-    return parts.scheme == scheme and is_place(host) and bool(port) and "@" not in value
+    return parts.scheme == scheme and is_unicast_host(host) and bool(port) and "@" not in value
 
 
 def _well_formed(resolved: str, label: str) -> str:

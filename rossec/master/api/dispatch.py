@@ -26,7 +26,7 @@ from rossec.master.api.methods import (
 from rossec.master.api.multicall import MULTICALL, Multicall
 from rossec.master.api.parameter_calls import ParameterCalls
 from rossec.master.api.statement_calls import StatementCalls
-from rossec.master.api.turns import CallOutcome, Work, finished, never
+from rossec.master.api.turns import CallOutcome, Work, never_expires, run_to_end
 from rossec.master.api.watch_calls import WatchCalls
 from rossec.master.rights.access_rules import AccessControl, AddressTaken, Caller, Refused
 from rossec.master.rights.interfaces import Statements
@@ -63,14 +63,14 @@ class MasterApi:
     ) -> None:
         self._uri = uri
         self._pid = pid
-        self._gatekeeper = AccessControl(registry, name)
-        self.watching = WatchCalls(registry, self._gatekeeper, instance)
+        self._access_control = AccessControl(registry, name)
+        self.watch_calls = WatchCalls(registry, self._access_control, instance)
         tree = Parameters() if parameters is None else parameters
         self.parameters = ParameterCalls(tree, registry, statements.caller_of, parameter_bytes)
         self.methods: Methods = {
-            **GraphCalls(registry, self._gatekeeper).methods(),
+            **GraphCalls(registry, self._access_control).methods(),
             **self.parameters.methods(),
-            **self.watching.methods(),
+            **self.watch_calls.methods(),
             **StatementCalls(statements, registry, name, started).methods(),
             **self._own_methods(),
         }
@@ -82,13 +82,13 @@ class MasterApi:
         caller: Caller,
         now: int,
         *,
-        near: bool = True,
+        is_local: bool = True,
     ) -> CallOutcome:
         """Answer one call, all of it at once; arguments and errors as of `begin`."""
         if method == MULTICALL:
-            return self._multicall(params, caller, now, near=near)
-        begun = self.begin(method, params, caller, now, near=near)
-        return begun if isinstance(begun, CallOutcome) else finished(begun)
+            return self._multicall(params, caller, now, is_local=is_local)
+        begun = self.begin(method, params, caller, now, is_local=is_local)
+        return begun if isinstance(begun, CallOutcome) else run_to_end(begun)
 
     def begin(
         self,
@@ -97,9 +97,9 @@ class MasterApi:
         caller: Caller,
         now: int,
         *,
-        near: bool = True,
+        is_local: bool = True,
     ) -> CallOutcome | Work:
-        """Answer one call, or begin to; `near`: it comes from the master's own host.
+        """Answer one call, or begin to; `is_local`: it comes from the master's own host.
 
         Raises:
             Fault: no such method.
@@ -108,7 +108,7 @@ class MasterApi:
         if row is None:
             raise Fault(1, f"<class 'Exception'>:method \"{method}\" is not supported")
         try:
-            request = self._request(method, row, params, caller, now, near=near)
+            request = self._request(method, row, params, caller, now, is_local=is_local)
             reply = row.handler(request)
         except ArgumentRefused as refused:
             return CallOutcome([-1, str(refused), row.default])
@@ -118,27 +118,28 @@ class MasterApi:
             return _answered(reply, method, request, caller)
         return _in_steps(reply, method, row, request, caller)
 
-    def make(
+    def run_multicall(
         self,
         multicall: Multicall,
         caller: Caller,
         now: int,
         *,
-        near: bool = True,
-        over: Callable[[], bool] = never,
+        is_local: bool = True,
+        expired: Callable[[], bool] = never_expires,
     ) -> tuple[MasterEvent, ...]:
         """Some more of the elements of a multicall; returns what to deliver for them."""
         return multicall.step(
-            lambda method, params: self.begin(method, params, caller, now, near=near), over
+            lambda method, params: self.begin(method, params, caller, now, is_local=is_local),
+            expired,
         )
 
     def _multicall(
-        self, params: Sequence[object], caller: Caller, now: int, *, near: bool
+        self, params: Sequence[object], caller: Caller, now: int, *, is_local: bool
     ) -> CallOutcome:
         """All of a multicall at once."""
         multicall, events = Multicall(params), list[MasterEvent]()
         while not multicall.done:
-            events += self.make(multicall, caller, now, near=near)
+            events += self.run_multicall(multicall, caller, now, is_local=is_local)
         return CallOutcome(multicall.answer, tuple(events))
 
     def _request(
@@ -149,7 +150,7 @@ class MasterApi:
         caller: Caller,
         now: int,
         *,
-        near: bool,
+        is_local: bool,
     ) -> CallRequest:
         if not params:
             raise ArgumentRefused("missing required caller_id parameter")
@@ -158,10 +159,10 @@ class MasterApi:
         caller_id = params[0]
         if not isinstance(caller_id, str):
             raise ArgumentRefused("caller_id must be a string")
-        acting = self._gatekeeper.acting(method, caller, caller_id)
+        acting_caller = self._access_control.acting_caller(method, caller, caller_id)
         checked = [check(params[at], caller_id) for at, check in enumerate(row.checks, 1)]
-        request = CallRequest(acting, (caller_id, *checked), now, near)
-        self._gatekeeper.check(method, acting, request.arguments, near=near)
+        request = CallRequest(acting_caller, (caller_id, *checked), now, is_local)
+        self._access_control.check(method, acting_caller, request.arguments, is_local=is_local)
         return request
 
     def _own_methods(self) -> Methods:
@@ -188,13 +189,13 @@ def _answered(reply: Reply, method: str, request: CallRequest, caller: Caller) -
     events = reply.events
     if request.caller.thumbprint != caller.thumbprint:  # only an administrator gets so far
         what = f"calls {method} for {request.caller.name}: {reply.status}"
-        events = (*events, Administered(caller.title, what))
+        events = (*events, Administered(caller.display_name, what))
     return CallOutcome([reply.code, reply.status, reply.value], events)
 
 
 def _refused(refused: Refused, method: str, row: Method, caller: Caller) -> CallOutcome:
     status = f"rossec: {refused}"
-    denied = () if refused.wanted is None else (Denied(caller.name, *refused.wanted),)
+    denied = () if refused.missing is None else (Denied(caller.name, *refused.missing),)
     taken_by = refused.owner if isinstance(refused, AddressTaken) else None
-    refusal = CallDenied(caller.title, method, status, taken_by)
+    refusal = CallDenied(caller.display_name, method, status, taken_by)
     return CallOutcome([-1, status, row.default], (refusal, *denied))

@@ -73,7 +73,7 @@ class CallDenied:
 
 
 @dataclass(frozen=True)
-class ParameterKept:
+class PersistParameter:
     """A change to write down, so that it survives the master."""
 
     change: ParameterChange
@@ -82,7 +82,7 @@ class ParameterKept:
 MasterEvent = (
     Event
     | ParameterChanged
-    | ParameterKept
+    | PersistParameter
     | StopMaster
     | GrantsPresented
     | RevocationsChanged
@@ -104,13 +104,13 @@ class Reply(NamedTuple):
 class CallRequest(NamedTuple):
     """One call whose arguments are checked and resolved; `arguments[0]` is the caller_id.
 
-    `near`: it comes from the master's own host.
+    `is_local`: it comes from the master's own host.
     """
 
     caller: Caller
     arguments: tuple[object, ...]
     now: int
-    near: bool = True
+    is_local: bool = True
 
     def text(self, index: int) -> str:
         """An argument whose check returned text."""

@@ -14,11 +14,11 @@ from rossec.errors import HangUp
 from rossec.master.api.statement_calls import PROOF_LIMIT
 from rossec.master.rights.interfaces import Statements
 
-MOMENT: Final = 5.0  # seconds that a connection of a revoked identity may last
-MOST: Final = 4  # such connections of one identity
-MOST_BELOW: Final = 32  # of all below one intermediate, whose holder makes as many as he likes
-CALLS: Final = 16  # on one connection; a node makes two or three
-_ANSWERED: Final = frozenset({"rossec.revocations", "rossec.revocationsSince"})
+CONNECTION_SECONDS: Final = 5.0  # seconds that a connection of a revoked identity may last
+MAX_CONNECTIONS: Final = 4  # such connections of one identity
+MAX_BELOW_INTERMEDIATE: Final = 32  # of all identities that one intermediate has issued
+MAX_CALLS: Final = 16  # on one connection; a node makes two or three
+_LIST_METHODS: Final = frozenset({"rossec.revocations", "rossec.revocationsSince"})
 _UNCONFIRMED: Final = b""
 
 
@@ -26,19 +26,21 @@ class RevokedConnections:
     """How many connections each revoked key has."""
 
     def __init__(self) -> None:
-        self._held: Counter[bytes] = Counter()
+        self._counts: Counter[bytes] = Counter()
 
     def admit(self, keys: tuple[bytes, ...]) -> bool:
         """Count one more of the identity with these keys, its own first; False: no room."""
         own, *above = keys
-        full = self._held[own] >= MOST or any(self._held[key] >= MOST_BELOW for key in above)
+        full = self._counts[own] >= MAX_CONNECTIONS or any(
+            self._counts[key] >= MAX_BELOW_INTERMEDIATE for key in above
+        )
         if not full:
-            self._held.update(keys)
+            self._counts.update(keys)
         return not full
 
-    def leave(self, keys: tuple[bytes, ...]) -> None:
+    def release(self, keys: tuple[bytes, ...]) -> None:
         """One that was admitted has ended."""
-        self._held -= Counter(keys)  # which keeps no zeros
+        self._counts -= Counter(keys)  # which keeps no zeros
 
 
 class RevokedCalls:
@@ -51,12 +53,12 @@ class RevokedCalls:
     def __init__(self, statements: Statements, now: Callable[[], int]) -> None:
         self._statements = statements
         self._now = now
-        self._left = CALLS
+        self._calls_left = MAX_CALLS
 
     def answer(self, method: str, params: tuple[object, ...], _: object) -> list[object]:
         """As `answer_revoked`, for a while."""
-        self._left -= 1
-        if self._left < 0:
+        self._calls_left -= 1
+        if self._calls_left < 0:
             raise HangUp("the identity is revoked, and has heard it")
         return answer_revoked(self._statements, self._now(), method, params)
 
@@ -70,7 +72,7 @@ def answer_revoked(
         HangUp: it is none of those by which a node hears that it is revoked.
     """
     match params:
-        case (str(), *_) if method in _ANSWERED:
+        case (str(), *_) if method in _LIST_METHODS:
             # Whole, also if it is held: an empty list says that there is none.
             return [1, "revocations", [statements.current(now)[0], _UNCONFIRMED]]
         case (str(), list() as entries) if method == "rossec.revocationProofs":

@@ -55,7 +55,9 @@ class StatementCalls:
             "rossec.presentGrants": Method((grants,), 0, self._present),
             "rossec.renewGrants": Method((renewed,), [], self._renew),
             "rossec.renewIdentity": Method((arg.binary("request"),), b"", self._renew_identity),
-            "rossec.updateDelegation": Method((arg.binary("delegation"),), 0, self._delegated),
+            "rossec.updateDelegation": Method(
+                (arg.binary("delegation"),), 0, self._update_delegation
+            ),
             "rossec.revocations": Method((), [], self._revocations),
             "rossec.revocationsSince": Method((arg.binary("digest"),), [], self._since),
             "rossec.updateRevocations": Method((arg.binary("list"),), 0, self._update),
@@ -96,9 +98,9 @@ class StatementCalls:
             raise _refusal(error) from error
         return Reply(bundle, "identity renewed")
 
-    def _delegated(self, request: CallRequest) -> Reply:
+    def _update_delegation(self, request: CallRequest) -> Reply:
         try:
-            newer = self._statements.delegated(request.binary(1))
+            newer = self._statements.update_delegation(request.binary(1))
         except HintedError as error:
             raise _refusal(error) from error
         if not newer:
@@ -111,15 +113,17 @@ class StatementCalls:
 
     def _since(self, request: CallRequest) -> Reply:
         """The list only if it is not the one the caller says it holds."""
-        self._statements.held_by(request.caller, request.binary(1))
-        return Reply(list(self._statements.news_for(request.caller, request.now)), "revocations")
+        self._statements.record_held_list(request.caller, request.binary(1))
+        return Reply(
+            list(self._statements.revocations_for(request.caller, request.now)), "revocations"
+        )
 
     def _update(self, request: CallRequest) -> Reply:
         try:
             newer = self._statements.update(request.binary(1), request.now)
         except HintedError as error:
             raise _refusal(error) from error
-        return _taken(newer, request)
+        return _update_reply(newer, request)
 
     def _update_tree(self, request: CallRequest) -> Reply:
         tree, entries = request.binary(1), request.binary(2)
@@ -127,7 +131,7 @@ class StatementCalls:
             newer = self._statements.update_tree(tree, entries, request.now)
         except HintedError as error:
             raise _refusal(error) from error
-        return _taken(newer, request)
+        return _update_reply(newer, request)
 
     def _proofs(self, request: CallRequest) -> Reply:
         return Reply(self._statements.proofs(_binaries(request.arguments[1])), "proofs")
@@ -151,7 +155,7 @@ class StatementCalls:
         return [name for key in keys if (name := key.removesuffix("/"))]
 
 
-def _taken(newer: bool, request: CallRequest) -> Reply:
+def _update_reply(newer: bool, request: CallRequest) -> Reply:
     if not newer:
         return Reply(0, "not newer than the list in force")
     changed = RevocationsChanged(request.caller.identity)

@@ -1,7 +1,7 @@
 """Work that others must not wait for: done in turns, each of which ends by time. Pure.
 
 A count bounds nothing here, since one call may cost ten thousand times another. What is worked at
-yields wherever it can be left; `over`, which asks the caller's clock, says when it must be.
+yields wherever it can be left; `expired`, which asks the caller's clock, says when it must be.
 """
 
 from collections.abc import Callable, Generator
@@ -11,7 +11,7 @@ from rossec.master.api.methods import MasterEvent
 
 TURN: Final = 0.005  # seconds that one peer may keep the loop before others are answered
 
-Over = Callable[[], bool]
+TurnExpired = Callable[[], bool]
 """Whether the turn has lasted long enough."""
 
 
@@ -33,31 +33,31 @@ class Turns:
         self._clock = clock
         self._length = length
 
-    def begin(self) -> Over:
+    def begin(self) -> TurnExpired:
         """A turn that begins now."""
         end = self._clock() + self._length
         return lambda: self._clock() >= end
 
 
-def never() -> bool:
+def never_expires() -> bool:
     """For what is done to its end."""
     return False
 
 
-def advance(work: Work, over: Over) -> CallOutcome | None:
+def advance(work: Work, expired: TurnExpired) -> CallOutcome | None:
     """Work for one turn; None: it is not at its end."""
     try:
         while True:
             next(work)
-            if over():
+            if expired():
                 return None
     except StopIteration as end:
         outcome: CallOutcome = end.value
         return outcome
 
 
-def finished(work: Work) -> CallOutcome:
+def run_to_end(work: Work) -> CallOutcome:
     """Work to the end."""
-    while (outcome := advance(work, never)) is None:
+    while (outcome := advance(work, never_expires)) is None:
         pass
     return outcome

@@ -18,7 +18,7 @@ from rossec.master.state.registry import ANY_TYPE, Kind, Registry
 
 WATCH: Final = "rossec.watchGraph"
 BATCH: Final = 1024  # facts in one answer
-VIEWS: Final = 4  # watchers of one identity
+MAX_VIEWS: Final = 4  # watchers of one identity
 _START: Final = 0  # the cursor of a watcher that knows nothing
 
 Fact: TypeAlias = tuple[str, str, str]
@@ -28,14 +28,16 @@ Fact: TypeAlias = tuple[str, str, str]
 View: TypeAlias = frozenset[Fact]
 
 
-def facts(registry: Registry, gatekeeper: AccessControl, caller: Caller) -> Iterator[Fact | None]:
+def facts(
+    registry: Registry, access_control: AccessControl, caller: Caller
+) -> Iterator[Fact | None]:
     """What `caller` may see of the graph: as `getSystemState` and its like show it.
 
     None for each name and node that was looked at in vain.
     """
     for kind in (Kind.PUBLISHER, Kind.SUBSCRIBER, Kind.SERVICE):
         for key, names in registry.entries(kind):
-            shown = gatekeeper.nodes_shown(caller, key, names)
+            shown = access_control.visible_nodes(caller, key, names)
             yield from ((kind.value, key, name) for name in shown)
             if shown and kind is Kind.SERVICE:
                 yield "provider", key, registry.service_uri(key) or ""
@@ -44,7 +46,11 @@ def facts(registry: Registry, gatekeeper: AccessControl, caller: Caller) -> Iter
             elif not shown:
                 yield None
     for node in tuple(registry.nodes()):
-        yield ("node", node.name, node.uri) if gatekeeper.node_shown(caller, node.name) else None
+        yield (
+            ("node", node.name, node.uri)
+            if access_control.is_node_visible(caller, node.name)
+            else None
+        )
 
 
 class WatchCalls:
@@ -54,9 +60,9 @@ class WatchCalls:
         instance: names this run of the master: a restarted one counts from zero again.
     """
 
-    def __init__(self, registry: Registry, gatekeeper: AccessControl, instance: str) -> None:
+    def __init__(self, registry: Registry, access_control: AccessControl, instance: str) -> None:
         self._registry = registry
-        self._gatekeeper = gatekeeper
+        self._access_control = access_control
         self._instance = instance
         self._cursors = count(_START + 1)
         self._views: OrderedDict[bytes, OrderedDict[int, View]] = OrderedDict()
@@ -72,28 +78,28 @@ class WatchCalls:
             del self._views[key]
 
     def _watch(self, request: CallRequest) -> Steps:
-        seen, at_once = set[Fact](), request.caller.looks_at_once
-        found = facts(self._registry, self._gatekeeper, request.caller)
-        for looks, fact in enumerate(found, 1):
+        seen, at_once = set[Fact](), request.caller.names_per_yield
+        found = facts(self._registry, self._access_control, request.caller)
+        for checked, fact in enumerate(found, 1):
             if fact is not None:
                 seen.add(fact)
-            if not looks % at_once:
+            if not checked % at_once:
                 yield
-        return self._news(request, frozenset(seen))
+        return self._changes(request, frozenset(seen))
 
-    def _news(self, request: CallRequest, now: View) -> Reply:
+    def _changes(self, request: CallRequest, now: View) -> Reply:
         instance, cursor = request.arguments[1:3]
         views = self._views.setdefault(request.caller.thumbprint, OrderedDict())
         cursor = cursor if isinstance(cursor, int) and instance == self._instance else _START
         known = views.get(cursor)
         old = frozenset() if known is None else known
         added, removed = sorted(now - old), sorted(old - now)
-        told_added, told_removed = added[:BATCH], removed[:BATCH]
+        sent_added, sent_removed = added[:BATCH], removed[:BATCH]
         if known is None or added or removed:
             views.pop(cursor, None)
             cursor = next(self._cursors)
-            views[cursor] = (old | frozenset(told_added)) - frozenset(told_removed)
-            if len(views) > VIEWS:
+            views[cursor] = (old | frozenset(sent_added)) - frozenset(sent_removed)
+            if len(views) > MAX_VIEWS:
                 views.popitem(last=False)
         answer: dict[str, object] = {
             "instance": self._instance,
@@ -101,13 +107,13 @@ class WatchCalls:
             "cursor": cursor,
             "whole": known is None,
             "more": len(added) > BATCH or len(removed) > BATCH,
-            "added": [list(fact) for fact in told_added],
-            "removed": [list(fact) for fact in told_removed],
+            "added": [list(fact) for fact in sent_added],
+            "removed": [list(fact) for fact in sent_removed],
         }
         return Reply(answer, "state of the graph")
 
 
-def no_news(answer: object) -> bool:
+def is_unchanged(answer: object) -> bool:
     """Whether an answer to the call says that nothing changed."""
     match answer:
         case [1, _, {"whole": False, "added": [], "removed": []}]:

@@ -134,7 +134,7 @@ def test_a_replayed_answer() -> None:
     _, offer = offered(first, SITE)
     (recorded,) = first.receive(offer, NOW)
     later, _ = offered(robot.enrollment(), SITE)
-    with pytest.raises(AcknowledgementRefused, match="about another offer"):
+    with pytest.raises(AcknowledgementRefused, match="for another offer"):
         later.receive(recorded, NOW)
     assert later.state is AuthorityState.OVER
     assert later.digits == ""
@@ -147,7 +147,7 @@ def test_a_replayed_last_word() -> None:
     first.confirm(authority.digits, NOW)
     (recorded,) = first.activated()
     later, _ = acknowledged(robot.enrollment(), SITE)
-    with pytest.raises(AcknowledgementRefused, match="about another offer"):
+    with pytest.raises(AcknowledgementRefused, match="for another offer"):
         later.receive(recorded, NOW)
     assert later.state is AuthorityState.OVER
     authority.receive(recorded, NOW)

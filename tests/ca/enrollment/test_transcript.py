@@ -54,7 +54,7 @@ def test_the_digits_as_specified() -> None:
 def test_an_acknowledgement_is_about_one_offer() -> None:
     statement = t.sign_acknowledgement(SIGNER, AGREED, CONTRIBUTION)
     assert t.open_acknowledgement(statement, SIGNER.public_key, AGREED) == CONTRIBUTION
-    with pytest.raises(AcknowledgementRefused, match="about another offer") as caught:
+    with pytest.raises(AcknowledgementRefused, match="for another offer") as caught:
         t.open_acknowledgement(statement, SIGNER.public_key, bytes(32))
     assert "do not confirm" in caught.value.hint
     with pytest.raises(AcknowledgementRefused, match="not signed by the node"):
@@ -62,14 +62,14 @@ def test_an_acknowledgement_is_about_one_offer() -> None:
     with pytest.raises(AcknowledgementRefused, match="not signed by the node"):
         t.open_acknowledgement(b"\xa0", SIGNER.public_key, AGREED)
     short = t.sign_acknowledgement(SIGNER, AGREED, b"c")
-    with pytest.raises(AcknowledgementRefused, match="about another offer"):
+    with pytest.raises(AcknowledgementRefused, match="for another offer"):
         t.open_acknowledgement(short, SIGNER.public_key, AGREED)
 
 
 def test_the_last_word_is_about_one_offer() -> None:
     statement = t.sign_done(SIGNER, AGREED)
     t.check_done(statement, SIGNER.public_key, AGREED)
-    with pytest.raises(AcknowledgementRefused, match="about another offer"):
+    with pytest.raises(AcknowledgementRefused, match="for another offer"):
         t.check_done(statement, SIGNER.public_key, bytes(32))
 
 

@@ -189,7 +189,7 @@ def test_a_request_that_cannot_be_recorded_stays_in_the_inbox(
         def full(_: bytes) -> None:
             raise RecordUnusable("the disk is full")
 
-        patched.setattr(desk, "take", full)
+        patched.setattr(desk, "add_request", full)
         with pytest.raises(RecordUnusable):
             desk.read_inbox()
     assert path.exists()

@@ -188,7 +188,7 @@ def test_at_the_command_line(shell: Shell, tmp_path: Path) -> None:
     newest.write_bytes(AuthorityHome.at(shell.root).revocation_list())
     over = ("ca", "restore", target, "--over", "home", "--forget", "6")
     done = shell.unlocked(*over, "--list", str(newest))
-    assert "1 revocations are newer than the backup and were taken over" in done.out
+    assert "1 revocations newer than the backup and were taken over" in done.out
     assert "was revoked after the backup" not in done.err
     again = shell.unlocked("ca", "restore", target, "--over", "home", "--forget", "3")
     assert "what was revoked after the backup is valid again" in again.err
@@ -238,7 +238,7 @@ def test_the_entries_beside_a_tree_are_found(
     refused(shell.unlocked(*over, "--entries", str(shell.secret)), "not a listing")
     (kept / "other").rename(kept / "revocations.entries")
     done = shell.unlocked(*over)
-    assert "1 revocations are newer than the backup" in done.out
+    assert "1 revocations newer than the backup" in done.out
 
 
 def test_nobody_revokes_into_a_record_that_is_being_replaced(

@@ -185,8 +185,8 @@ async def test_a_publisher_that_is_not_back_yet_is_connected_again(
             await site.restart_master()
             assert site.master is not None
             registry = site.master._registry
-            await until(lambda: registry.members(Kind.SUBSCRIBER, WORDS))
+            await until(lambda: registry.registered_nodes(Kind.SUBSCRIBER, WORDS))
             for link in tuple(publisher.links):
                 link.stream.abort("a test")
             await listener.hears("HEARD hello")
-            assert registry.members(Kind.PUBLISHER, WORDS) == ()
+            assert registry.registered_nodes(Kind.PUBLISHER, WORDS) == ()

@@ -253,5 +253,5 @@ def test_a_peer_that_does_not_know_the_master_takes_no_renewed_grant(tmp_path: P
     world = World()
     token = world.renewed(world.site.grant(world.node, P, lifetime=60, cap=DAY))
     stranger = Access(world.site.anchor, world.revocations)
-    with pytest.raises(GrantError, match="the master is not known"):
+    with pytest.raises(GrantError, match="the master's key is not known"):
         stranger.hold_renewed(token, int(time.time()))
