@@ -34,7 +34,7 @@ from rossec.participant.definitions import (
     from_header,
     receiver_definition,
 )
-from rossec.participant.limit_memory import recall
+from rossec.participant.limit_memory import memory_scope
 from rossec.participant.message_types import MessageType
 from rossec.participant.service_guard import ServiceGuard
 from rossec.participant.service_handshake import admit_caller, admit_provider, requested_service
@@ -131,7 +131,7 @@ class Connections:
 
     def _guard_for(self, kind: Definition, decision: Decision) -> Guard | None:
         member = self._member
-        return guard_for(kind, decision, member.home.filter_key, recall(member.name))
+        return guard_for(kind, decision, member.home.filter_key, memory_scope(member.name))
 
     def _refused(self, protocol: Any, error: HintedError, sock: RosSocket) -> TransportInitError:
         if not sock.left:
@@ -234,7 +234,7 @@ class Connections:
         if both.md5sum != kind._md5sum:  # noqa: SLF001 - rospy's
             raise DefinitionRefused(f"the definition of {kind._type} is not that of its messages")  # noqa: SLF001 - rospy's
         member = self._member
-        return ServiceGuard(both, decision, member.home.filter_key, recall(member.name))
+        return ServiceGuard(both, decision, member.home.filter_key, memory_scope(member.name))
 
     def _guard(self, topic: str, decision: Decision) -> Guard | None:
         """What `decision` means for the messages of this topic; None: they pass as they are.

@@ -60,7 +60,7 @@ def _send(member: LocalIdentity, right: Right, name: str, why: str) -> None:
     data = sign_request(member.credentials.signer, request)
     authority = _authority_of(member)
     if (authority / "ca.pem").exists():
-        requests.lay(authority, request, data)
+        requests.put_in_inbox(authority, request, data)
         return
     folder = member.home.path / "requests"
     files.make_private_directory(folder)
