@@ -61,7 +61,7 @@ def _send(local_identity: LocalIdentity, right: Right, name: str, why: str) -> N
     data = sign_request(local_identity.credentials.signer, request)
     authority = _authority_of(local_identity)
     if (authority / "ca.pem").exists():
-        requests.lay(authority, request, data)
+        requests.put_in_inbox(authority, request, data)
         return
     folder = local_identity.home.path / "requests"
     files.make_private_directory(folder)

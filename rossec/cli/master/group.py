@@ -158,7 +158,7 @@ async def _serve(
         port=own.master_port if config.port is None else config.port,
         newest=None if newest is None else newest[0],
         entries=None if newest is None else newest[1],
-        find_revocations=near.news,
+        find_revocations=near.newest_if_changed,
         renewer=renewer,
         now=now(),
         on_denial=DenialLog(config.complaints) if config.complaints is not None else ignore_denial,

@@ -1,6 +1,6 @@
 """The calls about the graph: registering, looking up, listing. Pure; texts are stock's.
 
-State queries are filtered by the gatekeeper: a caller sees its own entries and the names its
+State queries are filtered by access control: a caller sees its own entries and the names that its
 grants cover.
 """
 
@@ -28,7 +28,7 @@ class GraphCalls:
         self._version = -1
 
     def methods(self) -> Methods:
-        """The rows of the method table."""
+        """The entries of the method table."""
         topic, type_name = arg.topic("topic"), arg.type_name("topic_type")
         service, api = arg.topic("service"), arg.uri("caller_api", "http")
         service_api = arg.uri("service_api", "rosrpc")
@@ -100,7 +100,7 @@ class GraphCalls:
         return Reply((yield from self._state(request.caller)), "current system state")
 
     def _state(self, caller: Caller) -> Generator[None, None, Written]:
-        """What the caller is shown; the same while neither the registry nor the caller changed."""
+        """What the caller may see; cached while neither the registry nor the caller changes."""
         version = self._registry.version
         if self._version != version:
             self._version = version
@@ -131,7 +131,7 @@ class GraphCalls:
         return found
 
     def _entry(self, key: str, names: tuple[str, ...]) -> Written:
-        """One name with its nodes, written once for all who are shown it."""
+        """One name with its nodes, encoded once for all callers that may see it."""
         entry = self._entries.get((key, names))
         if entry is None:
             if len(self._entries) >= _MAX_CACHED_ENTRIES:
@@ -157,7 +157,7 @@ class GraphCalls:
     def _visible_types(
         self, caller: Caller, topics: Iterable[tuple[str, str] | None]
     ) -> Generator[None, None, list[list[str]]]:
-        """Those of `topics`, with their types, that the caller is shown."""
+        """Those of `topics`, with their types, that the caller may see."""
         shown, at_once = list[list[str]](), caller.names_per_yield
         for count, topic in enumerate(topics, 1):
             if topic is not None and self._is_topic_visible(caller, topic[0]):

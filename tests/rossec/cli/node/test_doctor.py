@@ -129,7 +129,7 @@ def test_a_signed_list_on_this_machine_says_it_too(
     place.path.mkdir(exist_ok=True)
     place.save_revocations(authority.revocation_list())
     if tree:
-        place.save_entries(authority.entries())
+        place.save_entries(authority.tree_entries())
     (shell.root / "ca").rename(shell.root / "elsewhere")
     assert f"not ok  the key of /robot is revoked, says the list in {place.path}" in doctor(shell)
 
