@@ -126,7 +126,7 @@ def presets() -> None:
     for entry in PRESETS.values():
         say(entry.name)
         say(f"  hides {entry.hides}")
-        say(f"  still tells {entry.leaves}")
+        say(f"  still tells {entry.reveals}")
 
 
 @grant.command("list")
