@@ -9,9 +9,7 @@ from typing import Final
 
 import click
 
-from rossec import clock
 from rossec.errors import ConfigurationError
-from rossec.home import own_home
 
 _UNITS: Final = {"s": 1, "m": 60, "h": 3600, "d": 86400, "w": 7 * 86400}
 _ANSWER: Final = "answer y, or give --yes where there is nobody to ask"
@@ -27,6 +25,8 @@ class Environment:
     @property
     def home(self) -> Path:
         """ROSSEC_HOME, if nobody else can write there."""
+        from rossec.home import own_home  # noqa: PLC0415 - not needed for help and completion
+
         return own_home(self.variables)
 
 
@@ -35,6 +35,8 @@ pass_environment = click.make_pass_decorator(Environment)
 
 def now() -> int:
     """Seconds since the epoch, host clock."""
+    from rossec import clock  # noqa: PLC0415 - not needed for help and completion
+
     return clock.now()
 
 
