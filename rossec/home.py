@@ -5,8 +5,7 @@ checked by the module that knows the format. Errors say which command comes next
 """
 
 import re
-import secrets
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Final, Self
 
@@ -20,49 +19,19 @@ from ca.certificates import (
     from_pem,
     to_pem,
 )
-from ca.errors import HintedError, PlaceRefused
-from ca.keys import key_files, ownership
+from ca.errors import HintedError
+from ca.keys import key_files
 from ca.keys.signer import KeySigner
 from ca.names import check_name
 from ca.revocation.state import NO_FLOOR, open_statement
 from ca.revocation.tree import MAX_LISTING
-from grants.filters.hashing import FILTER_KEY_SIZE, check_key_name
 from rossec import files
 from rossec.channel.edhoc.credentials import Credentials
 from rossec.errors import ConfigurationError
+from rossec.filter_keys import filter_key
 
 _SIZE_LIMIT: Final = 256 * 1024
 _NUMBERS: Final = re.compile(r"(?<=[^_])(?:_[0-9]+)+$")  # as ROS makes names anonymous
-
-
-def rossec_home(environ: Mapping[str, str]) -> Path:
-    """ROSSEC_HOME, by default `~/.local/share/rossec`.
-
-    Raises:
-        ConfigurationError: set to something that is no absolute path, or nobody knows a home.
-    """
-    value = environ.get("ROSSEC_HOME", "~/.local/share/rossec")
-    try:
-        path = Path(value).expanduser()
-    except RuntimeError as error:  # no such user, or one that has no home
-        raise ConfigurationError(
-            f"{value.partition('/')[0]} is no home directory", "set ROSSEC_HOME to an absolute path"
-        ) from error
-    if not path.is_absolute():
-        raise ConfigurationError(f"ROSSEC_HOME is {value!r}", "give it an absolute path")
-    return path
-
-
-def own_home(environ: Mapping[str, str]) -> Path:
-    """`rossec_home`, if nobody else can write there; it need not exist yet.
-
-    Raises:
-        ConfigurationError: as for `rossec_home`.
-        PlaceRefused: it belongs to somebody else, or others can write in it.
-    """
-    path = rossec_home(environ)
-    ownership.check_directory(path)
-    return path
 
 
 class NodeHome:
@@ -236,8 +205,7 @@ class NodeHome:
 
     def load_revocations(self) -> bytes | None:
         """The newest revocation list this node has seen, if any."""
-        path = self.path / "revocations.cose"
-        return files.read_own(path, _SIZE_LIMIT, self._missing(path, "")) if path.exists() else None
+        return self._read_if_present("revocations.cose", _SIZE_LIMIT)
 
     def save_revocations(self, data: bytes) -> None:
         """Keep a revocation list; durable on return.
@@ -258,8 +226,7 @@ class NodeHome:
 
     def load_entries(self) -> bytes | None:
         """The entries of the revocation tree, in the master's home, if there are any."""
-        path = self.path / "revocations.entries"
-        return files.read_own(path, MAX_LISTING, self._missing(path, "")) if path.exists() else None
+        return self._read_if_present("revocations.entries", MAX_LISTING)
 
     def save_entries(self, data: bytes) -> None:
         """Keep the entries of a revocation tree; durable on return."""
@@ -267,38 +234,15 @@ class NodeHome:
 
     def load_delegation(self) -> bytes | None:
         """The authority's leave to renew grants, in the master's home, if there is one."""
-        path = self.path / "delegation.cose"
-        return files.read_own(path, _SIZE_LIMIT, self._missing(path, "")) if path.exists() else None
+        return self._read_if_present("delegation.cose", _SIZE_LIMIT)
 
     def save_delegation(self, data: bytes) -> None:
         """Keep a delegation; durable on return."""
         files.replace(self.path / "delegation.cose", data)
 
     def filter_key(self, name: str) -> bytes:
-        """The key `name` for pseudonyms, 32 random bytes; made when it is first asked for.
-
-        Raises:
-            FilterRefused: not the name of a key.
-            ConfigurationError: the file does not hold a key.
-        """
-        path = self.path / "filters" / f"{check_key_name(name)}.key"
-        files.make_private_directory(path.parent)
-        with files.alone(path.parent):
-            if not path.exists():
-                files.create(path, secrets.token_bytes(FILTER_KEY_SIZE))
-        try:
-            key = files.read_own(path, FILTER_KEY_SIZE, self._missing(path, ""))
-        except PlaceRefused as error:  # a peer may read this: no path in it
-            raise ConfigurationError(
-                f"others could have written the filter key {name}", f"{error}: {error.hint}"
-            ) from error
-        if len(key) != FILTER_KEY_SIZE:
-            raise ConfigurationError(
-                # A peer may read this: no path in it.
-                f"the filter key {name} is not a key of {FILTER_KEY_SIZE} bytes",
-                f"move {path} away: a new one is made, and pseudonyms change",
-            )
-        return key
+        """The key `name` for pseudonyms; raises as `rossec.filter_keys.filter_key`."""
+        return filter_key(self.path / "filters", name)
 
     @property
     def _enroll(self) -> str:
@@ -311,6 +255,10 @@ class NodeHome:
     def _read(self, name: str, command: str) -> bytes:
         path = self.path / name
         return files.read_own(path, _SIZE_LIMIT, self._missing(path, command))
+
+    def _read_if_present(self, name: str, limit: int) -> bytes | None:
+        path = self.path / name
+        return files.read_own(path, limit, self._missing(path, "")) if path.exists() else None
 
     def _missing(self, path: Path, command: str) -> ConfigurationError:
         hint = f"next: {command}" if command else ""

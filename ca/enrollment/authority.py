@@ -15,7 +15,7 @@ from ca.enrollment.messages import (
     Abort,
     Acknowledgement,
     Delivery,
-    EnrollmentDone,
+    Done,
     Fetch,
     Message,
     Offer,
@@ -77,13 +77,13 @@ TABLE: Final[dict[tuple[AuthorityState, type[Message]], tuple[str, tuple[Authori
         "_acknowledged_again",
         (AuthorityState.ACKNOWLEDGED,),
     ),
-    (AuthorityState.ACKNOWLEDGED, EnrollmentDone): (
+    (AuthorityState.ACKNOWLEDGED, Done): (
         "_done",
         (AuthorityState.ENROLLED, AuthorityState.OVER),
     ),
     (AuthorityState.ACKNOWLEDGED, Abort): ("_aborted", (AuthorityState.OVER,)),
     (AuthorityState.ENROLLED, Acknowledgement): ("_acknowledged_again", (AuthorityState.ENROLLED,)),
-    (AuthorityState.ENROLLED, EnrollmentDone): ("_done", (AuthorityState.ENROLLED,)),
+    (AuthorityState.ENROLLED, Done): ("_done", (AuthorityState.ENROLLED,)),
 }
 WITHOUT_MESSAGE: Final = (
     (AuthorityState.COMPARED, AuthorityState.APPROVED, "approve()"),
@@ -236,7 +236,7 @@ class AuthorityEnrollment:
         if message.statement != self._statement:
             raise AcknowledgementRefused("a second, different answer of the node", "start again")
 
-    def _done(self, message: EnrollmentDone, _: int) -> None:
+    def _done(self, message: Done, _: int) -> None:
         if self.state is AuthorityState.ACKNOWLEDGED:  # a false word takes nothing back later
             self.state = AuthorityState.OVER
         transcript.check_done(message.statement, self.request.public_key, self._agreed)

@@ -64,7 +64,7 @@ class Acknowledgement:
 
 
 @dataclass(frozen=True)
-class EnrollmentDone:
+class Done:
     """Node to authority: a person confirmed, I am enrolled, signed (`transcript.DONE`)."""
 
     statement: bytes
@@ -77,7 +77,7 @@ class Abort:
     reason: Reason
 
 
-Message: TypeAlias = Fetch | Delivery | Offer | Acknowledgement | EnrollmentDone | Abort
+Message: TypeAlias = Fetch | Delivery | Offer | Acknowledgement | Done | Abort
 
 
 def write(message: Message) -> bytes:
@@ -127,7 +127,7 @@ def _fields(message: Message) -> list[Value]:
             return [3, list(chain), root, nonce, tag]
         case Acknowledgement(statement):
             return [4, statement]
-        case EnrollmentDone(statement):
+        case Done(statement):
             return [5, statement]
         case _:
             return [6, int(message.reason)]
@@ -142,7 +142,7 @@ def _message(fields: Value) -> Message | None:
         case [1, 3, [*chain], bytes() as root, bytes() as nonce, bytes() as tag]:
             return _offer(chain, root, nonce, tag)
         case [1, 4 | 5 as kind, bytes() as statement]:
-            return Acknowledgement(statement) if kind == 4 else EnrollmentDone(statement)
+            return Acknowledgement(statement) if kind == 4 else Done(statement)
         case [1, 6, int() as reason] if reason in _REASONS:
             return Abort(Reason(reason))
         case [int() as version, *_] if version != VERSION:

@@ -16,7 +16,7 @@ from ca.enrollment import NONCE_SIZE, WINDOW, qr, transcript
 from ca.enrollment.messages import (
     Acknowledgement,
     Delivery,
-    EnrollmentDone,
+    Done,
     Fetch,
     Message,
     Offer,
@@ -258,7 +258,7 @@ class NodeEnrollment:
         return write(Acknowledgement(self.pending.acknowledgement))
 
     def _done(self) -> bytes:
-        return write(EnrollmentDone(transcript.finish(self._signer, self.pending.transcript)))
+        return write(Done(transcript.finish(self._signer, self.pending.transcript)))
 
     def _check_tag(self, offer: Offer) -> bytes:
         agreed = self._agreed(offer)

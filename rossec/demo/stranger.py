@@ -12,8 +12,9 @@ from dataclasses import dataclass
 from cryptography import x509
 from cryptography.hazmat.primitives.asymmetric import ec
 
+from rossec.environment import rossec_home
 from rossec.errors import RossecError
-from rossec.home import NodeHome, rossec_home
+from rossec.home import NodeHome
 from rossec.net.aio import connect
 from rossec.terminal import say_json
 

@@ -10,8 +10,9 @@ from ca.names import check_name
 from rossec import clock
 from rossec.discovery.candidates import Candidate
 from rossec.discovery.finder import PATIENCE, find
+from rossec.environment import own_home
 from rossec.errors import ConfigurationError
-from rossec.home import NodeHome, own_home
+from rossec.home import NodeHome
 from rossec.saved_revocations import saved_revocations
 
 VARIABLE: Final = "ROS_MASTER_URI"

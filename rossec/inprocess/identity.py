@@ -4,10 +4,10 @@ One lock makes a list and its confirmation one step: between the two nothing wou
 every peer that asks in that moment would be refused.
 """
 
+from collections.abc import Callable
 from threading import RLock
 
-from ca.certificates import Identity, TrustAnchor
-from ca.revocation.state import Revocations
+from ca.certificates import Identity
 from grants.decision import Decision
 from grants.model import Right
 from rossec import clock
@@ -18,44 +18,75 @@ from rossec.participant.connections import AuthorizedPeer, termination_reason
 from rossec.saved_revocations import saved_revocations
 
 
-class SharedAccess(Access):
-    """`Access`, one thread at a time."""
+class LockedAccess:
+    """What this process uses of `Access`, one thread at a time.
 
-    def __init__(self, anchor: TrustAnchor, revocations: Revocations) -> None:
-        super().__init__(anchor, revocations)
+    Not a subclass: a method that is added to `Access` cannot be called here without the lock.
+    """
+
+    def __init__(self, access: Access) -> None:
+        self._access = access
         self.lock = RLock()
 
-    def hold(self, data: bytes) -> None:
-        """As of `Access`."""
+    @property
+    def epoch(self) -> int:
+        """See `Access.epoch`."""
         with self.lock:
-            super().hold(data)
+            return self._access.epoch
+
+    def hold(self, data: bytes) -> None:
+        """See `Access.hold`."""
+        with self.lock:
+            self._access.hold(data)
 
     def hold_renewed(self, token: bytes, now: int) -> None:
-        """As of `Access`."""
+        """See `Access.hold_renewed`."""
         with self.lock:
-            super().hold_renewed(token, now)
+            self._access.hold_renewed(token, now)
 
     def holdings(self) -> list[HeldGrant]:
-        """As of `Access`."""
+        """See `Access.holdings`."""
         with self.lock:
-            return super().holdings()
+            return self._access.holdings()
+
+    def take_news(
+        self,
+        revocations: bytes,
+        timestamp: bytes,
+        master: Identity,
+        now: int,
+        persist: Callable[[bytes], None],
+    ) -> None:
+        """See `Access.take_news`."""
+        with self.lock:
+            self._access.take_news(revocations, timestamp, master, now, persist)
+
+    def current(self, now: int) -> list[bytes]:
+        """See `Access.current`."""
+        with self.lock:
+            return self._access.current(now)
 
     def present(self, right: Right, name: str, now: int) -> bytes:
-        """As of `Access`."""
+        """See `Access.present`."""
         with self.lock:
-            return super().present(right, name, now)
+            return self._access.present(right, name, now)
+
+    def holds(self, right: Right, name: str, now: int) -> bool:
+        """See `Access.holds`."""
+        with self.lock:
+            return self._access.holds(right, name, now)
 
     def check_peer(self, peer: Identity, now: int) -> None:
-        """As of `Access`."""
+        """See `Access.check_peer`."""
         with self.lock:
-            super().check_peer(peer, now)
+            self._access.check_peer(peer, now)
 
     def authorize(
         self, peer: Identity, presented: bytes | None, right: Right, name: str, now: int
     ) -> Decision:
-        """As of `Access`."""
+        """See `Access.authorize`."""
         with self.lock:
-            return super().authorize(peer, presented, right, name, now)
+            return self._access.authorize(peer, presented, right, name, now)
 
 
 class LocalIdentity:
@@ -79,7 +110,7 @@ class LocalIdentity:
         self.credentials = home.credentials()
         self.identity = home.identity(now())
         self.revocations = saved_revocations(home, self.anchor, now())
-        self.access = SharedAccess(self.anchor, self.revocations)
+        self.access = LockedAccess(Access(self.anchor, self.revocations))
 
     def take_revocations(self, data: bytes, timestamp: bytes, master: Identity) -> None:
         """Take over a list (empty: the one held) and the master's word that it is the newest.

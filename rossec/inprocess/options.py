@@ -12,8 +12,8 @@ from typing import Final
 
 from ca.errors import NameRefused
 from ca.names import check_name
+from rossec.environment import rossec_home
 from rossec.errors import ConfigurationError
-from rossec.home import rossec_home
 
 _DOTS: Final = 2000  # tomllib takes square time and memory for the dots of one key
 _KEYS: Final = frozenset({"node", "allow_plain"})

@@ -2,7 +2,7 @@
 
 import contextlib
 import logging
-from collections.abc import Awaitable, Callable, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 from ca.revocation.state import Revocations
@@ -10,8 +10,8 @@ from grants.memory import Recall
 from rossec.errors import AnswerRefused
 from rossec.participant.access import Access
 from rossec.participant.dialer import Dialer
+from rossec.participant.grant_renewal import MasterCall
 
-Call = Callable[..., Awaitable[object]]
 _log = logging.getLogger("rossec.node")
 
 
@@ -30,7 +30,7 @@ class NodeContext:
     name: str
     access: Access
     revocations: Revocations
-    call: Call
+    call: MasterCall
     dialer: Dialer
     filter_key: Callable[[str], bytes]
     recall: Recall

@@ -25,8 +25,8 @@ from rossec.net.rpc.client import serve_calls
 from rossec.node.publisher import Publisher
 from rossec.node.services import Services
 from rossec.participant import slave_api
-from rossec.participant.accepted import AcceptedConnections
 from rossec.participant.access import Access
+from rossec.participant.connections import AcceptedConnections
 from rossec.participant.own_addresses import OwnAddresses
 from rossec.participant.slave_api import MASTER, REVOCATION_UPDATE, SlaveApi
 from rossec.participant.slave_rights import SLAVE_CALLS, check_slave_call
@@ -72,7 +72,7 @@ class Listener:
         self._known = known
         self._own = OwnAddresses() if own is None else own
         self._servers: list[SecureServer[Identity]] = []
-        self._guests = AcceptedConnections()
+        self._accepted = AcceptedConnections()
         self._half_open = HalfOpenCount(HalfOpen())  # both ports share this process
 
     @property
@@ -93,7 +93,7 @@ class Listener:
             (self._serve_tcpros, WireProtocol.TCPROS),
         ):
             server = serve(
-                self._guests.bounded(handler),
+                self._accepted.bounded(handler),
                 bind,
                 0,
                 self._credentials,
@@ -108,9 +108,9 @@ class Listener:
             self._servers.append(server)
             self._own.listens(address, server.port)
 
-    def cut(self, revoked: frozenset[bytes]) -> None:
-        """Cut every connection of a revoked key, whatever it is used for."""
-        self._guests.cut(revoked)
+    def abort_revoked(self, revoked: frozenset[bytes]) -> None:
+        """Close every connection of a revoked key, for whatever purpose it was accepted."""
+        self._accepted.abort_revoked(revoked)
 
     async def close(self) -> None:
         """Stop listening and cut what was accepted."""

@@ -19,8 +19,9 @@ from rossec import clock
 from rossec.channel.edhoc.credentials import LiveCredentials
 from rossec.channel.edhoc.known import KnownCertificates
 from rossec.channel.suite_selection import post_quantum
+from rossec.environment import own_home
 from rossec.errors import AnswerRefused, NodeShutdown
-from rossec.home import NodeHome, own_home
+from rossec.home import NodeHome
 from rossec.net.aio import SecureStream
 from rossec.net.aio.tasks import TaskSet
 from rossec.node.context import NodeContext

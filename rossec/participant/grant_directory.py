@@ -8,7 +8,7 @@ from pathlib import Path
 
 from ca.errors import HintedError
 from rossec.home import NodeHome
-from rossec.participant.access import Access
+from rossec.participant.access_interfaces import HeldGrants
 
 _log = logging.getLogger("rossec.node")
 
@@ -16,7 +16,7 @@ _log = logging.getLogger("rossec.node")
 class GrantDirectory:
     """Moves the grants of a directory into a node's `Access`."""
 
-    def __init__(self, home: NodeHome, access: Access) -> None:
+    def __init__(self, home: NodeHome, access: HeldGrants) -> None:
         self._home = home
         self._access = access
         self._seen: set[bytes] = set()

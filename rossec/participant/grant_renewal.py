@@ -6,12 +6,13 @@ asyncio and for threads: call either every few seconds, and before registering o
 """
 
 import logging
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable
 from typing import Final, Protocol
 
 from grants.errors import GrantError
 from rossec.errors import AnswerMalformed
-from rossec.participant.access import Access, HeldGrant
+from rossec.participant.access import HeldGrant
+from rossec.participant.access_interfaces import HeldGrants
 from rossec.ros.text import printable
 
 METHOD: Final = "rossec.renewGrants"
@@ -25,7 +26,7 @@ _log = logging.getLogger("rossec.node")
 class Renewals:
     """Which grants of one node are due, and the ones that come back."""
 
-    def __init__(self, access: Access) -> None:
+    def __init__(self, access: HeldGrants) -> None:
         self._access = access
         self._retry_at: dict[bytes, int] = {}
         self._epoch = access.epoch
@@ -75,14 +76,14 @@ class Renewals:
         return True
 
 
-class Call(Protocol):
+class MasterCall(Protocol):
     """Calls a method of the master."""
 
     def __call__(self, method: str, *params: object) -> Awaitable[object]:
         """The value it answers."""
 
 
-async def renew(call: Call, renewals: Renewals, now: int) -> int:
+async def renew(call: MasterCall, renewals: Renewals, now: int) -> int:
     """Have renewed what is due; returns how many were.
 
     Raises:
@@ -92,14 +93,6 @@ async def renew(call: Call, renewals: Renewals, now: int) -> int:
     if not due:
         return 0
     return renewals.take(due, await call(METHOD, [held.original for held in due]), now)
-
-
-def renew_blocking(call: Callable[..., object], renewals: Renewals, now: int) -> int:
-    """As `renew`, with a call that blocks."""
-    due = renewals.due(now)
-    if not due:
-        return 0
-    return renewals.take(due, call(METHOD, [held.original for held in due]), now)
 
 
 def _pause(held: HeldGrant, now: int) -> int:

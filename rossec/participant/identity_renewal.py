@@ -7,7 +7,6 @@ each once, always with the same certificate.
 """
 
 import logging
-from collections.abc import Callable
 from typing import Final
 
 from ca.certificates import build_request
@@ -16,7 +15,7 @@ from ca.renewal import ask_again_in, renew_at, sign_renewal
 from rossec.channel.edhoc.credentials import LiveCredentials
 from rossec.errors import AnswerMalformed, AnswerRefused
 from rossec.home import NodeHome
-from rossec.participant.grant_renewal import Call
+from rossec.participant.grant_renewal import MasterCall
 from rossec.ros.text import printable
 
 METHOD: Final = "rossec.renewIdentity"
@@ -77,7 +76,7 @@ class IdentityRenewal:
         _log.info("%s: the identity is renewed", self._identity.name)
 
 
-async def renew_identity(call: Call, renewal: IdentityRenewal, now: int) -> bool:
+async def renew_identity(call: MasterCall, renewal: IdentityRenewal, now: int) -> bool:
     """Renew the identity if it is due; whether it was renewed.
 
     Raises:
@@ -87,30 +86,8 @@ async def renew_identity(call: Call, renewal: IdentityRenewal, now: int) -> bool
     if request is None:
         return False
     try:
-        return _taken(renewal, await call(METHOD, request), now)
+        renewal.take(await call(METHOD, request), now)
     except (AnswerRefused, CAError) as error:
-        _not_renewed(error)
+        _log.warning("the identity is not renewed: %s", printable(error))
         return False
-
-
-def renew_identity_blocking(
-    call: Callable[..., object], renewal: IdentityRenewal, now: int
-) -> bool:
-    """As `renew_identity`, with a call that blocks."""
-    request = renewal.request(now)
-    if request is None:
-        return False
-    try:
-        return _taken(renewal, call(METHOD, request), now)
-    except (AnswerRefused, CAError) as error:
-        _not_renewed(error)
-        return False
-
-
-def _taken(renewal: IdentityRenewal, bundle: object, now: int) -> bool:
-    renewal.take(bundle, now)
     return True
-
-
-def _not_renewed(error: HintedError) -> None:
-    _log.warning("the identity is not renewed: %s", printable(error))

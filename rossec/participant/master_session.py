@@ -23,7 +23,7 @@ from rossec.errors import AnswerRefused, ConfigurationError, RossecError
 from rossec.net.aio import SecureStream
 from rossec.net.rpc.client import RpcClient
 from rossec.participant.access import NO_LIST
-from rossec.participant.grant_renewal import Call
+from rossec.participant.grant_renewal import MasterCall
 from rossec.participant.retry import Retry
 from rossec.participant.slave_api import MASTER
 from rossec.ros.xmlrpc import Fault
@@ -33,7 +33,7 @@ HEARTBEAT: Final = 10.0
 _log = logging.getLogger("rossec.node")
 
 
-async def nothing_proved(_: Call) -> int:
+async def nothing_proved(_: MasterCall) -> int:
     """For a node that asks for no proofs: where revocations are a tree it stays refused."""
     return 0
 
@@ -58,7 +58,7 @@ class MasterSession:
         refresh: Callable[[bytes, bytes, Identity], None],
         restore: Callable[["MasterSession"], Awaitable[None]],
         held: Callable[[], bytes] | None = None,
-        prove: Callable[[Call], Awaitable[int]] = nothing_proved,
+        prove: Callable[[MasterCall], Awaitable[int]] = nothing_proved,
     ) -> None:
         self._name = name
         self._dial = dial

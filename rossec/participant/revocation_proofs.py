@@ -5,12 +5,11 @@ call either every second or so, and when a new connection to the master finds it
 """
 
 import logging
-from collections.abc import Callable
 from typing import Final, Protocol
 
 from ca.errors import RevocationRefused
 from rossec.errors import AnswerMalformed
-from rossec.participant.grant_renewal import Call
+from rossec.participant.grant_renewal import MasterCall
 
 METHOD: Final = "rossec.revocationProofs"
 AT_ONCE: Final = 64  # entries in one call: what the master takes
@@ -29,7 +28,7 @@ class Provable(Protocol):
         """Take a proof. Raises `RevocationRefused`."""
 
 
-async def prove(call: Call, revocations: Provable) -> int:
+async def prove(call: MasterCall, revocations: Provable) -> int:
     """Have proved what is wanted; returns how many entries were.
 
     Raises:
@@ -37,12 +36,6 @@ async def prove(call: Call, revocations: Provable) -> int:
     """
     wanted = revocations.wanted[:AT_ONCE]
     return take(revocations, wanted, await call(METHOD, wanted)) if wanted else 0
-
-
-def prove_blocking(call: Callable[..., object], revocations: Provable) -> int:
-    """As `prove`, with a call that blocks."""
-    wanted = revocations.wanted[:AT_ONCE]
-    return take(revocations, wanted, call(METHOD, wanted)) if wanted else 0
 
 
 def take(revocations: Provable, wanted: list[bytes], answer: object) -> int:

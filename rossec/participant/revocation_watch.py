@@ -26,8 +26,8 @@ _log = logging.getLogger("rossec.node")
 class NodePorts(Protocol):
     """The ports of a node."""
 
-    def cut(self, revoked: frozenset[bytes]) -> None:
-        """Cut every connection of a revoked key, whatever it is used for."""
+    def abort_revoked(self, revoked: frozenset[bytes]) -> None:
+        """Close every connection of a revoked key, for whatever purpose it was accepted."""
 
 
 class ConnectionWatchdog:
@@ -70,7 +70,7 @@ class ConnectionWatchdog:
                 self._done.add(link)
                 _log.warning("cut %s: %s", link.stream.peer.name, reason)
                 link.stream.abort(reason)
-        self._listener.cut(self._revocations.entries)
+        self._listener.abort_revoked(self._revocations.entries)
 
     def _live(self) -> list[AuthorizedConnection]:
         return [link for link in self._links() if link not in self._done]

@@ -11,7 +11,8 @@ from ca.certificates import Identity
 from grants.decision import Decision
 from grants.model import Right
 from rossec.errors import ConnectionHeaderRefused
-from rossec.participant.access import FIELD, Access
+from rossec.participant.access import FIELD
+from rossec.participant.access_interfaces import HandshakeAccess
 from rossec.participant.header_fields import Fields, check_caller, text
 from rossec.ros.names import ANY_TYPE
 
@@ -31,7 +32,7 @@ def client_header(
     caller: str,
     service: str,
     kind: ExpectedService,
-    access: Access,
+    access: HandshakeAccess,
     now: int,
     *,
     persistent: bool = False,
@@ -50,7 +51,7 @@ def client_header(
 
 
 def server_header(
-    caller: str, service: str, kind: ExpectedService, access: Access, now: int
+    caller: str, service: str, kind: ExpectedService, access: HandshakeAccess, now: int
 ) -> Fields:
     """Fields a server answers with; they prove its right to provide."""
     return {
@@ -64,12 +65,12 @@ def server_header(
     }
 
 
-def caller_proof(service: str, access: Access, now: int) -> Fields:
+def caller_proof(service: str, access: HandshakeAccess, now: int) -> Fields:
     """The field a client adds to its header; it proves the right to call."""
     return {FIELD: access.present(Right.CALL, service, now)}
 
 
-def provider_proof(service: str, access: Access, now: int) -> Fields:
+def provider_proof(service: str, access: HandshakeAccess, now: int) -> Fields:
     """The field a server adds to its answer; it proves the right to provide."""
     return {FIELD: access.present(Right.PROVIDE, service, now)}
 
@@ -83,7 +84,9 @@ def requested_service(fields: Mapping[str, bytes]) -> str:
     return text(fields, "service")
 
 
-def admit_caller(fields: Mapping[str, bytes], peer: Identity, access: Access, now: int) -> Decision:
+def admit_caller(
+    fields: Mapping[str, bytes], peer: Identity, access: HandshakeAccess, now: int
+) -> Decision:
     """Decide on a client from its header, before anything about the service is looked up.
 
     A decision with restrictions must be applied to each request, or refused with
@@ -98,7 +101,7 @@ def admit_caller(fields: Mapping[str, bytes], peer: Identity, access: Access, no
 
 
 def admit_provider(
-    fields: Mapping[str, bytes], peer: Identity, service: str, access: Access, now: int
+    fields: Mapping[str, bytes], peer: Identity, service: str, access: HandshakeAccess, now: int
 ) -> Decision:
     """Decide on a server from the header it answered with.
 

@@ -13,7 +13,7 @@ from typing import Final
 from ca.certificates import Identity
 from grants.model import Right
 from rossec.errors import CallRefused
-from rossec.participant.access import Access
+from rossec.participant.access_interfaces import HandshakeAccess
 
 MASTER: Final = "/master"
 PRESENT: Final = "rossec.presentGrants"
@@ -33,7 +33,7 @@ SLAVE_CALLS: Final[Mapping[str, Right]] = {
 
 
 def check_slave_call(
-    method: str, peer: Identity, node: str, shown: bytes | None, access: Access, now: int
+    method: str, peer: Identity, node: str, shown: bytes | None, access: HandshakeAccess, now: int
 ) -> None:
     """Return if `peer`, having shown the grants `shown`, may call `method` of the node `node`.
 

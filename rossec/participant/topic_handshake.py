@@ -13,7 +13,8 @@ from ca.certificates import Identity
 from grants.decision import Decision
 from grants.model import Right
 from rossec.errors import ConnectionHeaderRefused
-from rossec.participant.access import FIELD, Access
+from rossec.participant.access import FIELD
+from rossec.participant.access_interfaces import HandshakeAccess
 from rossec.participant.header_fields import Fields, check_caller, text
 from rossec.ros.names import ANY_TYPE
 
@@ -43,7 +44,9 @@ class ExpectedTopic:
     md5sum: str
 
 
-def subscriber_header(caller: str, endpoint: TopicEndpoint, access: Access, now: int) -> Fields:
+def subscriber_header(
+    caller: str, endpoint: TopicEndpoint, access: HandshakeAccess, now: int
+) -> Fields:
     """Fields a subscriber sends first; they prove its right to subscribe."""
     return {
         "callerid": caller.encode(),
@@ -57,7 +60,7 @@ def subscriber_header(caller: str, endpoint: TopicEndpoint, access: Access, now:
 
 
 def publisher_header(
-    caller: str, endpoint: TopicEndpoint, access: Access, now: int, *, latching: bool
+    caller: str, endpoint: TopicEndpoint, access: HandshakeAccess, now: int, *, latching: bool
 ) -> Fields:
     """Fields a publisher answers with; they prove its right to publish."""
     return {
@@ -81,7 +84,7 @@ def requested_topic(fields: Mapping[str, bytes]) -> str:
 
 
 def admit_subscriber(
-    fields: Mapping[str, bytes], peer: Identity, access: Access, now: int
+    fields: Mapping[str, bytes], peer: Identity, access: HandshakeAccess, now: int
 ) -> Decision:
     """Decide on a subscriber from its header, before anything about the topic is looked up.
 
@@ -94,7 +97,11 @@ def admit_subscriber(
 
 
 def admit_publisher(
-    fields: Mapping[str, bytes], peer: Identity, expected: ExpectedTopic, access: Access, now: int
+    fields: Mapping[str, bytes],
+    peer: Identity,
+    expected: ExpectedTopic,
+    access: HandshakeAccess,
+    now: int,
 ) -> Decision:
     """Decide on a publisher from the header it answered with.
 

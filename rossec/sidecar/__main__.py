@@ -15,7 +15,7 @@ from typing import Any
 from ca.errors import HintedError
 from rossec.channel.suite_selection import post_quantum
 from rossec.discovery.choose import settle_master
-from rossec.home import own_home
+from rossec.environment import own_home
 from rossec.log_limits import LogRateLimit
 from rossec.ros import settings
 from rossec.ros.text import printable

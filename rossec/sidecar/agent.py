@@ -17,8 +17,8 @@ from rossec.home import NodeHome
 from rossec.net.aio import SecureStream
 from rossec.net.aio.tasks import TaskSet
 from rossec.net.halfopen import HalfOpenCount
-from rossec.participant.accepted import AcceptedConnections
 from rossec.participant.access import Access
+from rossec.participant.connections import AcceptedConnections
 from rossec.participant.publisher_grace import PublisherGrace
 from rossec.participant.revocation_watch import ConnectionWatchdog
 from rossec.ros.settings import Settings

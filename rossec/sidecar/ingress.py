@@ -20,7 +20,7 @@ from rossec.net.aio.server import SecureServer
 from rossec.net.aio.tasks import TaskSet
 from rossec.net.rpc.client import serve_calls
 from rossec.participant import slave_api
-from rossec.participant.accepted import AcceptedConnections
+from rossec.participant.connections import AcceptedConnections
 from rossec.participant.limit_memory import recall
 from rossec.participant.slave_rights import MASTER
 from rossec.participant.topic_guard import FilterKey

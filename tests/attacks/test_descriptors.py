@@ -18,7 +18,7 @@ from rossec.errors import ChannelError
 from rossec.net.aio import connect
 from rossec.net.halfopen import HalfOpen
 from rossec.net.threads.secure_socket import SecureSocket
-from rossec.participant import accepted
+from rossec.participant import connections
 from rossec.ros.settings import parse_uri
 from rossec.sidecar.core.endpoints import inside
 from tests.rossec.sidecar.program import Program, sidecar
@@ -154,7 +154,7 @@ async def test_an_enrolled_caller_that_never_hangs_up(
     site: Site, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It is refused after its identity was proved; the socket that lingers is still its own."""
-    monkeypatch.setattr(accepted, "PEER_CONNECTIONS", 8)
+    monkeypatch.setattr(connections, "PEER_CONNECTIONS", 8)
     own, verify, held = credentials(site), site.anchor.verify, []
     async with site.node("/robot") as robot, watched() as most:
         for _ in range(40):

@@ -20,7 +20,7 @@ from ca.enrollment.authority import AuthorityEnrollment, AuthorityState
 from ca.enrollment.messages import (
     Acknowledgement,
     Delivery,
-    EnrollmentDone,
+    Done,
     Message,
     Offer,
     frame,
@@ -169,13 +169,13 @@ async def test_a_swapped_authority_and_a_replayed_answer() -> None:
     kept: list[Message] = []
 
     def keep(message: Message) -> Message:
-        if isinstance(message, Acknowledgement | EnrollmentDone):
+        if isinstance(message, Acknowledgement | Done):
             kept.append(message)
         return message
 
     with WaitingRobot(robot_, label=True) as robot:
         await enrolled_through(robot, keep)
-    assert [type(message) for message in kept] == [Acknowledgement, EnrollmentDone]
+    assert [type(message) for message in kept] == [Acknowledgement, Done]
 
     def swap(message: Message) -> Message:
         if isinstance(message, Offer):

@@ -16,11 +16,12 @@ pytestmark = [pytest.mark.ros, pytest.mark.asyncio(loop_scope="module")]
 
 FAST: Final = """
 import struct
-import rossec.inprocess.connector as doors
+from rossec.inprocess import connector
 import rossec.net.threads.carrier
 rossec.net.threads.carrier._SLICE = struct.pack("ll", 1, 0)  # how often a reader looks at the clock
-from rossec.channel.records import Limits
-doors.ACCEPTED = doors.DIALLED = dict.fromkeys(doors.Flavour, Limits(seconds=1))
+from rossec.channel.records import ChannelLimits
+limits = dict.fromkeys(connector.WireProtocol, ChannelLimits(seconds=1))
+connector.ACCEPTED = connector.DIALLED = limits
 """
 ROBOT: Final = (
     SECURE

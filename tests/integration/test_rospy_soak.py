@@ -26,9 +26,10 @@ TOPIC: Final = "/day/count"
 SECONDS: Final = 15.0
 LIFETIME: Final = 7
 FAST: Final = """
-import rossec.inprocess.connector as doors
-from rossec.channel.records import Limits
-doors.ACCEPTED = doors.DIALLED = dict.fromkeys(doors.Flavour, Limits(records=64, seconds=1))
+from rossec.inprocess import connector
+from rossec.channel.records import ChannelLimits
+limits = dict.fromkeys(connector.WireProtocol, ChannelLimits(records=64, seconds=1))
+connector.ACCEPTED = connector.DIALLED = limits
 import rossec.participant.grant_renewal
 rossec.participant.grant_renewal.RETRY = 1
 """

@@ -14,7 +14,7 @@ from rossec.cli.shared.context import Environment, now, pass_environment
 from rossec.cli.shared.master import master_as, master_at
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
-from rossec.participant.grant_renewal import Call
+from rossec.participant.grant_renewal import MasterCall
 from rossec.participant.graph_view import METHOD, Fact, GraphView, ObservedChange
 from rossec.participant.identity_renewal import IdentityRenewal, renew_identity
 from rossec.terminal import note, printable, say, say_json
@@ -87,7 +87,7 @@ async def _follow(environment: Environment, home: NodeHome, uri: str, as_json: b
 @asynccontextmanager
 async def _watching(
     environment: Environment, home: NodeHome, own: Credentials, uri: str
-) -> AsyncIterator[Call]:
+) -> AsyncIterator[MasterCall]:
     """A connection on which the master has seen the grants of the watcher; calls over it."""
     async with master_as(environment, home, uri, own) as client:
 

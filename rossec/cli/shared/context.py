@@ -25,7 +25,7 @@ class Environment:
     @property
     def home(self) -> Path:
         """ROSSEC_HOME, if nobody else can write there."""
-        from rossec.home import own_home  # noqa: PLC0415 - not needed for help and completion
+        from rossec.environment import own_home  # noqa: PLC0415 - not needed for help and completion
 
         return own_home(self.variables)
 

@@ -62,7 +62,8 @@ class DenialRateLimit(logging.Filter):
     def filter(self, record: logging.LogRecord) -> bool:
         """Whether the line is written; it says then how many before it were not."""
         now = self._clock()
-        share = self._of(_node_of(record), now)
+        args = record.args
+        share = self._of(str(args[0]) if isinstance(args, tuple) and args else "", now)
         common = self._all if self._all.fill(now) else share.own
         if not (share.most.fill(now) and common.fill(now)):
             share.left_out += 1
@@ -83,7 +84,3 @@ class DenialRateLimit(logging.Filter):
                 self._nodes.popitem(last=False)
         self._nodes.move_to_end(node)
         return share
-
-
-def _node_of(record: logging.LogRecord) -> str:
-    return str(record.args[0]) if isinstance(record.args, tuple) and record.args else ""

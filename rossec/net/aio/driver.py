@@ -6,10 +6,8 @@ lags, writing waits while the peer does. `rossec.net.aio.stream.SecureStream` is
 
 import asyncio
 import socket
-from collections import deque
-from collections.abc import Awaitable, Callable, Sequence
-from copy import copy
-from typing import Final, Generic, NoReturn
+from collections.abc import Callable, Sequence
+from typing import Final, Generic
 
 from rossec import clock
 from rossec.channel.connection import Connection
@@ -17,10 +15,10 @@ from rossec.channel.edhoc.credentials import PeerT
 from rossec.channel.records import Bytes
 from rossec.channel.states import Authenticated, Event, UnitReceived
 from rossec.errors import ChannelClosed, ChannelError
+from rossec.net.aio.receive_queue import ReceiveQueue
 from rossec.net.aio.transport import Transport
 from rossec.net.forks import forget_in_children
 
-_PAUSE_ABOVE: Final = 1024 * 1024  # bytes delivered and not taken
 _LINGER: Final = 5.0  # seconds to wait for the peer's end after the last flight
 
 
@@ -29,7 +27,7 @@ def wall_clock() -> int:
     return clock.now()
 
 
-class Driver(Generic[PeerT]):
+class Driver(ReceiveQueue, Generic[PeerT]):
     """One connection on a loop; it owns `sock` and begins at once.
 
     Args:
@@ -48,25 +46,18 @@ class Driver(Generic[PeerT]):
         on_authenticated: Callable[["Driver[PeerT]", PeerT], None],
         on_end: Callable[["Driver[PeerT]", ChannelError], None],
     ) -> None:
+        super().__init__()
         self.connection = connection
         forget_in_children(connection)
         self._on_authenticated = on_authenticated
         self._on_end = on_end
-        self._loop = asyncio.get_running_loop()
         self._timer: asyncio.TimerHandle | None = None
         self._cut_at = 0.0
-        self._units: deque[bytes] | None = None  # None: an empty one has its price
-        self._unread = 0
-        self._push: Callable[[bytes], bool] | None = None
-        self._push_failed: BaseException | None = None
-        self._waiting: list[asyncio.Future[None]] = []
         self._when_writable: list[Callable[[], None]] = []
-        self.on_ready: Callable[[], None] | None = None
         self.on_unit: Callable[[bytes], bool] | None = None
         self._lost = False
         self._when_lost: list[Callable[[], None]] | None = None
         self.authenticated = False
-        self.error: ChannelError | None = None
         self.address = address
         self.transport = Transport(sock, self)
         self.get_buffer = connection.get_buffer  # the socket's reader calls the core itself
@@ -104,9 +95,7 @@ class Driver(Generic[PeerT]):
                 self._end(ChannelClosed("the peer closed the connection"))
                 self.transport.finish()  # both sides have said their last word
         if self._units:
-            self._tell()
-            if self._unread > _PAUSE_ABOVE and self.error is None:
-                self.transport.pause_reading()
+            self._notify()
 
     def _introduce(self, peer: PeerT) -> None:
         """Wake whoever waits for the peer; what it says at once travels with the last flight."""
@@ -114,24 +103,6 @@ class Driver(Generic[PeerT]):
         self._on_authenticated(self, peer)
         self._loop.call_soon(self.flush)
         self._arm()
-
-    def _deliver(self, unit: bytes) -> None:
-        """Pass the unit on at once if somebody pours; keep it otherwise."""
-        push = self._push
-        if push is None:
-            if self._units is None:
-                self._units = deque()
-            self._units.append(unit)
-            self._unread += len(unit)
-            return
-        try:
-            lags = not push(unit)
-        except BaseException as error:  # noqa: BLE001 - raised where it belongs, in `pour`
-            self._push_failed, lags = error, True
-        if lags:
-            self._push = None
-            self.transport.pause_reading()
-            self._wake()
 
     def eof(self) -> None:
         """The peer ended the stream; without its close that is a truncation."""
@@ -189,25 +160,6 @@ class Driver(Generic[PeerT]):
         """Call back, once, when the peer caught up."""
         self._when_writable.append(callback)
 
-    async def drain(self) -> None:
-        """Wait until the peer caught up.
-
-        Raises:
-            ChannelError: the connection ended meanwhile.
-        """
-        if not self.transport.writable:
-            while self.transport.backlog > 0 and self.error is None:
-                await self._change()
-        self.check()
-
-    def check(self) -> None:
-        """Raise what ended the connection, if something did.
-
-        A copy: with its traceback the one kept here would keep alive whatever it was raised in.
-        """
-        if self.error is not None:
-            raise copy(self.error)
-
     def write(self, record: Bytes) -> None:
         """Write a record the core has just sealed.
 
@@ -223,86 +175,6 @@ class Driver(Generic[PeerT]):
         if data:
             self.transport.write(data)
 
-    async def receive(self) -> bytes:
-        """Return the next unit.
-
-        Raises:
-            ChannelError: there will be none.
-        """
-        while (unit := self.take()) is None:
-            await self._change()
-        return unit
-
-    @property
-    def has_unit(self) -> bool:
-        """Whether a unit has arrived that nobody took."""
-        return self._units is not None
-
-    def take(self) -> bytes | None:
-        """Return the next unit if it has arrived.
-
-        Raises:
-            ChannelError: there will be none.
-        """
-        if self._units is None:
-            self.check()
-            return None
-        unit = self._units.popleft()
-        if not self._units:
-            self._units = None
-        self._unread -= len(unit)
-        if self._unread <= _PAUSE_ABOVE // 2 and self.error is None:
-            self.transport.resume_reading()
-        return unit
-
-    def _tell(self) -> None:
-        """There is something to take, or there will never be."""
-        if self.on_ready is not None:
-            self.on_ready()
-        if self._waiting:
-            self._wake()
-
-    async def pour(
-        self, push: Callable[[bytes], bool], drain: Callable[[], Awaitable[None]]
-    ) -> NoReturn:
-        """Pass each unit to `push` as it arrives, without a turn of the loop for it.
-
-        When `push` says no, nothing more is read until `drain` returns.
-
-        Raises:
-            ChannelError: there will be no more units; or whatever `push` or `drain` raise.
-        """
-        try:
-            while True:
-                while self._units:
-                    push(await self.receive())
-                    await drain()
-                self.check()
-                self.transport.resume_reading()
-                self._push = push
-                while self._is_pouring():
-                    await self._change()
-                if self._push_failed is not None:
-                    raise self._push_failed
-                await drain()
-        finally:
-            self._push = None
-
-    def _is_pouring(self) -> bool:
-        return self._push is not None and self.error is None
-
-    def _change(self) -> asyncio.Future[None]:
-        """What to await until anything happens; the caller looks whether it was for it."""
-        waiter = self._loop.create_future()
-        self._waiting.append(waiter)
-        return waiter
-
-    def _wake(self) -> None:
-        waiting, self._waiting = self._waiting, []
-        for waiter in waiting:
-            if not waiter.done():
-                waiter.set_result(None)
-
     async def close(self) -> None:
         """Close in order; wait for the peer's end, but not for long."""
         if self.error is None:
@@ -310,11 +182,6 @@ class Driver(Generic[PeerT]):
             self.flush()
             self._end(ChannelClosed("the connection was closed"), linger=True)
         while not self._lost:
-            await self._change()
-
-    async def wait_ended(self) -> None:
-        """Return when the connection is at its end."""
-        while self.error is None:
             await self._change()
 
     def abort(self, error: ChannelError) -> None:
@@ -335,7 +202,7 @@ class Driver(Generic[PeerT]):
         if linger:
             self._linger()
         self._on_end(self, error)
-        self._tell()
+        self._notify()
 
     def _linger(self) -> None:
         """End this side; wait for the peer's end, or the reset would swallow the last flight."""

@@ -6,7 +6,7 @@ from ca.enrollment.messages import (
     Abort,
     Acknowledgement,
     Delivery,
-    EnrollmentDone,
+    Done,
     Fetch,
     Reason,
     read,
@@ -152,7 +152,7 @@ def test_a_replayed_last_word() -> None:
     assert later.state is AuthorityState.OVER
     authority.receive(recorded, NOW)
     with pytest.raises(AcknowledgementRefused, match="not signed by the node"):
-        authority.receive(write(EnrollmentDone(b"no")), NOW)
+        authority.receive(write(Done(b"no")), NOW)
     assert authority.state is AuthorityState.ENROLLED
 
 

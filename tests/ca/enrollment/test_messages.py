@@ -8,7 +8,7 @@ from ca.enrollment.messages import (
     Abort,
     Acknowledgement,
     Delivery,
-    EnrollmentDone,
+    Done,
     Fetch,
     Message,
     Offer,
@@ -27,7 +27,7 @@ MESSAGES = [
     OFFER,
     Offer((b"leaf",), b"root", bytes(16), b""),
     Acknowledgement(b"statement"),
-    EnrollmentDone(b"statement"),
+    Done(b"statement"),
     *map(Abort, Reason),
 ]
 

@@ -5,7 +5,7 @@ from ca.enrollment import qr, transcript
 from ca.enrollment.messages import (
     Abort,
     Acknowledgement,
-    EnrollmentDone,
+    Done,
     Offer,
     Reason,
     read,
@@ -73,7 +73,7 @@ def test_nothing_counts_before_a_person_confirmed(label: bool) -> None:
     with pytest.raises(EnrollmentOver, match="confirmed already"):
         node.confirm(authority.digits, NOW + 1)
     (done,) = node.activated()
-    assert isinstance(read(done), EnrollmentDone)
+    assert isinstance(read(done), Done)
     assert node.state is NodeState.ENROLLED
 
 
@@ -88,7 +88,7 @@ def test_the_same_offer_again_gets_the_same_answer() -> None:
     node.activated()
     again = node.receive(offer, NOW + WINDOW * 9)
     assert again[0] == first[0]
-    assert isinstance(read(again[1]), EnrollmentDone)
+    assert isinstance(read(again[1]), Done)
 
 
 @pytest.mark.parametrize("label", [False, True])
@@ -258,7 +258,7 @@ def test_three_wrong_digits() -> None:
 
 def test_what_nobody_waits_for() -> None:
     node = Robot().enrollment()
-    for message in (Abort(Reason.OVER), Acknowledgement(b""), EnrollmentDone(b"")):
+    for message in (Abort(Reason.OVER), Acknowledgement(b""), Done(b"")):
         with pytest.raises(EnrollmentMessageRefused, match="while shows its code"):
             node.receive(write(message), NOW)
     with pytest.raises(EnrollmentMessageRefused):

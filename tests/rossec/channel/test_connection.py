@@ -79,6 +79,18 @@ def test_the_first_record_may_travel_with_message_3() -> None:
     assert w.right.units == [b"early"]
 
 
+def test_a_state_that_is_not_in_the_table_ends_the_connection(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    w = joined()
+    monkeypatch.setattr(Connection, "_on_data_end", lambda *_: ConnectionState.CLOSING)
+    w.left.core.send_unit(b"x")
+    with pytest.raises(RuntimeError, match=r"_on_data_end led to state ConnectionState.CLOSING"):
+        w.right.give(w.left.take())
+    assert w.right.core.state is ConnectionState.CLOSED
+    assert w.right.core.data_to_send() == b""
+
+
 def test_large_units_of_many_pieces() -> None:
     w = joined()
     pieces: list[Bytes] = [

@@ -32,13 +32,13 @@ rospy.spin()
 HASTY = (
     """
 import rossec.participant.connections
-from rossec.inprocess.process import Process
+from rossec.inprocess.process import SecuredProcess
 rossec.participant.connections.STALE_GRACE = 1
-take = Process.take_revocations
+take = SecuredProcess.take_revocations
 def take_and_tell(*news):
     take(*news)
     print("NEWS", flush=True)
-Process.take_revocations = take_and_tell
+SecuredProcess.take_revocations = take_and_tell
 """
     + LISTENER
 )
@@ -142,13 +142,13 @@ CRASHING = (
     SECURE
     + """
 import rospy
-from rossec.inprocess.process import Process
+from rossec.inprocess.process import SecuredProcess
 from std_msgs.msg import String
 rospy.init_node("robot")
 rospy.Publisher("/robot/words", String, queue_size=1)
 def fail(process):
     raise RuntimeError("a fault of ours")
-Process.cut = fail
+SecuredProcess.cut = fail
 rospy.spin()
 try:
     rospy.get_param("/x")

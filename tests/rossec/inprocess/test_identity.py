@@ -1,6 +1,10 @@
 import dataclasses
+import inspect
 import time
 from pathlib import Path
+from threading import Thread
+from typing import Any
+from unittest.mock import create_autospec
 
 import pytest
 
@@ -11,9 +15,10 @@ from grants.model import Right
 from rossec.clock import Clock
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
-from rossec.inprocess.identity import LocalIdentity, now
+from rossec.inprocess.identity import LocalIdentity, LockedAccess, now
 from rossec.inprocess.process import SecuredProcess
 from rossec.inprocess.reporting import Reporter
+from rossec.participant.access import Access
 from tests.support.site import Site
 
 
@@ -98,3 +103,46 @@ def test_after_a_clock_that_went_back_it_waits_for_news(
     with pytest.raises(RevocationsStale, match="not confirmed"):
         member.revocations.check_fresh(now())
     assert "the host's clock went back" in "".join(said)
+
+
+def public_names(kind: type) -> set[str]:
+    return {name for name in vars(kind) if not name.startswith("_")}
+
+
+def arguments_of(method: Any) -> list[None]:
+    return [None] * (len(inspect.signature(method).parameters) - 1)
+
+
+@pytest.mark.parametrize("name", sorted(public_names(LockedAccess)))
+def test_each_method_of_the_access_holds_the_lock(name: str) -> None:
+    access = create_autospec(Access, instance=True)
+    locked = LockedAccess(access)
+    free: list[bool] = []
+
+    def another_thread() -> None:
+        free.append(locked.lock.acquire(blocking=False))
+
+    def check_lock(*_: object) -> int:
+        thread = Thread(target=another_thread)
+        thread.start()
+        thread.join()
+        return 7
+
+    method = getattr(LockedAccess, name)
+    if isinstance(method, property):
+        setattr(type(access), name, property(check_lock))
+        assert getattr(locked, name) == 7
+    else:
+        getattr(access, name).side_effect = check_lock
+        getattr(locked, name)(*arguments_of(method))
+    assert free == [False]
+
+
+def test_a_method_of_the_access_that_is_not_locked_is_unknown(
+    monkeypatch: pytest.MonkeyPatch, site: Site
+) -> None:
+    monkeypatch.setattr(Access, "added", lambda _: None, raising=False)
+    access = LocalIdentity(site.enroll("/robot"), "/robot").access
+    assert public_names(LockedAccess) <= public_names(Access)
+    with pytest.raises(AttributeError, match="added"):
+        access.added()  # type: ignore[attr-defined]  # which is the point

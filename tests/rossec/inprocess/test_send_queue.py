@@ -61,7 +61,7 @@ def test_a_connection_that_ended_is_closed() -> None:
 
 async def test_what_waits_goes_out_as_one() -> None:
     made = connection()
-    box = outbox.Outbox(made, 0)
+    box = outbox.SendQueue(made, 0)
     assert box.endpoint_id == "/x"
     assert box.socket is made.socket
     with pytest.raises(AttributeError):
@@ -95,7 +95,7 @@ async def test_a_message_after_a_pause_does_not_wait_for_the_sender(
     monkeypatch.setattr(outbox, "_PAUSE", 0.0)
     made = connection()
     made.socket.at_once = True
-    box = outbox.Outbox(made, 0)
+    box = outbox.SendQueue(made, 0)
     await until(lambda: box._idle)
     box.write_data(b"1")
     assert made.socket.units == [b"1"], "in this thread"
@@ -118,7 +118,7 @@ async def test_a_message_after_a_pause_does_not_wait_for_the_sender(
 
 async def test_a_full_queue_drops_the_oldest() -> None:
     made = connection()
-    box = outbox.Outbox(made, 2)
+    box = outbox.SendQueue(made, 2)
     made.socket.gate.clear()
     box.write_data(b"1")
     await until(lambda: not box._queue)
@@ -159,7 +159,7 @@ async def test_a_connection_is_closed_with_no_lock_held(monkeypatch: pytest.Monk
     monkeypatch.setattr(outbox, "_PAUSE", -1.0)  # each message is one after a pause
     made = connection()
     made.socket.at_once = True
-    box = outbox.Outbox(made, 0)
+    box = outbox.SendQueue(made, 0)
     await until(lambda: box._idle)
     closed, waits = made.close, list[bool]()
 

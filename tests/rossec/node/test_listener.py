@@ -14,7 +14,7 @@ from rossec.errors import ChannelError, PlainPeer
 from rossec.net.aio import SecureStream, WireProtocol, connect
 from rossec.net.rpc.client import RpcClient
 from rossec.node import Node, listener
-from rossec.participant import accepted, slave_api
+from rossec.participant import connections, slave_api
 from rossec.participant.slave_rights import SLAVE_CALLS
 from rossec.ros import header
 from rossec.ros.settings import parse_uri
@@ -155,7 +155,7 @@ async def test_the_slave_api_answers_no_revoked_node(site: Site, robot: Node) ->
 async def test_one_identity_holds_a_bounded_number_of_connections(
     site: Site, robot: Node, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(accepted, "PEER_CONNECTIONS", 3)
+    monkeypatch.setattr(connections, "PEER_CONNECTIONS", 3)
     port = int(robot.uri.rstrip("/").rpartition(":")[2])
 
     async def met(name: str) -> SecureStream[Identity]:

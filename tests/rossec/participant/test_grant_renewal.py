@@ -23,7 +23,7 @@ from grants.renewal import MIN_TICKET, Delegation, sign_delegation
 from rossec.errors import AnswerMalformed
 from rossec.master.rights.delegation import Delegate
 from rossec.participant.access import Access
-from rossec.participant.grant_renewal import AT_ONCE, RETRY, Renewals, due_at, renew, renew_blocking
+from rossec.participant.grant_renewal import AT_ONCE, RETRY, MasterCall, Renewals, due_at, renew
 from tests.support.authority import DAY, Member, Site
 
 HOUR = 3600
@@ -65,7 +65,8 @@ class World:
         self.access.hold(data)
         return data
 
-    def answer(self, method: str, originals: Any) -> list[bytes]:
+    async def answer(self, method: str, *params: Any) -> list[bytes]:
+        [originals] = params
         self.calls.append((method, originals))
         return [self.renewed(data) for data in originals]
 
@@ -77,6 +78,13 @@ class World:
             data, self.node.thumbprint, now, seq=held.seq, check=self.revocations.check
         )
         return token
+
+
+def answering(value: object) -> MasterCall:
+    async def call(method: str, *params: object) -> object:
+        return value
+
+    return call
 
 
 @pytest.fixture
@@ -107,7 +115,7 @@ def test_what_was_refused_is_asked_for_again_in_time(world: World) -> None:
     assert world.renewals.due(world.now + 60 + RETRY) == [held]
 
 
-def test_with_tickets_of_a_minute_there_is_always_one_that_holds(world: World) -> None:
+async def test_with_tickets_of_a_minute_there_is_always_one_that_holds(world: World) -> None:
     """What was renewed a moment ago is not held back as if it had been refused."""
     delegation = Delegation(
         "home", world.master.thumbprint, world.now - 1, world.now + DAY, MIN_TICKET, bytes(16)
@@ -118,7 +126,7 @@ def test_with_tickets_of_a_minute_there_is_always_one_that_holds(world: World) -
     least = 60
     for second in range(600):
         now = world.at(second)
-        renew_blocking(world.answer, world.renewals, now)
+        await renew(world.answer, world.renewals, now)
         [held] = world.access.holdings()
         least = min(least, held.grant.expires - now)
     assert least >= 12  # seconds: some tries more, had the master been out of reach
@@ -134,16 +142,16 @@ def test_never_beyond_the_cap_and_never_when_revoked(world: World) -> None:
     assert world.renewals.due(world.now + 2 * HOUR) == []
 
 
-def test_a_new_epoch_makes_all_that_was_renewed_due(world: World) -> None:
+async def test_a_new_epoch_makes_all_that_was_renewed_due(world: World) -> None:
     world.hold()
-    assert renew_blocking(world.answer, world.renewals, world.at(HOUR)) == 1
+    assert await renew(world.answer, world.renewals, world.at(HOUR)) == 1
     assert world.renewals.due(world.now + HOUR + 1) == []
     listed = RevocationList(2, 1, world.now + HOUR, world.now + DAY, frozenset())
     data = sign_list(world.site.signer, listed)
     stamp = Timestamp(1, digest(data), world.now + HOUR, 30)
     world.revocations.update(data, world.now + HOUR)
     world.revocations.confirm(stamp, world.now + HOUR)
-    assert renew_blocking(world.answer, world.renewals, world.now + HOUR + 2) == 1
+    assert await renew(world.answer, world.renewals, world.now + HOUR + 2) == 1
     assert world.renewals.due(world.now + HOUR + 3 * RETRY) == []
 
 
@@ -155,17 +163,17 @@ def test_so_many_at_once_the_most_urgent_first(world: World) -> None:
     assert len(world.renewals.due(world.now + 2 * HOUR)) == 1
 
 
-def test_a_grant_that_has_expired_lives_again(world: World) -> None:
+async def test_a_grant_that_has_expired_lives_again(world: World) -> None:
     data = world.hold()
     now = world.at(2 * HOUR)
     assert world.access.current(now) == []
-    assert renew_blocking(world.answer, world.renewals, now) == 1
+    assert await renew(world.answer, world.renewals, now) == 1
     assert world.calls == [("rossec.renewGrants", [data])]
     [token] = world.access.current(now)
     assert token != data
     [held] = world.access.holdings()
     assert (held.original, held.since) == (data, now)
-    assert renew_blocking(world.answer, world.renewals, now + RETRY) == 0
+    assert await renew(world.answer, world.renewals, now + RETRY) == 0
     decision = world.access.authorize(
         world.node.identity,
         world.access.present(Right.PUBLISH, "/t", now),
@@ -176,29 +184,26 @@ def test_a_grant_that_has_expired_lives_again(world: World) -> None:
     assert decision.expires == held.grant.expires
 
 
-async def test_the_same_without_blocking(world: World) -> None:
-    async def call(method: str, *params: object) -> object:
-        return world.answer(method, *params)
-
+async def test_nothing_is_requested_before_it_is_due(world: World) -> None:
     world.hold()
-    assert await renew(call, world.renewals, world.now) == 0
-    assert await renew(call, world.renewals, world.at(HOUR)) == 1
+    assert await renew(world.answer, world.renewals, world.now) == 0
+    assert world.calls == []
 
 
 @pytest.mark.parametrize("answer", [5, [], [b"", b""]])
-def test_an_answer_that_is_none(world: World, answer: object) -> None:
+async def test_an_answer_that_is_none(world: World, answer: object) -> None:
     world.hold()
     with pytest.raises(AnswerMalformed):
-        renew_blocking(lambda *_: answer, world.renewals, world.at(HOUR))
+        await renew(answering(answer), world.renewals, world.at(HOUR))
 
 
 @pytest.mark.parametrize("token", [b"", 5, b"garbage"])
-def test_what_is_not_renewed_is_not_held(
+async def test_what_is_not_renewed_is_not_held(
     world: World, token: object, caplog: pytest.LogCaptureFixture
 ) -> None:
     world.hold()
     now = world.at(HOUR)
-    assert renew_blocking(lambda *_: [token], world.renewals, now) == 0
+    assert await renew(answering([token]), world.renewals, now) == 0
     assert world.access.current(now) == []
     assert ("in vain" in caplog.text) == (token == b"garbage")
 

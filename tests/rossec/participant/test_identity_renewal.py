@@ -17,12 +17,12 @@ from rossec.authority.signing import SigningAuthority
 from rossec.channel.edhoc.credentials import LiveCredentials
 from rossec.errors import AnswerMalformed, AnswerRefused
 from rossec.home import NodeHome
+from rossec.participant.grant_renewal import MasterCall
 from rossec.participant.identity_renewal import (
     METHOD,
     RETRY,
     IdentityRenewal,
     renew_identity,
-    renew_identity_blocking,
 )
 from tests.rossec.node.test_node import POSE, first, pose, until
 from tests.support.site import DAY, Site
@@ -42,6 +42,13 @@ def renewal(site: Site, name: str = "/robot") -> tuple[NodeHome, LiveCredentials
     home = site.enroll(name, LIFE)
     credentials = LiveCredentials(home.credentials())
     return home, credentials, IdentityRenewal(home, credentials, BEGIN)
+
+
+def answering(value: object) -> MasterCall:
+    async def call(method: str, *params: object) -> object:
+        return value
+
+    return call
 
 
 def test_due_after_two_thirds_of_its_life(site: Site) -> None:
@@ -80,11 +87,11 @@ async def test_the_new_identity_is_on_the_disk_and_in_use(site: Site) -> None:
     assert credentials.id_cred == home.credentials().id_cred
 
 
-def test_a_lost_answer_is_asked_for_again(site: Site) -> None:
+async def test_a_lost_answer_is_asked_for_again(site: Site) -> None:
     _, credentials, asks = renewal(site)
     answers = [renew(site.authority, asks.request(at) or b"", at) for at in (NOW, NOW + RETRY)]
     assert answers[0] == answers[1]
-    assert renew_identity_blocking(lambda *_: answers[1], asks, NOW + 2 * RETRY)
+    assert await renew_identity(answering(answers[1]), asks, NOW + 2 * RETRY)
     assert credentials.current.chain[0] == from_pem(answers[0])[0]
 
 
@@ -119,24 +126,21 @@ async def test_what_is_no_identity_changes_nothing(
     home, credentials, asks = renewal(site)
     before = (home.path / "node.pem").read_bytes(), credentials.certificate
 
-    async def call(method: str, *params: object) -> object:
-        return bundle
-
-    assert not await renew_identity(call, asks, NOW)
-    assert not renew_identity_blocking(lambda *_: bundle, asks, NOW + RETRY)
+    assert not await renew_identity(answering(bundle), asks, NOW)
+    assert not await renew_identity(answering(bundle), asks, NOW + RETRY)
     assert ((home.path / "node.pem").read_bytes(), credentials.certificate) == before
     assert "the identity is not renewed" in caplog.text
     with pytest.raises(AnswerMalformed):
         asks.take(5, NOW)
 
 
-def test_a_master_that_renews_nothing(site: Site, caplog: pytest.LogCaptureFixture) -> None:
-    def call(*_: object) -> object:
+async def test_a_master_that_renews_nothing(site: Site, caplog: pytest.LogCaptureFixture) -> None:
+    async def call(method: str, *params: object) -> object:
         raise AnswerRefused("rossec: this master renews no identities")
 
     _, _, asks = renewal(site)
-    assert not renew_identity_blocking(call, asks, BEGIN)
-    assert not renew_identity_blocking(call, asks, NOW)
+    assert not await renew_identity(call, asks, BEGIN)
+    assert not await renew_identity(call, asks, NOW)
     assert "this master renews no identities" in caplog.text
 
 

@@ -13,7 +13,8 @@ from ca.revocation.tree import Listing, RevocationTree, sign_tree
 from grants.model import Right
 from rossec.errors import AnswerMalformed
 from rossec.participant.connections import STALE_GRACE, termination_reason
-from rossec.participant.revocation_proofs import AT_ONCE, METHOD, prove, prove_blocking
+from rossec.participant.grant_renewal import MasterCall
+from rossec.participant.revocation_proofs import AT_ONCE, METHOD, prove
 from tests.rossec.node.test_node import POSE, first, pose, tell_master, until
 from tests.rossec.participant.test_connections import Linked
 from tests.support.authority import Site as Authority
@@ -37,41 +38,45 @@ def held() -> Revocations:
     return revocations
 
 
-def answer(method: str, wanted: Any) -> list[bytes]:
+async def answer(method: str, *params: Any) -> list[bytes]:
+    [wanted] = params
     assert method == METHOD
     return [LISTING.prove(entry) for entry in wanted]
 
 
-async def test_what_is_wanted_is_asked_for_once(held: Revocations) -> None:
+def answering(value: object) -> MasterCall:
     async def call(method: str, *params: object) -> object:
-        return answer(method, *params)
+        return value
 
-    assert await prove(call, held) == 2
-    assert await prove(call, held) == 0
-    assert prove_blocking(answer, held) == 0
+    return call
+
+
+async def test_what_is_wanted_is_asked_for_once(held: Revocations) -> None:
+    assert await prove(answer, held) == 2
+    assert await prove(answer, held) == 0
     now = int(time.time())
     held.check(ABSENT, now)
     with pytest.raises(Revoked):
         held.check(HERE, now)
 
 
-def test_only_so_many_at_once(held: Revocations) -> None:
+async def test_only_so_many_at_once(held: Revocations) -> None:
     for n in range(100, 100 + AT_ONCE):
         with pytest.raises(RevocationsStale):
             held.check(n.to_bytes(16), int(time.time()))
-    assert prove_blocking(answer, held) == AT_ONCE
-    assert prove_blocking(answer, held) == 2
+    assert await prove(answer, held) == AT_ONCE
+    assert await prove(answer, held) == 2
 
 
 @pytest.mark.parametrize("said", [5, [b"one"], [b"", b"", b""]])
-def test_an_answer_that_is_none(held: Revocations, said: object) -> None:
+async def test_an_answer_that_is_none(held: Revocations, said: object) -> None:
     with pytest.raises(AnswerMalformed):
-        prove_blocking(lambda *_: said, held)
+        await prove(answering(said), held)
 
 
 @pytest.mark.parametrize("said", [[], [b"", 5], [b"x", b"y"]])
-def test_without_proof_nothing_is_known(held: Revocations, said: object) -> None:
-    assert prove_blocking(lambda *_: said, held) == 0
+async def test_without_proof_nothing_is_known(held: Revocations, said: object) -> None:
+    assert await prove(answering(said), held) == 0
     with pytest.raises(RevocationsStale):
         held.check(ABSENT, int(time.time()))
 

@@ -34,7 +34,7 @@ async def test_an_expired_link_is_cut_once_however_long_it_lingers(
     revocations: Revocations,
 ) -> None:
     link = Linked(ends=int(time.time()) - 1)
-    door: Any = SimpleNamespace(cut=lambda _: None)
+    door: Any = SimpleNamespace(abort_revoked=lambda _: None)
     looks = 0
 
     def links() -> tuple[Linked, ...]:
@@ -64,7 +64,7 @@ def test_after_a_clock_that_went_back_news_are_waited_for(
     assert held.held is not None
     news = Timestamp(held.held.seq, digest(data), now, 30)
     held.confirm(news, now)
-    door: Any = SimpleNamespace(cut=lambda _: None)
+    door: Any = SimpleNamespace(abort_revoked=lambda _: None)
     link = Linked(ends=now + 3600)
     watch = ConnectionWatchdog(held, lambda: (link,), door)
     watch.look(now)
