@@ -53,7 +53,7 @@ class Authority:
         self.chain: tuple[bytes, ...] = ()
         self.may_enroll = True
         if intermediate is not None:
-            self._descend(intermediate)
+            self._load_intermediate(intermediate)
         if thumbprint(signer.public_key) != self.issuer.thumbprint:
             raise IssueRefused(
                 "the authority's certificate belongs to another key",
@@ -61,7 +61,7 @@ class Authority:
             )
         self.signer = signer
 
-    def _descend(self, der: bytes) -> None:
+    def _load_intermediate(self, der: bytes) -> None:
         # Its time is judged at each use, by `_period`.
         found = self.anchor.read_intermediate(der)
         self.issuer, self.chain, self.may_enroll = found, (der,), found.may_enroll
@@ -108,9 +108,9 @@ class Authority:
             IssueRefused: as `issue`, but an intermediate needs no leave to enroll.
         """
         key, longest = renewal.request.public_key, min(lifetime, renewal.longest)
-        return self.certify_again(renewal.identity, key, now=now, serial=serial, lifetime=longest)
+        return self.reissue(renewal.identity, key, now=now, serial=serial, lifetime=longest)
 
-    def certify_again(
+    def reissue(
         self,
         identity: Identity,
         key: ec.EllipticCurvePublicKey,
@@ -207,7 +207,7 @@ def create_root(signer: Signer, domain: str, *, now: int, serial: int) -> bytes:
     _check_serial(serial)
     key = require_p256(signer.public_key)
     builder = _authority(key, serial, now - BACKDATE, now + ROOT_LIFETIME, domain, below=1)
-    return _sign(builder.issuer_name(_title(key)), signer)
+    return _sign(builder.issuer_name(_subject_name(key)), signer)
 
 
 def _authority(
@@ -216,7 +216,7 @@ def _authority(
     """What a root and an intermediate have in common."""
     return (
         _builder(key, serial, start, end)
-        .subject_name(_title(key))
+        .subject_name(_subject_name(key))
         .add_extension(x509.BasicConstraints(ca=True, path_length=below), critical=True)
         .add_extension(_usage(authority=True), critical=True)
         .add_extension(_name(f"{SCHEME}{domain}"), critical=False)
@@ -224,7 +224,7 @@ def _authority(
     )
 
 
-def _title(key: ec.EllipticCurvePublicKey) -> x509.Name:
+def _subject_name(key: ec.EllipticCurvePublicKey) -> x509.Name:
     """The name differs for every key, so that a stranger's certificate shows itself as such."""
     return x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, f"rossec {_short(key)}")])
 

@@ -162,7 +162,7 @@ class TrustAnchor:
 
     def _identity(self, der: bytes, issuer: "TrustAnchor | Intermediate") -> Identity:
         """What a leaf says; its signature is verified each time, before it is believed."""
-        known = _known.get((issuer.certificate, der))
+        known = _cache.get((issuer.certificate, der))
         if known is not None and known.signed.by(issuer.public_key):
             return known.identity
         certificate = svid.parse(der)
@@ -170,13 +170,13 @@ class TrustAnchor:
         if signed is None or not signed.by(issuer.public_key):
             raise self._foreign("certificate")
         identity = _read(self.domain, certificate, der)
-        _known[issuer.certificate, der] = _Leaf(signed, identity)
-        if len(_known) > _MAX_KNOWN:
-            _known.popitem(last=False)
+        _cache[issuer.certificate, der] = _CachedLeaf(signed, identity)
+        if len(_cache) > _CACHE_SIZE:
+            _cache.popitem(last=False)
         return identity
 
 
-class _Leaf(NamedTuple):
+class _CachedLeaf(NamedTuple):
     """The parts of a leaf's DER."""
 
     signed: svid.Signed
@@ -186,8 +186,8 @@ class _Leaf(NamedTuple):
 # By the DER of the issuer and of the leaf. Peers come back for every topic, and taking their
 # certificates apart is a pure function of the bytes, so its result is kept of those that verified.
 # What is never kept is a verdict: the signature is verified and the times are compared each time.
-_known: Final[OrderedDict[tuple[bytes, bytes], _Leaf]] = OrderedDict()
-_MAX_KNOWN: Final = 256
+_cache: Final[OrderedDict[tuple[bytes, bytes], _CachedLeaf]] = OrderedDict()
+_CACHE_SIZE: Final = 256
 
 
 def _read(domain: str, certificate: x509.Certificate, der: bytes) -> Identity:

@@ -39,7 +39,7 @@ class KeyRefused(CAError):
     """A key, or the file it lives in, that may not be used."""
 
 
-class PlaceRefused(CAError):
+class PathRefused(CAError):
     """A file or directory that somebody else owns or can write, where what it says is believed."""
 
 
@@ -115,7 +115,7 @@ class OfferRefused(EnrollmentRefused):
     """An offer that is not for this node, or made by somebody who has not seen its code."""
 
 
-class RivalOffer(EnrollmentRefused):
+class ConflictingOffer(EnrollmentRefused):
     """A second, different offer that is valid too: somebody else has the code."""
 
 

@@ -22,7 +22,7 @@ from ca.keys.publickey import thumbprint
 from ca.keys.signer import Signer
 from ca.keys.x509signer import X509Signer
 from ca.names import check_domain
-from ca.requests import MAX_REQUEST, asked_for, proven_key
+from ca.requests import MAX_REQUEST, proven_key, requested_name
 from ca.svid import PARSE_ERRORS, SCHEME, ends_with_whole_octets
 
 # Private policies, from UUIDs (ITU-T X.667).
@@ -106,7 +106,7 @@ def check_intermediate_request(csr: bytes, domain: str) -> ec.EllipticCurvePubli
         request = x509.load_der_x509_csr(csr)
         if not ends_with_whole_octets(csr, request.signature):
             raise RequestRefused("the request's signature is not in whole octets", _HINT)
-        key, asked = proven_key(request), asked_for(request)
+        key, asked = proven_key(request), requested_name(request)
     except PARSE_ERRORS as error:
         raise RequestRefused("this is not a certificate request", _HINT) from error
     if asked != (f"{SCHEME}{domain}", False):

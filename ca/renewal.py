@@ -63,7 +63,7 @@ def renew_at(not_before: int, not_after: int) -> int:
     return began + (not_after - began) * 2 // 3
 
 
-def ask_again_in(not_before: int, not_after: int, longest: int) -> int:
+def retry_delay(not_before: int, not_after: int, longest: int) -> int:
     """Seconds to wait after a refusal, at most `longest`: a short life leaves time for a few."""
     life = not_after - signed_at(not_before, not_after)
     return max(1, min(longest, life // 20))

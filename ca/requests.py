@@ -80,7 +80,7 @@ def check_request(csr: bytes, domain: str, *, wildcard: bool = False) -> Identit
         if not ends_with_whole_octets(csr, request.signature):
             raise RequestRefused("the request's signature is not in whole octets", _HINT)
         key = proven_key(request)
-        uri, asks = asked_for(request)
+        uri, asks = requested_name(request)
         name = _check_name(uri, domain)
     except PARSE_ERRORS as error:
         raise RequestRefused("this is not a certificate request", _HINT) from error
@@ -111,7 +111,7 @@ def proven_key(request: x509.CertificateSigningRequest) -> ec.EllipticCurvePubli
     return key
 
 
-def asked_for(request: x509.CertificateSigningRequest) -> tuple[str, bool]:
+def requested_name(request: x509.CertificateSigningRequest) -> tuple[str, bool]:
     """What a request may contain besides its key: one URI, and whether it asks for a wildcard.
 
     Raises:
@@ -136,7 +136,9 @@ def asked_for(request: x509.CertificateSigningRequest) -> tuple[str, bool]:
                     "the request asks to be an authority", "do not sign it: find out who made it"
                 )
             case _:
-                raise RequestRefused(f"the request asks for extension {_title(extension)}", _HINT)
+                raise RequestRefused(
+                    f"the request asks for extension {_extension_name(extension)}", _HINT
+                )
     match names:
         case [x509.UniformResourceIdentifier(value=uri)]:
             return uri, wildcard
@@ -159,6 +161,6 @@ def _check_name(uri: str, domain: str) -> str:
     return name
 
 
-def _title(extension: x509.Extension[x509.ExtensionType]) -> str:
+def _extension_name(extension: x509.Extension[x509.ExtensionType]) -> str:
     known = {oid: name for name, oid in vars(ExtensionOID).items() if not name.startswith("_")}
     return known.get(extension.oid, extension.oid.dotted_string)

@@ -30,7 +30,7 @@ def own_home(environ: Mapping[str, str]) -> Path:
 
     Raises:
         ConfigurationError: as for `rossec_home`.
-        PlaceRefused: it belongs to somebody else, or others can write in it.
+        PathRefused: it belongs to somebody else, or others can write in it.
     """
     path = rossec_home(environ)
     ownership.check_directory(path)

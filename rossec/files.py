@@ -26,7 +26,7 @@ def make_private_directory(path: Path) -> None:
     """Create `path` and what is missing above it, for the owner alone; an existing one is kept.
 
     Raises:
-        PlaceRefused: somebody else can write there.
+        PathRefused: somebody else can write there.
     """
     if not path.parent.is_dir():  # mkdir(parents=True) would ignore the mode for those above
         make_private_directory(path.parent)
@@ -173,10 +173,10 @@ def read_own(path: Path, limit: int, missing: ConfigurationError, *, link: bool 
 
     Raises:
         ConfigurationError: as for `read`.
-        PlaceRefused: see `ca.keys.ownership`.
+        PathRefused: see `ca.keys.ownership`.
     """
     try:
-        descriptor = ownership.open_own(path, link=link)
+        descriptor = ownership.open_trusted(path, link=link)
     except FileNotFoundError:
         raise missing from None
     with os.fdopen(descriptor, "rb") as file:
@@ -187,7 +187,7 @@ def append_own(path: Path) -> int:
     """Open a log to append to, made for its owner alone; returns its descriptor.
 
     Raises:
-        PlaceRefused: it is no plain file, or somebody else's: whoever made it could read it.
+        PathRefused: it is no plain file, or somebody else's: whoever made it could read it.
         OSError: it cannot be opened.
     """
     flags = os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK

@@ -3,7 +3,7 @@
 import secrets
 from pathlib import Path
 
-from ca.errors import PlaceRefused
+from ca.errors import PathRefused
 from grants.filters.hashing import FILTER_KEY_SIZE, check_key_name
 from rossec import files
 from rossec.errors import ConfigurationError
@@ -24,7 +24,7 @@ def filter_key(directory: Path, name: str) -> bytes:
     missing = ConfigurationError(f"there is no filter key {name} any more", f"it was {path}")
     try:
         key = files.read_own(path, FILTER_KEY_SIZE, missing)
-    except PlaceRefused as error:  # a peer may read this: no path in it
+    except PathRefused as error:  # a peer may read this: no path in it
         raise ConfigurationError(
             f"others could have written the filter key {name}", f"{error}: {error.hint}"
         ) from error

@@ -24,7 +24,7 @@ from ca.keys import key_files
 from ca.keys.signer import KeySigner
 from ca.names import check_name
 from ca.revocation.state import NO_FLOOR, open_statement
-from ca.revocation.tree import MAX_LISTING
+from ca.revocation.tree import MAX_TREE_ENTRIES_SIZE
 from rossec import files
 from rossec.channel.edhoc.credentials import Credentials
 from rossec.errors import ConfigurationError
@@ -194,7 +194,7 @@ class NodeHome:
 
         Raises:
             ConfigurationError: it is gone, or too large.
-            PlaceRefused: it is no file, or somebody else could have written it.
+            PathRefused: it is no file, or somebody else could have written it.
         """
         return files.read_own(path, _SIZE_LIMIT, self._missing(path, ""))
 
@@ -226,7 +226,7 @@ class NodeHome:
 
     def load_entries(self) -> bytes | None:
         """The entries of the revocation tree, in the master's home, if there are any."""
-        return self._read_if_present("revocations.entries", MAX_LISTING)
+        return self._read_if_present("revocations.entries", MAX_TREE_ENTRIES_SIZE)
 
     def save_entries(self, data: bytes) -> None:
         """Keep the entries of a revocation tree; durable on return."""

@@ -39,7 +39,7 @@ def tag(secret: bytes, agreed: bytes) -> bytes:
     return hmac.digest(secret, encode([_OFFER, agreed]), "sha256")
 
 
-def is_tag(secret: bytes, agreed: bytes, given: bytes) -> bool:
+def verify_tag(secret: bytes, agreed: bytes, given: bytes) -> bool:
     """Whether `given` is the proof."""
     return hmac.compare_digest(tag(secret, agreed), given)
 

@@ -18,9 +18,9 @@ from ca.keys.publickey import require_p256
 
 SCHEME: Final = "pkcs11:"
 DEFAULT_MODULE: Final = "/usr/lib/softhsm/libsofthsm2.so"
-_INSTALL: Final = "install it: pip install 'rossec[hsm]'"
+_INSTALL_HINT: Final = "install it: pip install 'rossec[hsm]'"
 _OCTET_STRING: Final = b"\x04\x41"  # CKA_EC_POINT is the point inside an OCTET STRING
-_LOOK: Final = "see what is there with: pkcs11-tool --list-token-slots --list-objects"
+_LIST_HINT: Final = "see what is there with: pkcs11-tool --list-token-slots --list-objects"
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ class TokenSigner:
             point = bytes(public[pkcs11.Attribute.EC_POINT])
         except pkcs11.exceptions.PKCS11Error as error:
             raise TokenRefused(
-                f"the token {uri.token} has no usable key {uri.object}{_reason(error)}", _LOOK
+                f"the token {uri.token} has no usable key {uri.object}{_reason(error)}", _LIST_HINT
             ) from error
         if extractable:
             raise KeyRefused(
@@ -125,7 +125,7 @@ class TokenSigner:
             )
         except pkcs11.exceptions.PKCS11Error as error:
             raise TokenRefused(
-                f"the token {uri.token} makes no P-256 key{_reason(error)}", _LOOK
+                f"the token {uri.token} makes no P-256 key{_reason(error)}", _LIST_HINT
             ) from error
         session.close()
         return cls.open(uri, pin)
@@ -147,7 +147,7 @@ class TokenSigner:
             digest = hashlib.sha256(message).digest()
             return bytes(self._key.sign(digest, mechanism=pkcs11.Mechanism.ECDSA))
         except pkcs11.exceptions.PKCS11Error as error:
-            raise TokenRefused(f"the token does not sign{_reason(error)}", _LOOK) from error
+            raise TokenRefused(f"the token does not sign{_reason(error)}", _LIST_HINT) from error
 
     def close(self) -> None:
         """Log out."""
@@ -158,7 +158,7 @@ def _library() -> Any:
     try:
         import pkcs11  # noqa: PLC0415  (an extra)
     except ImportError as error:
-        raise TokenRefused("python-pkcs11 is not installed", _INSTALL) from error
+        raise TokenRefused("python-pkcs11 is not installed", _INSTALL_HINT) from error
     return pkcs11
 
 
@@ -169,13 +169,15 @@ def _session(uri: KeyUri, pin: str) -> Any:
     try:
         return _log_in(pkcs11.lib(uri.module).get_token(token_label=uri.token), pin)
     except pkcs11.exceptions.NoSuchToken as error:
-        raise TokenRefused(f"there is no token {uri.token}", _LOOK) from error
+        raise TokenRefused(f"there is no token {uri.token}", _LIST_HINT) from error
     except pkcs11.exceptions.PinIncorrect as error:
         raise TokenRefused(
             f"the PIN does not open the token {uri.token}", "careful: tokens lock after a few tries"
         ) from error
     except pkcs11.exceptions.PKCS11Error as error:
-        raise TokenRefused(f"the token {uri.token} does not open{_reason(error)}", _LOOK) from error
+        raise TokenRefused(
+            f"the token {uri.token} does not open{_reason(error)}", _LIST_HINT
+        ) from error
 
 
 def _log_in(token: Any, pin: str) -> Any:

@@ -71,7 +71,7 @@ def load_private(path: Path, passphrase: str | None = None) -> ec.EllipticCurveP
 
     Raises:
         PassphraseRefused: the passphrase is missing, wrong, or given for a key without one.
-        PlaceRefused: another user owns it, or can put another in its place.
+        PathRefused: another user owns it, or can put another in its place.
         KeyRefused: no readable regular file, open to group or others, or not a P-256 key.
     """
     pem = _read(path)

@@ -21,7 +21,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Final
 
-from ca.errors import PlaceRefused
+from ca.errors import PathRefused
 
 _ACL: Final = "system.posix_acl_access"
 _MAX_LINKS: Final = 40  # as the kernel follows
@@ -35,9 +35,9 @@ def check_directory(path: Path) -> None:
     What does not exist yet is not asked.
 
     Raises:
-        PlaceRefused: who can.
+        PathRefused: who can.
     """
-    for place, status, is_last in _visited(path):
+    for place, status, is_last in _walk(path):
         _check_owner(place, status)
         is_sticky = status.st_mode & stat.S_ISVTX
         if stat.S_ISDIR(status.st_mode) and (is_last or not is_sticky):
@@ -48,15 +48,15 @@ def check_file(path: Path, status: os.stat_result) -> None:
     """Judge a file by what was opened.
 
     Raises:
-        PlaceRefused: it is no plain file, or somebody else can write it.
+        PathRefused: it is no plain file, or somebody else can write it.
     """
     if not stat.S_ISREG(status.st_mode):
-        raise PlaceRefused(f"{path} is not a plain file", "is it the right one?")
+        raise PathRefused(f"{path} is not a plain file", "is it the right one?")
     _check_owner(path, status)
     _check_writers(path, status)
 
 
-def check_own(path: Path) -> None:
+def check_trusted(path: Path) -> None:
     """Judge a file that is believed without opening it: for those that others open.
 
     Who opens and closes a file gives up every lock its process has on it (fcntl(2)), SQLite's too.
@@ -64,16 +64,16 @@ def check_own(path: Path) -> None:
 
     Raises:
         FileNotFoundError: there is none.
-        PlaceRefused: somebody else could have written it.
+        PathRefused: somebody else could have written it.
     """
     check_directory(path.parent)
     status = os.lstat(path)
     if stat.S_ISLNK(status.st_mode):
-        raise PlaceRefused(f"{path} is a symbolic link", "put the file itself there")
+        raise PathRefused(f"{path} is a symbolic link", "put the file itself there")
     check_file(path, status)
 
 
-def open_own(path: Path, *, link: bool = False) -> int:
+def open_trusted(path: Path, *, link: bool = False) -> int:
     """Open a file that is believed, for reading; returns its descriptor.
 
     Args:
@@ -82,11 +82,11 @@ def open_own(path: Path, *, link: bool = False) -> int:
 
     Raises:
         FileNotFoundError: there is none.
-        PlaceRefused: somebody else could have written it.
+        PathRefused: somebody else could have written it.
     """
     check_directory(path.parent)
     if not link and path.is_symlink():
-        raise PlaceRefused(f"{path} is a symbolic link", "put the file itself there")
+        raise PathRefused(f"{path} is a symbolic link", "put the file itself there")
     descriptor = os.open(path, _READ | (0 if link else os.O_NOFOLLOW))
     try:
         check_file(path, os.fstat(descriptor))
@@ -96,7 +96,7 @@ def open_own(path: Path, *, link: bool = False) -> int:
     return descriptor
 
 
-def _visited(path: Path) -> Iterator[tuple[Path, os.stat_result, bool]]:
+def _walk(path: Path) -> Iterator[tuple[Path, os.stat_result, bool]]:
     """Every directory and every link between the root and `path`, as the kernel walks it.
 
     The last is `path` itself, and said to be; where that does not exist, none is.
@@ -115,7 +115,7 @@ def _visited(path: Path) -> Iterator[tuple[Path, os.stat_result, bool]]:
         if stat.S_ISLNK(status.st_mode):
             links += 1
             if links > _MAX_LINKS:
-                raise PlaceRefused(f"{path} is behind too many symbolic links")
+                raise PathRefused(f"{path} is behind too many symbolic links")
             target = here.readlink()
             rest += reversed(target.parts[1:] if target.is_absolute() else target.parts)
             here = Path("/") if target.is_absolute() else here.parent
@@ -128,11 +128,11 @@ def _check_owner(path: Path, status: os.stat_result) -> None:
         return
     owner, word = _user(status.st_uid)
     if os.geteuid() == 0:
-        raise PlaceRefused(
+        raise PathRefused(
             f"{path} belongs to {owner}, and this is root: root would do what {owner} writes there",
             f"run it as {owner} (sudo -u {word} rossec ...), or use a ROSSEC_HOME that is root's",
         )
-    raise PlaceRefused(
+    raise PathRefused(
         f"{path} belongs to {owner}, who could change what is trusted here",
         "use a ROSSEC_HOME of your own, in a directory of yours or of root",
     )
@@ -141,26 +141,26 @@ def _check_owner(path: Path, status: os.stat_result) -> None:
 def _check_writers(path: Path, status: os.stat_result) -> None:
     others = status.st_mode & stat.S_IWOTH
     group = status.st_mode & stat.S_IWGRP
-    if others or (group and not _is_private(path, status)):
+    if others or (group and not _is_private_group(path, status)):
         if status.st_mode & stat.S_ISVTX:
-            raise PlaceRefused(f"{path} can be written by others", "use a directory of yours in it")
-        raise PlaceRefused(
+            raise PathRefused(f"{path} can be written by others", "use a directory of yours in it")
+        raise PathRefused(
             f"{path} can be written by others",
             f"look what is in it; if nobody used that: chmod go-w {path}",
         )
 
 
-def _is_private(path: Path, status: os.stat_result) -> bool:
+def _is_private_group(path: Path, status: os.stat_result) -> bool:
     """Whether writable by the group means: by the owner alone."""
     try:
         os.getxattr(path, _ACL)
     except OSError:
-        return _is_alone(status.st_gid, status.st_uid)
+        return _is_user_private_group(status.st_gid, status.st_uid)
     return False  # with a list of others the bits of the group are the most that any of them may
 
 
 @lru_cache(maxsize=64)
-def _is_alone(group: int, owner: int) -> bool:
+def _is_user_private_group(group: int, owner: int) -> bool:
     """Whether nobody but `owner`, and root, is in the group."""
     try:
         found, name = grp.getgrgid(group), pwd.getpwuid(owner).pw_name

@@ -29,7 +29,7 @@ from ca.revocation.lists import (
     sign_list,
     sign_timestamp,
 )
-from ca.revocation.tree import Listing, RevocationTree, is_revoked, is_tree, open_tree
+from ca.revocation.tree import RevocationTree, TreeEntries, is_revoked, is_tree, open_tree
 
 __all__ = [
     "MAX_AGE", "MAX_ENTRIES", "MAX_LIST", "NO_FLOOR", "SKEW", "RevocationList", "Revocations",
@@ -73,7 +73,7 @@ class Revocations:
         return self._data
 
     @property
-    def held(self) -> RevocationList | RevocationTree | None:
+    def current(self) -> RevocationList | RevocationTree | None:
         """The list or tree held, if any."""
         return self._list
 
@@ -89,18 +89,18 @@ class Revocations:
             return self._relied
         return min(self._confirmed.issued + self._confirmed.max_age, self._list.expires - 1)
 
-    def known_until(self, entry: bytes) -> int:
+    def status_valid_until(self, entry: bytes) -> int:
         """As `fresh_until`, for one entry: for the proof of one there is as long as for news."""
         if self._complete or entry in self._absent:
             return self.fresh_until
         return min(self.fresh_until, self._taken + MAX_AGE)
 
     @property
-    def wanted(self) -> list[bytes]:
+    def unproved(self) -> list[bytes]:
         """Entries of a tree that were asked about and are waiting for a proof."""
         return list(self._wanted)
 
-    def prove(self, entry: bytes, proof: bytes) -> None:
+    def add_proof(self, entry: bytes, proof: bytes) -> None:
         """Take the proof that `entry` is in the tree held, or is not.
 
         Raises:
@@ -117,7 +117,7 @@ class Revocations:
             self._absent.clear()
         self._absent.add(entry)
 
-    def complete(self, listing: Listing) -> None:
+    def set_entries(self, listing: TreeEntries) -> None:
         """Take all entries of the tree held: nothing needs a proof any more.
 
         Raises:
@@ -181,7 +181,7 @@ class Revocations:
         if self._confirmed is None or not self._newer_held(self._confirmed, timestamp, now):
             self._confirmed = timestamp
 
-    def doubt(self, until: int = 0) -> None:
+    def expire_confirmation(self, until: int = 0) -> None:
         """Rely on the last confirmation no longer than `until`, and wait for a new one."""
         self._relied = min(self.fresh_until, until)
         self._confirmed = None

@@ -23,7 +23,7 @@ from ca.revocation.merkle import HASH_SIZE, Tree, verify_inclusion
 TREE: Final = Profile("rossec-revocation-tree+cwt")
 MAX_TREE: Final = 512  # bytes of the statement
 MAX_LEAVES: Final = 32 * 1024  # what one call carries to the master
-MAX_LISTING: Final = MAX_LEAVES * 34 + 16
+MAX_TREE_ENTRIES_SIZE: Final = MAX_LEAVES * 34 + 16
 MAX_PROOF: Final = 4096
 
 _EXP, _IAT = 4, 6
@@ -100,7 +100,7 @@ def open_tree(data: bytes, ca_key: ec.EllipticCurvePublicKey) -> RevocationTree:
             raise RevocationRefused("the revocation tree has missing or unknown fields")
 
 
-class Listing:
+class TreeEntries:
     """All entries of a tree, from which proofs are made.
 
     Raises:
@@ -112,14 +112,14 @@ class Listing:
         self._tree = Tree(self._entries)
 
     @classmethod
-    def read(cls, data: bytes) -> "Listing":
+    def read(cls, data: bytes) -> "TreeEntries":
         """Read what `encoded` wrote.
 
         Raises:
             RevocationRefused: it is not that.
         """
         try:
-            value = decode(data, limit=MAX_LISTING)
+            value = decode(data, limit=MAX_TREE_ENTRIES_SIZE)
         except EncodingError as error:
             raise RevocationRefused(f"not a listing of revocations: {error}") from error
         if not isinstance(value, list):

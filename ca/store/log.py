@@ -30,7 +30,7 @@ COLLECTED = "collected"
 _HINT = "somebody changed the record: restore a backup, and find out who"
 
 
-class Journal:
+class AuthorityLog:
     """The log of one record."""
 
     def __init__(self, database: Database) -> None:
@@ -51,7 +51,7 @@ class Journal:
 
     def add_head(self, data: bytes, now: int) -> None:
         """Keep a signed head."""
-        with self._database.changing() as db:
+        with self._database.transaction() as db:
             db.execute("INSERT INTO head VALUES (?, ?) ON CONFLICT DO NOTHING", (data, now))
 
     def heads(self) -> list[bytes]:
@@ -71,13 +71,13 @@ class Journal:
         Raises:
             LogDamaged: the first thing found that is not what was written.
         """
-        with self._database.reading():  # another command may be writing
+        with self._database.read_transaction():  # another command may be writing
             return self._audit(key, more)
 
     def _audit(self, key: ec.EllipticCurvePublicKey, more: tuple[bytes, ...]) -> Head:
         tree = check_entries(self._recorded())
         entries = self.entries()
-        for what in schema.RECORDED:
+        for what in schema.LOGGED_TABLES:
             self._check_rows(what, [entry for entry in entries if entry.what == what])
         self._check_requests(entries)
         newest = Head(0, root_of(()), 0)
@@ -95,7 +95,7 @@ class Journal:
 
     def _check_rows(self, what: str, entries: list[LogEntry]) -> None:
         """The rows of a table are those the log announced, in the same order."""
-        table, columns = schema.RECORDED[what]
+        table, columns = schema.LOGGED_TABLES[what]
         rows = self._database.rows(f"SELECT {columns} FROM {table} ORDER BY rowid")  # noqa: S608  (constants)
         for row, entry in zip_longest(rows, entries):
             if entry is None:

@@ -71,7 +71,7 @@ class Table:
     dtype: "np.dtype[Any]"
     treatments: tuple[tuple[str, Callable[[Vector], Vector]], ...]
 
-    def treat(self, elements: Vector) -> None:
+    def apply(self, elements: Vector) -> None:
         """Treat `elements` (of `dtype`) in place."""
         for name, vector in self.treatments:
             elements[name] = vector(elements[name])
@@ -133,7 +133,7 @@ def _elements_rewriter(treated: Table) -> Callable[[Buffer, int, int], Buffer]:
         if count == 0:
             return b""
         copy = bytearray(message[start:end])
-        treated.treat(np.frombuffer(copy, treated.dtype))
+        treated.apply(np.frombuffer(copy, treated.dtype))
         return copy
 
     return rewrite

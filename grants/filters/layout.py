@@ -151,7 +151,7 @@ def _made_of_messages(kind: Type) -> bool:
     return isinstance(kind.element if isinstance(kind, Array) else kind, Struct)
 
 
-def needed(type_name: str, definition: str) -> frozenset[str]:
+def dependencies(type_name: str, definition: str) -> frozenset[str]:
     """The message types that the fields of one definition (a .msg file) are made of.
 
     Raises:

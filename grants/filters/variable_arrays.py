@@ -103,6 +103,6 @@ def _patch(
             # Every position at which `size` bytes can begin: indexing takes out what is there.
             windows: Vector = np.ndarray((len(copy) - size + 1,), f"V{size}", copy, 0, (1,))
             elements = windows[at]
-            treated.treat(elements.view(treated.dtype))
+            treated.apply(elements.view(treated.dtype))
             windows[at] = elements
     return copy

@@ -15,7 +15,7 @@ from grants.filters.layout import Array, Layout, Struct, Type
 from grants.filters.operators import OPERATORS, treatment
 from grants.filters.presets import preset
 from grants.model import FilterRule, Scalar
-from grants.policy.mistakes import Mistakes, SourcePosition, nearest
+from grants.policy.mistakes import Mistakes, SourcePosition, suggest
 from grants.policy.source import Part, YamlMapping, YamlScalar, YamlSequence
 
 _SHORT: Final = {
@@ -61,7 +61,7 @@ def _read_field(key: YamlScalar, part: Part, mistakes: Mistakes) -> FieldRule | 
         return None
     [(operator, (place, value))] = part.entries.items()
     if operator not in OPERATORS:
-        hint = nearest(operator, OPERATORS)
+        hint = suggest(operator, OPERATORS)
         mistakes.add(place, f"{path}: unknown operator {operator[:60]!r}", hint)
         return None
     parameters = _parameters(operator, value)
@@ -181,6 +181,6 @@ def nearest_field(layout: Layout, path: str) -> str:
         members = dict(kind.fields)
         name = step.removesuffix("[*]")
         if name not in members:
-            return nearest(name, members)
+            return suggest(name, members)
         kind = members[name]
     return ""

@@ -26,7 +26,7 @@ from rossec.authority.policyfile import PolicyFile
 from rossec.authority.requests import GrantRequestStore, StoredRequest
 from rossec.authority.signing import SigningAuthority
 
-MAX_ASKED: Final = 16  # prompts one node may have waiting
+MAX_PENDING: Final = 16  # prompts one node may have waiting
 GRANTED, DENIED, LATE, TOO_MANY = "granted", "denied", "no answer", "too many"
 
 Change = Callable[[Verdict], Verdict]
@@ -66,7 +66,7 @@ class ApprovalQueue:
             HintedError: not a request of an enrolled node, or known already.
         """
         named = peek_request(data).node
-        row = self._store.live_certificate(named, self._now)
+        row = self._store.valid_certificate(named, self._now)
         key = x509.load_der_x509_certificate(row.der).public_key()
         assert isinstance(key, ec.EllipticCurvePublicKey)  # noqa: S101 - we signed it
         request = open_request(data, key, domain=self._home.domain, now=self._now)
@@ -80,7 +80,7 @@ class ApprovalQueue:
             RecordUnusable: what could not be recorded stays in the inbox.
         """
         trouble: list[str] = []
-        with self._store.changing():  # another desk takes what this one has not
+        with self._store.transaction():  # another desk takes what this one has not
             paths = requests.waiting(self._home.path)
             for path in paths:
                 try:
@@ -95,7 +95,7 @@ class ApprovalQueue:
 
     def questions(self) -> list[PendingApproval]:
         """What is not answered; what the policy denies, or nobody answered, is answered here."""
-        with self._store.changing():
+        with self._store.transaction():
             return self._questions()
 
     def _questions(self) -> list[PendingApproval]:
@@ -145,23 +145,23 @@ class ApprovalQueue:
             serial=lambda: secrets.token_bytes(16),
         )
         answers = GrantRequestStore(authority.store.database)
-        with authority.store.changing():
+        with authority.store.transaction():
             self._policy.check_unchanged()
             for question in chosen:
                 answers.answer(question.asked, GRANTED, reason, self._now)
             return [(draft, authority.grant(draft, self._now)) for draft in made]
 
     def _verdict(self, asked: StoredRequest) -> Verdict:
-        row = self._store.live_certificate(asked.request.node, self._now)
+        row = self._store.valid_certificate(asked.request.node, self._now)
         subject = Subject(row.name, row.thumbprint)
-        return self._decider.decide(subject, asked.wish.right, asked.wish.pattern)
+        return self._decider.decide(subject, asked.requested.right, asked.requested.pattern)
 
     def _refusal(self, asked: StoredRequest, waiting: dict[str, int]) -> str:
         if self._now > asked.at + self._decider.policy.defaults.prompt_timeout:
             return LATE
         node = asked.request.node
         waiting[node] = waiting.get(node, 0) + 1
-        return TOO_MANY if waiting[node] > MAX_ASKED else ""
+        return TOO_MANY if waiting[node] > MAX_PENDING else ""
 
 
 def _by(verdict: Verdict) -> str:

@@ -19,7 +19,7 @@ from typing import Final
 from ca.certificates import TrustAnchor
 from ca.errors import BackupRefused, HintedError, LogDamaged, PassphraseRefused
 from ca.revocation.state import open_list
-from ca.revocation.tree import Listing, is_tree, open_tree
+from ca.revocation.tree import TreeEntries, is_tree, open_tree
 from ca.store import backup
 from ca.store.log_entries import LogEntry
 from rossec import files
@@ -90,7 +90,7 @@ def restore(
     try:
         _write(begun, backup.unseal(data, passphrase))
         authority = _prove(AuthorityHome(begun), secret or passphrase)
-        size = authority.store.journal.head(now).size
+        size = authority.store.log.head(now).size
         newest = _listed(newest_list, entries, authority)
         with _alone(place):
             if place.exists():
@@ -116,7 +116,7 @@ def _prove(begun: AuthorityHome, secret: str) -> SigningAuthority:
     """
     try:
         authority = begun.unlock(secret)
-        authority.store.journal.audit(authority.signer.public_key)
+        authority.store.log.audit(authority.signer.public_key)
         authority.store.check()
         newest = authority.store.newest_list()
         if newest is not None and authority.authority.is_root:
@@ -135,7 +135,7 @@ def _alone(place: Path) -> Iterator[None]:
     with contextlib.ExitStack() as stack:
         with contextlib.suppress(HintedError):  # no whole authority: `_read` says so
             store = stack.enter_context(contextlib.closing(AuthorityHome(place).store()))
-            stack.enter_context(store.changing())
+            stack.enter_context(store.transaction())
         yield
 
 
@@ -161,7 +161,7 @@ def _check_over(
             f"the authority in {there.path} is another one than that of the backup",
             "restore it into another ROSSEC_HOME",
         )
-    backed = found.store.journal.entries()
+    backed = found.store.log.entries()
     shared = sum(1 for ours, theirs in zip(held, backed, strict=False) if ours == theirs)
     lost = len(held) - shared
     if lost != forget:
@@ -175,7 +175,7 @@ def _read(there: AuthorityHome) -> tuple[TrustAnchor, list[LogEntry]]:
     """Who is there, and what it did."""
     try:
         with contextlib.closing(there.store()) as store:
-            return there.anchor(), store.journal.entries()
+            return there.anchor(), store.log.entries()
     except HintedError as error:
         raise BackupRefused(
             f"what is in {there.path} is no whole authority: {error}",
@@ -197,7 +197,7 @@ def _listed(
             "the newest revocations are a tree, which does not say what is in it",
             "name its entries too, with --entries: the master keeps them as revocations.entries",
         )
-    listing = Listing.read(entries)
+    listing = TreeEntries.read(entries)
     listing.check(open_tree(data, key))
     return listing.entries
 
@@ -206,11 +206,11 @@ def _bring_up_to_date(
     authority: SigningAuthority, newest: frozenset[bytes], entries: int, now: int
 ) -> int:
     """A new epoch, and what was revoked since; an intermediate has neither."""
-    authority.store.note("restored", "record", f"from {entries} entries", now)
+    authority.store.log_event("restored", "record", f"from {entries} entries", now)
     if not authority.authority.is_root:
         return 0
     missing = newest - authority.store.revoked_entries()
-    with authority.store.changing():
+    with authority.store.transaction():
         for entry in sorted(missing):
             authority.store.revoke(entry, "from a list newer than the backup", now)
         authority.sign_list(now, new_epoch=True)

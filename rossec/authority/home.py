@@ -15,7 +15,7 @@ from ca.keys import key_files
 from ca.keys.hsm import KeyUri, TokenSigner
 from ca.keys.signer import KeySigner, Signer
 from ca.names import check_domain
-from ca.revocation.tree import MAX_LISTING, Listing, is_tree, open_tree
+from ca.revocation.tree import MAX_TREE_ENTRIES_SIZE, TreeEntries, is_tree, open_tree
 from ca.store.record import Store
 from rossec import files
 from rossec.authority import list_contents
@@ -167,8 +167,8 @@ class AuthorityHome:
             return list_contents.entries_of(self.store(), tree).encoded()
         # Of an older version, which kept them beside the record and could lose one of the two.
         missing = ConfigurationError("the entries of the tree are missing", "rossec ca refresh")
-        kept = files.read_own(self.path / ENTRIES, MAX_LISTING, missing)
-        Listing.read(kept).check(tree)
+        kept = files.read_own(self.path / ENTRIES, MAX_TREE_ENTRIES_SIZE, missing)
+        TreeEntries.read(kept).check(tree)
         return kept
 
     def unlisted(self, now: int) -> int:

@@ -11,7 +11,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 
 from ca.errors import RevocationRefused
 from ca.revocation.state import RevocationList, open_statement
-from ca.revocation.tree import Listing, RevocationTree
+from ca.revocation.tree import RevocationTree, TreeEntries
 from ca.store.record import Store
 from grants import document
 
@@ -38,19 +38,19 @@ def missing(store: Store, key: ec.EllipticCurvePublicKey, now: int) -> frozenset
     Raises:
         RevocationRefused: the list in the record is none of the authority's.
     """
-    with store.reading():
+    with store.read_transaction():
         data = store.newest_list()
         statement = None if data is None else open_statement(data, key)
         return due(store, now) - _listed(store, statement)
 
 
-def entries_of(store: Store, tree: RevocationTree) -> Listing:
+def entries_of(store: Store, tree: RevocationTree) -> TreeEntries:
     """The entries of a tree in the record, as they were when it was signed.
 
     Raises:
         RevocationRefused: the record holds others, and does not say which they were.
     """
-    listing = Listing(due(store, tree.issued))
+    listing = TreeEntries(due(store, tree.issued))
     listing.check(tree)
     return listing
 

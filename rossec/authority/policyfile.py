@@ -34,7 +34,7 @@ class PolicyFile:
 
         Raises:
             ConfigurationError: there is no such file, or it is no text.
-            PlaceRefused: somebody else could have written it.
+            PathRefused: somebody else could have written it.
             PolicyRefused: with all its mistakes.
         """
         missing = ConfigurationError(

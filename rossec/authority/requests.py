@@ -13,7 +13,7 @@ from typing import Final, NamedTuple, Self
 
 from ca.errors import RecordUnusable, StoreError
 from ca.store.database import Database
-from grants.request import GrantRequest, Wish, peek_request
+from grants.request import GrantRequest, RequestedRight, peek_request
 from rossec import files
 from rossec.errors import ConfigurationError
 
@@ -42,7 +42,7 @@ class StoredRequest(NamedTuple):
 
     request: GrantRequest
     at: int
-    wish: Wish
+    requested: RequestedRight
 
     @property
     def short_id(self) -> str:
@@ -86,8 +86,8 @@ class GrantRequestStore:
             StoreError: it was answered already.
         """
         with self._changing() as db:
-            wish = asked.wish
-            row = (asked.request.id, int(wish.right), wish.pattern, answer, reason, now)
+            requested = asked.requested
+            row = (asked.request.id, int(requested.right), requested.pattern, answer, reason, now)
             db.execute("INSERT INTO decision VALUES (?, ?, ?, ?, ?, ?)", row)
 
     def unanswered(self) -> list[StoredRequest]:
@@ -96,16 +96,16 @@ class GrantRequestStore:
         rows = self._database.rows("SELECT data, at FROM grant_request ORDER BY rowid")
         requests = [(peek_request(data), at) for data, at in rows]
         return [
-            StoredRequest(request, at, wish)
+            StoredRequest(request, at, requested)
             for request, at in requests
-            for wish in request.wishes
-            if (request.id, int(wish.right), wish.pattern) not in answered
+            for requested in request.rights
+            if (request.id, int(requested.right), requested.pattern) not in answered
         ]
 
     @contextmanager
     def _changing(self) -> Iterator[sqlite3.Connection]:
         try:
-            with self._database.changing() as db:
+            with self._database.transaction() as db:
                 yield db
         except RecordUnusable:
             raise

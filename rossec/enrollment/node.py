@@ -14,11 +14,11 @@ from typing import Final, Self
 from ca.enrollment.messages import MAX_MESSAGE, Abort, Delivery, Reason, read, write
 from ca.enrollment.node import NodeEnrollment, NodeState, Pending
 from ca.errors import (
+    ConflictingOffer,
     EnrollmentExpired,
     EnrollmentLocked,
     EnrollmentOver,
     EnrollmentRefused,
-    RivalOffer,
 )
 from rossec.enrollment import wire
 from rossec.net.aio.server import bind
@@ -30,7 +30,7 @@ PATIENCE: Final = 10.0  # seconds a caller may be silent
 _FAREWELL: Final = 5.0
 _CAPS: Final = HalfOpen(per_address=4, total=16)
 _REASONS: Final[dict[type[EnrollmentRefused], Reason]] = {
-    RivalOffer: Reason.RIVAL,
+    ConflictingOffer: Reason.CONFLICT,
     EnrollmentOver: Reason.OVER,
     EnrollmentExpired: Reason.OVER,
     EnrollmentLocked: Reason.OVER,
@@ -77,8 +77,8 @@ class WaitingNode:
             EnrollmentRefused: it ended otherwise; the reason.
         """
         while self.core.state not in states:
-            if self.core.why_over is not None:
-                raise self.core.why_over
+            if self.core.end_reason is not None:
+                raise self.core.end_reason
             every(self.core.expires - self._clock())
             with suppress(TimeoutError):
                 async with asyncio.timeout(1):
@@ -201,8 +201,8 @@ class WaitingNode:
     def _settle(self) -> None:
         """The state has changed: whoever waits for it is told."""
         self._changed.set()
-        if self.core.state is NodeState.OVER and self.core.why_over is not None:
-            self._tell([_abort(self.core.why_over)])
+        if self.core.state is NodeState.OVER and self.core.end_reason is not None:
+            self._tell([_abort(self.core.end_reason)])
 
     def _tell(self, messages: list[bytes]) -> None:
         for writer in self._answered:

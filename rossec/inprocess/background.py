@@ -172,7 +172,7 @@ class BackgroundLoop:
         except (HintedError, OSError, TimeoutError) as error:
             _log.warning("%s: no answer from the master: %s", self._member.name, error)
         self._tried.set()
-        await self._session.keep()
+        await self._session.run()
 
     async def _dial(self) -> SecureStream[Identity]:
         self._ready.clear()
@@ -182,7 +182,7 @@ class BackgroundLoop:
         if not self._ready.is_set():
             async with asyncio.timeout(_READY_WITHIN):
                 await self._ready.wait()
-        return await self._session.answer(method, *params)
+        return await self._session.forward(method, *params)
 
     async def _restore(self, session: MasterSession) -> None:
         """Everything again, for a master that may have been restarted."""
@@ -198,7 +198,7 @@ class BackgroundLoop:
     async def _register(
         self, session: MasterSession, method: str, params: tuple[object, ...]
     ) -> None:
-        answer = await session.answer(method, *params)
+        answer = await session.forward(method, *params)
         self._registrations.note(method, params, answer)
         match answer:
             case [1, _, list() as uris] if method == "registerSubscriber":

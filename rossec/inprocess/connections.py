@@ -28,7 +28,12 @@ from rossec.inprocess.process import SecuredProcess
 from rossec.inprocess.service_filter import ClientFilter, ServerFilter
 from rossec.inprocess.sockets import RosSocket
 from rossec.participant.access import FIELD
-from rossec.participant.definitions import Definition, as_received, from_header, told
+from rossec.participant.definitions import (
+    Definition,
+    definition_fields,
+    from_header,
+    receiver_definition,
+)
 from rossec.participant.limit_memory import recall
 from rossec.participant.message_types import MessageType
 from rossec.participant.service_guard import ServiceGuard
@@ -114,14 +119,14 @@ class Connections:
             if decision.restrictions:
                 guard = self._service_guard(protocol.service_class, decision)
                 sock.exchange = ClientFilter(guard, now)
-            sock.welcome(room(protocol.service_class._response_class))  # noqa: SLF001 - rospy's
+            sock.raise_unit_limit(room(protocol.service_class._response_class))  # noqa: SLF001 - rospy's
             return LiveConnection(sock, decision)
         own = described(protocol.recv_data_class)
         expected = ExpectedTopic(name, own.name, own.md5sum)
         decision = admit_publisher(fields, peer, expected, access, now())
-        kind = as_received(own, from_header(fields), decision, installed)
-        fields |= told(kind, decision)
-        sock.welcome(room(protocol.recv_data_class))
+        kind = receiver_definition(own, from_header(fields), decision, installed)
+        fields |= definition_fields(kind, decision)
+        sock.raise_unit_limit(room(protocol.recv_data_class))
         return LiveConnection(sock, decision, self._guard_for(kind, decision))
 
     def _guard_for(self, kind: Definition, decision: Decision) -> Guard | None:
@@ -216,7 +221,7 @@ class Connections:
             self._process.reporter.warn(f"{service}: refused {sock.peer.name}", error)
 
         asked = provided.service_class._request_class  # noqa: SLF001 - rospy's
-        sock.welcome(room(asked))
+        sock.raise_unit_limit(room(asked))
         termination_reason = partial(self._member.termination_reason, link)
         return ServerFilter(termination_reason, guard, refused, now, longest(asked))
 

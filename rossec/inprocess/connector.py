@@ -43,7 +43,7 @@ class Connector:
         core = Connection.initiator(
             self._member.credentials, self._member.anchor.verify,
             random=secrets.token_bytes, now=now(), opening=opening, limits=DIALLED[opening],
-            suites=self._member.suites, own_dials=self._own.dials_for(place),
+            suites=self._member.suites, own_dials=self._own.own_dials_for(place),
         )  # fmt: skip
         stream = SecureSocket(sock, core)
         try:

@@ -44,12 +44,12 @@ class LockedAccess:
         with self.lock:
             self._access.hold_renewed(token, now)
 
-    def holdings(self) -> list[HeldGrant]:
-        """See `Access.holdings`."""
+    def held_grants(self) -> list[HeldGrant]:
+        """See `Access.held_grants`."""
         with self.lock:
-            return self._access.holdings()
+            return self._access.held_grants()
 
-    def take_news(
+    def update_revocations(
         self,
         revocations: bytes,
         timestamp: bytes,
@@ -57,9 +57,9 @@ class LockedAccess:
         now: int,
         persist: Callable[[bytes], None],
     ) -> None:
-        """See `Access.take_news`."""
+        """See `Access.update_revocations`."""
         with self.lock:
-            self._access.take_news(revocations, timestamp, master, now, persist)
+            self._access.update_revocations(revocations, timestamp, master, now, persist)
 
     def current(self, now: int) -> list[bytes]:
         """See `Access.current`."""
@@ -119,23 +119,25 @@ class LocalIdentity:
             CAError: either does not hold. A list that does counts nevertheless.
         """
         with self.access.lock:
-            self.access.take_news(data, timestamp, master, now(), self.home.save_revocations)
+            self.access.update_revocations(
+                data, timestamp, master, now(), self.home.save_revocations
+            )
 
     def doubt(self) -> None:
         """Rely on what the master said no longer: the clock it was heard by went back."""
         with self.access.lock:
-            self.revocations.doubt(now() - 1)
+            self.revocations.expire_confirmation(now() - 1)
 
     @property
-    def wanted(self) -> list[bytes]:
+    def unproved(self) -> list[bytes]:
         """Entries of a tree of revocations that wait for a proof."""
         with self.access.lock:
-            return self.revocations.wanted
+            return self.revocations.unproved
 
-    def prove(self, entry: bytes, proof: bytes) -> None:
+    def add_proof(self, entry: bytes, proof: bytes) -> None:
         """As of `Revocations`."""
         with self.access.lock:
-            self.revocations.prove(entry, proof)
+            self.revocations.add_proof(entry, proof)
 
     def refresh_identity(self) -> bool:
         """Speak with the certificate that is in the directory now; whether it is another one.

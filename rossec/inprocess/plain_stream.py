@@ -9,7 +9,7 @@ import struct
 import time
 from typing import Any, Final
 
-from rossec.channel.opening import MAX_DRAIN, PlainCaller, judge_caller
+from rossec.channel.opening import MAX_DRAIN, PlainCaller, classify_caller
 from rossec.errors import HeaderRefused, ProtocolViolation
 from rossec.ros import header
 
@@ -81,7 +81,7 @@ def _first(sock: socket.socket) -> bytes:
     end = time.monotonic() + _DEADLINE
     first = _look(sock, _PREFIX, end)
     try:
-        verdict = judge_caller(first + b"\0" * 60)
+        verdict = classify_caller(first + b"\0" * 60)
     except ProtocolViolation:
         return b""
     if first in (b"POST", b"GET "):

@@ -22,7 +22,7 @@ from rossec.inprocess.registrations import Registrations
 from rossec.inprocess.reporting import Reporter
 from rossec.inprocess.sockets import RosSocket
 from rossec.participant.own_addresses import OwnAddresses
-from rossec.participant.revocation_watch import WENT_BACK
+from rossec.participant.revocation_watch import CLOCK_SET_BACK
 
 _NAMELESS: Final = (
     "call rospy.init_node first, or give the name it will have:"
@@ -98,7 +98,7 @@ class SecuredProcess:
 
     def listens(self, port: int, host: str | None = None) -> None:
         """This node accepts callers there; rospy tells every one of them the same host."""
-        self.own.listens(self.own.host if host is None else host, port)
+        self.own.add_ports(self.own.host if host is None else host, port)
 
     def watch(self, sock: RosSocket, link: LiveConnection) -> None:
         """An admitted connection: end it when its right does."""
@@ -145,7 +145,7 @@ class SecuredProcess:
         """End every connection whose right has ended."""
         member = self.member
         if self._setbacks.any_new():
-            self.reporter.warn(WENT_BACK)
+            self.reporter.warn(CLOCK_SET_BACK)
             member.doubt()
         for link, reason in self.links.must_end(member.termination_reason):
             self.reporter.warn(f"cut {link.stream.peer.name} ({link.decision.name}): {reason}")

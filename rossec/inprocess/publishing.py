@@ -109,7 +109,7 @@ def _offer(
     newcomer: Latch[bytes] | None = None,
 ) -> list[Any]:
     """Give each connection what it may see, a newcomer what the latch shows; returns the dead."""
-    samples: Samples = (lambda _: (sample,)) if newcomer is None else newcomer.shown
+    samples: Samples = (lambda _: (sample,)) if newcomer is None else newcomer.candidates
     treated: dict[Hashable, Pieces | None] = {}
     moment = now()
     dead = []
@@ -136,14 +136,14 @@ def _treat(topic: Any, link: LiveConnection, samples: Samples, moment: int) -> P
     assert guard is not None  # noqa: S101 - asked by the caller
     for sample in samples(guard):
         try:
-            pieces = guard.treat(memoryview(sample.data)[LENGTH.size :], moment, sample.mark)
+            pieces = guard.apply(memoryview(sample.data)[LENGTH.size :], moment, sample.mark)
         except GrantError as error:
             name = topic.resolved_name
             withheld_log.warn(_log, withheld_log.SENT, name, link.stream.peer.name, error)
             continue
         if pieces is not None:
             if topic.is_latch:
-                _latch(topic).passed(guard, sample)
+                _latch(topic).record(guard, sample)
             return _packed(pieces)
     return None
 

@@ -91,7 +91,7 @@ class Registrations:
     def publishers_are(self, topic: str, uris: object) -> None:
         """The master names the publishers of a topic."""
         if isinstance(uris, Iterable):
-            self._named.are(topic, [uri for uri in uris if isinstance(uri, str)])
+            self._named.update(topic, [uri for uri in uris if isinstance(uri, str)])
 
     def is_publisher(self, topic: str, uri: str) -> bool:
         """Whether the master still names `uri`, or may yet name it again."""

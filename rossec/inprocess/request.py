@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Final
 
 from grants.model import Right
-from grants.request import GrantRequest, Wish, sign_request
+from grants.request import GrantRequest, RequestedRight, sign_request
 from rossec import files
 from rossec.authority import requests
 from rossec.errors import ConfigurationError
@@ -55,7 +55,7 @@ def _right(label: str) -> Right:
 def _send(member: LocalIdentity, right: Right, name: str, why: str) -> None:
     request = GrantRequest(
         member.identity.domain, member.identity.name, now(), secrets.token_bytes(16),
-        (Wish(right, name),), why,
+        (RequestedRight(right, name),), why,
     )  # fmt: skip
     data = sign_request(member.credentials.signer, request)
     authority = _authority_of(member)

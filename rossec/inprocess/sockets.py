@@ -112,10 +112,10 @@ class RosSocket:
             raise ChannelClosed("a plain connection proves nothing")
         return stream.do_handshake()
 
-    def welcome(self, limit: int) -> None:
+    def raise_unit_limit(self, limit: int) -> None:
         """The peer was judged: what it sends may come in units of up to `limit`."""
         if isinstance(self._stream, SecureSocket):
-            self._stream.welcome(limit)
+            self._stream.raise_unit_limit(limit)
 
     @property
     def is_plain(self) -> bool:
@@ -212,7 +212,7 @@ class RosSocket:
             try:
                 return take()
             except TimeoutError:
-                framing.look(clock.now())
+                framing.check_progress(clock.now())
             finally:
                 self.settimeout(None)
         return take()

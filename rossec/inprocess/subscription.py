@@ -51,7 +51,7 @@ class SubscriptionLoop:
         self, conn: Any, host: str, port: int, uri: str, callback: Callable[..., None]
     ) -> None:
         try:
-            self._process.own.check_step(parse_uri(uri), (host, port))
+            self._process.own.check_redirect(parse_uri(uri), (host, port))
             conn.connect(host, port, uri, timeout=60.0)
             self._receive(conn, callback)
         except TransportInitError:

@@ -26,7 +26,14 @@ from rossec.inprocess.process import SecuredProcess
 from rossec.inprocess.registrations import REFUSED, REGISTRATIONS
 from rossec.inprocess.xmlrpc_server import Params, receive_some
 from rossec.net.rpc.client import CALL_DEADLINE
-from rossec.participant.caller_names import SEARCH, as_meant, nowhere, places, searched, settled
+from rossec.participant.caller_names import (
+    SEARCH,
+    not_found,
+    resolve_params,
+    search_places,
+    search_result,
+    searched_key,
+)
 from rossec.participant.slave_rights import PRESENT, SLAVE_CALLS
 from rossec.ros.http import HttpClient
 from rossec.ros.settings import parse_uri
@@ -103,7 +110,7 @@ class XmlRpcClient:
     def _call_master(self, method: str, params: Params) -> object:
         if method == _MULTICALL:
             return self._call_many(params)
-        own, key = self._with_own_name(method, params), searched(method, params)
+        own, key = self._with_own_name(method, params), searched_key(method, params)
         if key is not None and own[0] != params[0]:
             return self._search(str(params[0]), key)
         return self._noted(method, own, _stock(self._process.guardian.call(method, own)))
@@ -121,11 +128,13 @@ class XmlRpcClient:
     def _search(self, asker: str, key: str) -> object:
         """Search from the namespace of `asker`; the master would, from the node's."""
         name = self._process.member.name
-        for place, found in places(asker, key):
-            answer = settled(_stock(self._process.guardian.call(SEARCH, (name, place))), found)
+        for place, found in search_places(asker, key):
+            answer = search_result(
+                _stock(self._process.guardian.call(SEARCH, (name, place))), found
+            )
             if answer is not None:
                 return answer
-        return nowhere(key)
+        return not_found(key)
 
     def _with_own_name(self, method: str, params: Params) -> Params:
         """Tools and early calls give other names than the node's; the master knows the node."""
@@ -133,7 +142,7 @@ class XmlRpcClient:
         if not params or not isinstance(params[0], str):
             return params  # the master says what is wrong with it
         if params[0] != name:
-            params = as_meant(method, params, params[0])
+            params = resolve_params(method, params, params[0])
         match params[1:]:
             case (service, str(uri), *more) if method in _WITH_SERVICE_URI:
                 return (name, service, bracketed(uri), *more)

@@ -119,7 +119,7 @@ class XmlRpcServer:
                 case _:
                     pass
             entitled = self._is_entitled(method, peer, shown)
-            refused = refusal(method, params, peer, entitled=entitled)
+            refused = refusal(method, params, peer, authorized=entitled)
             if refused is not None:
                 self._process.reporter.warn(f"refused {peer.name}: {method}: {refused[1]}")
                 return refused

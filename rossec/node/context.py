@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 from ca.revocation.state import Revocations
-from grants.memory import Recall
+from grants.memory import MemoryScope
 from rossec.errors import AnswerRefused
 from rossec.participant.access import Access
 from rossec.participant.dialer import Dialer
@@ -33,7 +33,7 @@ class NodeContext:
     call: MasterCall
     dialer: Dialer
     filter_key: Callable[[str], bytes]
-    recall: Recall
+    recall: MemoryScope
     uri: Callable[[], str]
     rosrpc: Callable[[], str]
 

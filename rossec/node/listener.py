@@ -59,7 +59,7 @@ class Listener:
         *,
         suites: tuple[int, ...] = PRODUCTION,
         known: KnownCertificates | None = None,
-        own: OwnAddresses | None = None,
+        own_addresses: OwnAddresses | None = None,
     ) -> None:
         self._name = name
         self._credentials = credentials
@@ -70,7 +70,7 @@ class Listener:
         self._slave = slave
         self._suites = suites
         self._known = known
-        self._own = OwnAddresses() if own is None else own
+        self._own_addresses = OwnAddresses() if own_addresses is None else own_addresses
         self._servers: list[SecureServer[Identity]] = []
         self._accepted = AcceptedConnections()
         self._half_open = HalfOpenCount(HalfOpen())  # both ports share this process
@@ -102,11 +102,11 @@ class Listener:
                 limits=ACCEPTED[flavour],
                 suites=self._suites,
                 known=self._known,
-                own_dials=self._own.dials,
+                own_dials=self._own_addresses.dials,
                 half_open=self._half_open,
             )
             self._servers.append(server)
-            self._own.listens(address, server.port)
+            self._own_addresses.add_ports(address, server.port)
 
     def abort_revoked(self, revoked: frozenset[bytes]) -> None:
         """Close every connection of a revoked key, for whatever purpose it was accepted."""
@@ -120,37 +120,37 @@ class Listener:
     async def _serve_slave(self, stream: SecureStream[Identity]) -> None:
         """The master's connection stays; another node asks where a topic is, and goes."""
         limit = None if stream.peer.name == MASTER else slave_api.DEADLINE
-        shown: list[bytes] = []
+        presented: list[bytes] = []
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(limit):
-                await serve_calls(stream, partial(self._call, shown))
+                await serve_calls(stream, partial(self._call, presented))
 
     async def _call(
-        self, shown: list[bytes], method: str, params: tuple[object, ...], peer: Identity
+        self, presented: list[bytes], method: str, params: tuple[object, ...], peer: Identity
     ) -> object:
         """Ask at every call: a peer, also the master, may be revoked while it is connected.
 
-        `shown` holds the grants the peer has shown on this connection.
+        `presented` holds the grants the peer has presented on this connection.
         """
         now = clock.now()
-        entitled = False
+        authorized = False
         try:
             self._access.check_peer(peer, now)
             match method, params:
                 case "rossec.presentGrants", (_, bytes() as grants):
-                    shown[:] = [grants]
+                    presented[:] = [grants]
                     return [1, "", 0]
                 case _:
                     pass
-            if shown and method in SLAVE_CALLS and peer.name != MASTER:
-                check_slave_call(method, peer, self._name, shown[0], self._access, now)
-                entitled = True
+            if presented and method in SLAVE_CALLS and peer.name != MASTER:
+                check_slave_call(method, peer, self._name, presented[0], self._access, now)
+                authorized = True
         except RevocationsStale as error:
             if method != REVOCATION_UPDATE:  # what ends the staleness must get through
                 return _refused(peer, error)
         except HintedError as error:
             return _refused(peer, error)
-        return await self._slave(method, params, peer, entitled=entitled)
+        return await self._slave(method, params, peer, authorized=authorized)
 
     async def _serve_tcpros(self, stream: SecureStream[Identity]) -> None:
         try:

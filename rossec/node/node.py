@@ -52,7 +52,7 @@ from rossec.ros import settings
 from rossec.saved_revocations import saved_revocations
 
 _PRESENTED: Final = 64  # as many as the master keeps of one node
-_COLLECT: Final = 1.0  # seconds between looks for new grants
+_MAINTENANCE_PERIOD: Final = 1.0  # seconds between looks for new grants
 
 _log = logging.getLogger("rossec.node")
 
@@ -83,7 +83,7 @@ class Node:
         self.identity = self.home.identity(clock.now())
         self.revocations = saved_revocations(self.home, self.anchor, clock.now())
         self.access = Access(self.anchor, self.revocations)
-        suites, known, own = post_quantum(environ), KnownCertificates(), OwnAddresses()
+        suites, known, own_addresses = post_quantum(environ), KnownCertificates(), OwnAddresses()
         self._dialer = Dialer(
             self.name,
             self.credentials,
@@ -91,10 +91,10 @@ class Node:
             self.access.check_peer,
             suites=suites,
             known=known,
-            own=own,
+            own_addresses=own_addresses,
         )
-        self._shelf = GrantDirectory(self.home, self.access)
-        self._shelf.take_new()
+        self._grant_directory = GrantDirectory(self.home, self.access)
+        self._grant_directory.take_new()
         self._tasks = TaskSet(on_crash=self._crashed)
         self._session = MasterSession(
             self.name,
@@ -105,7 +105,7 @@ class Node:
             lambda call: prove(call, self.revocations),
         )
         self._renewals = Renewals(self.access)
-        standing = NodeContext(
+        context = NodeContext(
             self.name,
             self.access,
             self.revocations,
@@ -116,9 +116,9 @@ class Node:
             uri=lambda: self.uri,
             rosrpc=lambda: settings.build_uri(*self.topic_endpoint(), scheme="rosrpc"),
         )
-        self._topics = Topics(standing)
-        self.services = Services(standing)
-        self.params = NodeParameters(standing, self.settings.resolve)
+        self._topics = Topics(context)
+        self.services = Services(context)
+        self.params = NodeParameters(context, self.settings.resolve)
         self._identity_renewal = IdentityRenewal(self.home, self.credentials, clock.now())
         self._listener = Listener(
             self.name,
@@ -130,9 +130,9 @@ class Node:
             SlaveApi(self),
             suites=suites,
             known=known,
-            own=own,
+            own_addresses=own_addresses,
         )
-        self._watch = ConnectionWatchdog(self.revocations, self._links, self._listener)
+        self._watchdog = ConnectionWatchdog(self.revocations, self._connections, self._listener)
         self._host = ""
         self._ended: asyncio.Future[None] = asyncio.get_running_loop().create_future()
 
@@ -264,9 +264,11 @@ class Node:
         """Take over a newer list and a fresh timestamp, then cut what they end."""
         now = clock.now()
         try:
-            self.access.take_news(revocations, timestamp, master, now, self.home.save_revocations)
+            self.access.update_revocations(
+                revocations, timestamp, master, now, self.home.save_revocations
+            )
         finally:  # what the list revokes ends, whatever is wrong with the timestamp
-            self._watch.cut(now)
+            self._watchdog.close_terminated(now)
 
     def shutdown_requested(self, reason: str) -> None:
         """End the node: another one took its name, or an administrator wants it so."""
@@ -300,9 +302,9 @@ class Node:
         stream = await self._session.open()
         self._host = self.settings.address or stream.local_address
         await self._listener.start(self._host)
-        self._tasks.spawn(self._session.keep(), f"{self.name}: master session")
-        self._tasks.spawn(self._watch.run(), f"{self.name}: watch")
-        self._tasks.spawn(self._collect_grants(), f"{self.name}: grants")
+        self._tasks.spawn(self._session.run(), f"{self.name}: master session")
+        self._tasks.spawn(self._watchdog.run(), f"{self.name}: watch")
+        self._tasks.spawn(self._maintain(), f"{self.name}: grants")
 
     async def _dial_master(self) -> SecureStream[Identity]:
         return await self._dialer.rpc(self.settings.master_host, self.settings.master_port)
@@ -322,16 +324,16 @@ class Node:
 
     # --- what must end ---
 
-    def _links(self) -> Iterator[AuthorizedConnection]:
-        yield from self._topics.links()
-        yield from self.services.links()
+    def _connections(self) -> Iterator[AuthorizedConnection]:
+        yield from self._topics.connections()
+        yield from self.services.connections()
 
-    async def _collect_grants(self) -> None:
+    async def _maintain(self) -> None:
         """A grant that arrives in the node's directory, or is renewed, counts without a restart."""
         while True:
-            await asyncio.sleep(_COLLECT)
-            self._topics.look()
-            new = self._shelf.take_new()
+            await asyncio.sleep(_MAINTENANCE_PERIOD)
+            self._topics.drop_expired_publishers()
+            new = self._grant_directory.take_new()
             with contextlib.suppress(HintedError, OSError):  # else with the next connection
                 if new:
                     _log.info("%s: %d new grants", self.name, len(new))
@@ -341,7 +343,7 @@ class Node:
                     await self._register()  # what was refused for want of it
                 await renew_identity(self._session.call, self._identity_renewal, clock.now())
                 if await prove(self._session.call, self.revocations):
-                    self._watch.cut(clock.now())
+                    self._watchdog.close_terminated(clock.now())
 
     def _crashed(self, error: BaseException) -> None:
         """A node whose watch has died must not go on: it would no longer cut anything."""

@@ -31,8 +31,8 @@ class NodeParameters:
         resolve: a name as the program writes it, made absolute and remapped.
     """
 
-    def __init__(self, standing: NodeContext, resolve: Callable[[str], str]) -> None:
-        self._standing = standing
+    def __init__(self, context: NodeContext, resolve: Callable[[str], str]) -> None:
+        self._context = context
         self._resolve = resolve
         self._subscriptions: dict[str, list[ParameterSubscription]] = {}
 
@@ -125,7 +125,7 @@ class NodeParameters:
     async def restore(self) -> None:
         """Subscribe to everything again: the master was restarted, or a grant is new."""
         for name in tuple(self._subscriptions):
-            with self._standing.restoring(name):
+            with self._context.restoring(name):
                 await self._register(name)
 
     def close(self) -> None:
@@ -136,7 +136,7 @@ class NodeParameters:
 
     async def _register(self, key: str) -> None:
         before = [item.updates for item in self._subscriptions[key]]
-        value = await self._ask("subscribeParam", self._standing.uri(), key)
+        value = await self._ask("subscribeParam", self._context.uri(), key)
         for subscription, updates in zip(self._subscriptions.get(key, []), before, strict=False):
             if subscription.updates == updates:  # a push may have been faster
                 subscription.take(value)
@@ -145,7 +145,7 @@ class NodeParameters:
         self._drop(subscription)
         if subscription.name not in self._subscriptions:
             with contextlib.suppress(HintedError, OSError, TimeoutError):
-                await self._ask("unsubscribeParam", self._standing.uri(), subscription.name)
+                await self._ask("unsubscribeParam", self._context.uri(), subscription.name)
 
     def _drop(self, subscription: "ParameterSubscription") -> None:
         others = self._subscriptions.get(subscription.name, [])
@@ -157,7 +157,7 @@ class NodeParameters:
     async def _ask(self, method: str, *params: object) -> object:
         """Call the master; that it cannot even read the call is an ordinary refusal here."""
         try:
-            return await self._standing.call(method, *params)
+            return await self._context.call(method, *params)
         except Fault as fault:
             raise AnswerRefused(
                 f"the master cannot read this {method}: {fault.faultString}",
@@ -184,7 +184,7 @@ class ParameterSubscription:
         self.value: Value = {}
         self.updates = 0
         self._on_close = on_close
-        self._wake = asyncio.Event()
+        self._updated = asyncio.Event()
         self._ended = False
 
     def take(self, value: Value) -> None:
@@ -193,15 +193,15 @@ class ParameterSubscription:
         self.updates += 1
         if fresh:
             self.value = value
-            self._wake.set()
+            self._updated.set()
 
     async def __aiter__(self) -> AsyncIterator[Value]:
         """The present value, then the newest one whenever it has changed."""
         while True:
-            await self._wake.wait()
+            await self._updated.wait()
             if self._ended:
                 return
-            self._wake.clear()
+            self._updated.clear()
             yield self.value
 
     async def close(self) -> None:
@@ -213,7 +213,7 @@ class ParameterSubscription:
     def end(self) -> None:
         """End the iteration: the node is closed."""
         self._ended = True
-        self._wake.set()
+        self._updated.set()
 
 
 def _unset(key: str) -> ParameterUnset:

@@ -93,7 +93,7 @@ class Service:
         name: str,
         kind: ServiceType,
         handler: Handler,
-        standing: NodeContext,
+        context: NodeContext,
         on_close: Callable[["Service"], Awaitable[None]],
         *,
         concurrency: int = CONCURRENCY,
@@ -108,9 +108,9 @@ class Service:
         self.kind = kind
         self.links: set[CallerConnection] = set()
         self._handler = handler
-        self._standing = standing
+        self._context = context
         self._on_close = on_close
-        self._turns = asyncio.Semaphore(concurrency)
+        self._slots = asyncio.Semaphore(concurrency)
         self._share = max(1, concurrency // 2)
         self._shares: WeakValueDictionary[bytes, asyncio.Semaphore] = WeakValueDictionary()
         self._deadline = deadline
@@ -126,13 +126,13 @@ class Service:
 
     async def close(self) -> None:
         """Unregister and cut every caller."""
-        for link in tuple(self.links):
-            link.stream.abort("the service is closed")
+        for connection in tuple(self.links):
+            connection.stream.abort("the service is closed")
         await self._on_close(self)
 
     def guard(self, decision: Decision) -> ServiceGuard:
         """What `decision` means for the messages of this service; raises as `ServiceGuard`."""
-        return ServiceGuard(self.kind, decision, self._standing.filter_key, self._standing.recall)
+        return ServiceGuard(self.kind, decision, self._context.filter_key, self._context.recall)
 
     async def serve(
         self,
@@ -145,19 +145,19 @@ class Service:
     ) -> None:
         """Answer one admitted caller: its header, then its calls, until its stream ends.
 
-        The link is known before the answer is sent: a revocation that arrives meanwhile finds it.
+        It is registered before the answer is sent: a revocation received meanwhile closes it.
         """
-        link = CallerConnection(stream, decision, guard, self._share_of(stream.peer))
-        self.links.add(link)
+        connection = CallerConnection(stream, decision, guard, self._share_of(stream.peer))
+        self.links.add(connection)
         try:
             await stream.send(answer)
-            await self._answer(link, await link.request(wait=persistent))
+            await self._answer(connection, await connection.request(wait=persistent))
             while persistent:
-                await self._answer(link, await link.request(wait=True))
+                await self._answer(connection, await connection.request(wait=True))
         except RossecError as error:
             _log.info("%s: %s left: %s", self.name, stream.peer.name, error)
         finally:
-            self.links.discard(link)
+            self.links.discard(connection)
 
     def _share_of(self, caller: Identity) -> asyncio.Semaphore:
         """Of all turns one caller takes half at most, over however many connections."""
@@ -166,31 +166,35 @@ class Service:
             share = self._shares[caller.thumbprint] = asyncio.Semaphore(self._share)
         return share
 
-    async def _answer(self, link: CallerConnection, request: bytes) -> None:
-        reason = termination_reason(link, self._standing.revocations, clock.now())
+    async def _answer(self, connection: CallerConnection, request: bytes) -> None:
+        reason = termination_reason(connection, self._context.revocations, clock.now())
         if reason is not None:
-            link.stream.abort(reason)
+            connection.stream.abort(reason)
             raise ChannelClosed(reason)
-        await link.stream.send(*await self._respond(link, request))
+        await connection.stream.send(*await self._respond(connection, request))
 
-    async def _respond(self, link: CallerConnection, request: bytes) -> Pieces:
+    async def _respond(self, connection: CallerConnection, request: bytes) -> Pieces:
         """The response, or why there is none, as bytes."""
         try:
-            async with asyncio.timeout(self._deadline), link.share, self._turns:
-                allowed = b"".join(link.guard.request(request, clock.now()))
-                data = await self._handle(self._opened(allowed))
-                return wire.success(link.guard.response(data, clock.now()))
+            async with asyncio.timeout(self._deadline), connection.share, self._slots:
+                allowed = b"".join(connection.guard.request(request, clock.now()))
+                data = await self._handle(self._parse(allowed))
+                return wire.success(connection.guard.response(data, clock.now()))
         except ServiceFailed as error:
             return wire.failure(str(error))
         except (ServiceRefused, GrantError) as error:
-            withheld_log.warn(_log, withheld_log.REFUSED, self.name, link.stream.peer.name, error)
+            withheld_log.warn(
+                _log, withheld_log.REFUSED, self.name, connection.stream.peer.name, error
+            )
             return wire.failure(f"rossec: {error}")
         except TimeoutError:
             took = f"a call took more than {self._deadline:g} s"
-            withheld_log.warn(_log, withheld_log.REFUSED, self.name, link.stream.peer.name, took)
+            withheld_log.warn(
+                _log, withheld_log.REFUSED, self.name, connection.stream.peer.name, took
+            )
             return wire.failure("the service took too long")
 
-    def _opened(self, request: bytes) -> Message:
+    def _parse(self, request: bytes) -> Message:
         try:
             return self.kind.request.deserialize(request)
         except MessageError as error:

@@ -68,7 +68,7 @@ class ProviderConnection:
         return wire.open_response(content)
 
 
-async def introduce(
+async def exchange_headers(
     stream: SecureStream[Identity],
     caller: str,
     service: str,
@@ -104,7 +104,7 @@ async def probe(dial: Dial, caller: str, service: str, access: Access) -> tuple[
     async with asyncio.timeout(HANDSHAKE_DEADLINE):
         stream = await dial(service)
         try:
-            answer, _ = await introduce(stream, caller, service, ANY, access, probe=True)
+            answer, _ = await exchange_headers(stream, caller, service, ANY, access, probe=True)
         finally:
             stream.abort("only a probe")
     return answer, stream.peer
@@ -122,7 +122,7 @@ class ServiceClient:
         self,
         service: str,
         kind: ServiceType,
-        standing: NodeContext,
+        context: NodeContext,
         dial: Dial,
         on_close: Callable[["ServiceClient"], None],
         *,
@@ -134,14 +134,14 @@ class ServiceClient:
         self.service = service
         self.kind = kind
         self.links: set[ProviderConnection] = set()
-        self._standing = standing
+        self._context = context
         self._dial = dial
         self._on_close = on_close
         self._persistent = persistent
         self._deadline = deadline
-        self._kept: ProviderConnection | None = None
+        self._cached: ProviderConnection | None = None
         self._turn = asyncio.Lock()
-        self._owned = TaskSet()
+        self._task_set = TaskSet()
         self._closed = False
 
     def create(self, **fields: object) -> Message:
@@ -170,18 +170,18 @@ class ServiceClient:
         if self._closed:
             raise ChannelClosed(f"the client of {self.service} is closed")
         try:
-            async with asyncio.timeout(self._deadline), self._link() as link:
-                return await self._exchange(link, request)
+            async with asyncio.timeout(self._deadline), self._connection() as connection:
+                return await self._exchange(connection, request)
         except TimeoutError:
             raise ServiceFailed(f"{self.service} did not answer in time") from None
 
     async def close(self) -> None:
         """Drop the connections; calls under way fail. Safe to call twice."""
         self._closed = True
-        for link in tuple(self.links):
-            link.stream.abort("the client is closed")
+        for connection in tuple(self.links):
+            connection.stream.abort("the client is closed")
         self.links.clear()
-        await self._owned.close()
+        await self._task_set.close()
         self._on_close(self)
 
     async def __aenter__(self) -> Self:
@@ -196,74 +196,74 @@ class ServiceClient:
         await self.close()
 
     @contextlib.asynccontextmanager
-    async def _link(self) -> AsyncIterator[ProviderConnection]:
+    async def _connection(self) -> AsyncIterator[ProviderConnection]:
         """The kept connection, for one call at a time, or one for this call."""
         if not self._persistent:
-            link = await self._connect()
+            connection = await self._connect()
             try:
-                yield link
+                yield connection
             finally:
-                link.stream.abort("the call is over")
+                connection.stream.abort("the call is over")
             return
         async with self._turn:
-            if self._kept is None:
-                self._kept = await self._connect()
-            yield self._kept
+            if self._cached is None:
+                self._cached = await self._connect()
+            yield self._cached
 
-    async def _exchange(self, link: ProviderConnection, request: bytes | memoryview) -> bytes:
+    async def _exchange(self, connection: ProviderConnection, request: bytes | memoryview) -> bytes:
         now = clock.now()
-        reason = termination_reason(link, self._standing.revocations, now)
+        reason = termination_reason(connection, self._context.revocations, now)
         if reason is not None:
-            link.stream.abort(reason)
+            connection.stream.abort(reason)
             raise ChannelClosed(reason)
-        allowed = link.guard.request(request, now)
+        allowed = connection.guard.request(request, now)
         complete = False
         try:
-            response = await link.call(allowed)
+            response = await connection.call(allowed)
             complete = True
         except ServiceFailed:
             complete = True
             raise
         finally:
             if not complete:
-                self._give_up(link)
-        return b"".join(link.guard.response(response, clock.now()))
+                self._discard(connection)
+        return b"".join(connection.guard.response(response, clock.now()))
 
     async def _connect(self) -> ProviderConnection:
         stream = await self._dial(self.service)
         try:
             async with asyncio.timeout(HANDSHAKE_DEADLINE):
-                link = await self._introduce(stream)
+                connection = await self._handshake(stream)
         except BaseException:
             stream.abort("the connection header was refused")
             raise
-        self.links.add(link)
-        self._owned.spawn(self._forget(link), f"{self.service}: connection")
-        return link
+        self.links.add(connection)
+        self._task_set.spawn(self._discard_when_ended(connection), f"{self.service}: connection")
+        return connection
 
-    async def _introduce(self, stream: SecureStream[Identity]) -> ProviderConnection:
+    async def _handshake(self, stream: SecureStream[Identity]) -> ProviderConnection:
         kind = ExpectedService(self.kind.name, self.kind.md5sum)
-        answer, decision = await introduce(
+        answer, decision = await exchange_headers(
             stream,
-            self._standing.name,
+            self._context.name,
             self.service,
             kind,
-            self._standing.access,
+            self._context.access,
             persistent=self._persistent,
         )
         check_md5(answer, self.service, kind.md5sum)
-        stream.welcome(unit_limit(self.kind.response_layout.root.size, MESSAGE_LIMIT))
-        own = self._standing
+        stream.raise_unit_limit(unit_limit(self.kind.response_layout.root.size, MESSAGE_LIMIT))
+        own = self._context
         guard = ServiceGuard(self.kind, decision, own.filter_key, own.recall)
         return ProviderConnection(stream, decision, guard)
 
-    async def _forget(self, link: ProviderConnection) -> None:
+    async def _discard_when_ended(self, connection: ProviderConnection) -> None:
         """A connection that has ended, whoever ended it, is not used for the next call."""
-        await link.stream.wait_ended()
-        self._give_up(link)
+        await connection.stream.wait_ended()
+        self._discard(connection)
 
-    def _give_up(self, link: ProviderConnection) -> None:
-        link.stream.abort("the call failed half-way")
-        self.links.discard(link)
-        if self._kept is link:
-            self._kept = None
+    def _discard(self, connection: ProviderConnection) -> None:
+        connection.stream.abort("the call failed half-way")
+        self.links.discard(connection)
+        if self._cached is connection:
+            self._cached = None

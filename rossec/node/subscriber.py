@@ -16,7 +16,7 @@ from ca.errors import HintedError
 from grants.decision import Decision
 from grants.errors import GrantError
 from grants.guard import Guard
-from grants.memory import Recall
+from grants.memory import MemoryScope
 from rossec import clock
 from rossec.errors import ConfigurationError, MessageError
 from rossec.net import withheld_log
@@ -66,7 +66,7 @@ class Subscriber:
         dial: Dial,
         on_close: OnClose,
         filter_key: FilterKey,
-        recall: Recall,
+        recall: MemoryScope,
         *,
         queue_size: int = QUEUE_SIZE,
     ) -> None:
@@ -84,7 +84,7 @@ class Subscriber:
         self._filter_key = filter_key
         self._size = size_of(endpoint.type)
         self._longest = message_limit(self._size, MESSAGE_LIMIT)
-        self._owned = TaskSet()
+        self._task_set = TaskSet()
         self._tasks: dict[str, asyncio.Task[None]] = {}
         self._queue: deque[bytes] = deque(maxlen=queue_size)
         self._wake = asyncio.Event()
@@ -104,7 +104,7 @@ class Subscriber:
         for uri in self._tasks.keys() - set(publishers):
             self._tasks.pop(uri).cancel()
         for uri in set(publishers) - self._tasks.keys():
-            self._tasks[uri] = self._owned.spawn(self._follow(uri), f"{self.topic} from {uri}")
+            self._tasks[uri] = self._task_set.spawn(self._follow(uri), f"{self.topic} from {uri}")
 
     async def messages(self) -> AsyncIterator[Message]:
         """Messages as they arrive; ends when the node closes. A malformed one is left out."""
@@ -136,7 +136,7 @@ class Subscriber:
         self._closed = True
         self._wake.set()
         self._tasks.clear()
-        await self._owned.close()
+        await self._task_set.close()
         await self._on_close(self)
 
     async def _follow(self, uri: str) -> None:
@@ -147,7 +147,7 @@ class Subscriber:
             try:
                 await self._receive_from(uri)
             except Exception as error:  # noqa: BLE001 - whatever a peer provokes, try it again later
-                self._note(uri, error)
+                self._record_failure(uri, error)
             pause = _FIRST_PAUSE if self.received > before else min(2 * pause, _LONGEST_PAUSE)
             await asyncio.sleep(pause)
 
@@ -156,21 +156,21 @@ class Subscriber:
             stream = await self._dial(uri, self.topic)
             try:
                 frames = FrameReader(self._longest, first=header.HEADER_LIMIT)
-                link, early = await self._introduce(stream, frames)
+                connection, early = await self._handshake(stream, frames)
             except BaseException:
                 stream.abort("the connection header was refused")
                 raise
-        self.links.add(link)
+        self.links.add(connection)
         try:
-            self._deliver(link, early)
+            self._deliver(connection, early)
             framing = Framing(frames)
             while True:
-                self._deliver(link, await arrived(stream, framing))
+                self._deliver(connection, await arrived(stream, framing))
         finally:
-            self.links.discard(link)
+            self.links.discard(connection)
             stream.abort("no longer subscribed")
 
-    async def _introduce(
+    async def _handshake(
         self, stream: SecureStream[Identity], frames: FrameReader
     ) -> tuple[PublisherConnection, list[bytes]]:
         now = clock.now()
@@ -183,31 +183,33 @@ class Subscriber:
         decision = admit_publisher(
             answer, stream.peer, self.endpoint.expected, self._access, clock.now()
         )
-        stream.welcome(unit_limit(self._size, MESSAGE_LIMIT))
+        stream.raise_unit_limit(unit_limit(self._size, MESSAGE_LIMIT))
         guard = guard_for(self.endpoint.type, decision, self._filter_key, self.recall)
         return PublisherConnection(stream, decision, guard), units[1:]
 
-    def _deliver(self, link: PublisherConnection, messages: list[bytes]) -> None:
-        if link.guard is not None:
-            messages = self._believed(link.guard, messages, link.stream.peer.name, clock.now())
+    def _deliver(self, connection: PublisherConnection, messages: list[bytes]) -> None:
+        if connection.guard is not None:
+            messages = self._filtered(
+                connection.guard, messages, connection.stream.peer.name, clock.now()
+            )
         if messages:
             self.received += len(messages)
             self._queue.extend(messages)
             self._wake.set()
 
-    def _believed(self, guard: Guard, messages: list[bytes], peer: str, now: int) -> list[bytes]:
+    def _filtered(self, guard: Guard, messages: list[bytes], peer: str, now: int) -> list[bytes]:
         """What a publisher with a restricted right may say."""
-        believed = []
+        filtered = []
         for message in messages:
             try:
                 treated = guard(message, now)
             except GrantError as error:
                 withheld_log.warn(_log, withheld_log.RECEIVED, self.topic, peer, error)
             else:
-                believed += [] if treated is None else [b"".join(treated)]
-        return believed
+                filtered += [] if treated is None else [b"".join(treated)]
+        return filtered
 
-    def _note(self, uri: str, error: Exception) -> None:
+    def _record_failure(self, uri: str, error: Exception) -> None:
         """Say each reason once: it is tried again and again."""
         if isinstance(error, HintedError):
             self.refusals.append(error)

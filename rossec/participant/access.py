@@ -59,7 +59,7 @@ class Access:
         self._anchor = anchor
         self._revocations = revocations
         self._held: dict[bytes, HeldGrant] = {}
-        self._opened: OrderedDict[bytes, Grant] = OrderedDict()
+        self._verified: OrderedDict[bytes, Grant] = OrderedDict()
         self._delegate: ec.EllipticCurvePublicKey | None = None
         for data in held:
             self.hold(data)
@@ -81,7 +81,7 @@ class Access:
             raise GrantMissing(f"grant {grant.short_id} is renewed, but was never held here")
         self._held[grant.id] = HeldGrant(grant, known.original, token, now)
 
-    def holdings(self) -> list[HeldGrant]:
+    def held_grants(self) -> list[HeldGrant]:
         """All grants this node holds, expired ones too, but none that is known to be revoked."""
         revoked = self._revocations.entries
         return [held for held in self._held.values() if held.grant.id not in revoked]
@@ -89,10 +89,10 @@ class Access:
     @property
     def epoch(self) -> int:
         """The epoch of the list held: tickets of an earlier one know numbers this one has not."""
-        held = self._revocations.held
+        held = self._revocations.current
         return 0 if held is None else held.epoch
 
-    def take_news(
+    def update_revocations(
         self,
         revocations: bytes,
         timestamp: bytes,
@@ -108,12 +108,12 @@ class Access:
             RevocationsStale: the master gives the list and does not confirm it.
             CAError: one of the statements is refused, missing, or the master's key is revoked.
         """
-        if not timestamp and not revocations and self._revocations.held is None:
+        if not timestamp and not revocations and self._revocations.current is None:
             raise CAError(*NO_LIST)
         if revocations:
             self._revocations.update(revocations, now, persist)
         if revocations and not timestamp:
-            self._revocations.doubt()
+            self._revocations.expire_confirmation()
             raise RevocationsStale(
                 "the master tells this node what is revoked, and nothing more",
                 "its identity, or the intermediate above it, is revoked: enroll the node anew",
@@ -133,16 +133,16 @@ class Access:
 
         A peer takes a bounded number; the ones that end last are shown.
         """
-        covering = [held.token for held in self._current(now) if _concerns(held.grant, right, name)]
+        covering = [held.token for held in self._current(now) if _covers(held.grant, right, name)]
         return encode(list[Value](covering[:MAX_GRANTS]))
 
     def holds(self, right: Right, name: str, now: int) -> bool:
         """Whether a grant this node holds covers `right` on `name` now."""
-        return any(_concerns(held.grant, right, name) for held in self._current(now))
+        return any(_covers(held.grant, right, name) for held in self._current(now))
 
     def _current(self, now: int) -> list[HeldGrant]:
         usable = [
-            held for held in self.holdings() if held.grant.not_before <= now < held.grant.expires
+            held for held in self.held_grants() if held.grant.not_before <= now < held.grant.expires
         ]
         return sorted(usable, key=lambda held: held.grant.expires, reverse=True)
 
@@ -176,7 +176,7 @@ class Access:
                 f"{peer.name} shows no grant to {right.label} {name}",
                 (f"sign one: rossec grant sign {peer.name} --{right.label} {name}",),
             )
-        grants, refusals = self._open_all(_unpack(presented), now)
+        grants, refusals = self._verify_all(_unpack(presented), now)
         try:
             return authorize(
                 grants, right, name, holder=peer.thumbprint, now=now, check=self._revocations.check
@@ -186,32 +186,32 @@ class Access:
                 raise refusals[0] from None
             raise
 
-    def _open_all(self, presented: list[bytes], now: int) -> tuple[list[Grant], list[GrantError]]:
+    def _verify_all(self, presented: list[bytes], now: int) -> tuple[list[Grant], list[GrantError]]:
         """One grant that is refused does not spoil the others: it just does not count."""
         grants: list[Grant] = []
         refusals: list[GrantError] = []
         for data in presented:
             try:
-                grants.append(self._open(data, now))
+                grants.append(self._verify(data, now))
             except GrantError as error:
                 refusals.append(error)
         return grants, refusals
 
-    def _open(self, data: bytes, now: int) -> Grant:
+    def _verify(self, data: bytes, now: int) -> Grant:
         """Verify a grant once; the signature of one seen before is not checked again."""
         digest = sha256(data).digest()
-        known = self._opened.get(digest)
+        known = self._verified.get(digest)
         if known is not None and known.not_before <= now < known.expires:
-            self._opened.move_to_end(digest)
+            self._verified.move_to_end(digest)
             return known
         grant = self._verifier().open(data, now)
-        self._opened[digest] = grant
-        if len(self._opened) > _CACHE_SIZE:
-            self._opened.popitem(last=False)
+        self._verified[digest] = grant
+        if len(self._verified) > _CACHE_SIZE:
+            self._verified.popitem(last=False)
         return grant
 
     def _verifier(self) -> Verifier:
-        held = self._revocations.held
+        held = self._revocations.current
         return Verifier(
             self._anchor.public_key,
             self._anchor.domain,
@@ -234,5 +234,5 @@ def _unpack(presented: bytes) -> list[bytes]:
     return grants
 
 
-def _concerns(grant: Grant, right: Right, name: str) -> bool:
+def _covers(grant: Grant, right: Right, name: str) -> bool:
     return any(permission.covers(right, name) for permission in grant.permissions)

@@ -36,5 +36,5 @@ class HeldGrants(Protocol):
     def hold_renewed(self, token: bytes, now: int) -> None:
         """See `Access.hold_renewed`."""
 
-    def holdings(self) -> list[HeldGrant]:
-        """See `Access.holdings`."""
+    def held_grants(self) -> list[HeldGrant]:
+        """See `Access.held_grants`."""

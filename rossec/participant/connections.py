@@ -101,7 +101,7 @@ def termination_reason(
     if connection.decision.keep_when_stale:
         return None
     for entry, error in errors.items():
-        if error is not None and now >= revocations.known_until(entry) + STALE_GRACE:
+        if error is not None and now >= revocations.status_valid_until(entry) + STALE_GRACE:
             return str(error)
     return None
 

@@ -60,7 +60,7 @@ def size_of(kind: Definition) -> int | None:
         return None
 
 
-Known: TypeAlias = Callable[[str], Definition | None]
+FindDefinition: TypeAlias = Callable[[str], Definition | None]
 """What this host itself knows of the type with that name; None: nothing."""
 
 
@@ -76,12 +76,14 @@ def from_header(fields: Mapping[str, bytes]) -> Definition:
     return Definition(text(fields, "type"), text(fields, "md5sum"), definition)
 
 
-def looks_inside(decision: Decision) -> bool:
+def needs_definition(decision: Decision) -> bool:
     """Whether a restriction is for messages of one type; others need not know what they are."""
     return any(restriction.type is not None for restriction in decision.restrictions)
 
 
-def as_received(own: Definition, said: Definition, decision: Decision, known: Known) -> Definition:
+def receiver_definition(
+    own: Definition, said: Definition, decision: Decision, known: FindDefinition
+) -> Definition:
     """By what a receiver reads the messages of a publisher with this right.
 
     Args:
@@ -92,8 +94,8 @@ def as_received(own: Definition, said: Definition, decision: Decision, known: Kn
     Raises:
         ConnectionHeaderRefused, GrantError: that cannot be known, or the right is for another type.
     """
-    if own.definition or not looks_inside(decision):
-        return as_sent(own, decision, known)
+    if own.definition or not needs_definition(decision):
+        return sender_definition(own, decision, known)
     name, md5sum = _either(own.name, said.name), _either(own.md5sum, said.md5sum)
     for restriction in decision.restrictions:
         check_type(name, restriction)
@@ -108,7 +110,7 @@ def as_received(own: Definition, said: Definition, decision: Decision, known: Kn
     return trusted
 
 
-def as_sent(own: Definition, decision: Decision, known: Known) -> Definition:
+def sender_definition(own: Definition, decision: Decision, known: FindDefinition) -> Definition:
     """By what a program sends, as it says itself.
 
     It may repeat what its own publisher said, as `topic_tools relay` does: where this host knows
@@ -118,7 +120,7 @@ def as_sent(own: Definition, decision: Decision, known: Known) -> Definition:
         ConnectionHeaderRefused, GrantError: they do not, the text is no definition, or of another
         type.
     """
-    if not looks_inside(decision):
+    if not needs_definition(decision):
         return own
     for restriction in decision.restrictions:
         check_type(own.name, restriction)
@@ -137,12 +139,12 @@ def as_sent(own: Definition, decision: Decision, known: Known) -> Definition:
     )
 
 
-def told(kind: Definition, decision: Decision) -> Fields:
+def definition_fields(kind: Definition, decision: Decision) -> Fields:
     """What a subscriber is told in the publisher's place, where a guard reads its messages.
 
     Programs that take any type (rosbag, relays) read by the definition in the header.
     """
-    if not looks_inside(decision):
+    if not needs_definition(decision):
         return {}
     return {
         "type": kind.name.encode(),
@@ -151,7 +153,7 @@ def told(kind: Definition, decision: Decision) -> Fields:
     }
 
 
-def described(own: Definition, said: Definition) -> Definition:
+def reported_definition(own: Definition, said: Definition) -> Definition:
     """What a receiver reads, where no guard depends on it: what it says, or its md5sum proves."""
     claimed = Definition(own.name, own.md5sum, said.definition)
     return claimed if not own.definition and _is_proven(claimed) else own

@@ -34,7 +34,7 @@ class Dialer:
         *,
         suites: tuple[int, ...] = PRODUCTION,
         known: KnownCertificates | None = None,
-        own: OwnAddresses | None = None,
+        own_addresses: OwnAddresses | None = None,
     ) -> None:
         self._name = name
         self._credentials = credentials
@@ -42,7 +42,7 @@ class Dialer:
         self._check_peer = check_peer
         self._suites = suites
         self._known = known
-        self._own = OwnAddresses() if own is None else own
+        self._own_addresses = OwnAddresses() if own_addresses is None else own_addresses
 
     async def rpc(self, host: str, port: int) -> SecureStream[Identity]:
         """Connect to a master or slave API; the caller checks who it is."""
@@ -57,16 +57,16 @@ class Dialer:
         """
         api = settings.parse_uri(uri, "a publisher's URI")
         place = await self._request_topic(await self.rpc(*api), topic)
-        self._own.check_step(api, place)
+        self._own_addresses.check_redirect(api, place)
         stream = await self._connect(*place, WireProtocol.TCPROS)
-        self._judge(stream)
+        self._check_identity(stream)
         return stream
 
     async def service(self, uri: str) -> SecureStream[Identity]:
         """Connect to the provider of a service, at its rosrpc URI; raises as `topic`."""
         host, port = settings.parse_uri(uri, "a service's URI", scheme="rosrpc")
         stream = await self._connect(host, port, WireProtocol.TCPROS)
-        self._judge(stream)
+        self._check_identity(stream)
         return stream
 
     async def _connect(self, host: str, port: int, opening: WireProtocol) -> SecureStream[Identity]:
@@ -79,11 +79,11 @@ class Dialer:
             limits=DIALLED[opening],
             suites=self._suites,
             known=self._known,
-            own_dials=self._own.dials_for((host, port)),
+            own_dials=self._own_addresses.own_dials_for((host, port)),
         )
 
     async def _request_topic(self, stream: SecureStream[Identity], topic: str) -> tuple[str, int]:
-        self._judge(stream)
+        self._check_identity(stream)
         try:
             answer = await RpcClient(stream).ask("requestTopic", self._name, topic, [["TCPROS"]])
         finally:
@@ -96,7 +96,7 @@ class Dialer:
                     f"{stream.peer.name} offers no connection for {topic}"
                 )
 
-    def _judge(self, stream: SecureStream[Identity]) -> None:
+    def _check_identity(self, stream: SecureStream[Identity]) -> None:
         try:
             self._check_peer(stream.peer, clock.now())
         except BaseException:

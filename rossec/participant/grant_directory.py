@@ -20,12 +20,12 @@ class GrantDirectory:
         self._home = home
         self._access = access
         self._seen: set[bytes] = set()
-        self._troubles: dict[Path, str] = {}
+        self._errors: dict[Path, str] = {}
 
     def take_new(self) -> list[bytes]:
         """Hold the grants that were not there before; returns them."""
         paths = self._home.grant_files()
-        self._troubles = {path: said for path, said in self._troubles.items() if path in paths}
+        self._errors = {path: said for path, said in self._errors.items() if path in paths}
         found = ((path, self._read(path)) for path in paths)
         return [data for path, data in found if data is not None and self._hold(path, data)]
 
@@ -33,9 +33,9 @@ class GrantDirectory:
         try:
             data = self._home.read_grant(path)
         except (OSError, HintedError) as error:
-            self._complain(path, f"cannot be read: {error}")
+            self._warn_once(path, f"cannot be read: {error}")
             return None
-        self._troubles.pop(path, None)
+        self._errors.pop(path, None)
         return data
 
     def _hold(self, path: Path, data: bytes) -> bool:
@@ -50,8 +50,8 @@ class GrantDirectory:
             return False
         return True
 
-    def _complain(self, path: Path, trouble: str) -> None:
+    def _warn_once(self, path: Path, error: str) -> None:
         """Once for each cause."""
-        if self._troubles.get(path) != trouble:
-            self._troubles[path] = trouble
-            _log.warning("%s %s", path, trouble)
+        if self._errors.get(path) != error:
+            self._errors[path] = error
+            _log.warning("%s %s", path, error)

@@ -16,7 +16,7 @@ from rossec.participant.access_interfaces import HeldGrants
 from rossec.ros.text import printable
 
 METHOD: Final = "rossec.renewGrants"
-AT_ONCE: Final = 16  # grants in one call: what the master takes
+MAX_PER_CALL: Final = 16  # grants in one call: what the master takes
 RETRY: Final = 60  # seconds at most until a grant that was not renewed is asked for again
 _TRIES: Final = 4  # so often at least is it asked for in what is left of its time
 
@@ -41,16 +41,16 @@ class Renewals:
         self._epoch = self._access.epoch
         if began:
             self._retry_at.clear()
-            self._outdated = {held.token for held in self._access.holdings() if held.grant.via}
+            self._outdated = {held.token for held in self._access.held_grants() if held.grant.via}
         due = [
             held
-            for held in self._access.holdings()
+            for held in self._access.held_grants()
             if (due_at(held) <= now or held.token in self._outdated)
             and now < held.grant.cap
             and held.grant.expires < held.grant.cap
             and self._retry_at.get(held.grant.id, 0) <= now
         ]
-        chosen = sorted(due, key=lambda held: held.grant.expires)[:AT_ONCE]
+        chosen = sorted(due, key=lambda held: held.grant.expires)[:MAX_PER_CALL]
         self._retry_at.update({held.grant.id: now + _pause(held, now) for held in chosen})
         return chosen
 

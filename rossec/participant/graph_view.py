@@ -38,7 +38,7 @@ class GraphView:
         self._cursor = 0
 
     @property
-    def question(self) -> tuple[str, int]:
+    def next_params(self) -> tuple[str, int]:
         """The parameters of the next call."""
         return self.instance, self._cursor
 

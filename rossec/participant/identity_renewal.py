@@ -11,7 +11,7 @@ from typing import Final
 
 from ca.certificates import build_request
 from ca.errors import CAError, HintedError
-from ca.renewal import ask_again_in, renew_at, sign_renewal
+from ca.renewal import renew_at, retry_delay, sign_renewal
 from rossec.channel.edhoc.credentials import LiveCredentials
 from rossec.errors import AnswerMalformed, AnswerRefused
 from rossec.home import NodeHome
@@ -40,7 +40,7 @@ class IdentityRenewal:
         due = renew_at(held.not_before, held.not_after)
         if now < max(due, self._retry_at):
             return None
-        self._retry_at = now + ask_again_in(held.not_before, held.not_after, RETRY)
+        self._retry_at = now + retry_delay(held.not_before, held.not_after, RETRY)
         if self._was_renewed_by_hand(now):
             return None
         own = self._credentials.current

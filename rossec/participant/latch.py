@@ -34,12 +34,12 @@ class Latch(Generic[Data]):
         self.newest: Sample[Data] | None = None
         self._seen: WeakKeyDictionary[Memory, Sample[Data]] = WeakKeyDictionary()
 
-    def passed(self, guard: Guard, sample: Sample[Data]) -> None:
+    def record(self, guard: Guard, sample: Sample[Data]) -> None:
         """`guard` has let it through."""
         if guard.memory is not None:
             self._seen[guard.memory] = sample
 
-    def shown(self, guard: Guard) -> Iterator[Sample[Data]]:
+    def candidates(self, guard: Guard) -> Iterator[Sample[Data]]:
         """What to try, in this order, until `guard` lets one through."""
         if self.newest is not None:
             yield self.newest

@@ -7,12 +7,12 @@ hangs up and comes back: none of them begins afresh.
 from threading import Lock
 from typing import Final
 
-from grants.memory import Memories, Recall
+from grants.memory import MemoryScope, MemoryStore
 from rossec import clock
 
-_MEMORIES: Final = Memories(clock.now, Lock)
+_MEMORIES: Final = MemoryStore(clock.now, Lock)
 
 
-def recall(node: str) -> Recall:
+def recall(node: str) -> MemoryScope:
     """What the node of that name has let each key use up."""
-    return Recall(_MEMORIES, (node,))
+    return MemoryScope(_MEMORIES, (node,))

@@ -33,7 +33,7 @@ HEARTBEAT: Final = 10.0
 _log = logging.getLogger("rossec.node")
 
 
-async def nothing_proved(_: MasterCall) -> int:
+async def no_proofs(_: MasterCall) -> int:
     """For a node that asks for no proofs: where revocations are a tree it stays refused."""
     return 0
 
@@ -58,7 +58,7 @@ class MasterSession:
         refresh: Callable[[bytes, bytes, Identity], None],
         restore: Callable[["MasterSession"], Awaitable[None]],
         held: Callable[[], bytes] | None = None,
-        prove: Callable[[MasterCall], Awaitable[int]] = nothing_proved,
+        prove: Callable[[MasterCall], Awaitable[int]] = no_proofs,
     ) -> None:
         self._name = name
         self._dial = dial
@@ -77,7 +77,7 @@ class MasterSession:
         """
         return await self._connected().ask(method, self._name, *params)
 
-    async def answer(self, method: str, *params: object) -> object:
+    async def forward(self, method: str, *params: object) -> object:
         """Whole answer to a call whose parameters are complete.
 
         Raises:
@@ -103,17 +103,17 @@ class MasterSession:
                 f"the node at the master's address is {stream.peer.name}, not {MASTER}",
                 "check ROS_MASTER_URI",
             )
-        await self._drop()
+        await self._disconnect()
         self._client, self._stream = RpcClient(stream), stream
         try:
-            await self._beat()
+            await self._heartbeat()
             await self._restore(self)
         except BaseException:  # nobody may go on with a master that did not hold
-            await self._drop()
+            await self._disconnect()
             raise
         return stream
 
-    async def keep(self) -> None:
+    async def run(self) -> None:
         """Beat, and connect anew whenever the connection is lost. Runs until cancelled."""
         retry = Retry(SystemRandom().random)
         while True:
@@ -121,39 +121,39 @@ class MasterSession:
                 if self._client is None or self._client.closed:
                     await self.open()
                     _log.info("%s: connected to the master again", self._name)
-                await self._pause()
-                await self._beat()
+                await self._wait_for_heartbeat()
+                await self._heartbeat()
                 retry.succeeded()
             except (HintedError, OSError, TimeoutError) as error:
                 _log.warning("%s: no answer from the master: %s", self._name, error)
-                await self._drop()
+                await self._disconnect()
                 await asyncio.sleep(retry.pause(asyncio.get_running_loop().time()))
 
     async def close(self) -> None:
         """End the control connection; the master then forgets nothing until told to."""
-        await self._drop()
+        await self._disconnect()
 
-    async def _pause(self) -> None:
+    async def _wait_for_heartbeat(self) -> None:
         """Until the next beat, or until the connection ends: a restarted master is met at once."""
         if self._stream is not None:
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(HEARTBEAT):
                     await self._stream.wait_ended()
 
-    async def _drop(self) -> None:
+    async def _disconnect(self) -> None:
         client, self._client = self._client, None
         if client is not None:
             await client.close()
 
-    async def _beat(self) -> None:
+    async def _heartbeat(self) -> None:
         try:
-            await self._take_news()
+            await self._fetch_revocations()
         except RevocationRefused:
-            if not await self._hand_over():
+            if not await self._send_held_list():
                 raise
-            await self._take_news()
+            await self._fetch_revocations()
 
-    async def _hand_over(self) -> bool:
+    async def _send_held_list(self) -> bool:
         """Bring the master the list this node holds; whether it is newer than the master's.
 
         Of a tree a node has not the entries, without which it is of no use to the master.
@@ -174,7 +174,7 @@ class MasterSession:
             )
         return newer
 
-    async def _take_news(self) -> None:
+    async def _fetch_revocations(self) -> None:
         if self._held is None:
             answer = await self.call("rossec.revocations")
         else:
@@ -182,27 +182,27 @@ class MasterSession:
         match answer, self._stream:
             case [bytes() as revocations, bytes() as timestamp], SecureStream(peer=master):
                 try:
-                    self._take(revocations, timestamp, master)
+                    self._apply(revocations, timestamp, master)
                 except RevocationsStale:  # of a tree: the master's own key is still unproved
                     if not await self._prove(self.call):
                         raise
-                    self._take(revocations, timestamp, master)
+                    self._apply(revocations, timestamp, master)
             case _:
                 raise CAError(*NO_LIST)
 
-    def _take(self, revocations: bytes, timestamp: bytes, master: Identity) -> None:
+    def _apply(self, revocations: bytes, timestamp: bytes, master: Identity) -> None:
         """Take the news; their time, asked for a moment ago, may correct a clock that was wrong."""
         try:
             self._refresh(revocations, timestamp, master)
         except ClocksDisagree:  # and nothing else: who is revoked, or lies, tells no time
-            if not _corrects(timestamp, master):
+            if not _corrects_clock(timestamp, master):
                 raise
             self._refresh(revocations, timestamp, master)
         else:
-            _corrects(timestamp, master)
+            _corrects_clock(timestamp, master)
 
 
-def _corrects(timestamp: bytes, master: Identity) -> bool:
+def _corrects_clock(timestamp: bytes, master: Identity) -> bool:
     """Whether the clock of this process was set back, and rightly so by the master's clock.
 
     Only an answer to the node's own question tells the time: it is as old as the call at most.

@@ -38,7 +38,7 @@ class PublisherGrace:
             if uris:
                 self._missing[topic] = self._missing.get(topic, frozenset()).union(uris)
 
-    def are(self, topic: str, uris: Iterable[str]) -> list[str]:
+    def update(self, topic: str, uris: Iterable[str]) -> list[str]:
         """The master names these; returns those to follow."""
         self._named[topic] = named = tuple(uris)
         missing = self._missing.pop(topic, frozenset()).difference(named)
@@ -52,7 +52,7 @@ class PublisherGrace:
         missing = self._missing.get(topic, ()) if self._now() < self._until else ()
         return [*named, *sorted(set(missing).difference(named))]
 
-    def overdue(self) -> list[str]:
+    def expired_topics(self) -> list[str]:
         """Topics with publishers that were missing until their time was over; each is told once."""
         if self._now() < self._until:
             return []

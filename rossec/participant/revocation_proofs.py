@@ -12,7 +12,7 @@ from rossec.errors import AnswerMalformed
 from rossec.participant.grant_renewal import MasterCall
 
 METHOD: Final = "rossec.revocationProofs"
-AT_ONCE: Final = 64  # entries in one call: what the master takes
+MAX_PER_CALL: Final = 64  # entries in one call: what the master takes
 
 _log = logging.getLogger("rossec.node")
 
@@ -21,10 +21,10 @@ class Provable(Protocol):
     """`ca.revocation.state.Revocations`, or what keeps threads apart before one."""
 
     @property
-    def wanted(self) -> list[bytes]:
+    def unproved(self) -> list[bytes]:
         """Entries that wait for a proof."""
 
-    def prove(self, entry: bytes, proof: bytes) -> None:
+    def add_proof(self, entry: bytes, proof: bytes) -> None:
         """Take a proof. Raises `RevocationRefused`."""
 
 
@@ -34,7 +34,7 @@ async def prove(call: MasterCall, revocations: Provable) -> int:
     Raises:
         RossecError: the master refuses, answers nonsense, or is out of reach.
     """
-    wanted = revocations.wanted[:AT_ONCE]
+    wanted = revocations.unproved[:MAX_PER_CALL]
     return take(revocations, wanted, await call(METHOD, wanted)) if wanted else 0
 
 
@@ -51,7 +51,7 @@ def take(revocations: Provable, wanted: list[bytes], answer: object) -> int:
 
 def _take(revocations: Provable, entry: bytes, proof: object) -> bool:
     try:
-        revocations.prove(entry, proof if isinstance(proof, bytes) else b"")
+        revocations.add_proof(entry, proof if isinstance(proof, bytes) else b"")
     except RevocationRefused as error:
         _log.warning("the master proves nothing of %s: %s", entry.hex(), error)
         return False

@@ -12,7 +12,7 @@ from dataclasses import replace
 from grants.decision import Decision
 from grants.filters.codegen import Buffer
 from grants.guard import Guard, needed_keys
-from grants.memory import Recall
+from grants.memory import MemoryScope
 from rossec.errors import ServiceRefused
 from rossec.participant.service_types import ServiceType
 
@@ -36,7 +36,7 @@ class ServiceGuard:
         kind: ServiceType,
         decision: Decision,
         filter_key: Callable[[str], bytes],
-        recall: Recall,
+        recall: MemoryScope,
     ) -> None:
         keys = {name: filter_key(name) for name in needed_keys(decision.restrictions)}
         restrictions = decision.restrictions
@@ -45,7 +45,7 @@ class ServiceGuard:
         self._name = decision.name
         asked, answered = (replace(decision, restrictions=some) for some in (there, back))
         self._request = Guard(kind.request_layout, asked, keys, recall)
-        self._response = Guard(kind.response_layout, answered, keys, recall.apart("response"))
+        self._response = Guard(kind.response_layout, answered, keys, recall.child("response"))
 
     def request(self, data: Buffer, now: int) -> Pieces:
         """The request as it may be passed on.

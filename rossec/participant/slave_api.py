@@ -75,7 +75,7 @@ RULES: Final[Mapping[str, SlaveMethod]] = {
 
 
 def refusal(
-    method: str, params: tuple[object, ...], peer: Identity, *, entitled: bool = False
+    method: str, params: tuple[object, ...], peer: Identity, *, authorized: bool = False
 ) -> Answer | None:
     """What to answer instead of the call, or None: `peer` may make it.
 
@@ -84,7 +84,7 @@ def refusal(
     rule = RULES.get(method)
     if rule is None:
         return [_ERROR, "rossec: no such method", 0]
-    granted = entitled and method in SLAVE_CALLS
+    granted = authorized and method in SLAVE_CALLS
     if rule.master_only and peer.name != MASTER and not granted:
         return [_ERROR, f"rossec: {method} is for the master alone", rule.default]
     unnamed = without_caller(params, rule.default)
@@ -133,10 +133,10 @@ class SlaveApi:
         }
 
     async def __call__(
-        self, method: str, params: tuple[object, ...], peer: Identity, *, entitled: bool = False
+        self, method: str, params: tuple[object, ...], peer: Identity, *, authorized: bool = False
     ) -> object:
         """Answer one call of the authenticated `peer`: always `[code, status, value]`."""
-        refused = refusal(method, params, peer, entitled=entitled)
+        refused = refusal(method, params, peer, authorized=authorized)
         if refused is not None:
             return refused
         run = self._methods.get(method, partial(self._describe, method))

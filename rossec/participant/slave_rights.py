@@ -18,7 +18,7 @@ from rossec.participant.access_interfaces import HandshakeAccess
 MASTER: Final = "/master"
 PRESENT: Final = "rossec.presentGrants"
 OPEN: Final = frozenset({"requestTopic"})
-STEERING: Final = frozenset({"publisherUpdate", "paramUpdate"})
+MASTER_ONLY: Final = frozenset({"publisherUpdate", "paramUpdate"})
 SLAVE_CALLS: Final[Mapping[str, Right]] = {
     "shutdown": Right.ADMIN,
     "getPid": Right.GRAPH,
@@ -33,7 +33,12 @@ SLAVE_CALLS: Final[Mapping[str, Right]] = {
 
 
 def check_slave_call(
-    method: str, peer: Identity, node: str, shown: bytes | None, access: HandshakeAccess, now: int
+    method: str,
+    peer: Identity,
+    node: str,
+    presented: bytes | None,
+    access: HandshakeAccess,
+    now: int,
 ) -> None:
     """Return if `peer`, having shown the grants `shown`, may call `method` of the node `node`.
 
@@ -42,10 +47,10 @@ def check_slave_call(
         GrantError, CAError: the right is missing, or the peer revoked.
     """
     access.check_peer(peer, now)
-    if method in OPEN or (peer.name == MASTER and (method in STEERING or method in SLAVE_CALLS)):
+    if method in OPEN or (peer.name == MASTER and (method in MASTER_ONLY or method in SLAVE_CALLS)):
         return
     right = SLAVE_CALLS.get(method)
     if right is None:
-        known = method in STEERING
+        known = method in MASTER_ONLY
         raise CallRefused(f"{method} is for the master alone" if known else "no such method")
-    access.authorize(peer, shown, right, node, now)
+    access.authorize(peer, presented, right, node, now)

@@ -9,14 +9,14 @@ from collections.abc import Callable
 
 from grants.decision import Decision
 from grants.guard import Guard, needed_keys
-from grants.memory import Recall
-from rossec.participant.definitions import Definition, looks_inside
+from grants.memory import MemoryScope
+from rossec.participant.definitions import Definition, needs_definition
 
 FilterKey = Callable[[str], bytes]
 
 
 def guard_for(
-    kind: Definition, decision: Decision, filter_key: FilterKey, recall: Recall
+    kind: Definition, decision: Decision, filter_key: FilterKey, recall: MemoryScope
 ) -> Guard | None:
     """The guard for messages of `kind`; None: nothing to apply.
 
@@ -31,5 +31,5 @@ def guard_for(
     if not decision.restrictions:
         return None
     keys = {key: filter_key(key) for key in needed_keys(decision.restrictions)}
-    shape = kind.layout if looks_inside(decision) else None
+    shape = kind.layout if needs_definition(decision) else None
     return Guard(shape, decision, keys, recall)

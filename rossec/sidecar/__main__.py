@@ -29,7 +29,7 @@ _REFUSED = 1
 
 def main() -> int:
     """Run what the arguments say; returns the exit code."""
-    _end_quietly()
+    _restore_sigint()
     options = json.loads(sys.argv[1])
     logging.basicConfig(
         level=logging.INFO if options["verbose"] else logging.WARNING,
@@ -49,7 +49,7 @@ def main() -> int:
         return _REFUSED
 
 
-def _end_quietly() -> None:
+def _restore_sigint() -> None:
     """End on Ctrl-C as any other process does; `rossec run` has held the signal back till now."""
     if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
@@ -58,7 +58,7 @@ def _end_quietly() -> None:
 
 async def _run(options: dict[str, Any]) -> int:
     limits = raise_limit()
-    before = await settle_master(child.outside(os.environ), options["identity"])
+    before = await settle_master(child.outer_environment(os.environ), options["identity"])
     callers = _callers(options)
     sidecar = Sidecar(
         own_home(before),
@@ -73,7 +73,7 @@ async def _run(options: dict[str, Any]) -> int:
     try:
         if options["command"]:
             child.adopt_orphans()
-            environ = child.inside(os.environ, before, sidecar.uri, callers.loopback)
+            environ = child.program_environment(os.environ, before, sidecar.uri, callers.loopback)
             return await child.run(options["command"], environ, limits)
         return await _serve(sidecar)
     finally:
@@ -82,8 +82,8 @@ async def _run(options: dict[str, Any]) -> int:
 
 def _callers(options: dict[str, Any]) -> Callers:
     if options["command"]:
-        return Callers({os.getuid()}, os.getpid(), loopback_port.find())
-    return Callers(options["users"] or {os.getuid()}, None, loopback_port.find())
+        return Callers({os.getuid()}, os.getpid(), loopback_port.find_loopback())
+    return Callers(options["users"] or {os.getuid()}, None, loopback_port.find_loopback())
 
 
 async def _serve(sidecar: Sidecar) -> int:

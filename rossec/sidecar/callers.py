@@ -36,7 +36,7 @@ class Callers:
     ) -> None:
         self.loopback: Final = loopback
         self._users = frozenset(users)
-        self._holders = None if ancestor is None else SocketOwners(ancestor)
+        self._owners = None if ancestor is None else SocketOwners(ancestor)
 
     async def check(self, sock: socket.socket) -> None:
         """Return if a program that may is at the other end.
@@ -79,5 +79,5 @@ class Callers:
     async def _check(self, holder: Holder) -> None:
         if holder.user not in self._users or not peeruid.is_known(holder.user):
             raise PeerUserRefused(f"user {holder.user} may not use this sidecar", _HINT)
-        if self._holders is not None and not await self._holders.have(holder.inode):
+        if self._owners is not None and not await self._owners.holds(holder.inode):
             raise PeerUserRefused("this sidecar belongs to another program", _HINT)

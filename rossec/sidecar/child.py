@@ -26,7 +26,7 @@ OUTSIDE: Final = "ROSSEC_OUTSIDE"
 """Where a nested `rossec run` finds what the outer one replaced."""
 
 _REPLACED: Final = ("ROS_MASTER_URI", "ROS_IP", "ROS_HOSTNAME", "ROS_IPV6")
-_PASSED_ON: Final = (
+_FORWARDED: Final = (
     signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT,
     signal.SIGUSR1, signal.SIGUSR2, signal.SIGCONT,
 )  # fmt: skip
@@ -38,7 +38,7 @@ _SIGNAL: Final = struct.Struct("=Iii116x")  # signalfd_siginfo: number, errno, c
 _BY_KERNEL: Final = 0x80  # SI_KERNEL
 
 
-def outside(environ: Mapping[str, str]) -> dict[str, str]:
+def outer_environment(environ: Mapping[str, str]) -> dict[str, str]:
     """The environment as it was before an outer `rossec run` changed it.
 
     Raises:
@@ -55,7 +55,7 @@ def outside(environ: Mapping[str, str]) -> dict[str, str]:
     return {key: value for key, value in environ.items() if key not in _REPLACED} | before
 
 
-def inside(
+def program_environment(
     environ: Mapping[str, str],
     settled: Mapping[str, str],
     master_uri: str,
@@ -91,7 +91,7 @@ async def run(
     Raises:
         NoSuchProgram: it cannot be started.
     """
-    with _held_back() as (mask, signals):
+    with _blocked_signals() as (mask, signals):
 
         def prepare() -> None:
             # A program whose sidecar was killed reaches nobody, and must not linger.
@@ -101,7 +101,7 @@ async def run(
                 restore_limit(limits)
 
         program = await _start(command, environ, prepare)
-        with _passing_on(program, signals):
+        with _forwarding_signals(program, signals):
             code = await program.wait()
     return code if code >= 0 else _SIGNALLED - code
 
@@ -129,14 +129,14 @@ class NoSuchProgram(HintedError):
 
 
 @contextlib.contextmanager
-def _held_back() -> Iterator[tuple[set[int | signal.Signals], int]]:
+def _blocked_signals() -> Iterator[tuple[set[int | signal.Signals], int]]:
     """Signals wait at a descriptor meanwhile; with it comes the mask from before.
 
     They are held back from before the program starts: none is lost.
     """
-    mask = signal.pthread_sigmask(signal.SIG_BLOCK, _PASSED_ON)
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, _FORWARDED)
     try:
-        signals = _signalfd(_PASSED_ON)
+        signals = _signalfd(_FORWARDED)
         try:
             yield mask, signals
         finally:
@@ -157,26 +157,26 @@ def _signalfd(numbers: Sequence[signal.Signals]) -> int:
 
 
 @contextlib.contextmanager
-def _passing_on(program: asyncio.subprocess.Process, signals: int) -> Iterator[None]:
+def _forwarding_signals(program: asyncio.subprocess.Process, signals: int) -> Iterator[None]:
     loop = asyncio.get_running_loop()
 
-    def pass_on() -> None:
-        for number, code in _arrived(signals):
+    def forward() -> None:
+        for number, code in _pending_signals(signals):
             if code != _BY_KERNEL:
                 with contextlib.suppress(ProcessLookupError):
                     program.send_signal(number)
 
-    loop.add_reader(signals, pass_on)
-    loop.add_signal_handler(signal.SIGCHLD, _bury, program.pid)
+    loop.add_reader(signals, forward)
+    loop.add_signal_handler(signal.SIGCHLD, _reap, program.pid)
     try:
         yield
     finally:
-        pass_on()  # what came in the last moment was for the program, and must not end us
+        forward()  # what came in the last moment was for the program, and must not end us
         loop.remove_reader(signals)
         loop.remove_signal_handler(signal.SIGCHLD)
 
 
-def _arrived(signals: int) -> Iterator[tuple[int, int]]:
+def _pending_signals(signals: int) -> Iterator[tuple[int, int]]:
     """Each signal that waits, with its code."""
     with contextlib.suppress(BlockingIOError):
         while True:
@@ -184,7 +184,7 @@ def _arrived(signals: int) -> Iterator[tuple[int, int]]:
             yield number, code
 
 
-def _bury(own: int) -> None:
+def _reap(own: int) -> None:
     """Collect adopted children that have ended; the program itself is waited for elsewhere."""
     with contextlib.suppress(ChildProcessError):
         while (found := os.waitid(os.P_ALL, 0, os.WEXITED | os.WNOHANG | os.WNOWAIT)) is not None:

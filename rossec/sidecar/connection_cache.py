@@ -11,36 +11,36 @@ from rossec.net.aio.tasks import TaskSet
 from rossec.sidecar.core.endpoints import Endpoint
 from rossec.sidecar.executor import SlaveApiClient
 
-_KEEP: Final = 5.0
+_LIFETIME: Final = 5.0
 
 
 class ConnectionCache:
     """At most one for each peer."""
 
     def __init__(self) -> None:
-        self._kept: dict[Endpoint, SlaveApiClient] = {}
+        self._clients: dict[Endpoint, SlaveApiClient] = {}
         self._tasks = TaskSet()
 
-    def keep(self, remote: Endpoint, correspondent: SlaveApiClient) -> None:
+    def put(self, remote: Endpoint, client: SlaveApiClient) -> None:
         """Keep a connection for the next caller of `remote`, for a moment."""
-        old = self._kept.pop(remote, None)
-        self._kept[remote] = correspondent
-        self._tasks.spawn(self._let_go(remote, correspondent, old), "a kept connection")
+        old = self._clients.pop(remote, None)
+        self._clients[remote] = client
+        self._tasks.spawn(self._close_later(remote, client, old), "a kept connection")
 
     def take(self, remote: Endpoint) -> SlaveApiClient | None:
         """Such a connection, for this caller alone."""
-        return self._kept.pop(remote, None)
+        return self._clients.pop(remote, None)
 
     async def close(self) -> None:
         """Let go of all."""
         await self._tasks.close()
 
-    async def _let_go(
-        self, remote: Endpoint, correspondent: SlaveApiClient, old: SlaveApiClient | None
+    async def _close_later(
+        self, remote: Endpoint, client: SlaveApiClient, old: SlaveApiClient | None
     ) -> None:
         if old is not None:
-            await old.client.close()
-        await asyncio.sleep(_KEEP)
-        if self._kept.get(remote) is correspondent:
-            del self._kept[remote]
-            await correspondent.client.close()
+            await old.rpc.close()
+        await asyncio.sleep(_LIFETIME)
+        if self._clients.get(remote) is client:
+            del self._clients[remote]
+            await client.rpc.close()

@@ -29,7 +29,7 @@ def known_type(name: str) -> Definition | None:
             each = waiting.pop()
             if each not in texts:
                 texts[each] = _text(each)
-                waiting += sorted(layout.needed(each, texts[each]))
+                waiting += sorted(layout.dependencies(each, texts[each]))
             if len(texts) > _MOST:
                 return None
         whole = "\n".join((texts.pop(name), *(_part(*item) for item in texts.items())))

@@ -27,7 +27,7 @@ _WITHOUT_IPV4: Final = (
     "this host has no 127.0.0.1: programs are told %s, and ROS_IPV6=on; roscpp does not start"
     " without one (ip address add 127.0.0.1/8 dev lo)"
 )
-_REST: Final = 1.0  # seconds, when this process is out of descriptors
+_PAUSE: Final = 1.0  # seconds, when this process is out of descriptors
 
 _log = logging.getLogger("rossec.sidecar")
 Handler = Callable[[PlainStream], Awaitable[None]]
@@ -40,7 +40,7 @@ class LoopbackPort:
     def __init__(self, callers: Callers, handler: Handler, port: int = 0) -> None:
         self._callers = callers
         self._handler = handler
-        self._socket = reserve(port, callers.loopback)
+        self._socket = bind_loopback(port, callers.loopback)
         self._loop = asyncio.get_running_loop()
         self._tasks = TaskSet()
         self._is_open = False
@@ -58,9 +58,9 @@ class LoopbackPort:
             # Connections from before may still use the number; at rest nobody else may bind it.
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             self._socket.listen(_BACKLOG)
-            self._watch()
+            self._start_accepting()
 
-    def rest(self) -> None:
+    def suspend(self) -> None:
         """Refuse callers, keep the number; connections that are served go on."""
         if self._is_open:
             self._is_open = False
@@ -71,11 +71,11 @@ class LoopbackPort:
 
     async def close(self) -> None:
         """Give the port back and end what is served."""
-        self.rest()
+        self.suspend()
         self._socket.close()
         await self._tasks.close()
 
-    def _watch(self) -> None:
+    def _start_accepting(self) -> None:
         if self._is_open:
             self._loop.add_reader(self._socket.fileno(), self._accept)
 
@@ -85,9 +85,9 @@ class LoopbackPort:
         except (BlockingIOError, InterruptedError, ConnectionAbortedError):  # gone meanwhile
             return
         except OSError as error:  # out of descriptors: who waits would be told of again at once
-            _log.warning("cannot accept programs for %s s: %s", _REST, error)
+            _log.warning("cannot accept programs for %s s: %s", _PAUSE, error)
             self._loop.remove_reader(self._socket.fileno())
-            self._loop.call_later(_REST, self._watch)
+            self._loop.call_later(_PAUSE, self._start_accepting)
             return
         if len(self._tasks) >= _CONNECTIONS:
             _log.warning("too many connections at loopback port %d", self.port)
@@ -113,7 +113,7 @@ class LoopbackPort:
             stream.abort()
 
 
-def find() -> Loopback:
+def find_loopback() -> Loopback:
     """The loopback of this host.
 
     Raises:
@@ -155,7 +155,7 @@ def _family(address: str) -> int:
     return socket.AF_INET6 if ":" in address else socket.AF_INET
 
 
-def reserve(port: int = 0, loopback: Loopback = LOOPBACK) -> socket.socket:
+def bind_loopback(port: int = 0, loopback: Loopback = LOOPBACK) -> socket.socket:
     """A socket bound to `port` of loopback, by default any free one.
 
     The number is named in the call to bind: only then does Linux keep it while the socket rests.
@@ -164,14 +164,14 @@ def reserve(port: int = 0, loopback: Loopback = LOOPBACK) -> socket.socket:
         OSError: the port is taken.
     """
     if port:
-        return _bound(loopback.address, port, again=True)
-    return on_free_port(lambda port: _bound(loopback.address, port))
+        return _bind(loopback.address, port, reuse=True)
+    return bind_free_port(lambda port: _bind(loopback.address, port))
 
 
-def _bound(address: str, port: int, *, again: bool = False) -> socket.socket:
+def _bind(address: str, port: int, *, reuse: bool = False) -> socket.socket:
     sock = socket.socket(_family(address))
     # A service's own port may be in TIME_WAIT from before; it never rests.
-    sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, int(again))
+    sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, int(reuse))
     sock.setblocking(False)
     try:
         sock.bind((address, port))
@@ -182,7 +182,7 @@ def _bound(address: str, port: int, *, again: bool = False) -> socket.socket:
     return sock
 
 
-def on_free_port(bind: Callable[[int], Bound]) -> Bound:
+def bind_free_port(bind: Callable[[int], Bound]) -> Bound:
     """What `bind` makes of a free port; where another process was faster, of the next one."""
     for _ in range(_ATTEMPTS - 1):
         with contextlib.suppress(OSError):

@@ -35,37 +35,37 @@ class PeerConnections:
 
     def __init__(self, revocations: Revocations) -> None:
         self._revocations = revocations
-        self._links: set[PeerConnection] = set()
+        self._connections: set[PeerConnection] = set()
 
     def __iter__(self) -> Iterator[PeerConnection]:
-        return iter(tuple(self._links))
+        return iter(tuple(self._connections))
 
     @contextlib.contextmanager
-    def linked(self, stream: SecureStream[Identity], decision: Decision) -> Iterator[None]:
+    def track(self, stream: SecureStream[Identity], decision: Decision) -> Iterator[None]:
         """A link while the block runs; a connection that ends meanwhile ends the block alone.
 
         Raises:
             HangUp: it must end before it begins.
         """
-        link = PeerConnection(stream, decision)
-        self._links.add(link)
+        connection = PeerConnection(stream, decision)
+        self._connections.add(connection)
         try:
-            reason = termination_reason(link, self._revocations, clock.now())
+            reason = termination_reason(connection, self._revocations, clock.now())
             if reason is not None:
                 raise HangUp(reason)
-            with _ended(stream):
+            with _log_end(stream):
                 yield
         finally:
-            self._links.discard(link)
+            self._connections.discard(connection)
 
     def abort(self, reason: str) -> None:
         """Cut them all."""
-        for link in self:
-            link.stream.abort(reason)
+        for connection in self:
+            connection.stream.abort(reason)
 
 
 @contextlib.contextmanager
-def _ended(stream: SecureStream[Identity]) -> Iterator[None]:
+def _log_end(stream: SecureStream[Identity]) -> Iterator[None]:
     try:
         yield
     except* HintedError as group:  # the guard's too: a grant that expires between two messages

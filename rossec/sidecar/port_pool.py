@@ -23,10 +23,10 @@ class PooledPort(Protocol):
         """How many it serves."""
 
 
-DoorT = TypeVar("DoorT", bound=PooledPort)
+PortT = TypeVar("PortT", bound=PooledPort)
 
 
-class PortPool(Generic[DoorT]):
+class PortPool(Generic[PortT]):
     """Doors of one kind.
 
     Args:
@@ -36,43 +36,43 @@ class PortPool(Generic[DoorT]):
 
     def __init__(
         self,
-        closing: Callable[[Endpoint, DoorT], None],
-        can_spare: Callable[[Endpoint], bool] = lambda _: True,
+        on_evict: Callable[[Endpoint, PortT], None],
+        may_evict: Callable[[Endpoint], bool] = lambda _: True,
         limit: int = LIMIT,
     ) -> None:
-        self._closing = closing
-        self._can_spare = can_spare
+        self._on_evict = on_evict
+        self._may_evict = may_evict
         self._limit = limit
-        self._doors: dict[Endpoint, DoorT] = {}  # the one asked for last comes last
+        self._ports: dict[Endpoint, PortT] = {}  # the one asked for last comes last
 
-    def get(self, place: Endpoint) -> DoorT | None:
+    def get(self, endpoint: Endpoint) -> PortT | None:
         """The door for `place`, without asking for it."""
-        return self._doors.get(place)
+        return self._ports.get(endpoint)
 
-    def ask(self, place: Endpoint, make: Callable[[], DoorT]) -> DoorT:
+    def get_or_open(self, endpoint: Endpoint, open_port: Callable[[], PortT]) -> PortT:
         """The door for `place`, made if there is none.
 
         Raises:
             ConfigurationError: there are too many, and all are in use.
         """
-        door = self._doors.pop(place, None)
-        if door is None:
-            if len(self._doors) >= self._limit:
-                self._make_room()
-            door = make()
-        self._doors[place] = door
-        return door
+        port = self._ports.pop(endpoint, None)
+        if port is None:
+            if len(self._ports) >= self._limit:
+                self._evict()
+            port = open_port()
+        self._ports[endpoint] = port
+        return port
 
-    def _make_room(self) -> None:
-        for place, door in self._doors.items():
-            if door.connections == 0 and self._can_spare(place):
-                del self._doors[place]
-                self._closing(place, door)
+    def _evict(self) -> None:
+        for endpoint, port in self._ports.items():
+            if port.connections == 0 and self._may_evict(endpoint):
+                del self._ports[endpoint]
+                self._on_evict(endpoint, port)
                 return
         raise ConfigurationError(
             f"more than {self._limit} addresses in use in one sidecar",
             "give some of the nodes an identity of their own",
         )
 
-    def __iter__(self) -> Iterator[DoorT]:
-        return iter(tuple(self._doors.values()))
+    def __iter__(self) -> Iterator[PortT]:
+        return iter(tuple(self._ports.values()))

@@ -23,7 +23,7 @@ from rossec.participant.header_fields import Fields
 from rossec.ros import header
 from rossec.ros.framing import Framing
 from rossec.ros.header import MESSAGE_LIMIT, FrameReader
-from rossec.sidecar.core.copies import Judge, Outlet
+from rossec.sidecar.core.copies import MessageGuard, SharedGuard
 from rossec.sidecar.plain_stream import PlainStream
 
 _LENGTH: Final = struct.Struct("<I")
@@ -60,7 +60,7 @@ async def exchange(
 
 
 async def publish(
-    program: PlainStream, peer: SecureStream[Identity], guard: Judge | None, first: bytes
+    program: PlainStream, peer: SecureStream[Identity], guard: MessageGuard | None, first: bytes
 ) -> None:
     """Pass a program's messages to a peer that subscribes; `first` came with its header."""
     await _both(program, peer, outgoing(program, peer, guard, first), _nothing_more(peer))
@@ -69,7 +69,7 @@ async def publish(
 async def subscribe(
     program: PlainStream,
     peer: SecureStream[Identity],
-    guard: Judge | None,
+    guard: MessageGuard | None,
     first: bytes,
     longest: int = MESSAGE_LIMIT,
 ) -> None:
@@ -93,33 +93,33 @@ async def to_program(peer: SecureStream[Identity], program: PlainStream, first: 
 
 
 def outgoing(
-    program: PlainStream, peer: SecureStream[Identity], guard: Judge | None, first: bytes
+    program: PlainStream, peer: SecureStream[Identity], guard: MessageGuard | None, first: bytes
 ) -> Coroutine[None, None, None]:
     """The way of messages out: through the guard if there is one."""
     if guard is None:
         return to_peer(program, peer, first)
-    if isinstance(guard, Outlet):
-        return promptly(program, peer, guard, first)
-    return guarded(program, peer, guard, first)
+    if isinstance(guard, SharedGuard):
+        return send_filtered_nowait(program, peer, guard, first)
+    return send_filtered(program, peer, guard, first)
 
 
 def incoming(
     peer: SecureStream[Identity],
     program: PlainStream,
-    guard: Judge | None,
+    guard: MessageGuard | None,
     first: bytes,
     longest: int = MESSAGE_LIMIT,
 ) -> Coroutine[None, None, None]:
     """The way of messages in: through the guard if the publisher is restricted."""
     if guard is None:
         return to_program(peer, program, first)
-    return guarded(peer, program, guard, first, longest)
+    return send_filtered(peer, program, guard, first, longest)
 
 
-async def guarded(
+async def send_filtered(
     source: PlainStream | SecureStream[Identity],
     sink: PlainStream | SecureStream[Identity],
-    guard: Judge,
+    guard: MessageGuard,
     first: bytes,
     longest: int = MESSAGE_LIMIT,
 ) -> None:
@@ -136,14 +136,14 @@ async def guarded(
     while True:
         now = clock.now()
         guard.check(now)
-        pieces = _judged(guard, messages, peer, now)
+        pieces = _filter_messages(guard, messages, peer, now)
         if pieces:
             await sink.send(*pieces)
         messages = await arrived(source, framing)
 
 
-async def promptly(
-    program: PlainStream, peer: SecureStream[Identity], outlet: Outlet, first: bytes
+async def send_filtered_nowait(
+    program: PlainStream, peer: SecureStream[Identity], guard: SharedGuard, first: bytes
 ) -> None:
     """As `guarded`; a message is judged when the program sends it, and a peer that lags misses it.
 
@@ -154,21 +154,23 @@ async def promptly(
     messages = framing.feed(first, clock.now())
     while True:
         now = clock.now()
-        outlet.check(now)
-        pieces = [] if peer.lags else _judged(outlet, messages, peer.peer.name, now)
+        guard.check(now)
+        pieces = [] if peer.lags else _filter_messages(guard, messages, peer.peer.name, now)
         if pieces:
             peer.push(b"".join(pieces))
         messages = await arrived(program, framing)
 
 
-def _judged(guard: Judge, messages: list[bytes], peer: str, now: int) -> list[Buffer]:
+def _filter_messages(
+    guard: MessageGuard, messages: list[bytes], peer: str, now: int
+) -> list[Buffer]:
     """What the guard leaves of the messages, as it is sent."""
-    return [piece for message in messages for piece in _treated(guard, message, peer, now)]
+    return [piece for message in messages for piece in _filter_message(guard, message, peer, now)]
 
 
-def _treated(guard: Judge, message: bytes, peer: str, now: int) -> list[Buffer]:
+def _filter_message(guard: MessageGuard, message: bytes, peer: str, now: int) -> list[Buffer]:
     try:
-        treated = guard.treat(message, now)
+        treated = guard.apply(message, now)
     except GrantError as error:
         withheld_log.warn(_log, "%(peer)s: withheld a message: %(cause)s", "", peer, error)
         return []

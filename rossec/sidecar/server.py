@@ -50,7 +50,7 @@ class Sidecar:
     def __init__(
         self,
         home: Path,
-        outside: Settings,
+        settings: Settings,
         callers: Callers,
         *,
         identity: str | None = None,
@@ -59,13 +59,13 @@ class Sidecar:
         suites: tuple[int, ...] = PRODUCTION,
     ) -> None:
         self._home = home
-        self._outside = outside
+        self._settings = settings
         self._callers = callers
         self._each = each
         self._suites = suites
         self._half_open = HalfOpenCount(HalfOpen())
         self._agents: dict[str, Agent] = {}
-        self._master = self._at(port)
+        self._master = self._bind_master(port)
         self._default = None if identity is None else self._agent(NodeHome.of(home, identity))
 
     @property
@@ -73,7 +73,7 @@ class Sidecar:
         """What programs must be told in ROS_MASTER_URI."""
         return Endpoint(WireProtocol.HTTP, self._callers.loopback.host, self._master.port).uri
 
-    def _at(self, port: int) -> LoopbackPort:
+    def _bind_master(self, port: int) -> LoopbackPort:
         try:
             master = LoopbackPort(self._callers, self._serve, port)
         except OSError as error:
@@ -81,9 +81,9 @@ class Sidecar:
             raise ConfigurationError(
                 f"cannot listen at {address} port {port}: {error.strerror}", _TAKEN
             ) from error
-        if is_loopback(self._outside.master_host) and self._outside.master_port == master.port:
+        if is_loopback(self._settings.master_host) and self._settings.master_port == master.port:
             raise ConfigurationError(
-                f"ROS_MASTER_URI, {self._outside.master_uri}, is the sidecar's own address",
+                f"ROS_MASTER_URI, {self._settings.master_uri}, is the sidecar's own address",
                 "set it to where the secured master is, for the sidecar alone",
             )
         return master
@@ -98,17 +98,17 @@ class Sidecar:
         await asyncio.gather(*(agent.close() for agent in self._agents.values()))
 
     async def _serve(self, program: PlainStream) -> None:
-        await serve_calls(program, self._call)
+        await serve_calls(program, self._dispatch)
 
-    async def _call(self, method: str, params: tuple[object, ...], _: str) -> object:
+    async def _dispatch(self, method: str, params: tuple[object, ...], _: str) -> object:
         if method == MULTICALL and params == ([],):  # nobody's: roslaunch without parameters
             return []
-        refused = _unnamed(method, params)
+        refused = _missing_caller(method, params)
         if refused is not None:
             return refused
         try:
             agent = self._agent_for(_caller(method, params))
-            return await agent.call_master(method, params)
+            return await agent.handle_call(method, params)
         except (HangUp, Fault):
             raise
         except HintedError as error:
@@ -133,7 +133,7 @@ class Sidecar:
         if not (home.path / "node.key").exists():
             if self._default is not None:
                 return self._default
-            raise ConfigurationError(f"{name} has no identity here", _remedy(name))
+            raise ConfigurationError(f"{name} has no identity here", _enroll_hint(name))
         if len(self._agents) >= _LIMIT:
             raise ConfigurationError("too many identities in one sidecar")
         return self._agent(home)
@@ -141,18 +141,18 @@ class Sidecar:
     def _agent(self, home: NodeHome) -> Agent:
         if home.name not in self._agents:
             self._agents[home.name] = Agent(
-                home, self._outside, self._callers, self.uri, self._half_open, self._suites
+                home, self._settings, self._callers, self.uri, self._half_open, self._suites
             )
         return self._agents[home.name]
 
 
-def _remedy(name: str) -> str:
+def _enroll_hint(name: str) -> str:
     base = _ANONYMOUS.sub("", name)
     anonymous = "" if base == name else " --anonymous"
     return f"enroll it: rossec node request {base}{anonymous}, or use --as"
 
 
-def _unnamed(method: str, params: tuple[object, ...]) -> object | None:
+def _missing_caller(method: str, params: tuple[object, ...]) -> object | None:
     """The answer to a call that does not say who makes it: it needs no identity to be refused."""
     return None if method == MULTICALL else without_caller(params, rule_of(method).default)
 

@@ -23,8 +23,8 @@ from rossec.node import Node
 from rossec.participant import master_session
 from rossec.participant.connections import STALE_GRACE
 from rossec.participant.slave_api import MASTER
-from tests.rossec.sidecar.conversation import Pair, connect, ends
 from tests.rossec.sidecar.program import Program, sidecar
+from tests.rossec.sidecar.sidecar_pair import SidecarPair, connect, wait_closed
 from tests.support.attacker import EVE, credentials, fields_for, knock, signed
 from tests.support.caller import caller
 from tests.support.fleet import SECURE, environment, program
@@ -122,7 +122,7 @@ def _is_stale(check: Callable[[int], None]) -> bool:
 
 
 @pytest.fixture
-async def pair(tmp_path: Path) -> AsyncIterator[Pair]:
+async def pair(tmp_path: Path) -> AsyncIterator[SidecarPair]:
     site = Site(tmp_path / "sidecars")
     site.publish("/talker", "/word", lifetime=LIFE)
     site.subscribe("/listener", "/word")
@@ -133,16 +133,16 @@ async def pair(tmp_path: Path) -> AsyncIterator[Pair]:
         Program("/talker", near) as talker,
         Program("/listener", far) as listener,
     ):
-        yield Pair(site, near, far, talker, listener)
+        yield SidecarPair(site, near, far, talker, listener)
 
 
 @pytest.mark.attack("clock-set-back")
-async def test_a_link_of_a_sidecar_ends_with_its_grant(pair: Pair, hand: Hand) -> None:
+async def test_a_link_of_a_sidecar_ends_with_its_grant(pair: SidecarPair, hand: Hand) -> None:
     stream, source = await connect(pair)
     await bereft(pair.site)
     hand.set, hand.passed = -HOUR, LIFE + 1
-    await ends(stream)
-    await ends(source)
+    await wait_closed(stream)
+    await wait_closed(source)
 
 
 HANDLED: Final = (
@@ -236,7 +236,7 @@ async def test_old_news_held_back_do_not_put_it_right(site: Site, hand: Hand) ->
     """A push may have been on the way for as long as somebody liked."""
     signer = site.enroll(MASTER).credentials().signer
     async with site.node("/robot") as robot:
-        held = robot.revocations.held
+        held = robot.revocations.current
         assert held is not None
         then = clock.now() - HOUR
         stamp = sign_timestamp(

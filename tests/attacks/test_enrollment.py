@@ -31,11 +31,11 @@ from ca.enrollment.messages import (
 from ca.enrollment.node import NodeState
 from ca.errors import (
     AcknowledgementRefused,
+    ConflictingOffer,
     EnrollmentOver,
     EnrollmentRefused,
     RequestRefused,
     RequestSwapped,
-    RivalOffer,
 )
 from rossec.enrollment import authority
 from tests.ca.test_requests import CA_TRUE, SAN, crafted
@@ -202,12 +202,12 @@ async def test_an_answer_kept_back_and_an_offer_made_to_fit() -> None:
     core.receive(write(Delivery(robot.csr)), clock())
     made = offer_of(core)
     (answer,) = first.receive(made, clock())
-    with pytest.raises(RivalOffer):
+    with pytest.raises(ConflictingOffer):
         first.receive(write(forged(robot.csr)), clock())
     core.receive(answer, clock())
     second.receive(write(forged(robot.csr)), clock())
     assert core.digits != second.pending.digits  # but for one time in a million
-    with pytest.raises(RivalOffer):  # nor may she try again
+    with pytest.raises(ConflictingOffer):  # nor may she try again
         second.receive(write(forged(robot.csr)), clock())
     assert second.state is NodeState.OVER
 
@@ -227,7 +227,7 @@ async def test_a_stolen_screen_code_used_first(site: Site) -> None:
         assert length(await reader.readexactly(4)) > 0  # the node has answered the thief
         core = scanned(robot)
         await authority.fetch(core, robot._host, robot.port, clock)
-        with pytest.raises(RivalOffer, match="somebody else has its code"):
+        with pytest.raises(ConflictingOffer, match="somebody else has its code"):
             await authority.deliver(
                 core, offer_of(core, site), robot._host, robot.port, clock, pytest.fail
             )

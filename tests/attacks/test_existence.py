@@ -40,10 +40,10 @@ async def robot(near: Sidecar) -> AsyncIterator[Program]:
         yield robot
 
 
-def ports(near: Sidecar, flavour: WireProtocol) -> list[int]:
+def ports(near: Sidecar, protocol: WireProtocol) -> list[int]:
     """Where the network reaches /robot2."""
-    exports = near._agent_for("/robot2")._exports.doorways
-    return [door.port for place, door in exports._doors.items() if place.flavour is flavour]
+    exports = near._agent_for("/robot2")._ingress.ports
+    return [door.port for place, door in exports._ports.items() if place.protocol is protocol]
 
 
 async def offered(site: Site, near: Sidecar, topic: object) -> Any:

@@ -20,8 +20,8 @@ from rossec.errors import ChannelError
 from rossec.master.api.revoked_calls import CALLS, MOST, MOST_BELOW
 from rossec.net.rpc.client import CallFailed, RpcClient
 from rossec.participant.connections import STALE_GRACE
-from tests.rossec.sidecar.conversation import Pair, connect, ends
 from tests.rossec.sidecar.program import Program, sidecar
+from tests.rossec.sidecar.sidecar_pair import SidecarPair, connect, wait_closed
 from tests.support.attacker import (
     EVE,
     call,
@@ -49,7 +49,7 @@ def below(site: Site, *names: str) -> bytes:
     host = SigningAuthority(Authority(signer, root, der), site.authority.store, site.root)
     for name in names:
         identity = site.identity(name)
-        leaf = host.authority.certify_again(
+        leaf = host.authority.reissue(
             identity, identity.public_key, now=site.now(), serial=secrets.randbits(127)
         )
         site.enroll(name).install(host.bundle(leaf), site.now())
@@ -154,10 +154,10 @@ async def test_both_sidecars_below_it_are_cut(tmp_path: Path) -> None:
         Program("/talker", near) as talker,
         Program("/listener", far) as listener,
     ):
-        stream, source = await connect(Pair(site, near, far, talker, listener))
+        stream, source = await connect(SidecarPair(site, near, far, talker, listener))
         await bring(site, site.revoke(intermediate))
-        await ends(stream)
-        await ends(source)
+        await wait_closed(stream)
+        await wait_closed(source)
 
 
 TALKER: Final = (

@@ -145,22 +145,6 @@ async def test_m9_what_a_node_answers_is_bounded(
 # --- M10
 
 
-@pytest.mark.attack("plain-peer")
-async def test_m10_nothing_is_parsed_before_the_handshake(narrow: Site) -> None:
-    """A plain caller with an endless body is told once, thrown away unread, and cut off."""
-    loop = asyncio.get_running_loop()
-    with socket.socket() as sock:
-        sock.setblocking(False)
-        await loop.sock_connect(sock, (HOST, port(narrow)))
-        await loop.sock_sendall(sock, HEAD % (1 << 40))
-        async with asyncio.timeout(60):
-            with contextlib.suppress(OSError):  # else the deadline speaks
-                while True:
-                    await loop.sock_sendall(sock, b"<methodCall>" * 5000)
-                    await asyncio.sleep(0.01)
-    await until(lambda: connections(narrow) == 0)
-
-
 @pytest.mark.attack("master-load")
 @pytest.mark.parametrize(
     ("data", "status"),

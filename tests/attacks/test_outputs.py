@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from ca.errors import PlaceRefused
+from ca.errors import PathRefused
 from rossec.authority.home import AuthorityHome
 from rossec.master.operation.denial_log import DenialLog
 from tests.support.commands import PASSPHRASE, Shell
@@ -96,6 +96,6 @@ def test_a_log_in_a_directory_of_all(tmp_path: Path, kind: str) -> None:
     else:
         log.touch()
         log.chmod(0o666)
-    with pytest.raises((PlaceRefused, OSError)):
+    with pytest.raises((PathRefused, OSError)):
         DenialLog(log)
     assert not (tmp_path / "victim").exists()

@@ -93,7 +93,7 @@ async def instead_of_the_master(
 
 
 def stamped(home: NodeHome, node: Node, issued: int) -> bytes:
-    held = node.revocations.held
+    held = node.revocations.current
     assert held is not None
     word = Timestamp(held.seq, digest(node.revocations.data), issued, 30)
     return sign_timestamp(home.credentials().signer, word)

@@ -2,7 +2,6 @@
 
 import asyncio
 import contextlib
-import secrets
 import socket
 import time
 from collections.abc import AsyncIterator, Callable
@@ -15,9 +14,7 @@ import pytest_asyncio
 from ca.certificates import Identity
 from ca.encoding import encode
 from grants.model import Right
-from rossec.channel.connection import Connection
 from rossec.channel.opening import REFUSAL, tcpros_refusal
-from rossec.channel.states import Authenticated, UnitReceived
 from rossec.demo.stranger import believe_anyone
 from rossec.errors import ChannelError
 from rossec.inprocess.live_connections import PEER_CONNECTIONS
@@ -38,7 +35,16 @@ from tests.support.attacker import (
     fields_for,
     knock,
 )
-from tests.support.victim import COMMAND, SERVICE, STATE, TYPE, Victim, attacked, slave_port
+from tests.support.victim import (
+    COMMAND,
+    SERVICE,
+    STATE,
+    TYPE,
+    Victim,
+    attacked,
+    for_service,
+    slave_port,
+)
 from tests.support.witness import until
 
 pytestmark = [pytest.mark.ros, pytest.mark.asyncio(loop_scope="module")]
@@ -50,11 +56,6 @@ async def victim(tmp_path_factory: pytest.TempPathFactory) -> AsyncIterator[Vict
     directory: Path = tmp_path_factory.mktemp("victim")
     async with attacked(directory) as victim:
         yield victim
-
-
-def for_service(name: str, service: str, grants: list[bytes], **changes: str) -> dict[str, Any]:
-    fields = {"callerid": name, "service": service, "md5sum": "*", FIELD: encode(list(grants))}
-    return {**fields, **changes}
 
 
 async def heard(victim: Victim, fields: dict[str, Any], name: str = EVE) -> Heard:
@@ -241,103 +242,6 @@ async def test_a_false_publisher_is_refused(victim: Victim) -> None:
     finally:
         await topics.close()
         await api.close()
-
-
-# --- N11: records
-
-
-class Wire:
-    """A subscriber or a client whose records can be meddled with."""
-
-    def __init__(self, victim: Victim, name: str) -> None:
-        self.sock = socket.create_connection((HOST, victim.port), timeout=10)
-        self.core = Connection[Identity].initiator(
-            credentials(victim.site, name), victim.site.anchor.verify,
-            random=secrets.token_bytes, now=int(time.time()),
-        )  # fmt: skip
-        self.units: list[bytes] = []
-        self.push()
-        while not self.pull():
-            self.push()
-        self.push()
-
-    def push(self) -> None:
-        self.sock.sendall(self.core.data_to_send())
-
-    def pull(self) -> bool:
-        """Whether the peer has been authenticated by what came."""
-        data = self.sock.recv(65536)
-        assert data, "the connection ended"
-        events = self.core.receive_data(data, int(time.time()))
-        self.units += [event.data for event in events if isinstance(event, UnitReceived)]
-        return any(isinstance(event, Authenticated) for event in events)
-
-    def seal(self, data: bytes) -> bytes:
-        self.core.send_unit(data)
-        return bytes(self.core.data_to_send())
-
-    def ended(self) -> bool:
-        """Whether the other side hangs up."""
-        with contextlib.suppress(ConnectionError):
-            while self.sock.recv(65536):
-                pass
-        return True
-
-
-def meddle_tampered(one: bytes, two: bytes) -> bytes:
-    return one[:-1] + bytes([one[-1] ^ 1]) + two
-
-
-def meddle_replayed(one: bytes, _: bytes) -> bytes:
-    return one + one
-
-
-def meddle_reordered(one: bytes, two: bytes) -> bytes:
-    return two + one
-
-
-def meddle_header(one: bytes, two: bytes) -> bytes:
-    return bytes([one[0] ^ 0x10]) + one[1:] + two
-
-
-@pytest.mark.attack("tampered-records")
-@pytest.mark.parametrize(
-    ("meddle", "called"),
-    [(meddle_tampered, 0), (meddle_replayed, 1), (meddle_reordered, 0), (meddle_header, 0)],
-)
-async def test_records_that_are_not_the_peers_end_the_connection(
-    victim: Victim, meddle: Callable[[bytes, bytes], bytes], called: int
-) -> None:
-    """N11: on a service, where what arrives would be acted upon."""
-    grant = victim.site.grant("/clerk", Right.CALL, SERVICE)
-    wire = await asyncio.to_thread(Wire, victim, "/clerk")
-    fields = for_service("/clerk", SERVICE, [grant], persistent="1")
-    wire.sock.sendall(wire.seal(header.encode(fields)))
-    while not wire.units:
-        await asyncio.to_thread(wire.pull)
-    before = victim.said.count("RESET")
-    flight = meddle(wire.seal(header.frame(b"")), wire.seal(header.frame(b"")))
-    wire.sock.sendall(flight)
-    assert await asyncio.to_thread(wire.ended)
-    wire.sock.close()
-    await victim.viewer._session.call("getPid")
-    assert victim.said.count("RESET") - before <= called
-    victim.program.said = victim.said.replace("RESET", "")
-    await victim.goes_on()
-
-
-@pytest.mark.attack("tampered-records")
-async def test_a_record_cut_short_delivers_nothing(victim: Victim) -> None:
-    """N11: truncation; the half of a request is no request."""
-    grant = victim.site.grant("/clerk", Right.CALL, SERVICE)
-    wire = await asyncio.to_thread(Wire, victim, "/clerk")
-    fields = for_service("/clerk", SERVICE, [grant])
-    wire.sock.sendall(wire.seal(header.encode(fields)))
-    wire.sock.sendall(wire.seal(header.frame(b""))[:-1])
-    wire.sock.shutdown(socket.SHUT_WR)
-    assert await asyncio.to_thread(wire.ended)
-    wire.sock.close()
-    await victim.goes_on()
 
 
 # --- D2: rights that end while the connection lives

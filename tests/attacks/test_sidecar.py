@@ -24,7 +24,7 @@ from rossec.net.halfopen import HalfOpen
 from rossec.net.rpc.client import RpcClient
 from rossec.sidecar import executor
 from rossec.sidecar.core import tcpros
-from rossec.sidecar.core.endpoints import inside
+from rossec.sidecar.core.endpoints import local_endpoint
 from rossec.sidecar.server import Sidecar
 from tests.rossec.sidecar.program import Program, sidecar
 from tests.support.site import Site
@@ -89,8 +89,8 @@ async def test_the_process_of_another_user_cannot_borrow_the_identity(
         pytest.skip("NOT RUN: only root can start a process of another user")
     agent = near._agent_for("/robot")
     door = (
-        f"http://127.0.0.1:{next(iter(agent._imports.doorways)).port}/"
-        if any(agent._imports.doorways)
+        f"http://127.0.0.1:{next(iter(agent._egress.ports)).port}/"
+        if any(agent._egress.ports)
         else ""
     )
     assert (await call_as(near.uri, None)).startswith("ANSWERED")
@@ -186,8 +186,8 @@ async def test_strangers_at_many_doors_cost_no_more_than_at_one(
     """N8: ten doors would be more descriptors than a process has, and its programs need some."""
     agent = near._agent_for("/robot")
     for port in range(1, 4):
-        agent.export(inside(WireProtocol.TCPROS, port))
-    servers = tuple(agent._exports.doorways)
+        agent.open_ingress(local_endpoint(WireProtocol.TCPROS, port))
+    servers = tuple(agent._ingress.ports)
     cap = HalfOpen().per_address
     with contextlib.ExitStack() as stack:
         ports = [server.port for server in servers]
@@ -202,7 +202,7 @@ async def test_the_slave_api_is_closed_to_peers(site: Site, near: Sidecar, robot
     """N1-N4 and L1 through a sidecar: the program does not even hear of it."""
     home = site.enroll("/mallory")
     agent = near._agent_for("/robot")
-    port = next(iter(agent._exports.doorways)).port
+    port = next(iter(agent._ingress.ports)).port
     stream = await connect(
         "127.0.0.1", port, home.credentials(), site.anchor.verify, opening=WireProtocol.HTTP
     )

@@ -48,15 +48,15 @@ async def near(site: Site) -> AsyncIterator[Sidecar]:
         yield near
 
 
-async def meet(site: Site, port: int, flavour: WireProtocol) -> SecureStream[Identity]:
+async def meet(site: Site, port: int, protocol: WireProtocol) -> SecureStream[Identity]:
     """Connect as /mallory to a door of the sidecar."""
     credentials = site.enroll("/mallory").credentials()
-    return await connect("127.0.0.1", port, credentials, site.anchor.verify, opening=flavour)
+    return await connect("127.0.0.1", port, credentials, site.anchor.verify, opening=protocol)
 
 
 def door_of(near: Sidecar) -> SecureServer[Identity]:
     """Where peers reach the slave API of /robot."""
-    return next(iter(near._agent_for("/robot")._exports.doorways))
+    return next(iter(near._agent_for("/robot")._ingress.ports))
 
 
 @pytest.mark.attack("two-readings")
@@ -129,7 +129,7 @@ async def test_nobody_but_the_master_says_what_is_revoked(site: Site, near: Side
     async with Program("/robot", near) as robot:
         await robot.register("registerPublisher", "/word", "std_msgs/String")
         agent = near._agent_for("/robot")
-        held = agent._membership._revocations.held
+        held = agent._membership._revocations.current
         assert held is not None
         until_then = agent._membership._revocations.fresh_until
         signer = site.enroll("/mallory").credentials().signer

@@ -257,11 +257,11 @@ def test_a_remembered_certificate_is_verified_each_time(monkeypatch: pytest.Monk
 
 
 def test_only_so_many_are_remembered(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(certificates, "_known", OrderedDict())
-    monkeypatch.setattr(certificates, "_MAX_KNOWN", 2)
+    monkeypatch.setattr(certificates, "_cache", OrderedDict())
+    monkeypatch.setattr(certificates, "_CACHE_SIZE", 2)
     first, *others = (SITE.leaf() for _ in range(3))
     identity = SITE.anchor.verify([first], NOW)
     for leaf in others:
         SITE.anchor.verify([leaf], NOW)
     assert SITE.anchor.verify([first], NOW) is not identity
-    assert len(certificates._known) == 2
+    assert len(certificates._cache) == 2

@@ -19,9 +19,9 @@ from ca.renewal import (
     MAX_RENEWAL,
     PROFILE,
     Renewal,
-    ask_again_in,
     open_renewal,
     renew_at,
+    retry_delay,
     sign_renewal,
     signed_at,
 )
@@ -101,7 +101,7 @@ def test_of_a_certificate_that_is_not_backdated_all_is_its_life() -> None:
 
 @pytest.mark.parametrize(("life", "pause"), [(10, 1), (120, 6), (4 * 3600, 600), (DAY, 600)])
 def test_a_short_life_leaves_time_to_ask_again(life: int, pause: int) -> None:
-    assert ask_again_in(NOW - 3600, NOW + life, 600) == pause
+    assert retry_delay(NOW - 3600, NOW + life, 600) == pause
 
 
 def test_an_intermediate_that_may_only_renew() -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from ca.errors import PlaceRefused
+from ca.errors import PathRefused
 from rossec import files
 from rossec.errors import ConfigurationError, NotWritten
 
@@ -141,7 +141,7 @@ def test_a_file_that_is_believed(tmp_path: Path) -> None:
         files.read_own(tmp_path / "missing", 4, MISSING)
     (tmp_path / "own").chmod(0o666)
     for open_it in (lambda path: files.read_own(path, 5, MISSING), files.append_own):
-        with pytest.raises(PlaceRefused, match="can be written by others"):
+        with pytest.raises(PathRefused, match="can be written by others"):
             open_it(tmp_path / "own")
 
 

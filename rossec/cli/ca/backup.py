@@ -5,7 +5,7 @@ from pathlib import Path
 import click
 
 from ca.revocation.lists import MAX_LIST
-from ca.revocation.tree import MAX_LISTING
+from ca.revocation.tree import MAX_TREE_ENTRIES_SIZE
 from ca.store.backup import MAX_BACKUP
 from rossec import files
 from rossec.authority import backup as backups
@@ -72,7 +72,7 @@ def restore(
     secret = passphrase.read(passphrase_file, environment.variables)
     found = backups.restore(
         environment.home, data, secret, now(), over=over, forget=forget, newest_list=listed,
-        entries=None if entries is None else _read(entries, MAX_LISTING),
+        entries=None if entries is None else _read(entries, MAX_TREE_ENTRIES_SIZE),
     )  # fmt: skip
     say(f"restored {found.home.domain} in {found.home.path}, {found.entries} log entries")
     say(f"fingerprint {fingerprint(found.home.anchor())}")

@@ -162,7 +162,7 @@ def _recorded(home: AuthorityHome, core: AuthorityEnrollment, source: str) -> Re
     """The request in the record: pending, or what was said about it before."""
     store = home.store()
     try:
-        answered = store.identities.answer(core.request.digest)
+        answered = store.identities.issued_for(core.request.digest)
         if answered is not None:
             request = core.request
             return RequestRow(

@@ -10,7 +10,7 @@ from ca.store.record import Store
 from ca.store.rows import INTERMEDIATE, CertificateRow
 from rossec import files
 from rossec.authority.home import AuthorityHome, fingerprint, grouped
-from rossec.authority.renewals import renew_by_name, renew_own
+from rossec.authority.renewals import renew_by_name, renew_own_node
 from rossec.authority.signing import OWN_NODE
 from rossec.cli.shared import passphrase
 from rossec.cli.shared.context import Duration, Environment, moment, now, pass_environment
@@ -21,9 +21,9 @@ from rossec.terminal import say, say_json
 
 def states(store: Store, at: int) -> list[tuple[CertificateRow, str]]:
     """Every identity with what it is now: valid, replaced by a newer one, expired, or revoked."""
-    with store.reading():
+    with store.read_transaction():
         rows, revoked = store.certificates(), store.revoked_entries()
-        in_force = store.identities.in_force(rows)
+        in_force = store.identities.with_valid_issuer(rows)
     alive = {row.serial for row in in_force if row.thumbprint not in revoked}
     newest = {row.name: row.serial for row in rows if row.serial in alive}
     return [(row, _state(row, at, newest, row.serial not in alive)) for row in rows]
@@ -123,7 +123,7 @@ def renew(
     authority = home.unlock(passphrase.read(passphrase_file, environment.variables))
     number = authority.store.next_number()
     if name == OWN_NODE:
-        say(f"renewed {name} until {moment(renew_own(authority, now()))}")
+        say(f"renewed {name} until {moment(renew_own_node(authority, now()))}")
     else:
         bundle = renew_by_name(authority, name, now(), lifetime)
         target = out or Path(f"{name.lstrip('/').replace('/', '.')}.pem")

@@ -20,7 +20,7 @@ _MAX_HEAD = 4096
 
 def show(environment: Environment, last: int | None, *, in_json: bool) -> None:
     """Show the newest `last` entries, by default all."""
-    entries = AuthorityHome.at(environment.home).store().journal.entries()[-(last or 0) :]
+    entries = AuthorityHome.at(environment.home).store().log.entries()[-(last or 0) :]
     if in_json:
         say_json([_as_json(entry) for entry in entries])
         return
@@ -43,8 +43,8 @@ def verify(environment: Environment, heads: tuple[Path, ...], in_json: bool) -> 
     """
     home = AuthorityHome.at(environment.home)
     store = home.store()
-    newest = store.journal.audit(home.own_key(), *(_read(path) for path in heads))
-    size = store.journal.head(now()).size
+    newest = store.log.audit(home.own_key(), *(_read(path) for path in heads))
+    size = store.log.head(now()).size
     if in_json:
         say_json({"entries": size, "signed": newest.size, "at": newest.issued})
         return
@@ -89,7 +89,7 @@ def prove(environment: Environment, entry: int | None, since: Path | None) -> No
     home = AuthorityHome.at(environment.home)
     if (entry is None) == (since is None):
         raise ConfigurationError("there is nothing to prove, or too much", "--entry N or --since F")
-    journal = home.store().journal
+    journal = home.store().log
     heads = journal.heads()
     if not heads:
         raise ConfigurationError("no state of the log was signed yet", "next: rossec ca log head")

@@ -9,7 +9,7 @@ from ca.names import spiffe_id
 from ca.store.lifecycle import OPEN, RequestRow, RequestState
 from ca.store.record import Store
 from grants.policy.model import Subject
-from grants.policy.projected_grants import prospects
+from grants.policy.projected_grants import projected_grants
 from rossec import files
 from rossec.authority.home import AuthorityHome, grouped
 from rossec.authority.policyfile import PolicyFile, place
@@ -39,7 +39,7 @@ def requests(environment: Environment, everything: bool, as_json: bool) -> None:
         return
     for row in rows:
         say(f"{_short(row)}  {row.state}  {row.name}  {printable(row.source)}")
-        say(f"  fingerprint {grouped(row.thumbprint)}  until {moment(row.until)}")
+        say(f"  fingerprint {grouped(row.thumbprint)}  until {moment(row.expires)}")
     if not rows:
         say("nobody asks for anything")
 
@@ -124,7 +124,7 @@ def tell_of_replaced(
 
 def _standing(store: Store, row: RequestRow) -> str:
     """Whether the name is known here: the one thing that must not be overlooked."""
-    known = store.identities.alive(row.name, now())
+    known = store.identities.valid(row.name, now())
     if any(each.thumbprint != row.thumbprint for each in known):
         return (
             f"WARNING: {row.name} is enrolled with ANOTHER KEY until {moment(known[-1].not_after)}"
@@ -141,7 +141,7 @@ def _prospects(environment: Environment, row: RequestRow) -> list[str]:
     if not path.exists():
         return ["there is no policy: it gets nothing by itself"]
     policy = PolicyFile.read(path, own=True).policy
-    lines = prospects(policy, Subject(row.name, row.thumbprint))
+    lines = projected_grants(policy, Subject(row.name, row.thumbprint))
     if not lines:
         return [f"the policy has no rule for it: {policy.defaults.decision}"]
     return ["the policy for this name:", *(f"  {line}" for line in lines)]
@@ -155,7 +155,7 @@ def _summary(row: RequestRow) -> dict[str, object]:
         "key": row.thumbprint.hex(),
         "source": row.source,
         "arrived": row.arrived,
-        "until": row.until,
+        "until": row.expires,
         "reason": row.reason,
     }
 

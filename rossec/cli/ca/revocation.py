@@ -6,7 +6,7 @@ from pathlib import Path
 import click
 
 from rossec.authority.home import AuthorityHome
-from rossec.authority.renewals import own_is_due, renew_own
+from rossec.authority.renewals import own_node_is_due, renew_own_node
 from rossec.authority.signing import OWN_NODE
 from rossec.cli.shared import options, passphrase
 from rossec.cli.shared.context import Environment, moment, now, pass_environment
@@ -42,8 +42,8 @@ def refresh(environment: Environment, master_uri: str | None, passphrase_file: P
     """
     home = AuthorityHome.at(environment.home)
     authority = home.unlock(passphrase.read(passphrase_file, environment.variables))
-    if own_is_due(authority, now()):
-        say(f"renewed {OWN_NODE} until {moment(renew_own(authority, now()))}")
+    if own_node_is_due(authority, now()):
+        say(f"renewed {OWN_NODE} until {moment(renew_own_node(authority, now()))}")
     listed = authority.sign_list(now())
     say(f"list {listed.seq} holds until {moment(listed.expires)}")
     publish_list(environment, master_uri)

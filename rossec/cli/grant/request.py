@@ -15,7 +15,7 @@ from grants.model import Restriction, Right
 from grants.policy.decision import Verdict, restriction_lines
 from grants.policy.drafts import approximate, shorten
 from grants.policy.model import Effect, Policy
-from grants.request import GrantRequest, Wish, sign_request
+from grants.request import GrantRequest, RequestedRight, sign_request
 from rossec import files
 from rossec.authority import requests
 from rossec.authority.approvals import ApprovalQueue, Change, PendingApproval, today
@@ -54,16 +54,16 @@ def request(
     authority is in the same ROSSEC_HOME, it lands in its inbox by itself.
     """
     home = NodeHome.find(environment.home, node)
-    wishes = tuple(
-        Wish(Right[label.upper()], pattern)
+    requested = tuple(
+        RequestedRight(Right[label.upper()], pattern)
         for label, patterns in named.items()
         for pattern in patterns
     )
-    if not wishes:
+    if not requested:
         raise ConfigurationError("a request for nothing", "add --subscribe NAME, --publish NAME")
     identity = home.identity(now())
     asked = GrantRequest(
-        identity.domain, identity.name, now(), secrets.token_bytes(16), wishes, why
+        identity.domain, identity.name, now(), secrets.token_bytes(16), requested, why
     )
     data = sign_request(home.credentials().signer, asked)
     say(f"request {asked.id.hex()} of {asked.node}")
@@ -177,7 +177,7 @@ def deny(environment: Environment, request_id: str, policy_path: Path | None) ->
     with _desk(environment, read_policy(environment, policy_path, signs=True)) as desk:
         for item in _chosen(desk, request_id):
             desk.deny(item, "a person")
-            say(f"denied {item.asked.request.node} {item.asked.wish}")
+            say(f"denied {item.asked.request.node} {item.asked.requested}")
 
 
 @contextmanager
@@ -262,7 +262,7 @@ def _deliver(environment: Environment, data: bytes, out_dir: Path | None) -> Non
 
 def _show(item: PendingApproval, file: PolicyFile) -> None:
     asked = item.asked
-    say(f"{asked.short_id}  {asked.request.node} wants to {asked.wish}")
+    say(f"{asked.short_id}  {asked.request.node} wants to {asked.requested}")
     say(f'  it says: "{printable(asked.request.why)}"')
     for rule in item.verdict.rules:
         say(f"  {rule.reason}")
@@ -278,8 +278,8 @@ def _summary(item: PendingApproval) -> dict[str, object]:
     return {
         "request": asked.request.id.hex(),
         "node": asked.request.node,
-        "right": asked.wish.right.label,
-        "name": asked.wish.pattern,
+        "right": asked.requested.right.label,
+        "name": asked.requested.pattern,
         "why": asked.request.why,
         "asked": asked.at,
         "restrictions": restriction_lines(item.verdict),

@@ -100,7 +100,7 @@ def sign(
         permission_options.asked(rights), graph=graph, restricted=restricted
     )
     home = AuthorityHome.at(environment.home)
-    holder = home.store().live_certificate(node, now()).thumbprint
+    holder = home.store().valid_certificate(node, now()).thumbprint
     authority = home.unlock(passphrase.read(passphrase_file, environment.variables))
     signed = now()
     draft = Draft(

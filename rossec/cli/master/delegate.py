@@ -66,7 +66,7 @@ def delegate(
         return
     number = authority.store.next_number()
     data = authority.delegate(
-        store.live_certificate(MASTER, now()).thumbprint, lifetime, ticket, now()
+        store.valid_certificate(MASTER, now()).thumbprint, lifetime, ticket, now()
     )
     opened = open_delegation(data, authority.signer.public_key)
     say(f"{MASTER} may renew grants until {moment(opened.expires)} (delegation {opened.id.hex()})")

@@ -12,7 +12,7 @@ from pathlib import Path
 from ca.certificates import TrustAnchor
 from ca.errors import HintedError, RevocationRefused
 from ca.revocation.state import RevocationList, open_statement
-from ca.revocation.tree import Listing
+from ca.revocation.tree import TreeEntries
 from rossec.authority.home import AuthorityHome
 from rossec.home import NodeHome
 from rossec.ros.names import MASTER
@@ -39,7 +39,7 @@ def _listed(place: NodeHome, anchor: TrustAnchor) -> Iterator[bytes]:
         if isinstance(statement, RevocationList):
             yield from statement.entries
         elif (entries := place.load_entries()) is not None:
-            listing = Listing.read(entries)
+            listing = TreeEntries.read(entries)
             listing.check(statement)
             yield from listing.entries
 

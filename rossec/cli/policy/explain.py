@@ -7,7 +7,7 @@ import click
 from ca.names import check_name
 from grants.errors import PolicyRefused
 from grants.model import Right
-from grants.policy.mistakes import nearest
+from grants.policy.mistakes import suggest
 from grants.policy.model import Subject
 from grants.policy.rules import RIGHTS
 from grants.policy.trial import Trial
@@ -86,7 +86,7 @@ def subject_of(environment: Environment, node: str) -> Subject:
     if (environment.home / "ca" / "ca.pem").exists():
         store = AuthorityHome.at(environment.home).store()
         try:
-            name = store.certified(node, now())
+            name = store.certified_name(node, now())
             rows = [row for row in store.certificates() if row.name == name]
         finally:
             store.close()
@@ -127,7 +127,7 @@ def _short(value: str) -> str:
 
 def _right(label: str) -> Right:
     if label not in RIGHTS:
-        raise PolicyRefused(f"unknown right {label!r}", nearest(label, RIGHTS))
+        raise PolicyRefused(f"unknown right {label!r}", suggest(label, RIGHTS))
     return RIGHTS[label]
 
 

@@ -9,9 +9,9 @@ from pathlib import Path
 import click
 
 from grants.policy.editing import NewRule, add_rules, empty, free_id
-from grants.policy.learn import MAX_LINE, Seen, from_graph, from_log
+from grants.policy.learn import MAX_LINE, Observation, from_graph, from_log
 from grants.policy.learn import learn as learn_from
-from grants.policy.mistakes import nearest
+from grants.policy.mistakes import suggest
 from rossec import files
 from rossec.authority.home import AuthorityHome
 from rossec.authority.policyfile import PolicyFile, parse_policy, place
@@ -84,12 +84,12 @@ def _existing(path: Path) -> PolicyFile:
     return PolicyFile(path, text, parse_policy(text, str(path)))
 
 
-def _read_log(path: Path) -> list[Seen]:
+def _read_log(path: Path) -> list[Observation]:
     with path.open(encoding="utf-8", errors="replace") as file:
         return from_log(files.lines(file, MAX_LINE + 2))
 
 
-async def _look(environment: Environment, node: str) -> list[Seen]:
+async def _look(environment: Environment, node: str) -> list[Observation]:
     """The graph, as `node` may see it."""
     home = NodeHome.of(environment.home, node)
     async with master_as(environment, home, master_at(environment)) as client:
@@ -99,16 +99,16 @@ async def _look(environment: Environment, node: str) -> list[Seen]:
     return [item for item in from_graph(state, types) if item.node != home.name]
 
 
-def _certified(environment: Environment, seen: list[Seen]) -> list[Seen]:
+def _certified(environment: Environment, seen: list[Observation]) -> list[Observation]:
     """What was seen, under the names rules are for: those of certificates, where they are known."""
     if not (environment.home / "ca" / "ca.pem").exists():
         return seen
     with contextlib.closing(AuthorityHome.at(environment.home).store()) as store:
-        named = (replace(item, node=store.certified(item.node, now())) for item in seen)
+        named = (replace(item, node=store.certified_name(item.node, now())) for item in seen)
         return list(dict.fromkeys(named))
 
 
-def _undecided(read: PolicyFile, item: Seen) -> bool:
+def _undecided(read: PolicyFile, item: Observation) -> bool:
     _, rules = learn_from(read.text, read.decider, [item], _day())
     return bool(rules)
 
@@ -122,7 +122,7 @@ _CHOICES = {
 }
 
 
-def _ask(read: PolicyFile, item: Seen) -> PolicyFile:
+def _ask(read: PolicyFile, item: Observation) -> PolicyFile:
     say(f"{item.node} wants to {item.right.label} {item.name}")
     question = ", ".join(f"[{letter}] {words}" for letter, words in _CHOICES.items())
     answer = click.prompt(question, type=click.Choice(list(_CHOICES)), default="s", err=True)
@@ -132,7 +132,7 @@ def _ask(read: PolicyFile, item: Seen) -> PolicyFile:
     return read.replace(add_rules(read.text, [rule]))
 
 
-def _answered(read: PolicyFile, item: Seen, answer: str) -> NewRule:
+def _answered(read: PolicyFile, item: Observation, answer: str) -> NewRule:
     name = item.name.rsplit("/", 1)[0] + "/*" if answer == "g" else item.name
     chosen = _filter(read) if answer == "c" else None
     effect = "deny" if answer == "d" else "allow"
@@ -151,7 +151,7 @@ def _answered(read: PolicyFile, item: Seen, answer: str) -> NewRule:
 def _filter(read: PolicyFile) -> str:
     name: str = click.prompt("through which filter of the policy?", err=True)
     if name not in read.policy.filters:
-        hint = nearest(name, read.policy.filters)
+        hint = suggest(name, read.policy.filters)
         raise ConfigurationError(f"no filter {name!r} in {read.path}", hint)
     return name
 

@@ -11,7 +11,7 @@ from grants import document
 from grants.model import Draft, Grant, Permission, Right
 from grants.names import check_pattern
 from grants.policy.editing import NewRule, add_rules, free_id
-from grants.policy.patterns import meets
+from grants.policy.patterns import intersects
 from rossec.authority.home import AuthorityHome
 from rossec.authority.signing import SigningAuthority
 from rossec.cli.shared import options, passphrase
@@ -54,7 +54,7 @@ def opt_out(
     read = read.replace(add_rules(read.text, [rule]))
     say(f"rule {rule.id} in {read.path} denies it from now on")
     # With the record locked: who decides by the policy of before has signed already, or cannot.
-    with authority.store.changing():
+    with authority.store.transaction():
         concerned = [grant for grant in _live(authority) if _shows(grant, name, node)]
         given = [(grant.subject, _instead(authority, grant, name, node)) for grant in concerned]
     for subject, data in given:
@@ -101,7 +101,7 @@ def _shows(grant: Grant, name: str, node: str | None) -> bool:
 
 def _permits(permission: Permission, name: str, node: str | None) -> bool:
     seen = Right.SUBSCRIBE in permission.rights
-    return seen and (node is not None or meets(permission.pattern, name))
+    return seen and (node is not None or intersects(permission.pattern, name))
 
 
 def _rest(grant: Grant, name: str, node: str | None) -> Draft | None:

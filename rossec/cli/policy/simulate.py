@@ -16,7 +16,7 @@ from grants.filters.layout import Layout, parse
 from grants.model import Right
 from grants.policy.decision import Decider
 from grants.policy.editing import empty
-from grants.policy.lint import someone
+from grants.policy.lint import sample_subject
 from grants.policy.model import Policy, Subject
 from grants.policy.trial import Trial, TrialOutcome
 from rossec.authority.policyfile import PolicyFile, parse_policy, place
@@ -158,10 +158,10 @@ def _receivers(
     if nodes:
         return [subject_of(environment, node) for node in nodes]
     found = {
-        someone(who)
+        sample_subject(who)
         for policy in policies
         for rule in policy.rules
-        for who in (*rule.who, *rule.spared)
+        for who in (*rule.who, *rule.exceptions)
         if any(clause.right is Right.SUBSCRIBE for clause in rule.clauses)
     }
     return sorted(found, key=lambda subject: (subject.name, subject.key))

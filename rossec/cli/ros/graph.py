@@ -46,7 +46,7 @@ def graph(environment: Environment, node: str, watch: bool, as_json: bool) -> No
 async def _look(environment: Environment, home: NodeHome, uri: str, as_json: bool) -> None:
     view = GraphView()
     async with _watching(environment, home, home.credentials(), uri) as call:
-        while view.take(await call(METHOD, *view.question)).more:
+        while view.take(await call(METHOD, *view.next_params)).more:
             pass
     if as_json:
         say_json(_json(view, ObservedChange(tuple(sorted(view.facts)), (), False, False)))
@@ -70,7 +70,7 @@ async def _follow(environment: Environment, home: NodeHome, uri: str, as_json: b
         try:
             async with _watching(environment, home, own.current, uri) as call:
                 while not await renew_identity(call, renewal, now()):
-                    _say(view, view.take(await call(METHOD, *view.question)), as_json)
+                    _say(view, view.take(await call(METHOD, *view.next_params)), as_json)
         except (HintedError, OSError, TimeoutError) as error:
             if view.version < 0:
                 raise

@@ -16,6 +16,6 @@ def read_policy(environment: Environment, given: Path | None, *, signs: bool = F
 
     Raises:
         ConfigurationError, PolicyRefused: there is none, or it has mistakes.
-        PlaceRefused: somebody else could have written what is, or is to be, in force.
+        PathRefused: somebody else could have written what is, or is to be, in force.
     """
     return PolicyFile.read(place(environment.home, given), own=signs or given is None)

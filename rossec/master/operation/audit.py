@@ -21,7 +21,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
-from ca.errors import PlaceRefused
+from ca.errors import PathRefused
 from ca.keys.signer import Signer
 from rossec import files
 from rossec.clock import time as host_time
@@ -108,7 +108,7 @@ class AuditFile(logging.Handler):
         """Begin, or go on with, the file at `path`; `signer` is the master's key.
 
         Raises:
-            PlaceRefused: somebody else could have written it.
+            PathRefused: somebody else could have written it.
             OSError: it cannot be written.
         """
         super().__init__(logging.INFO)
@@ -136,7 +136,7 @@ class AuditFile(logging.Handler):
             self._begin(round(now, 3))
             self._append(chained({**entry, "before": self._last}, self._last))
             self._cut, self._failing = 0, False
-        except (OSError, PlaceRefused) as error:
+        except (OSError, PathRefused) as error:
             self._fail(error)
         if now - self._synced >= SYNC_EVERY or now < self._synced:
             self.sync()

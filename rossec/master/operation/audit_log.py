@@ -29,7 +29,7 @@ def audit_written(path: Path, signer: Signer) -> Iterator[None]:
     """Write what is logged to `rossec.audit` to the audit file at `path`.
 
     Raises:
-        PlaceRefused, OSError: as of `AuditFile`.
+        PathRefused, OSError: as of `AuditFile`.
     """
     handler = AuditFile(path, signer=signer)
     log, root = logging.getLogger(AUDIT), logging.getLogger()

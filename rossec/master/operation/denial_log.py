@@ -30,7 +30,7 @@ class DenialLog:
     """Appends to the file `path`, which is made for its owner alone.
 
     Raises:
-        PlaceRefused: somebody else made it, as anybody can in a directory such as /tmp.
+        PathRefused: somebody else made it, as anybody can in a directory such as /tmp.
     """
 
     def __init__(self, path: Path) -> None:

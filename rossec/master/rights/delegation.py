@@ -14,13 +14,13 @@ from ca.keys.publickey import thumbprint
 from ca.keys.signer import Signer
 from ca.revocation.state import SKEW
 from grants import renewal
-from grants.decision import Check
+from grants.decision import RevocationCheck
 from grants.document import verify
 from grants.errors import GrantNotHeld, RenewalForOther, RenewalNotInTime, RenewalTooWide
 from grants.model import Grant
 from grants.renewal import OpenDelegation, Ticket, open_delegation, sign_ticket
 from grants.token import pack, unpack
-from grants.validity import moment
+from grants.validity import format_time
 
 _HINT: Final = "at the authority: rossec master delegate"
 
@@ -72,7 +72,7 @@ class Delegate:
         return None if self._held is None else self._held.id
 
     def renew(
-        self, token: bytes, holder: bytes, now: int, *, seq: int, check: Check
+        self, token: bytes, holder: bytes, now: int, *, seq: int, check: RevocationCheck
     ) -> tuple[Grant, bytes]:
         """The renewed grant in `token` and its new token.
 
@@ -84,7 +84,7 @@ class Delegate:
         data = unpack(token).grant
         grant = verify(data, self._anchor.public_key, domain=self._anchor.domain)
         if grant.holder != holder:
-            raise GrantNotHeld("a grant bound to another key", f"it was given to {grant.subject}")
+            raise GrantNotHeld("a grant bound to another key", f"it was issued to {grant.subject}")
         ticket = sign_ticket(self._signer, self._ticket(grant, self._held, now, seq))
         key = self._signer.public_key
         renewed = renewal.renew(grant, ticket, self._held, key, now=now, seq=seq, check=check)
@@ -94,11 +94,11 @@ class Delegate:
         """From a moment ago: clocks that lag by no more than `SKEW` take it at once."""
         if now >= grant.cap:
             raise RenewalTooWide(
-                f"grant {grant.short_id} has reached its cap, {moment(grant.cap)}",
+                f"grant {grant.short_id} has reached its cap, {format_time(grant.cap)}",
                 "ask the authority for a new grant",
             )
         if now >= held.expires:
-            raise RenewalNotInTime(f"the delegation expired at {moment(held.expires)}", _HINT)
+            raise RenewalNotInTime(f"the delegation expired at {format_time(held.expires)}", _HINT)
         ends = min(now - SKEW + held.max_ttl, grant.cap, held.expires)
         if ends <= grant.expires:
             raise RenewalTooWide(f"grant {grant.short_id} outlives any ticket: ask again later")

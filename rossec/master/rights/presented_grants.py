@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 
 from ca.errors import HintedError
 from ca.revocation.state import Revocations
-from grants.decision import Check, authorize
+from grants.decision import RevocationCheck, authorize
 from grants.model import Grant, Right
 from grants.reach import Reach
 from grants.validity import check_time
@@ -43,7 +43,7 @@ class GrantAccess:
     reach: Reach
     holder: bytes
     now: int
-    check: Check
+    check: RevocationCheck
 
     def covers(self, right: Right, name: str) -> bool:
         """Whether a grant that holds covers `right` on `name`."""

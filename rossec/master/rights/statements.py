@@ -14,8 +14,8 @@ from ca.certificates import TrustAnchor
 from ca.errors import HintedError, RenewalRefused, RevocationRefused, Revoked
 from ca.keys.signer import Signer
 from ca.revocation.state import MAX_AGE, Revocations, Timestamp, digest, sign_timestamp
-from ca.revocation.tree import Listing, is_tree, open_tree
-from grants.decision import Check
+from ca.revocation.tree import TreeEntries, is_tree, open_tree
+from grants.decision import RevocationCheck
 from grants.errors import GrantError, GrantNotHeld
 from grants.model import Grant
 from grants.token import Verifier
@@ -36,7 +36,7 @@ _PUBLISH: Final = "deliver it with: rossec ca publish"
 MAX_NAMES: Final = 16 * 1024  # nodes of which is known which list they hold
 
 
-Renewer = Callable[[bytes, int, Check], bytes]
+Renewer = Callable[[bytes, int, RevocationCheck], bytes]
 """Answers a renewal request (`ca.renewal`) with the node's new bundle."""
 
 
@@ -69,7 +69,7 @@ class TrustState:
         self._persist = persist
         self._persist_entries = persist_entries
         self._renewer = renewer
-        self._listing: Listing | None = None
+        self._listing: TreeEntries | None = None
         self._delegate = Delegate(anchor, signer) if delegate is None else delegate
         self._held: dict[bytes, PresentedGrants] = {}
         self._ended: dict[bytes, Grant] = {}
@@ -181,7 +181,7 @@ class TrustState:
 
     def current(self, now: int) -> tuple[bytes, bytes]:
         """The list and a timestamp of this second; empty while there is no list."""
-        revocations = self._revocations.held
+        revocations = self._revocations.current
         if revocations is None:
             return b"", b""
         if self._stamp[0] != now:
@@ -204,7 +204,7 @@ class TrustState:
     @property
     def number(self) -> int:
         """Sequence number of the list in force; 0: none."""
-        return 0 if self._revocations.held is None else self._revocations.held.seq
+        return 0 if self._revocations.current is None else self._revocations.current.seq
 
     def update(self, data: bytes, now: int) -> bool:
         """Take a list signed by the authority; returns whether it differs from the one held.
@@ -222,7 +222,7 @@ class TrustState:
     def update_tree(self, data: bytes, entries: bytes, now: int) -> bool:
         """Take a tree signed by the authority, and all it was made of; as `update`."""
         signed = open_tree(data, self._anchor.public_key)  # before anything is done for a stranger
-        listing = Listing.read(entries)
+        listing = TreeEntries.read(entries)
         listing.check(signed)
         before = self._revocations.data
 
@@ -233,7 +233,7 @@ class TrustState:
         if data == before:  # after a restart without the entries
             self._persist_entries(entries)
         self._revocations.update(data, now, persist)
-        self._revocations.complete(listing)
+        self._revocations.set_entries(listing)
         self._listing = listing
         return self._updated(before)
 
@@ -285,7 +285,7 @@ class TrustState:
             raise GrantError(f"the master holds at most {MAX_HELD} grants of one node")
         grant = self._verifier().open(token, now)
         if grant.holder != caller.thumbprint:
-            raise GrantNotHeld("a grant bound to another key", f"it was given to {grant.subject}")
+            raise GrantNotHeld("a grant bound to another key", f"it was issued to {grant.subject}")
         held.put(token, grant)
 
     def _renew(self, held: PresentedGrants, caller: Caller, token: bytes, now: int) -> bytes:
@@ -316,7 +316,7 @@ class TrustState:
         """Confirm the list to ourselves, once in each second and for each list."""
         moment, revocations = self._moment, self._revocations
         if moment.now != now or moment.revocations is not revocations.data:
-            if revocations.held is not None:
+            if revocations.current is not None:
                 revocations.confirm(self._timestamp(now), now)
             self._moment = Moment(now, revocations.data, revocations.fresh_until)
 
@@ -326,7 +326,7 @@ class TrustState:
 
 def _reaches(grant: Grant, names: frozenset[str]) -> Generator[None, None, bool]:
     for permission in grant.permissions:
-        if any(permission.names(name, permission.rights) for name in names):
+        if any(permission.matches(name, permission.rights) for name in names):
             return True
         yield
     return False

@@ -12,8 +12,8 @@ from typing import Final
 
 from ca.certificates import Identity, build_request
 from ca.errors import HintedError
-from ca.renewal import ask_again_in, renew_at, sign_renewal
-from grants.validity import moment
+from ca.renewal import renew_at, retry_delay, sign_renewal
+from grants.validity import format_time
 from rossec.channel.edhoc.credentials import LiveCredentials
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
@@ -49,7 +49,7 @@ class OwnIdentity:
         held = self._identity
         if now >= max(self._again, renew_at(held.not_before, held.not_after)):
             longest = _HOUR if self.renew is None else _RETRY
-            self._again = now + ask_again_in(held.not_before, held.not_after, longest)
+            self._again = now + retry_delay(held.not_before, held.not_after, longest)
             self._attempt(self._renew, now)
 
     def _attempt(self, action: Callable[[int], None], now: int) -> None:
@@ -72,14 +72,14 @@ class OwnIdentity:
     def _hold(self, identity: Identity) -> None:
         self.credentials.current = self._home.credentials()
         self._identity, self._again = identity, 0
-        _log.info("the master's own identity holds until %s", moment(identity.not_after))
+        _log.info("the master's own identity holds until %s", format_time(identity.not_after))
 
     def _renew(self, now: int) -> None:
         own, held = self.credentials.current, self._identity
         if self.renew is None:
             verb = "ends" if now < held.not_after else "ended"
             raise ConfigurationError(
-                f"it {verb} {moment(held.not_after)}, and then no node may connect",
+                f"it {verb} {format_time(held.not_after)}, and then no node may connect",
                 f"rossec ca renew {held.name}, then rossec node install FILE here; no restart",
             )
         csr = build_request(own.signer, held.domain, held.name)

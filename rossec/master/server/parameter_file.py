@@ -43,7 +43,7 @@ class ParameterFile:
 
         Raises:
             NotWritten, OSError: it cannot be written or read; it is as it was.
-            PlaceRefused: somebody else could have written it.
+            PathRefused: somebody else could have written it.
         """
         data = self._read()
         changes, good = parameter_journal.decode(data)
@@ -98,7 +98,7 @@ class ParameterFile:
     def _read(self) -> bytes:
         if not self._path.exists():
             return b""
-        with os.fdopen(ownership.open_own(self._path), "rb") as file:
+        with os.fdopen(ownership.open_trusted(self._path), "rb") as file:
             return file.read()
 
     def _rewrite(self) -> None:

@@ -39,7 +39,7 @@ class Suspend:
 
 
 @dataclass(frozen=True)
-class AskMaster:
+class CallMaster:
     """Call the secured master. -> Answered, Silent"""
 
     method: str
@@ -47,7 +47,7 @@ class AskMaster:
 
 
 @dataclass(frozen=True)
-class AskLocal:
+class CallProgram:
     """Call a program's slave API. -> Answered; Passed if not `parse`; Silent"""
 
     local: Endpoint
@@ -57,7 +57,7 @@ class AskLocal:
 
 
 @dataclass(frozen=True)
-class AskRemote:
+class CallPeer:
     """Call a peer's slave API, after showing the grants for `right` on it.
 
     -> Answered; Passed if not `parse`; Silent
@@ -93,5 +93,5 @@ class ConnectPeer:
     fields: Mapping[str, bytes]
 
 
-Question = AskMaster | AskLocal | AskRemote | Probe | ConnectProgram | ConnectPeer
-Command = OpenIngress | OpenEgress | Suspend | Question
+Request = CallMaster | CallProgram | CallPeer | Probe | ConnectProgram | ConnectPeer
+Command = OpenIngress | OpenEgress | Suspend | Request

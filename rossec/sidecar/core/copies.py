@@ -19,35 +19,35 @@ from grants.memory import Memory
 WINDOW: Final = 1  # seconds by a clock of whole seconds
 
 
-class Judge(Protocol):
+class MessageGuard(Protocol):
     """What stands between a program and a peer: a guard, or one that knows of copies."""
 
     def check(self, now: int) -> None:
         """As of `Guard`."""
 
-    def treat(self, message: bytes, now: int) -> list[Buffer] | None:
+    def apply(self, message: bytes, now: int) -> list[Buffer] | None:
         """As of `Guard`."""
 
 
-class _Passed:
+class _LastMessage:
     """The message that was let through last, and which connections still lack it."""
 
-    def __init__(self, message: bytes, mark: object, now: int, lacking: set["Outlet"]) -> None:
+    def __init__(self, message: bytes, mark: object, now: int, pending: set["SharedGuard"]) -> None:
         self.message = message
         self.mark = mark
         self.at = now
-        self.lacking = lacking
+        self.pending = pending
 
 
 class _Group:
     """The connections of one key for one topic of one program."""
 
     def __init__(self) -> None:
-        self.open: set[Outlet] = set()
-        self.last: _Passed | None = None
+        self.open: set[SharedGuard] = set()
+        self.last: _LastMessage | None = None
 
 
-class Outlet:
+class SharedGuard:
     """One of them."""
 
     def __init__(self, guard: Guard, group: _Group, *, latching: bool) -> None:
@@ -59,39 +59,39 @@ class Outlet:
         """As of `Guard`."""
         self._guard.check(now)
 
-    def opening(self, now: int) -> list[Buffer]:
+    def initial_message(self, now: int) -> list[Buffer]:
         """What the key was let see, where the rate allows nothing newer."""
         last = self._group.last
         if last is None or not self._latching or self._guard.ready(now):
             return []
-        return self._guard.treat(last.message, now, last.mark) or []
+        return self._guard.apply(last.message, now, last.mark) or []
 
-    def treat(self, message: bytes, now: int) -> list[Buffer] | None:
+    def apply(self, message: bytes, now: int) -> list[Buffer] | None:
         """As of `Guard`."""
         last = self._group.last
         if last is not None and self._is_copy(last, message, now):
-            last.lacking.discard(self)
-            return self._guard.treat(message, now, last.mark)
+            last.pending.discard(self)
+            return self._guard.apply(message, now, last.mark)
         mark = object()
-        pieces = self._guard.treat(message, now, mark)
+        pieces = self._guard.apply(message, now, mark)
         if pieces is not None:
-            self._group.last = _Passed(message, mark, now, self._group.open - {self})
+            self._group.last = _LastMessage(message, mark, now, self._group.open - {self})
         return pieces
 
-    def _is_copy(self, last: _Passed, message: bytes, now: int) -> bool:
-        return self in last.lacking and now - last.at <= WINDOW and message == last.message
+    def _is_copy(self, last: _LastMessage, message: bytes, now: int) -> bool:
+        return self in last.pending and now - last.at <= WINDOW and message == last.message
 
 
-class Copies:
+class CopyTracker:
     """What the connections of each key have in common; of one identity."""
 
     def __init__(self) -> None:
         self._groups: WeakKeyDictionary[Memory, _Group] = WeakKeyDictionary()
 
     @contextmanager
-    def shared(
+    def share(
         self, guard: Guard | None, now: int, *, latching: bool
-    ) -> Iterator[tuple[Judge | None, list[Buffer]]]:
+    ) -> Iterator[tuple[MessageGuard | None, list[Buffer]]]:
         """What judges the messages of one connection while the block runs (None: nothing does).
 
         With it what the peer is shown first, in pieces, if there is something.
@@ -100,11 +100,11 @@ class Copies:
             yield guard, []
             return
         group = self._groups.setdefault(guard.memory, _Group())
-        outlet = Outlet(guard, group, latching=latching)
-        group.open.add(outlet)
+        shared_guard = SharedGuard(guard, group, latching=latching)
+        group.open.add(shared_guard)
         try:
-            yield outlet, outlet.opening(now)
+            yield shared_guard, shared_guard.initial_message(now)
         finally:
-            group.open.discard(outlet)
+            group.open.discard(shared_guard)
             if not (group.open or latching):
                 group.last = None  # nobody will be shown it

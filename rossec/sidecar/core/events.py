@@ -25,7 +25,7 @@ class Answered:
 
 
 @dataclass(frozen=True)
-class Passed:
+class RawResponse:
     """An XML-RPC response that nobody parsed, to be handed on as it is."""
 
     body: bytes
@@ -56,4 +56,4 @@ class CommandDone:
     """It is done; there is nothing to say about it."""
 
 
-Event = Opened | Answered | Passed | HeaderArrived | NoAnswer | CommandDone
+Event = Opened | Answered | RawResponse | HeaderArrived | NoAnswer | CommandDone

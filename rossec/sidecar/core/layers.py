@@ -12,10 +12,10 @@ from ca.certificates import Identity
 from rossec.channel.opening import WireProtocol
 from rossec.errors import RossecError
 from rossec.participant.access import Access
-from rossec.participant.definitions import Known
+from rossec.participant.definitions import FindDefinition
 from rossec.participant.publisher_grace import PublisherGrace
 from rossec.sidecar.core.commands import Command, OpenEgress, OpenIngress
-from rossec.sidecar.core.endpoints import Endpoint, EndpointMap, endpoint, inside
+from rossec.sidecar.core.endpoints import Endpoint, EndpointMap, local_endpoint, parse_endpoint
 from rossec.sidecar.core.events import Event, Opened
 
 Outcome = TypeVar("Outcome")
@@ -41,19 +41,19 @@ class AgentState:
     Attributes:
         identity: who it is.
         access: what it can prove, and what it lets others do.
-        doors: which address stands for which.
+        endpoints: which address stands for which.
         master_uri: the loopback master, as programs know it.
-        known: what this host knows of a message type.
-        named: the publishers of each topic that its programs follow.
+        known_types: what this host knows of a message type.
+        publisher_grace: the publishers of each topic that its programs follow.
         programs: the slave APIs of its programs.
     """
 
     identity: Identity
     access: Access
-    doors: EndpointMap
+    endpoints: EndpointMap
     master_uri: str
-    known: Known
-    named: PublisherGrace
+    known_types: FindDefinition
+    publisher_grace: PublisherGrace
     programs: dict[Endpoint, Program] = field(default_factory=dict)
 
     def name_for(self, caller: str) -> str:
@@ -67,32 +67,32 @@ class AgentState:
         """Whether a program may go by `name`."""
         return self.identity.covers(name)
 
-    def export(self, local: Endpoint) -> Layer[Endpoint]:
+    def ingress_endpoint(self, local: Endpoint) -> Layer[Endpoint]:
         """The address under which peers reach the program at `local`."""
-        return self.doors.opened_outside(local, opened((yield OpenIngress(local))))
+        return self.endpoints.add_ingress(local, opened_port((yield OpenIngress(local))))
 
-    def bring(
+    def egress_uri(
         self, remote: Endpoint, own: Endpoint | None = None, *, probe: bool = False
     ) -> Layer[str]:
         """The URI under which a program reaches `remote`; its own it gets back as it wrote it."""
-        local = self.doors.program_behind(remote)
+        local = self.endpoints.program_at(remote)
         if local is not None and local == own:
-            return self.doors.spelling(local)
-        port = opened((yield OpenEgress(remote, probe=probe)))
-        return self.doors.opened_inside(remote, port).uri
+            return self.endpoints.own_uri(local)
+        port = opened_port((yield OpenEgress(remote, probe=probe)))
+        return self.endpoints.add_egress(remote, port).uri
 
-    def publishers_are(self, topic: object, uris: object) -> list[str]:
+    def followed_publishers(self, topic: object, uris: object) -> list[str]:
         """The publishers to follow of those the master names, and of those it may yet name."""
         named = [uri for uri in uris if isinstance(uri, str)] if isinstance(uris, list) else []
-        return self.named.are(topic, named) if isinstance(topic, str) else named
+        return self.publisher_grace.update(topic, named) if isinstance(topic, str) else named
 
-    def bring_all(self, uris: object, own: Endpoint | None) -> Layer[list[str]]:
+    def egress_uris(self, uris: object, own: Endpoint | None) -> Layer[list[str]]:
         """`bring` for a list of slave API URIs; what is no URI is left out."""
         found = []
         for uri in uris if isinstance(uris, list) else []:
-            remote = endpoint(uri, WireProtocol.HTTP)
+            remote = parse_endpoint(uri, WireProtocol.HTTP)
             if remote is not None:
-                found.append((yield from self.bring(remote, own)))
+                found.append((yield from self.egress_uri(remote, own)))
         return found
 
     def forget(self, local: Endpoint) -> None:
@@ -100,7 +100,7 @@ class AgentState:
         self.programs.pop(local, None)
 
 
-def opened(event: Event) -> int:
+def opened_port(event: Event) -> int:
     """The port of a door."""
     if not isinstance(event, Opened):
         raise UnexpectedEvent(f"no door but {type(event).__name__}")
@@ -109,5 +109,5 @@ def opened(event: Event) -> int:
 
 def own_endpoint(uri: object) -> Endpoint | None:
     """The slave API of the calling program: on this host, whatever host name it writes."""
-    found = endpoint(uri, WireProtocol.HTTP)
-    return None if found is None else inside(WireProtocol.HTTP, found.port)
+    found = parse_endpoint(uri, WireProtocol.HTTP)
+    return None if found is None else local_endpoint(WireProtocol.HTTP, found.port)

@@ -10,7 +10,7 @@ from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field
 from typing import Generic, TypeVar
 
-from grants.memory import Recall
+from grants.memory import MemoryScope
 
 HolderT = TypeVar("HolderT", bound=Hashable)
 
@@ -31,41 +31,43 @@ class ProgramMemories(Generic[HolderT]):
         gone: whether a holder, that has not left, has ended.
     """
 
-    def __init__(self, recall: Recall, gone: Callable[[HolderT], bool] = lambda _: False) -> None:
+    def __init__(
+        self, recall: MemoryScope, has_ended: Callable[[HolderT], bool] = lambda _: False
+    ) -> None:
         self._recall = recall
-        self._gone = gone
-        self._places: list[_ProgramMemory[HolderT]] = []
+        self._has_ended = has_ended
+        self._memories: list[_ProgramMemory[HolderT]] = []
 
-    def take(self, name: str, holder: HolderT) -> Recall:
+    def acquire(self, name: str, holder: HolderT) -> MemoryScope:
         """What `holder`, a program by that name, has let each key use up."""
-        place = self._held_by(holder) or self._named(name) or self._freed() or self._new()
-        self._let_go(place)
-        if not place.holders:
-            place.name = name
-        place.holders.add(holder)
-        return self._recall.apart(str(self._places.index(place)))
+        memory = self._held_by(holder) or self._with_name(name) or self._released() or self._new()
+        self._drop_ended(memory)
+        if not memory.holders:
+            memory.name = name
+        memory.holders.add(holder)
+        return self._recall.child(str(self._memories.index(memory)))
 
-    def leave(self, holder: HolderT) -> None:
+    def release(self, holder: HolderT) -> None:
         """`holder` has ended."""
-        for place in self._places:
-            place.holders.discard(holder)
+        for memory in self._memories:
+            memory.holders.discard(holder)
 
     def _held_by(self, holder: HolderT) -> _ProgramMemory[HolderT] | None:
-        return next((place for place in self._places if holder in place.holders), None)
+        return next((memory for memory in self._memories if holder in memory.holders), None)
 
-    def _named(self, name: str) -> _ProgramMemory[HolderT] | None:
-        return next((place for place in self._places if place.name == name), None)
+    def _with_name(self, name: str) -> _ProgramMemory[HolderT] | None:
+        return next((memory for memory in self._memories if memory.name == name), None)
 
-    def _freed(self) -> _ProgramMemory[HolderT] | None:
-        for place in self._places:
-            self._let_go(place)
-            if not place.holders:
-                return place
+    def _released(self) -> _ProgramMemory[HolderT] | None:
+        for memory in self._memories:
+            self._drop_ended(memory)
+            if not memory.holders:
+                return memory
         return None
 
-    def _let_go(self, place: _ProgramMemory[HolderT]) -> None:
-        place.holders = {holder for holder in place.holders if not self._gone(holder)}
+    def _drop_ended(self, memory: _ProgramMemory[HolderT]) -> None:
+        memory.holders = {holder for holder in memory.holders if not self._has_ended(holder)}
 
     def _new(self) -> _ProgramMemory[HolderT]:
-        self._places.append(_ProgramMemory(""))
-        return self._places[-1]
+        self._memories.append(_ProgramMemory(""))
+        return self._memories[-1]

@@ -25,9 +25,9 @@ class ResubscribeQueue:
         self._due[topic] = now + pause
         self._pauses[topic] = min(2 * pause, LONGEST_PAUSE)
 
-    def take_due(self, now: float, entitled: Callable[[str], bool]) -> list[str]:
+    def take_due(self, now: float, may_subscribe: Callable[[str], bool]) -> list[str]:
         """The topics to try again now; one without a right waits until there is one."""
-        due = [topic for topic, at in self._due.items() if at <= now and entitled(topic)]
+        due = [topic for topic, at in self._due.items() if at <= now and may_subscribe(topic)]
         for topic in due:
             del self._due[topic]
         return due

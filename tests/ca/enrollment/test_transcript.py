@@ -39,9 +39,9 @@ def test_the_tag_as_specified() -> None:
     secret = b"s" * 16
     expected = hmac.digest(secret, encode(["rossec-enroll-offer-v1", AGREED]), "sha256")
     assert t.tag(secret, AGREED) == expected
-    assert t.is_tag(secret, AGREED, expected)
-    assert not t.is_tag(secret, AGREED, b"")
-    assert not t.is_tag(bytes(16), AGREED, expected)
+    assert t.verify_tag(secret, AGREED, expected)
+    assert not t.verify_tag(secret, AGREED, b"")
+    assert not t.verify_tag(bytes(16), AGREED, expected)
 
 
 def test_the_digits_as_specified() -> None:

@@ -53,7 +53,7 @@ def round_value(kind: str, value: Any, step: float) -> Any:
     if base in ("time", "duration"):
         ticks, unit = round(step * 1e9), 10**9
         low, high = (0, 2**32 - 1) if base == "time" else (-(2**31), 2**31 - 1)
-        total = nearest(value.secs * unit + value.nsecs, ticks, low * unit, high * unit + unit - 1)
+        total = suggest(value.secs * unit + value.nsecs, ticks, low * unit, high * unit + unit - 1)
         return (
             type(value)(*divmod(total, unit))
             if base == "time"
@@ -66,10 +66,10 @@ def round_value(kind: str, value: Any, step: float) -> Any:
     size = {"char": 8, "byte": 8}.get(base) or int(base.lstrip("uint"))
     unsigned = base.startswith("u") or base == "char"
     low, high = (0, 2**size - 1) if unsigned else (-(2 ** (size - 1)), 2 ** (size - 1) - 1)
-    return nearest(value, int(step), low, high)
+    return suggest(value, int(step), low, high)
 
 
-def nearest(value: int, step: int, low: int, high: int) -> int:
+def suggest(value: int, step: int, low: int, high: int) -> int:
     found = (2 * value + step) // (2 * step) * step
     while found > high:
         found -= step

@@ -14,7 +14,7 @@ from grants.filters.layout import (
     Primitive,
     Struct,
     Text,
-    needed,
+    dependencies,
     parse,
     service_md5,
 )
@@ -192,7 +192,7 @@ def test_what_a_checksum_proves(text: str, proven: bool) -> None:
 
 def test_what_one_definition_needs() -> None:
     text = "Header header\nB[] b\nu/C c\nHeader[2] more\nstring s\nint8 X=1"
-    assert needed("t/A", text) == {"std_msgs/Header", "t/B", "u/C", "t/Header"}
+    assert dependencies("t/A", text) == {"std_msgs/Header", "t/B", "u/C", "t/Header"}
     for bad in ("what is this", "B[-1] b"):
         with pytest.raises(DefinitionRefused):
-            needed("t/A", bad)
+            dependencies("t/A", bad)

@@ -46,7 +46,7 @@ def watched(restriction: Restriction, walk: list[float]) -> Iterator[tuple[int, 
     """The moments and positions an attacker sees of a walk at 10 messages a second."""
     one = guard(restriction)
     for n, x in enumerate(walk):
-        pieces = one.treat(pose(n, x), NOW + n // SCAN)
+        pieces = one.apply(pose(n, x), NOW + n // SCAN)
         if pieces is not None:
             yield n, struct.unpack_from("<d", b"".join(pieces), 19)[0]
 
@@ -94,7 +94,7 @@ def test_timing_of_a_straight_drive() -> None:
 
 def test_coarse_position_leaves_no_relative() -> None:
     one = guard(COARSE)
-    made = one.treat(pose(1234, 0.3), NOW)
+    made = one.apply(pose(1234, 0.3), NOW)
     assert made is not None
     seq, seconds, nanoseconds = struct.unpack_from("<III", b"".join(made))
     assert (seq, seconds % 10, nanoseconds) == (0, 0, 0)
@@ -117,7 +117,7 @@ def test_they_fit_their_types(name: str, type_name: str) -> None:
     of = shape(type_name)
     restriction = preset(name).restriction(of)
     message = bytes(message_type(type_name).serialize(message_type(type_name).create()))
-    treated = guard(restriction, of).treat(message, NOW)
+    treated = guard(restriction, of).apply(message, NOW)
     assert treated is not None
 
 
@@ -125,7 +125,7 @@ def test_presence_only_leaves_nothing() -> None:
     of = shape("sensor_msgs/Image")
     kind = message_type("sensor_msgs/Image")
     full = kind.create(height=1, width=1, encoding="mono8", step=1)
-    treated = guard(preset("presence-only").restriction(of), of).treat(kind.serialize(full), NOW)
+    treated = guard(preset("presence-only").restriction(of), of).apply(kind.serialize(full), NOW)
     assert treated is not None
     assert not any(b"".join(treated))
 
@@ -136,11 +136,11 @@ def test_blurred_camera() -> None:
     one = guard(preset("blurred-camera").restriction(of), of)
     data = np.frombuffer(chance(1).randbytes(64 * 64), np.uint8)
     full = kind.create(height=64, width=64, encoding="mono8", step=64, data=data)
-    treated = one.treat(kind.serialize(full), NOW)
+    treated = one.apply(kind.serialize(full), NOW)
     assert treated is not None
     assert len(set(b"".join(treated)[-64 * 64 :])) <= 4
     with pytest.raises(MessageRefused):
-        one.treat(kind.serialize(kind.create(encoding="bayer_rggb8")), NOW + 1)
+        one.apply(kind.serialize(kind.create(encoding="bayer_rggb8")), NOW + 1)
 
 
 def test_every_preset_says_what_it_leaves() -> None:

@@ -33,7 +33,7 @@ def test_people_rights_and_validity() -> None:
     assert [(who.label, who.node) for who in rule.who] == [
         ("x", "/x"), ("/y/*", "/y/*"), ("*", "/**"),
     ]  # fmt: skip
-    assert [who.label for who in rule.spared] == ["/z"]
+    assert [who.label for who in rule.exceptions] == ["/z"]
     assert [(item.right, item.pattern) for item in rule.clauses] == [
         (Right.CALL, "/b"), (Right.PARAM_GET, "/c"), (Right.PARAM_GET, "/d"),
     ]  # fmt: skip

@@ -9,7 +9,7 @@ import pytest
 from ca.errors import HintedError, RecordUnusable, SignatureError, StoreError
 from grants.errors import GrantForged
 from grants.model import Right
-from grants.request import GrantRequest, Wish, sign_request
+from grants.request import GrantRequest, RequestedRight, sign_request
 from rossec.authority import approvals as module
 from rossec.authority import requests
 from rossec.authority.approvals import ApprovalQueue, today
@@ -39,8 +39,8 @@ class Place:
         bundle = self.authority.issue(self.node.request(), self.now, 3600)
         self.node.install(bundle, self.now)
 
-    def request(self, *wishes: Wish, name: str = "/toaster") -> bytes:
-        asked = GrantRequest("home", name, self.now, secrets.token_bytes(16), wishes, "please")
+    def request(self, *rights: RequestedRight, name: str = "/toaster") -> bytes:
+        asked = GrantRequest("home", name, self.now, secrets.token_bytes(16), rights, "please")
         return sign_request(self.node.credentials().signer, asked)
 
     def desk(self, later: int = 0) -> ApprovalQueue:
@@ -55,15 +55,18 @@ def place(tmp_path: Path) -> Place:
     return Place(tmp_path / "site")
 
 
-POSE, LIFT = Wish(Right.SUBSCRIBE, "/pose"), Wish(Right.CALL, "/lift")
-DOOR = Wish(Right.CALL, "/door")
+POSE, LIFT = RequestedRight(Right.SUBSCRIBE, "/pose"), RequestedRight(Right.CALL, "/lift")
+DOOR = RequestedRight(Right.CALL, "/door")
 
 
 def test_what_the_policy_allows_is_signed(place: Place) -> None:
     desk = place.desk()
-    desk.take(place.request(POSE, Wish(Right.PUBLISH, "/toast"), DOOR))
+    desk.take(place.request(POSE, RequestedRight(Right.PUBLISH, "/toast"), DOOR))
     questions = desk.questions()  # the door is denied, and answered
-    assert [str(item.asked.wish) for item in questions] == ["subscribe /pose", "publish /toast"]
+    assert [str(item.asked.requested) for item in questions] == [
+        "subscribe /pose",
+        "publish /toast",
+    ]
     ((draft, data),) = desk.sign(place.authority, questions, lambda verdict: verdict, "policy")
     assert (draft.subject, len(draft.permissions)) == ("/toaster", 2)
     assert place.authority.store.grants()[-1].data == data
@@ -89,7 +92,7 @@ def test_a_person_says_no(place: Place) -> None:
 def test_a_node_that_asks_for_too_much_is_denied(
     place: Place, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(module, "MAX_ASKED", 2)
+    monkeypatch.setattr(module, "MAX_PENDING", 2)
     desk = place.desk()
     for _ in range(4):
         desk.take(place.request(LIFT))
@@ -160,7 +163,7 @@ def test_what_cannot_be_signed_is_not_answered(place: Place) -> None:
     place.authority.store.revoke(place.node.identity(place.now).thumbprint, "stolen", place.now)
     with pytest.raises(StoreError, match="the key of /toaster is revoked"):
         desk.sign(place.authority, questions, lambda verdict: verdict, "policy")
-    assert [asked.wish for asked in desk._inbox.unanswered()] == [POSE]
+    assert [asked.requested for asked in desk._inbox.unanswered()] == [POSE]
 
 
 def test_a_policy_that_was_changed_meanwhile_is_not_signed_by(place: Place) -> None:

@@ -16,7 +16,7 @@ from ca.errors import (
     StoreError,
 )
 from ca.revocation.state import open_list
-from ca.revocation.tree import Listing, is_tree
+from ca.revocation.tree import TreeEntries, is_tree
 from rossec import files
 from rossec.authority import backup as backups
 from rossec.authority.backup import back_up, restore
@@ -59,8 +59,8 @@ def test_everything_comes_back(home: AuthorityHome, tmp_path: Path) -> None:
         public = path.is_dir() or path.name.endswith(".pem")
         assert path.stat().st_mode & 0o077 == 0 or public, path
     unlocked = done.home.unlock(PASSPHRASE)
-    unlocked.store.journal.audit(unlocked.signer.public_key)
-    assert [entry.what for entry in unlocked.store.journal.entries()[-2:]] == ["restored", "list"]
+    unlocked.store.log.audit(unlocked.signer.public_key)
+    assert [entry.what for entry in unlocked.store.log.entries()[-2:]] == ["restored", "list"]
 
 
 def test_a_new_epoch_beats_what_was_signed_since(home: AuthorityHome, tmp_path: Path) -> None:
@@ -95,7 +95,7 @@ def test_revocations_come_back_from_a_tree_with_its_entries(
     with pytest.raises(BackupRefused, match="a tree, which does not say") as caught:
         restore(tmp_path / "a", data, PASSPHRASE, NOW, newest_list=tree)
     assert "--entries" in caught.value.hint
-    for wrong in (Listing([b"x" * 32]).encoded(), b"garbage"):
+    for wrong in (TreeEntries([b"x" * 32]).encoded(), b"garbage"):
         with pytest.raises(RevocationRefused):
             restore(tmp_path / "a", data, PASSPHRASE, NOW, newest_list=tree, entries=wrong)
     assert not list((tmp_path / "a").iterdir())
@@ -103,7 +103,7 @@ def test_revocations_come_back_from_a_tree_with_its_entries(
     assert done.revived == 1
     with closing(done.home.store()) as store:
         assert store.revoked_entries() == {b"k" * 32}
-    assert Listing.read(done.home.entries()).entries == {b"k" * 32}
+    assert TreeEntries.read(done.home.entries()).entries == {b"k" * 32}
 
 
 def test_a_wrong_passphrase(home: AuthorityHome, tmp_path: Path) -> None:

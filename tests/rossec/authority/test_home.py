@@ -5,7 +5,7 @@ import pytest
 from ca.errors import PassphraseRefused
 from ca.names import RESERVED
 from ca.revocation.state import RevocationList, open_list, open_statement
-from ca.revocation.tree import Listing, is_tree, open_tree
+from ca.revocation.tree import TreeEntries, is_tree, open_tree
 from grants import document
 from grants.model import Draft, Permission, Right
 from grants.renewal import open_delegation
@@ -151,7 +151,7 @@ def test_too_many_revocations_become_a_tree(
     listed = opened.revoke(bytes(16), "", NOW)
     tree = open_tree(opened_list(listed, home), home.anchor().public_key)
     assert (tree.number, tree.size) == (listed.number, 2)
-    Listing.read(home.entries()).check(tree)
+    TreeEntries.read(home.entries()).check(tree)
 
 
 def opened_list(listed: RevocationList, home: AuthorityHome) -> bytes:

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from ca.revocation.state import open_list
-from ca.revocation.tree import Listing, is_tree, open_tree
+from ca.revocation.tree import TreeEntries, is_tree, open_tree
 from rossec.authority.home import AuthorityHome
 from rossec.authority.local_list import LocalList
 from rossec.errors import NotWritten
@@ -48,7 +48,7 @@ def test_a_tree_comes_with_its_entries(shell: Shell, monkeypatch: pytest.MonkeyP
     found = near.news()
     assert found is not None
     assert is_tree(found[0])
-    Listing.read(found[1]).check(open_tree(found[0], key))
+    TreeEntries.read(found[1]).check(open_tree(found[0], key))
 
 
 def test_what_could_not_be_read_is_read_again(

@@ -10,7 +10,7 @@ from ca.errors import StoreError
 from ca.keys.signer import KeySigner
 from ca.store.record import Store
 from grants.model import Right
-from grants.request import GrantRequest, Wish, sign_request
+from grants.request import GrantRequest, RequestedRight, sign_request
 from rossec.authority import requests
 from rossec.authority.requests import GrantRequestStore
 from rossec.errors import ConfigurationError
@@ -18,8 +18,8 @@ from tests.support.oldstore import write_version_1
 
 NOW = 1_800_000_000
 NODE = KeySigner(ec.generate_private_key(ec.SECP256R1()))
-WISHES = (Wish(Right.CALL, "/lift"), Wish(Right.SUBSCRIBE, "/pose"))
-ASKED = GrantRequest("home", "/toaster", NOW, bytes(16), WISHES, "")
+RIGHTS = (RequestedRight(Right.CALL, "/lift"), RequestedRight(Right.SUBSCRIBE, "/pose"))
+ASKED = GrantRequest("home", "/toaster", NOW, bytes(16), RIGHTS, "")
 DATA = sign_request(NODE, ASKED)
 
 
@@ -33,7 +33,11 @@ def test_a_request_is_answered_wish_by_wish(path: Path) -> None:
     box = GrantRequestStore.of(path)
     box.add(ASKED, DATA, NOW + 5)
     first, second = box.unanswered()
-    assert (first.request, first.at, [first.wish, second.wish]) == (ASKED, NOW + 5, list(WISHES))
+    assert (first.request, first.at, [first.requested, second.requested]) == (
+        ASKED,
+        NOW + 5,
+        list(RIGHTS),
+    )
     assert first.short_id == ASKED.id.hex()[:8]
     box.answer(first, "granted", "policy", NOW)
     assert box.unanswered() == [second]
@@ -88,4 +92,6 @@ def test_an_inbox_in_an_older_record_stays(tmp_path: Path) -> None:
     box.add(ASKED, DATA, NOW)
     box.close()
     Store.open(tmp_path / "ca.db").close()
-    assert [asked.wish for asked in GrantRequestStore.of(tmp_path).unanswered()] == list(WISHES)
+    assert [asked.requested for asked in GrantRequestStore.of(tmp_path).unanswered()] == list(
+        RIGHTS
+    )

@@ -38,7 +38,7 @@ class Guard:
 
     memory = None
 
-    def treat(self, message: memoryview, _now: int, _mark: object) -> Any:
+    def apply(self, message: memoryview, _now: int, _mark: object) -> Any:
         self.seen.append(bytes(message))
         if self.error is not None:
             raise self.error

@@ -299,7 +299,7 @@ class Master(RuleBasedStateMachine):
 
     @invariant()
     def the_watcher_sees_the_same(self) -> None:
-        answer = self.call("/watcher", "rossec.watchGraph", *self.view.question)
+        answer = self.call("/watcher", "rossec.watchGraph", *self.view.next_params)
         if answer is None or answer[0] != 1:
             return
         assert self.may("/watcher", Right.GRAPH, "/master")

@@ -51,7 +51,7 @@ async def test_who_says_goodbye_is_let_go_of_at_once(
             await site.restart_master()
             await until(lambda: registered(site, Kind.PUBLISHER) == ["/robot"])
             await until(lambda: registered(site, Kind.SUBSCRIBER) == ["/viewer"])
-            await until(lambda: not viewer._topics._named._missing)
+            await until(lambda: not viewer._topics._grace._missing)
             uri = robot.uri
             await robot._session.call("unregisterPublisher", TOPIC, uri)
             await until(lambda: not sight.links)

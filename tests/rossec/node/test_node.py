@@ -342,7 +342,7 @@ async def test_a_node_whose_watch_dies_ends(site: Site, monkeypatch: pytest.Monk
         def break_down(_: int) -> None:
             raise ValueError("boom")
 
-        monkeypatch.setattr(robot._watch, "cut", break_down)
+        monkeypatch.setattr(robot._watchdog, "close_terminated", break_down)
         with pytest.raises(ValueError, match="boom"):
             async with asyncio.timeout(30):
                 await robot.wait_ended()

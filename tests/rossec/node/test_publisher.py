@@ -45,7 +45,7 @@ class Guard:
 
     memory = None
 
-    def treat(self, message: Any, _now: int, _mark: object) -> Any:
+    def apply(self, message: Any, _now: int, _mark: object) -> Any:
         self.treated += 1
         return self._treat(message)
 
@@ -183,7 +183,7 @@ async def test_a_batch_is_bounded() -> None:
     topic, stream = publisher(queue_size=100), Stream()
     link = SubscriberConnection(stream, decision(), Guard(), 100)  # type: ignore[arg-type]  # stand-ins
     for _ in range(5):
-        link.offer([bytes(100_000)])
+        link.enqueue([bytes(100_000)])
     assert [len(link._next_batch()) for _ in range(2)] == [6, 4]
     assert topic.topic == "/t"
 

@@ -91,7 +91,7 @@ async def test_a_revoked_caller_is_cut(site: Site, lamp: Node) -> None:
         assert len(service.links) == 1
         await tell(site, lamp, right)
         await until(lambda: not service.links and not client.links)
-        await hall._session._beat()  # a node that registers nothing hears with its heartbeat
+        await hall._session._heartbeat()  # a node that registers nothing hears with its heartbeat
         with pytest.raises((RossecError, GrantError)):
             await called(client, data=True)
 
@@ -103,7 +103,7 @@ async def test_a_revoked_provider_is_cut(site: Site, hall: Node) -> None:
         client = hall.client(LAMP, BOOL, persistent=True)
         await called(client, data=True)
         await tell(site, hall, right)
-        await hall._session._beat()
+        await hall._session._heartbeat()
         await until(lambda: not service.links and not client.links)
 
 

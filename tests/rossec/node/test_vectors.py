@@ -38,8 +38,8 @@ def fresh(site: Site) -> Revocations:
     data = site.authority.store.newest_list()
     assert data is not None
     revocations.update(data, NOW)
-    assert revocations.held is not None
-    revocations.confirm(Timestamp(revocations.held.seq, digest(data), NOW, 30), NOW)
+    assert revocations.current is not None
+    revocations.confirm(Timestamp(revocations.current.seq, digest(data), NOW, 30), NOW)
     return revocations
 
 

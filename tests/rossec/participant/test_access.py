@@ -36,8 +36,8 @@ def revocations(site: Site, now: int = NOW) -> Revocations:
     data = site.authority.store.newest_list()
     assert data is not None
     held.update(data, now)
-    assert held.held is not None
-    held.confirm(Timestamp(held.held.seq, digest(data), now, 30), now)
+    assert held.current is not None
+    held.confirm(Timestamp(held.current.seq, digest(data), now, 30), now)
     return held
 
 
@@ -150,7 +150,7 @@ def test_the_memory_of_verified_grants_is_bounded(
     for _ in range(4):
         grant = site.subscribe("/viewer", TOPIC)
         judged.authorize(viewer, field(grant), Right.SUBSCRIBE, TOPIC, NOW)
-    assert len(judged._opened) == 2
+    assert len(judged._verified) == 2
 
 
 def test_a_refused_grant_does_not_spoil_a_good_one(site: Site) -> None:
@@ -198,7 +198,7 @@ def test_a_list_without_its_confirmation_ends_all_reliance(site: Site) -> None:
     told = site.revoke(bytes(32))
     for data in (told, told):  # also when there is nothing new
         with pytest.raises(RevocationsStale, match="what is revoked, and nothing more") as stale:
-            own.take_news(data, b"", master, NOW, saved.append)
+            own.update_revocations(data, b"", master, NOW, saved.append)
         assert "enroll the node anew" in stale.value.hint
         assert (held.data, held.fresh_until) == (told, 0)
     assert saved == [told]
@@ -219,7 +219,7 @@ def test_that_the_news_are_stale_does_not_hide_a_revoked_intermediate(site: Site
         Timestamp(held.floor[1], digest(held.data), NOW, 30),
     )
     with pytest.raises(Revoked):
-        own.take_news(b"", word, master, NOW, list[bytes]().append)
+        own.update_revocations(b"", word, master, NOW, list[bytes]().append)
     assert held.fresh_until == 0
     other = replace(master, issuers=(bytes([1]) * 32,))
     with pytest.raises(RevocationsStale):

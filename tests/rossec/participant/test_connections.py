@@ -31,8 +31,8 @@ def revocations(site: Site) -> Revocations:
     data = site.authority.store.newest_list()
     assert data is not None
     held.update(data, NOW)
-    assert held.held is not None
-    held.confirm(Timestamp(held.held.seq, digest(data), NOW, 30), NOW)
+    assert held.current is not None
+    held.confirm(Timestamp(held.current.seq, digest(data), NOW, 30), NOW)
     return held
 
 

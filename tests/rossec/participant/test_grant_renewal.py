@@ -23,7 +23,14 @@ from grants.renewal import MIN_TICKET, Delegation, sign_delegation
 from rossec.errors import AnswerMalformed
 from rossec.master.rights.delegation import Delegate
 from rossec.participant.access import Access
-from rossec.participant.grant_renewal import AT_ONCE, RETRY, MasterCall, Renewals, due_at, renew
+from rossec.participant.grant_renewal import (
+    MAX_PER_CALL,
+    RETRY,
+    MasterCall,
+    Renewals,
+    due_at,
+    renew,
+)
 from tests.support.authority import DAY, Member, Site
 
 HOUR = 3600
@@ -53,11 +60,11 @@ class World:
         self.list = data or self.list
         self.later = later
         now = self.now + later
-        seq = 1 if self.revocations.held is None else self.revocations.held.seq + bool(data)
+        seq = 1 if self.revocations.current is None else self.revocations.current.seq + bool(data)
         signer = master.credentials.signer
         assert isinstance(signer, KeySigner)
         stamp = sign_timestamp(signer, Timestamp(seq, digest(self.list), now, 30))
-        self.access.take_news(data, stamp, master.identity, now, lambda _: None)
+        self.access.update_revocations(data, stamp, master.identity, now, lambda _: None)
         return now
 
     def hold(self, lifetime: int = HOUR, cap: int = DAY, holder: Member | None = None) -> bytes:
@@ -71,7 +78,7 @@ class World:
         return [self.renewed(data) for data in originals]
 
     def renewed(self, data: bytes) -> bytes:
-        held = self.revocations.held
+        held = self.revocations.current
         assert held is not None
         now = self.now + self.later
         _, token = self.delegate.renew(
@@ -94,7 +101,7 @@ def world() -> World:
 
 def test_due_at_about_two_thirds_of_a_life(world: World) -> None:
     world.hold()
-    [held] = world.access.holdings()
+    [held] = world.access.held_grants()
     assert 0.55 * HOUR <= due_at(held) - world.now <= 0.77 * HOUR
     assert world.renewals.due(due_at(held) - 1) == []
     assert world.renewals.due(due_at(held)) == [held]
@@ -105,7 +112,7 @@ def test_due_at_about_two_thirds_of_a_life(world: World) -> None:
 def test_what_was_refused_is_asked_for_again_in_time(world: World) -> None:
     """Of a ticket of a minute some 20 s are left then: a pause of a minute would be its end."""
     world.hold(lifetime=60)
-    [held] = world.access.holdings()
+    [held] = world.access.held_grants()
     asked = [second for second in range(60) if world.renewals.due(world.now + second)]
     assert asked[0] == due_at(held) - world.now
     assert len(asked) >= 4
@@ -127,7 +134,7 @@ async def test_with_tickets_of_a_minute_there_is_always_one_that_holds(world: Wo
     for second in range(600):
         now = world.at(second)
         await renew(world.answer, world.renewals, now)
-        [held] = world.access.holdings()
+        [held] = world.access.held_grants()
         least = min(least, held.grant.expires - now)
     assert least >= 12  # seconds: some tries more, had the master been out of reach
     assert 13 <= len(world.calls) <= 22
@@ -156,10 +163,12 @@ async def test_a_new_epoch_makes_all_that_was_renewed_due(world: World) -> None:
 
 
 def test_so_many_at_once_the_most_urgent_first(world: World) -> None:
-    for n in range(AT_ONCE + 1):
+    for n in range(MAX_PER_CALL + 1):
         world.hold(lifetime=HOUR + n)
     due = world.renewals.due(world.now + 2 * HOUR)
-    assert [held.grant.expires - world.now for held in due] == [HOUR + n for n in range(AT_ONCE)]
+    assert [held.grant.expires - world.now for held in due] == [
+        HOUR + n for n in range(MAX_PER_CALL)
+    ]
     assert len(world.renewals.due(world.now + 2 * HOUR)) == 1
 
 
@@ -171,7 +180,7 @@ async def test_a_grant_that_has_expired_lives_again(world: World) -> None:
     assert world.calls == [("rossec.renewGrants", [data])]
     [token] = world.access.current(now)
     assert token != data
-    [held] = world.access.holdings()
+    [held] = world.access.held_grants()
     assert (held.original, held.since) == (data, now)
     assert await renew(world.answer, world.renewals, now + RETRY) == 0
     decision = world.access.authorize(
@@ -222,7 +231,9 @@ def test_tokens_of_a_revoked_delegation_or_master_are_nothing(world: World) -> N
     with pytest.raises(GrantError, match="delegation"):
         world.access.hold_renewed(token, world.now)
     with pytest.raises(RevocationRefused):
-        world.access.take_news(b"", b"no stamp", world.master.identity, world.now, lambda _: None)
+        world.access.update_revocations(
+            b"", b"no stamp", world.master.identity, world.now, lambda _: None
+        )
 
 
 def test_a_revoked_master_confirms_nothing(world: World) -> None:
@@ -233,7 +244,7 @@ def test_a_revoked_master_confirms_nothing(world: World) -> None:
     with pytest.raises(Revoked):
         world.at(25)
     assert world.revocations.fresh_until <= fresh
-    assert world.revocations.held is not None
+    assert world.revocations.current is not None
     with pytest.raises(RevocationsStale):
         world.revocations.check_fresh(world.now + 25)
 
@@ -242,5 +253,5 @@ def test_a_peer_that_does_not_know_the_master_takes_no_renewed_grant(tmp_path: P
     world = World()
     token = world.renewed(world.site.grant(world.node, P, lifetime=60, cap=DAY))
     stranger = Access(world.site.anchor, world.revocations)
-    with pytest.raises(GrantError, match="the master is not known"):
+    with pytest.raises(GrantError, match="the master's key is not known"):
         stranger.hold_renewed(token, int(time.time()))

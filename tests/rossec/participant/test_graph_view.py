@@ -20,10 +20,10 @@ def answer(**changes: Any) -> dict[str, Any]:
 
 def test_whole_then_differences() -> None:
     view = GraphView()
-    assert view.question == ("", 0)
+    assert view.next_params == ("", 0)
     first = view.take(answer())
     assert (first.added, first.removed, first.restarted) == ((tuple(A),), (), False)
-    assert (view.question, view.version) == (("x", 1), 5)
+    assert (view.next_params, view.version) == (("x", 1), 5)
     second = view.take(answer(cursor=2, whole=False, added=[B], removed=[A], more=True))
     assert (second.added, second.removed, second.more) == ((tuple(B),), (tuple(A),), True)
     assert view.facts == {tuple(B)}

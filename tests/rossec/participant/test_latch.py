@@ -19,9 +19,9 @@ def guard(memory: Memory | None) -> Guard:
 
 def shown(latch: Latch[bytes], receiver: Guard, now: int = NOW) -> bytes | None:
     """What a newcomer gets."""
-    for sample in latch.shown(receiver):
-        if receiver.treat(sample.data, now, sample.mark) is not None:
-            latch.passed(receiver, sample)
+    for sample in latch.candidates(receiver):
+        if receiver.apply(sample.data, now, sample.mark) is not None:
+            latch.record(receiver, sample)
             return sample.data
     return None
 

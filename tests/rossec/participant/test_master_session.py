@@ -36,10 +36,10 @@ async def test_what_cannot_be_handed_over_is_not(
         tree = sign_tree(site.authority.signer, RevocationTree(9, 9, now, now + DAY, 1, bytes(32)))
         for held in (None, lambda: b"", lambda: tree, lambda: robot.revocations.data):
             monkeypatch.setattr(session, "_held", held)
-            assert not await session._hand_over()
+            assert not await session._send_held_list()
         assert "the master refuses" not in caplog.text
         monkeypatch.setattr(session, "_held", lambda: b"forged")
-        assert not await session._hand_over()
+        assert not await session._send_held_list()
         assert "/robot: the master refuses the list held here" in caplog.text
 
         def refuse(*_: object) -> None:
@@ -47,4 +47,4 @@ async def test_what_cannot_be_handed_over_is_not(
 
         monkeypatch.setattr(session, "_refresh", refuse)
         with pytest.raises(RevocationRefused, match="something else"):
-            await session._beat()
+            await session._heartbeat()

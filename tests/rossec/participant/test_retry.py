@@ -2,19 +2,19 @@
 
 import pytest
 
-from rossec.participant.retry import EAGER, FIRST, Retry
+from rossec.participant.retry import FAST_PERIOD, FIRST, Retry
 
 
-@pytest.mark.parametrize("dice", [0.0, 0.5, 0.999])
-def test_for_half_a_minute_a_second_at_most_and_then_five(dice: float) -> None:
-    retry, now, pauses = Retry(lambda: dice), 1000.0, []
-    while now < 1000 + 2 * EAGER:
+@pytest.mark.parametrize("rand", [0.0, 0.5, 0.999])
+def test_for_half_a_minute_a_second_at_most_and_then_five(rand: float) -> None:
+    retry, now, pauses = Retry(lambda: rand), 1000.0, []
+    while now < 1000 + 2 * FAST_PERIOD:
         pauses.append((now, retry.pause(now)))
         now += pauses[-1][1]
-    cut = 1 - dice / 2
+    cut = 1 - rand / 2
     assert pauses[0][1] == FIRST * cut
-    assert [pause for at, pause in pauses if at < 1000 + EAGER][2:] == pytest.approx(
-        [cut] * (len([at for at, _ in pauses if at < 1000 + EAGER]) - 2)
+    assert [pause for at, pause in pauses if at < 1000 + FAST_PERIOD][2:] == pytest.approx(
+        [cut] * (len([at for at, _ in pauses if at < 1000 + FAST_PERIOD]) - 2)
     )
     assert pauses[-1][1] == 5 * cut
 

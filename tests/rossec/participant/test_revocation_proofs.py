@@ -9,18 +9,18 @@ import pytest
 
 from ca.errors import RevocationsStale, Revoked
 from ca.revocation.state import Revocations, Timestamp, digest
-from ca.revocation.tree import Listing, RevocationTree, sign_tree
+from ca.revocation.tree import RevocationTree, TreeEntries, sign_tree
 from grants.model import Right
 from rossec.errors import AnswerMalformed
 from rossec.participant.connections import STALE_GRACE, termination_reason
 from rossec.participant.grant_renewal import MasterCall
-from rossec.participant.revocation_proofs import AT_ONCE, METHOD, prove
+from rossec.participant.revocation_proofs import MAX_PER_CALL, METHOD, prove
 from tests.rossec.node.test_node import POSE, first, pose, tell_master, until
 from tests.rossec.participant.test_connections import Linked
 from tests.support.authority import Site as Authority
 from tests.support.site import Site
 
-LISTING = Listing([n.to_bytes(16) for n in range(1, 9)])
+LISTING = TreeEntries([n.to_bytes(16) for n in range(1, 9)])
 HERE, ABSENT = (1).to_bytes(16), b"x" * 16
 
 
@@ -61,10 +61,10 @@ async def test_what_is_wanted_is_asked_for_once(held: Revocations) -> None:
 
 
 async def test_only_so_many_at_once(held: Revocations) -> None:
-    for n in range(100, 100 + AT_ONCE):
+    for n in range(100, 100 + MAX_PER_CALL):
         with pytest.raises(RevocationsStale):
             held.check(n.to_bytes(16), int(time.time()))
-    assert await prove(answer, held) == AT_ONCE
+    assert await prove(answer, held) == MAX_PER_CALL
     assert await prove(answer, held) == 2
 
 
@@ -83,9 +83,9 @@ async def test_without_proof_nothing_is_known(held: Revocations, said: object) -
 
 def test_a_link_lives_as_long_without_a_proof_as_without_news(held: Revocations) -> None:
     now = int(time.time())
-    last = held.known_until(b"g" * 16) + STALE_GRACE
+    last = held.status_valid_until(b"g" * 16) + STALE_GRACE
     assert termination_reason(Linked(ends=last + 99), held, now) is None
-    assert held.held is not None
+    assert held.current is not None
     held.confirm(Timestamp(1, digest(held.data), last, 30), last)  # news go on, proofs do not
     assert termination_reason(Linked(ends=last + 99), held, last - 1) is None
     assert "no proof" in (termination_reason(Linked(ends=last + 99), held, last) or "")

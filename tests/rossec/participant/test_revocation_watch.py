@@ -61,20 +61,20 @@ def test_after_a_clock_that_went_back_news_are_waited_for(
     data = site.authority.store.newest_list()
     assert data is not None
     held.update(data, now)
-    assert held.held is not None
-    news = Timestamp(held.held.seq, digest(data), now, 30)
+    assert held.current is not None
+    news = Timestamp(held.current.seq, digest(data), now, 30)
     held.confirm(news, now)
     door: Any = SimpleNamespace(abort_revoked=lambda _: None)
     link = Linked(ends=now + 3600)
     watch = ConnectionWatchdog(held, lambda: (link,), door)
-    watch.look(now)
+    watch.check(now)
     held.check_fresh(now)
     shows -= 3600
-    watch.look(clock.now())
+    watch.check(clock.now())
     with pytest.raises(RevocationsStale, match="not confirmed"):
         held.check_fresh(clock.now())
     assert link.cuts == [], "only those that come are refused at once"
     held.confirm(news, now)
-    watch.look(clock.now())
+    watch.check(clock.now())
     held.check_fresh(clock.now())
     assert caplog.text.count("the host's clock went back") == 1

@@ -38,7 +38,7 @@ class Pair:
         held.confirm(Timestamp(1, digest(data), NOW, 30), NOW)
         return Access(site.anchor, held, site.enroll(name).grants())
 
-    def question(self) -> Fields:
+    def request(self) -> Fields:
         proof = service_handshake.caller_proof(SERVICE, self.hall_access, NOW)
         return {"callerid": b"/hall", "service": SERVICE.encode(), **proof}
 
@@ -61,13 +61,13 @@ def pair(tmp_path: Path) -> Pair:
 
 
 def test_the_two_headers_admit_each_other(pair: Pair) -> None:
-    pair.admit_hall(pair.question())
+    pair.admit_hall(pair.request())
     pair.admit_door(pair.answer())
-    assert service_handshake.requested_service(pair.question()) == SERVICE
+    assert service_handshake.requested_service(pair.request()) == SERVICE
 
 
 def test_a_client_needs_the_right_to_call(pair: Pair) -> None:
-    other = {**pair.question(), "service": b"/door/lock"}
+    other = {**pair.request(), "service": b"/door/lock"}
     with pytest.raises(GrantMissing):
         pair.admit_hall(other)
     with pytest.raises(GrantMissing):
@@ -83,7 +83,7 @@ def test_a_server_needs_the_right_to_provide(pair: Pair) -> None:
 
 def test_names_are_those_of_the_certificates(pair: Pair) -> None:
     with pytest.raises(CallerMismatch):
-        pair.admit_hall({**pair.question(), "callerid": b"/door"})
+        pair.admit_hall({**pair.request(), "callerid": b"/door"})
     with pytest.raises(CallerMismatch):
         pair.admit_door({**pair.answer(), "callerid": b"/hall"})
 
@@ -94,7 +94,7 @@ def test_a_refusal_is_passed_on(pair: Pair) -> None:
 
 
 def test_a_header_without_a_service(pair: Pair) -> None:
-    question = pair.question()
+    question = pair.request()
     del question["service"]
     with pytest.raises(ConnectionHeaderRefused, match="'service'"):
         pair.admit_hall(question)

@@ -11,7 +11,7 @@ import pytest
 from rossec.errors import PeerUserRefused
 from rossec.net.host import peeruid
 from rossec.sidecar.callers import Callers
-from tests.rossec.sidecar.manyprograms import programs
+from tests.rossec.sidecar.child_programs import programs
 
 CONNECT = "import socket,sys; s=socket.create_connection(('127.0.0.1',int(sys.argv[1]))); s.recv(1)"
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from grants.model import Right
-from grants.policy.learn import Seen, log_line
+from grants.policy.learn import Observation, log_line
 from rossec.authority.policyfile import PolicyFile
 from rossec.cli.policy import learn as module
 from rossec.cli.shared.context import Environment
@@ -65,14 +65,14 @@ async def test_the_graph_of_a_running_master(site: Site) -> None:
         await robot.publisher("/robot/pose", "geometry_msgs/PoseStamped")
         seen = await module._look(Environment(site.environ), "/looker")
         blind = await module._look(Environment(site.environ), "/robot")
-    pose = Seen("/robot", Right.PUBLISH, "/robot/pose", "geometry_msgs/PoseStamped")
+    pose = Observation("/robot", Right.PUBLISH, "/robot/pose", "geometry_msgs/PoseStamped")
     assert seen == [pose]
     assert blind == []
 
 
 def test_learn_from_the_graph(shell: Shell, file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    async def look(*_: object) -> list[Seen]:
-        return [Seen("/robot", Right.PUBLISH, "/robot/pose", "geometry_msgs/PoseStamped")]
+    async def look(*_: object) -> list[Observation]:
+        return [Observation("/robot", Right.PUBLISH, "/robot/pose", "geometry_msgs/PoseStamped")]
 
     monkeypatch.setattr(module, "_look", look)
     said = shell("policy", "learn", "--from-graph", "/looker", "--policy", str(file))
@@ -122,8 +122,8 @@ def test_anonymous_nodes_are_learnt_under_their_certified_name(
     request = str(shell.node("/rviz") / "node.csr")
     assert shell.unlocked("ca", "sign", request, "--yes", "--anonymous").code == 0
 
-    async def look(*_: object) -> list[Seen]:
-        return [Seen(f"/rviz_{number}", Right.SUBSCRIBE, "/scan") for number in (1, 2)]
+    async def look(*_: object) -> list[Observation]:
+        return [Observation(f"/rviz_{number}", Right.SUBSCRIBE, "/scan") for number in (1, 2)]
 
     monkeypatch.setattr(module, "_look", look)
     said = shell("policy", "learn", "--from-graph", "/looker", "--policy", str(file))

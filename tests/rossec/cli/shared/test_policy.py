@@ -2,7 +2,7 @@ from pathlib import Path
 
 import pytest
 
-from ca.errors import PlaceRefused
+from ca.errors import PathRefused
 from rossec.cli.shared.context import Environment
 from rossec.cli.shared.policy import read_policy
 from rossec.errors import ConfigurationError
@@ -29,5 +29,5 @@ def test_a_policy_that_others_can_write_signs_nothing(environment: Environment) 
     path.write_text(SMALL)
     path.chmod(0o666)
     assert read_policy(environment, path).path == path
-    with pytest.raises(PlaceRefused):
+    with pytest.raises(PathRefused):
         read_policy(environment, path, signs=True)

@@ -37,7 +37,7 @@ class Watcher:
 
     def look(self) -> tuple[list[str], list[str], bool]:
         """What was added, removed, and whether it was told as a whole."""
-        params = [self.who.name, *self.view.question]
+        params = [self.who.name, *self.view.next_params]
         self.answer = self.api.call(WATCH, params, self.who, 0).answer
         assert self.answer[0] == 1, self.answer
         change = self.view.take(self.answer[2])

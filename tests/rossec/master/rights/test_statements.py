@@ -8,7 +8,7 @@ from ca.errors import RevocationRefused, Revoked
 from ca.keys.key_files import generate
 from ca.keys.signer import KeySigner
 from ca.revocation.state import RevocationList, digest, open_timestamp, sign_list
-from ca.revocation.tree import Listing, RevocationTree, is_revoked, open_tree, sign_tree
+from ca.revocation.tree import RevocationTree, TreeEntries, is_revoked, open_tree, sign_tree
 from grants.document import grant_id
 from grants.errors import GrantError
 from grants.model import Right
@@ -346,7 +346,7 @@ def pertaining(world: World, caller: Caller, *names: str) -> frozenset[bytes]:
 
 
 def tree_of(world: World, *entries: bytes) -> tuple[bytes, bytes]:
-    listing = Listing([*entries, *(n.to_bytes(16) for n in range(9))])
+    listing = TreeEntries([*entries, *(n.to_bytes(16) for n in range(9))])
     tree = RevocationTree(1, 90, world.now, world.now + DAY, *listing.size_and_root)
     return sign_tree(world.site.signer, tree), listing.encoded()
 

@@ -7,7 +7,7 @@ import pytest
 
 from ca.certificates import to_pem
 from ca.errors import CertificateExpired, RenewalRefused, RollbackRefused
-from grants.decision import Check
+from grants.decision import RevocationCheck
 from rossec.home import NodeHome
 from rossec.master.server.server import MasterServer
 from rossec.master.server.start import master_of
@@ -74,7 +74,7 @@ async def test_it_renews_itself_with_the_intermediate_it_renews_others_with(tmp_
     home = home_of_master(tmp_path, site)
     asked: list[tuple[bytes, int]] = []
 
-    def renewer(request: bytes, now: int, check: Check) -> bytes:
+    def renewer(request: bytes, now: int, check: RevocationCheck) -> bytes:
         asked.append((request, now))
         check(home.identity(site.now).thumbprint, site.now)
         raise RenewalRefused("seen")

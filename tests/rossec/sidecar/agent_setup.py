@@ -20,7 +20,7 @@ HOST = "robot.local"
 MASTER_URI = "http://127.0.0.1:4000/"
 
 
-def play(
+def run_layer(
     layer: Generator[Command, Event, Outcome], *script: tuple[Command, Event | Exception]
 ) -> Outcome:
     """Run `layer`; it must yield exactly these commands, in this order. Returns its outcome."""
@@ -39,7 +39,7 @@ def play(
 
 
 @dataclass
-class Stage:
+class AgentSetup:
     """Two identities of one site, a tenant for the first, and fresh revocations."""
 
     site: Site
@@ -49,7 +49,7 @@ class Stage:
 
     def __post_init__(self) -> None:
         self.site.enroll(self.name, wildcard=self.wildcard)
-        self.tenant = AgentState(
+        self.agent = AgentState(
             self.identity(self.name),
             self.access(self.name),
             EndpointMap(HOST),
@@ -68,6 +68,6 @@ class Stage:
         assert data is not None
         now = self.site.now()
         held.update(data, now)
-        assert held.held is not None
-        held.confirm(Timestamp(held.held.seq, digest(data), now, 30), now)
+        assert held.current is not None
+        held.confirm(Timestamp(held.current.seq, digest(data), now, 30), now)
         return Access(self.site.anchor, held, self.site.enroll(name).grants())

@@ -12,15 +12,15 @@ from tests.support.site import Site
 
 
 @dataclass
-class Pair:
+class SidecarPair:
     site: Site
-    near: Sidecar
-    far: Sidecar
+    talker_sidecar: Sidecar
+    listener_sidecar: Sidecar
     talker: Program
     listener: Program
 
 
-async def connect(pair: Pair) -> tuple[PlainStream, PlainStream]:
+async def connect(pair: SidecarPair) -> tuple[PlainStream, PlainStream]:
     """Publisher and subscriber in conversation; the plain ends at subscriber and publisher."""
     await pair.talker.register("registerPublisher", "/word", "std_msgs/String")
     uris = await pair.listener.register("registerSubscriber", "/word", "std_msgs/String")
@@ -31,7 +31,7 @@ async def connect(pair: Pair) -> tuple[PlainStream, PlainStream]:
     return stream, pair.talker.connections[-1]
 
 
-async def heard(stream: PlainStream, wanted: int) -> bytes:
+async def receive_bytes(stream: PlainStream, wanted: int) -> bytes:
     """At least so many bytes."""
     data = b""
     while len(data) < wanted:
@@ -39,7 +39,7 @@ async def heard(stream: PlainStream, wanted: int) -> bytes:
     return data
 
 
-async def ends(stream: PlainStream) -> None:
+async def wait_closed(stream: PlainStream) -> None:
     """Wait until the stream is at its end, whatever comes before."""
     with contextlib.suppress(RossecError):
         async with asyncio.timeout(30):

@@ -33,7 +33,7 @@ class Programs:
             for _ in range(count)
         ]
 
-    def tell(self, which: int, line: str) -> None:
+    def send_line(self, which: int, line: str) -> None:
         program = self.running[which]
         assert program.stdin is not None
         assert program.stdout is not None
@@ -42,7 +42,7 @@ class Programs:
         assert program.stdout.readline() == "done\n"
 
     def connection(self, which: int) -> socket.socket:
-        self.tell(which, "connect")
+        self.send_line(which, "connect")
         return self.server.accept()[0]
 
     def close(self) -> None:

@@ -6,8 +6,8 @@ import pytest
 
 from grants.model import Right
 from rossec.channel.opening import WireProtocol
-from rossec.sidecar.core.endpoints import endpoint
-from tests.rossec.sidecar.program import Program, sidecar, word
+from rossec.sidecar.core.endpoints import parse_endpoint
+from tests.rossec.sidecar.program import Program, sidecar, string_message
 from tests.support.site import Site
 
 SERVICE, TOPIC = "/say", "/word"
@@ -39,15 +39,15 @@ async def call(program: Program) -> bytes:
     """What the service echoes, through the door that the master's answer leads to."""
     found = await program.ask(program.master_uri, "lookupService", SERVICE)
     assert isinstance(found, list)
-    place = endpoint(found[2], WireProtocol.TCPROS)
+    place = parse_endpoint(found[2], WireProtocol.TCPROS)
     assert place is not None
     assert place.port != program.topics.port, "around the channel, and around what its grants say"
     stream, answer = await program.call(found[2], SERVICE)
     assert "error" not in answer, answer
     await stream.send(b"\4\0\0\0echo")
-    heard = await stream.receive()
+    receive_bytes = await stream.receive()
     stream.abort()
-    return heard
+    return receive_bytes
 
 
 async def test_a_program_calls_its_own_service(site: Site) -> None:
@@ -84,6 +84,6 @@ async def test_another_node_of_the_same_identity_subscribes(site: Site) -> None:
         stream, answer = await other.subscribe(str(uris[0]), TOPIC)
         assert answer["callerid"] == b"/robot"
         await robot.connected.wait()
-        await robot.connections[0].send(word("hello"))
-        assert (await stream.receive()) == word("hello")
+        await robot.connections[0].send(string_message("hello"))
+        assert (await stream.receive()) == string_message("hello")
         stream.abort()
