@@ -24,7 +24,7 @@ def publish(environment: Environment, master_uri: str | None, passphrase_file: P
     The passphrase is needed only where something is revoked that no signed list says yet.
     """
     home = AuthorityHome.at(environment.home)
-    if count := home.unlisted(now()):
+    if count := home.count_unlisted(now()):
         note(f"{count} revocation{'s' * (count != 1)} in no signed list yet: it is signed anew")
         home.unlock(passphrase.read(passphrase_file, environment.variables)).refresh_list(now())
     asyncio.run(deliver(environment, master_uri))

@@ -8,7 +8,7 @@ from ca.certificates import IdentityRequest, check_request
 from ca.enrollment import qr
 from ca.names import check_wildcard, spiffe_id
 from rossec import files
-from rossec.authority.home import AuthorityHome, grouped
+from rossec.authority.home import AuthorityHome, format_fingerprint
 from rossec.cli.shared import options, passphrase, signing_options
 from rossec.cli.shared.batch import Batch
 from rossec.cli.shared.context import Environment, confirm, now, pass_environment
@@ -110,7 +110,7 @@ def _introduce(path: Path, request: IdentityRequest, home: AuthorityHome, *, vou
         else "no code was checked: compare the fingerprint with the one the node shows"
     )
     say(f"{printable(spiffe_id(home.domain, request.name))} asks for an identity ({path})")
-    say(f"  fingerprint {grouped(request.thumbprint)}")
+    say(f"  fingerprint {format_fingerprint(request.thumbprint)}")
     say(f"  {how}")
 
 
