@@ -57,7 +57,7 @@ class AgentState:
     programs: dict[Endpoint, Program] = field(default_factory=dict)
 
     def name_for(self, caller: str) -> str:
-        """The caller_id sent to peers: the program's own if the identity covers it, else the identity.
+        """The caller_id for peers: the program's own if the identity covers it, else the identity.
 
         So it is always a certified name (attack L7).
         """

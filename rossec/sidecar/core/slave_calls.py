@@ -148,7 +148,7 @@ def _answer_for_peer(
 def _program_bus_info(
     agent: AgentState, local: Endpoint, entries: list[object]
 ) -> Layer[list[object]]:
-    """A program's bus info; an incoming connection names its publisher, maybe the program itself."""
+    """A program's bus info; an incoming connection names its publisher, maybe the program."""
     found: list[object] = []
     for entry in entries:
         match entry:
