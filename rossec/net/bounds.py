@@ -12,11 +12,14 @@ from rossec.channel.records import ChannelLimits
 from rossec.ros.header import HEADER_LIMIT
 from rossec.ros.xmlrpc import BODY_LIMIT
 
-GREETING: Final = 2 * HEADER_LIMIT  # with whatever was joined to it
+PREAUTH_LIMIT: Final = 2 * HEADER_LIMIT  # with whatever was joined to it
 JOINED: Final = 2 * 1024 * 1024  # 256 KiB of messages, one more, and 4 bytes for each
 _CALLS: Final = ChannelLimits(unit=2 * BODY_LIMIT)  # XML-RPC, with HTTP's headers
 
-ACCEPTED: Final = {WireProtocol.HTTP: _CALLS, WireProtocol.TCPROS: ChannelLimits(greeting=GREETING)}
+ACCEPTED: Final = {
+    WireProtocol.HTTP: _CALLS,
+    WireProtocol.TCPROS: ChannelLimits(preauth_limit=PREAUTH_LIMIT),
+}
 """Of who calls; a caller of a service is made welcome once it may call."""
 
 DIALLED: Final = {WireProtocol.HTTP: _CALLS, WireProtocol.TCPROS: ChannelLimits()}

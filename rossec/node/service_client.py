@@ -252,9 +252,9 @@ class ServiceClient:
             persistent=self._persistent,
         )
         check_md5(answer, self.service, kind.md5sum)
-        stream.welcome(unit_limit(self.kind.response_layout.root.size, MESSAGE_LIMIT))
+        stream.raise_unit_limit(unit_limit(self.kind.response_layout.root.size, MESSAGE_LIMIT))
         own = self._context
-        guard = ServiceGuard(self.kind, decision, own.filter_key, own.recall)
+        guard = ServiceGuard(self.kind, decision, own.filter_key, own.memory_scope)
         return ProviderConnection(stream, decision, guard)
 
     async def _discard_when_ended(self, connection: ProviderConnection) -> None:

@@ -173,7 +173,7 @@ class Services:
         if is_set(fields, "probe"):
             return partial(stream.send, answer)
         guard = service.guard(decision)
-        stream.welcome(unit_limit(service.kind.request_layout.root.size, REQUEST_LIMIT))
+        stream.raise_unit_limit(unit_limit(service.kind.request_layout.root.size, REQUEST_LIMIT))
         persistent = is_set(fields, "persistent")
         return partial(service.serve, stream, decision, guard, answer, persistent=persistent)
 

@@ -10,7 +10,7 @@ from rossec.progress import STEP, Progress
 from rossec.ros.header import FrameReader
 
 PATIENCE: Final = float(STEP)
-"""How long to wait for more of a message before `Framing.look`, in seconds."""
+"""How long to wait for more of a message before `Framing.check_progress`, in seconds."""
 
 
 class Framing:
@@ -21,7 +21,7 @@ class Framing:
 
     def __init__(self, reader: FrameReader) -> None:
         self._reader = reader
-        self._unfinished = Progress()
+        self._progress = Progress()
 
     @property
     def waits(self) -> bool:
@@ -37,23 +37,23 @@ class Framing:
         """
         messages = self._reader.feed(data)
         if messages:
-            self._unfinished.done()
-        self.look(now)
+            self._progress.done()
+        self.check_progress(now)
         return messages
 
     def feed_one(self, data: bytes, now: int) -> bytes | None:
         """As `FrameReader.feed_one`; raises as `feed`."""
         message = self._reader.feed_one(data)
         if message is not None:
-            self._unfinished.done()
-        self.look(now)
+            self._progress.done()
+        self.check_progress(now)
         return message
 
-    def look(self, now: int) -> None:
+    def check_progress(self, now: int) -> None:
         """Ask whether a message that was begun gets on.
 
         Raises:
             LimitExceeded: it does not.
         """
         if self._reader.pending > 0:
-            self._unfinished.look(now, self._reader.pending)
+            self._progress.check(now, self._reader.pending)

@@ -16,7 +16,7 @@ from rossec.channel.records import ChannelLimits
 from rossec.errors import HangUp
 from rossec.net.aio import SecureStream, connect
 from rossec.net.aio.server import Handler, SecureServer, serve
-from rossec.net.bounds import ACCEPTED, DIALLED, GREETING
+from rossec.net.bounds import ACCEPTED, DIALLED, PREAUTH_LIMIT
 from rossec.net.halfopen import HalfOpenCount
 from rossec.participant.access import Access
 from rossec.ros.header import MESSAGE_LIMIT
@@ -28,7 +28,9 @@ from rossec.sidecar.loopback_port import bind_free_port
 # Peers send headers and requests; what programs send leaves in small units.
 _ACCEPTED: Final = {
     **ACCEPTED,
-    WireProtocol.TCPROS: ChannelLimits(unit=MESSAGE_LIMIT + BODY_LIMIT, greeting=GREETING),
+    WireProtocol.TCPROS: ChannelLimits(
+        unit=MESSAGE_LIMIT + BODY_LIMIT, preauth_limit=PREAUTH_LIMIT
+    ),
 }
 
 

@@ -21,7 +21,7 @@ from rossec.net.aio.tasks import TaskSet
 from rossec.net.bounds import message_limit, unit_limit
 from rossec.net.rpc.client import serve_calls
 from rossec.participant.header_fields import text
-from rossec.participant.limit_memory import recall
+from rossec.participant.limit_memory import memory_scope
 from rossec.participant.topic_guard import FilterKey
 from rossec.ros import header
 from rossec.ros.header import MESSAGE_LIMIT
@@ -67,7 +67,7 @@ class Egress:
         self._on_topic_ended = on_topic_ended
         self._tasks = TaskSet()
         self._memories: ProgramMemories[CommandExecutor] = ProgramMemories(
-            recall(agent.identity.name)
+            memory_scope(agent.identity.name)
         )
         self.ports = PortPool(self._close_port)
 
@@ -162,6 +162,6 @@ class Egress:
             if admitted.service:
                 await pump.exchange(program, stream, early, first)
             else:
-                stream.welcome(unit_limit(admitted.message_size, ChannelLimits.unit))
+                stream.raise_unit_limit(unit_limit(admitted.message_size, ChannelLimits.unit))
                 longest = message_limit(admitted.message_size, MESSAGE_LIMIT)
                 await pump.subscribe(program, stream, admitted.guard, first, longest)

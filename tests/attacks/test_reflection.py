@@ -29,7 +29,7 @@ from tests.support.witness import until
 
 pytestmark = pytest.mark.attack("own-reflection")
 NAME, TOPIC, STRING = "/robot", "/loop", "std_msgs/String"
-OWN = "the peer shows this node's own certificate"
+OWN = "the peer sent this node's own certificate"
 
 
 @contextlib.asynccontextmanager

@@ -186,7 +186,7 @@ async def test_who_answers_names_the_certificate_of_another(site: Site, witness:
 
     verify = site.anchor.verify
     async with serve(never, HOST, 0, forged, verify) as server:
-        remembered.visit((HOST, server.port))
+        remembered.note_address((HOST, server.port))
         with pytest.raises(HandshakeFailed, match="signature"):
             await connect(HOST, server.port, own, verify, known=remembered)
     assert called == []

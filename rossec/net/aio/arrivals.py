@@ -26,7 +26,7 @@ async def arrived(source: UnitSource, framing: Framing) -> list[bytes]:
             async with asyncio.timeout(PATIENCE):
                 data = await source.receive()
         except TimeoutError:
-            framing.look(clock.now())
+            framing.check_progress(clock.now())
         else:
             return framing.feed(data, clock.now())
     return framing.feed(await source.receive(), clock.now())

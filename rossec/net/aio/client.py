@@ -60,7 +60,7 @@ async def connect(
         ChannelError: the handshake failed; the leaf says how.
     """
 
-    def core(*, brief: bool) -> Connection[PeerT]:
+    def core(*, request_x5t: bool) -> Connection[PeerT]:
         return Connection.initiator(
             credentials,
             verify,
@@ -70,24 +70,26 @@ async def connect(
             suites=suites,
             limits=limits,
             known=known,
-            brief=brief,
+            request_x5t=request_x5t,
             own_dials=own_dials,
         )
 
     if known is None:
-        return await _introduce(await _reach(host, port, timeout), partial(core, brief=False))
-    brief = known.was_at((host, port))
+        return await _introduce(await _reach(host, port, timeout), partial(core, request_x5t=False))
+    request_x5t = known.knows_address((host, port))
     try:
-        stream = await _introduce(await _reach(host, port, timeout), partial(core, brief=brief))
+        stream = await _introduce(
+            await _reach(host, port, timeout), partial(core, request_x5t=request_x5t)
+        )
     except (HandshakeFailed, PeerRefused) as error:
         # Whatever is wrong with a handshake that spoke in hashes, a hash may have led it astray.
         if isinstance(error, PeerCredentialUnknown | OwnCredentialUnknown):
             known.forget_introductions()
-        elif not brief or isinstance(error, HandshakeTimeout):
+        elif not request_x5t or isinstance(error, HandshakeTimeout):
             raise
-        at_length = partial(core, brief=False)
+        at_length = partial(core, request_x5t=False)
         stream = await _introduce(await _reach(host, port, timeout), at_length)
-    known.visit((host, port))
+    known.note_address((host, port))
     return stream
 
 

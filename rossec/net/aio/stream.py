@@ -53,7 +53,7 @@ class SecureStream(Generic[PeerT]):
     @property
     def opening(self) -> WireProtocol:
         """How the connection introduced itself: TCPROS or HTTP."""
-        return self._driver.connection.flavour
+        return self._driver.connection.protocol
 
     @property
     def backlog(self) -> int:
@@ -199,14 +199,14 @@ class SecureStream(Generic[PeerT]):
                 transport.write(record)
         return transport.writable
 
-    def welcome(self, limit: int | None = None) -> None:
+    def raise_unit_limit(self, limit: int | None = None) -> None:
         """Take units of up to `limit` from now on, or of `MasterLimits.unit`: the peer was judged.
 
         Raises:
             ChannelError: the connection is at its end.
         """
         self._driver.check()
-        self._driver.connection.welcome(limit)
+        self._driver.connection.raise_unit_limit(limit)
 
     async def drain(self) -> None:
         """Wait until the peer caught up.

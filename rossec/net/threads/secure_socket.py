@@ -18,7 +18,7 @@ from rossec import clock
 from rossec.channel.connection import Connection
 from rossec.channel.edhoc.credentials import OwnCredential, PeerT, Verify
 from rossec.channel.records import Bytes
-from rossec.channel.states import DEAD
+from rossec.channel.states import ENDED
 from rossec.errors import ChannelClosed
 from rossec.net.threads.carrier import AT_ONCE, Carrier
 
@@ -76,14 +76,14 @@ class SecureSocket(Carrier[PeerT]):
             raise
         return secure
 
-    def welcome(self, limit: int | None = None) -> None:
+    def raise_unit_limit(self, limit: int | None = None) -> None:
         """Take units of up to `limit` from now on, or of `MasterLimits.unit`: the peer was judged.
 
         Raises:
             ChannelClosed: there is no open connection.
         """
         with self._core_lock:
-            self._core.welcome(limit)
+            self._core.raise_unit_limit(limit)
 
     # -- what a socket tells and is told
 
@@ -248,7 +248,7 @@ class SecureSocket(Carrier[PeerT]):
         if how == socket.SHUT_RD:
             return
         with self._core_lock:
-            if self._core.state not in DEAD:
+            if self._core.state not in ENDED:
                 self._core.close()
         if self._writing.acquire(timeout=0.1):  # a writer that is stuck is cut off
             try:

@@ -522,7 +522,7 @@ async def test_the_second_connection_names_certificates() -> None:
             await stream.send(b"x")
             assert await stream.receive() == b"x"
             await stream.close()
-            assert stream._driver.connection._negotiation._side.brief == (count == 1)
+            assert stream._driver.connection._negotiation._edhoc.send_x5t == (count == 1)
         theirs._chains.clear()  # forgotten: refused with error 3, called again by value
         async with await connect("127.0.0.1", server.port, ALICE, live, known=ours) as stream:
             await stream.send(b"x")

@@ -10,11 +10,11 @@ from rossec.net.aio import driver as driver_module
 from rossec.net.aio import serve
 from rossec.net.aio.driver import Driver
 from rossec.net.aio.server import SecureServer
-from rossec.progress import LEAST, STEP, WINDOW
+from rossec.progress import MIN_BYTES, STEP, WINDOW
 from tests.rossec.net.test_aio import Stream, call, echo, live
 from tests.support.wire import BOB, FakeIdentity
 
-WHOLE = bytes(4 * LEAST)
+WHOLE = bytes(4 * MIN_BYTES)
 
 
 async def begin(stream: Stream, server: SecureServer[FakeIdentity]) -> Driver[FakeIdentity]:
