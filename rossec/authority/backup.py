@@ -100,7 +100,7 @@ def restore(
             if place.exists():
                 aside = (place.with_name(f"ca.replaced.{number}") for number in count(now))
                 place.rename(next(path for path in aside if not path.exists()))
-            files.settle(begun, place)
+            files.commit_directory(begun, place)
     except BaseException:
         shutil.rmtree(begun, ignore_errors=True)
         raise

@@ -80,7 +80,7 @@ class AuthorityHome:
                 key_files.write_private(begun / "ca.key", key, passphrase)
             else:
                 files.create(begun / KEY_URI, f"{uri}\n".encode())
-            files.settle(begun, path)
+            files.commit_directory(begun, path)
         except BaseException:
             shutil.rmtree(begun, ignore_errors=True)
             raise

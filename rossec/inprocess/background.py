@@ -56,7 +56,7 @@ class SecuredNode(Protocol):
     def cut(self) -> None:
         """End every connection whose right has ended."""
 
-    def tend(self) -> None:
+    def run_timers(self) -> None:
         """Keep the keys of idle connections renewed."""
 
 
@@ -210,7 +210,7 @@ class BackgroundLoop:
         while True:
             await asyncio.sleep(self._until_next_look())
             self._process.cut()
-            self._process.tend()
+            self._process.run_timers()
 
     def _until_next_look(self) -> float:
         soonest = self._process.links.soonest

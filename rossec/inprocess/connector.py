@@ -63,11 +63,11 @@ class Connector:
             self._places[sock] = place
         return place is not None
 
-    def settle(self, sock: socket.socket) -> None:
+    def release(self, sock: socket.socket) -> None:
         """A caller that was admitted needs no handshake, or is gone."""
         place = self._places.pop(sock, None)
         if place is not None:
-            place.settle()
+            place.release()
 
     def answer(self, sock: socket.socket, flavour: WireProtocol) -> Stream:
         """Answer a caller that was admitted; its handshake is still to come.
@@ -82,8 +82,8 @@ class Connector:
                 suites=self._member.suites, own_dials=self._own.dials,
             )  # fmt: skip
             sock.settimeout(None)  # rospy sets a default for all sockets of the process
-            return SecureSocket(sock, core, partial(self.settle, sock))
+            return SecureSocket(sock, core, partial(self.release, sock))
         except BaseException:
             sock.close()
-            self.settle(sock)
+            self.release(sock)
             raise

@@ -151,11 +151,11 @@ class SecuredProcess:
             self.reporter.warn(f"cut {link.stream.peer.name} ({link.decision.name}): {reason}")
         self.links.cut_peers(member.is_revoked)
 
-    def tend(self) -> None:
+    def run_timers(self) -> None:
         """Keep the keys of idle connections renewed: rospy reads and writes only what it needs."""
         for stream in self.links.streams():
             if isinstance(stream, RosSocket):
-                stream.tend()
+                stream.run_timers()
 
 
 def _shown(error: ConfigurationError) -> ConfigurationError:

@@ -207,7 +207,7 @@ class RosSocket:
         Raises:
             LimitExceeded: it does not.
         """
-        while framing.waits and self.gettimeout() is None:
+        while framing.incomplete and self.gettimeout() is None:
             self.settimeout(PATIENCE)
             try:
                 return take()
@@ -245,7 +245,7 @@ class RosSocket:
         stream.sendall(*pieces)
         self._hurry(stream)
 
-    def send_now(self, data: bytes) -> bool:
+    def try_send(self, data: bytes) -> bool:
         """Send a small unit where this needs no waiting; False: nothing has happened.
 
         Raises:
@@ -254,20 +254,20 @@ class RosSocket:
         stream = self._stream
         if time.monotonic() >= self._pump_at or not isinstance(stream, SecureSocket):
             return False
-        sent = stream.send_now(data)
+        sent = stream.try_send(data)
         self._hurry(stream)
         return sent
 
     @property
     def unsent(self) -> bool:
-        """Whether `send_now` left something, for `send_unit` to send."""
+        """Whether `try_send` left something, for `send_unit` to send."""
         return isinstance(self._stream, SecureSocket) and self._stream.unsent
 
-    def tend(self) -> None:
-        """`SecureSocket.tend`; what fails there is met where the connection is used."""
+    def run_timers(self) -> None:
+        """`SecureSocket.run_timers`; what fails there is met where the connection is used."""
         if isinstance(self._stream, SecureSocket):
             with suppress(ChannelError, OSError):
-                self._stream.tend()
+                self._stream.run_timers()
                 self._hurry(self._stream)
 
     def _hurry(self, stream: Stream | PlainStream) -> None:

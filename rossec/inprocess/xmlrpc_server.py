@@ -55,7 +55,7 @@ class XmlRpcServer:
             try:
                 self._answer_plain(request, where[0])
             finally:
-                self._process.doors.settle(request)
+                self._process.doors.release(request)
             return
         stream = self._process.doors.answer(request, WireProtocol.HTTP)
         caller = f"the caller from {where[0]}"

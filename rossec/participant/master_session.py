@@ -207,4 +207,4 @@ def _corrects_clock(timestamp: bytes, master: Identity) -> bool:
 
     Only an answer to the node's own question tells the time: it is as old as the call at most.
     """
-    return clock.heard(open_timestamp(timestamp, master.public_key).issued)
+    return clock.correct(open_timestamp(timestamp, master.public_key).issued)

@@ -78,7 +78,7 @@ class _Server(ThreadingMixIn, WSGIServer):
         super().shutdown_request(request)
         place = self._places.pop(request, None)
         if place is not None:
-            place.settle()
+            place.release()
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """A caller that is silent, or hangs up, is no news."""

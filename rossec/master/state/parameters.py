@@ -147,7 +147,7 @@ def places_to_search(space: str, key: str) -> list[tuple[str, str]]:
         raise ValueError("invalid key")
     if key.startswith(names.SEPARATOR):
         return [(key, key)]
-    return list(names.upwards(space, key))
+    return list(names.search_paths(space, key))
 
 
 def check_names(key: str, value: object) -> None:

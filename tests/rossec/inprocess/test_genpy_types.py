@@ -7,7 +7,7 @@ from std_msgs.msg import String
 
 from rossec.channel.records import ChannelLimits
 from rossec.inprocess.genpy_types import described, installed, longest, room
-from rossec.net.bounds import JOINED
+from rossec.net.bounds import BATCH_LIMIT
 from rossec.participant.message_types import message_type
 from rossec.ros.header import HEADER_LIMIT
 
@@ -23,7 +23,7 @@ def test_a_class_says_what_it_reads() -> None:
 
 def test_how_long_messages_may_be() -> None:
     assert longest(Twist) == HEADER_LIMIT
-    assert room(Twist) == HEADER_LIMIT + JOINED
+    assert room(Twist) == HEADER_LIMIT + BATCH_LIMIT
     for kind in (AnyMsg, String):
         assert longest(kind) == ChannelLimits.unit
         assert room(kind) > ChannelLimits.unit

@@ -98,7 +98,7 @@ def test_a_socket_of_rospys(member: LocalIdentity, listening: RosSocket) -> None
     assert right.recv_into(buffer) == 5
     right.sendall(bytes(buffer))
     assert left.recv(10) == b"hello"
-    assert not left.send_now(b"x") or left.send_now(b"y")
+    assert not left.try_send(b"x") or left.try_send(b"y")
     left.setblocking(False)
     assert left.gettimeout() == 0.0
     with pytest.raises(BlockingIOError):
@@ -141,9 +141,9 @@ def test_nothing_goes_past_the_queue_while_the_peer_may_have_words(
     member: LocalIdentity, listening: RosSocket
 ) -> None:
     left, right = connected(member, listening)
-    assert not left.send_now(b"first"), "the peer's side was never looked at"
+    assert not left.try_send(b"first"), "the peer's side was never looked at"
     left.sendall(b"first")
-    assert left.send_now(b"second")
+    assert left.try_send(b"second")
     assert right.recv(10) + right.recv(10) == b"firstsecond"
     for sock in (left, right):
         sock.close()
@@ -156,7 +156,7 @@ def test_what_is_not_connected_says_so(member: LocalIdentity) -> None:
     sock.settimeout(1.0)
     assert sock.gettimeout() == 1.0
     assert not sock.unsent
-    assert not sock.send_now(b"x")
+    assert not sock.try_send(b"x")
     sock.shutdown()
     sock.close()
 
@@ -241,7 +241,7 @@ def test_a_plain_peer_that_may_stay_so(member: LocalIdentity, stock: tuple[str, 
     assert sock.is_plain
     with pytest.raises(ChannelClosed, match="proves nothing"):
         sock.handshake()
-    assert not sock.send_now(b"s")
+    assert not sock.try_send(b"s")
     assert not sock.unsent
     sock.sendall(b"s")
     assert sock.recv(10) == b"plain"
@@ -329,6 +329,6 @@ def test_what_was_cut_is_ended(member: LocalIdentity, listening: RosSocket) -> N
     left.abort()
     assert left.ended
     assert left.recv(10) == b""
-    left.tend()
+    left.run_timers()
     for sock in (left, right):
         sock.close()
