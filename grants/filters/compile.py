@@ -27,7 +27,7 @@ from grants.filters.treatments import (
     Treated,
     remembers,
 )
-from grants.memory import Cell, CellName, Memory
+from grants.memory import FieldKey, HysteresisState, Memory
 from grants.model import FilterRule
 
 _SMALL: Final = 2048  # bytes; below it a copy is cheaper than a view
@@ -56,7 +56,7 @@ def compile_filter(
     layout: Layout,
     rules: Iterable[FilterRule],
     keys: Keys | None = None,
-    cells: Callable[[CellName], Cell] | None = None,
+    cells: Callable[[FieldKey], HysteresisState] | None = None,
 ) -> Filter:
     """Compile `rules` (see `model.filter_rules`) for messages of `layout`.
 
@@ -70,7 +70,7 @@ def compile_filter(
     branch = _Branch({})
     for rule in rules:
         _plant(branch, rule, treatment(rule, keys))
-    node = _bound(_resolve(layout.root, branch, ""), cells or Memory().cell, ())
+    node = _bound(_resolve(layout.root, branch, ""), cells or Memory().hysteresis, ())
     return Filter(layout.type_name, generate(node))
 
 
@@ -131,7 +131,7 @@ def _check_beside(kind: Struct, name: str, treatment: Inside, path: str) -> None
         )
 
 
-def _bound(node: Node, cells: Callable[[CellName], Cell], path: CellName) -> Node:
+def _bound(node: Node, cells: Callable[[FieldKey], HysteresisState], path: FieldKey) -> Node:
     """Every field that remembers, with its cell; a field of another type has another."""
     match node:
         case Treated(kind, Numbers(remembering=Remembering(name, bind)) as numbers):

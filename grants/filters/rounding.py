@@ -13,7 +13,7 @@ from typing import Any, Final, TypeAlias
 from grants.errors import FilterRefused
 from grants.filters.layout import Primitive
 from grants.filters.lazy_numpy import Vector, np
-from grants.memory import Cell
+from grants.memory import HysteresisState
 
 Rounding: TypeAlias = tuple[Callable[..., Any], Callable[[Vector], Vector]]
 
@@ -119,7 +119,7 @@ def _exact(step: int, low: int, high: int) -> Callable[[int], int]:
 
 def hold(
     scalar: Callable[[float], float], step: float, hysteresis: float
-) -> Callable[[Cell], Callable[[float], float]]:
+) -> Callable[[HysteresisState], Callable[[float], float]]:
     """Rounding that stays in its cell until the value is `hysteresis` beyond the border.
 
     A value that trembles about a border would tell, by the flips, exactly where it is. Returns a
@@ -127,15 +127,15 @@ def hold(
     """
     reach = step / 2 + hysteresis
 
-    def bind(cell: Cell) -> Callable[[float], float]:
+    def bind(state: HysteresisState) -> Callable[[float], float]:
         def remembering(value: float) -> float:
-            held = cell.held
+            held = state.value
             # With NaN the comparison is false; NaN and infinities pass and are not remembered.
             if held is not None and abs(value - held) <= reach:
                 return held
             rounded = scalar(value)
             if math.isfinite(rounded):
-                cell.held = rounded
+                state.value = rounded
             return rounded
 
         return remembering

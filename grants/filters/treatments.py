@@ -11,7 +11,7 @@ from typing import Any, Final, Literal, TypeAlias
 from grants.filters.codegen import Buffer
 from grants.filters.layout import Array, Struct, Type
 from grants.filters.lazy_numpy import Vector
-from grants.memory import Cell
+from grants.memory import HysteresisState
 
 DESCEND: Final = "descend"
 
@@ -31,7 +31,7 @@ class Remembering:
     """
 
     name: tuple[float, ...]
-    bind: Callable[[Cell], Callable[..., Any]]
+    bind: Callable[[HysteresisState], Callable[..., Any]]
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ class NodeContext:
     Attributes:
         call: calls the master.
         filter_key: finds a key for pseudonyms by its name.
-        recall: finds what a limited right has used up.
+        memory_scope: finds what a limited right has used up.
         uri: its API URI, as registered.
         rosrpc: the URI of its services, as registered.
     """
@@ -33,7 +33,7 @@ class NodeContext:
     call: MasterCall
     dialer: Dialer
     filter_key: Callable[[str], bytes]
-    recall: MemoryScope
+    memory_scope: MemoryScope
     uri: Callable[[], str]
     rosrpc: Callable[[], str]
 

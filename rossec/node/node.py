@@ -39,7 +39,7 @@ from rossec.participant.dialer import Dialer
 from rossec.participant.grant_directory import GrantDirectory
 from rossec.participant.grant_renewal import Renewals, renew
 from rossec.participant.identity_renewal import IdentityRenewal, renew_identity
-from rossec.participant.limit_memory import recall
+from rossec.participant.limit_memory import memory_scope
 from rossec.participant.master_session import MasterSession
 from rossec.participant.message_types import message_type
 from rossec.participant.own_addresses import OwnAddresses
@@ -112,7 +112,7 @@ class Node:
             self._session.call,
             self._dialer,
             self.home.filter_key,
-            recall(self.name),
+            memory_scope(self.name),
             uri=lambda: self.uri,
             rosrpc=lambda: settings.build_uri(*self.topic_endpoint(), scheme="rosrpc"),
         )

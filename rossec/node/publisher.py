@@ -98,7 +98,7 @@ class Publisher:
         endpoint: TopicEndpoint,
         layout: Layout,
         filter_key: Callable[[str], bytes],
-        recall: MemoryScope,
+        memory_scope: MemoryScope,
         *,
         latch: bool,
         queue_size: int = QUEUE_SIZE,
@@ -109,7 +109,7 @@ class Publisher:
         self.links: set[SubscriberConnection] = set()
         self._layout = layout
         self._filter_key = filter_key
-        self._recall = recall
+        self._memory_scope = memory_scope
         self._queue_size = queue_size
         self._latch: Latch[memoryview] = Latch()
         self._closed = False
@@ -178,7 +178,7 @@ class Publisher:
             ConfigurationError: a key for pseudonyms cannot be read.
         """
         keys = {name: self._filter_key(name) for name in needed_keys(decision.restrictions)}
-        return Guard(self._layout, decision, keys, self._recall)
+        return Guard(self._layout, decision, keys, self._memory_scope)
 
     async def serve(
         self, stream: SecureStream[Identity], decision: Decision, guard: Guard, answer: bytes

@@ -117,7 +117,7 @@ class Service:
 
     @property
     def expected(self) -> ExpectedService:
-        """Type and checksum, as headers name them."""
+        """Type and md5sum, as in connection headers."""
         return ExpectedService(self.kind.name, self.kind.md5sum)
 
     def create(self, **fields: object) -> Message:
@@ -132,7 +132,9 @@ class Service:
 
     def guard(self, decision: Decision) -> ServiceGuard:
         """What `decision` means for the messages of this service; raises as `ServiceGuard`."""
-        return ServiceGuard(self.kind, decision, self._context.filter_key, self._context.recall)
+        return ServiceGuard(
+            self.kind, decision, self._context.filter_key, self._context.memory_scope
+        )
 
     async def serve(
         self,

@@ -254,7 +254,7 @@ class ServiceClient:
         check_md5(answer, self.service, kind.md5sum)
         stream.raise_unit_limit(unit_limit(self.kind.response_layout.root.size, MESSAGE_LIMIT))
         own = self._context
-        guard = ServiceGuard(self.kind, decision, own.filter_key, own.recall)
+        guard = ServiceGuard(self.kind, decision, own.filter_key, own.memory_scope)
         return ProviderConnection(stream, decision, guard)
 
     async def _discard_when_ended(self, connection: ProviderConnection) -> None:

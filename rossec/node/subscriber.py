@@ -66,7 +66,7 @@ class Subscriber:
         dial: Dial,
         on_close: OnClose,
         filter_key: FilterKey,
-        recall: MemoryScope,
+        memory_scope: MemoryScope,
         *,
         queue_size: int = QUEUE_SIZE,
     ) -> None:
@@ -76,7 +76,7 @@ class Subscriber:
         self.refusals: deque[HintedError] = deque(maxlen=16)
         self.received = 0
         self.updates = 0
-        self.recall = recall
+        self.memory_scope = memory_scope
         self._caller = caller
         self._access = access
         self._dial = dial
@@ -184,7 +184,7 @@ class Subscriber:
             answer, stream.peer, self.endpoint.expected, self._access, clock.now()
         )
         stream.raise_unit_limit(unit_limit(self._size, MESSAGE_LIMIT))
-        guard = guard_for(self.endpoint.type, decision, self._filter_key, self.recall)
+        guard = guard_for(self.endpoint.type, decision, self._filter_key, self.memory_scope)
         return PublisherConnection(stream, decision, guard), units[1:]
 
     def _deliver(self, connection: PublisherConnection, messages: list[bytes]) -> None:

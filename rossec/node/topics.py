@@ -53,7 +53,7 @@ class Topics:
         shape = layout.parse(endpoint.type.name, endpoint.type.definition)
         own = self._context
         publisher = Publisher(
-            endpoint, shape, own.filter_key, own.recall, latch=latch, queue_size=queue_size
+            endpoint, shape, own.filter_key, own.memory_scope, latch=latch, queue_size=queue_size
         )
         self._publishers[endpoint.topic] = publisher
         try:
@@ -78,7 +78,7 @@ class Topics:
             own.dialer.topic,
             self._forget,
             own.filter_key,
-            _unused_recall(own.recall, existing),
+            _unused_memory_scope(own.memory_scope, existing),
             queue_size=queue_size,
         )
         existing.append(subscriber)
@@ -170,11 +170,11 @@ class Topics:
                 )
 
 
-def _unused_recall(recall: MemoryScope, existing: Sequence[Subscriber]) -> MemoryScope:
+def _unused_memory_scope(memory_scope: MemoryScope, existing: Sequence[Subscriber]) -> MemoryScope:
     """Where a further subscriber of a topic remembers: apart from those that live.
 
     Each of them gets every message. The next one goes on where one that was closed has stopped.
     """
-    taken = {subscriber.recall for subscriber in existing}
-    places = (recall.child(str(number)) for number in count())
+    taken = {subscriber.memory_scope for subscriber in existing}
+    places = (memory_scope.child(str(number)) for number in count())
     return next(place for place in places if place not in taken)

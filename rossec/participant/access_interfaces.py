@@ -1,4 +1,4 @@
-"""What this package uses of `Access`: a program with threads passes an object that locks it."""
+"""The parts of `Access` used here: a program with threads passes an object with a lock."""
 
 from typing import Protocol
 
@@ -9,7 +9,7 @@ from rossec.participant.access import HeldGrant
 
 
 class HandshakeAccess(Protocol):
-    """Proves this node's rights, and decides on those of a peer."""
+    """Proves this node's rights and authorizes peers."""
 
     def present(self, right: Right, name: str, now: int) -> bytes:
         """See `Access.present`."""

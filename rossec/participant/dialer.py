@@ -1,8 +1,8 @@
 """Connections a node makes: to its master, and to the nodes that publish what it subscribes to.
 
-A shell. Whoever answers is checked before anything is said: its certificate by the channel, its
-revocation here. A publisher that is merely not entitled is found out by its answer; until then it
-has seen the topic's name, which the master told it anyway, and the grant for that topic.
+A peer is checked before anything is sent: its certificate by the channel, its revocation here.
+That a publisher lacks the right shows in its answer only; by then it has received the topic's name,
+which the master has sent it as well, and the subscriber's grant for that topic.
 """
 
 from collections.abc import Callable
@@ -45,20 +45,20 @@ class Dialer:
         self._own_addresses = OwnAddresses() if own_addresses is None else own_addresses
 
     async def rpc(self, host: str, port: int) -> SecureStream[Identity]:
-        """Connect to a master or slave API; the caller checks who it is."""
+        """Connect to a master or slave API; the caller checks the peer's identity."""
         return await self._connect(host, port, WireProtocol.HTTP)
 
     async def topic(self, uri: str, topic: str) -> SecureStream[Identity]:
-        """Ask the node at `uri` where its topics are, then connect there.
+        """Connect to the TCPROS port that the node at `uri` names in its answer to `requestTopic`.
 
         Raises:
             RossecError: out of reach, or no connection offered.
-            CAError: the node that answers is revoked, or that is not known.
+            CAError: the peer is revoked, or this is not known.
         """
         api = settings.parse_uri(uri, "a publisher's URI")
-        place = await self._request_topic(await self.rpc(*api), topic)
-        self._own_addresses.check_redirect(api, place)
-        stream = await self._connect(*place, WireProtocol.TCPROS)
+        address = await self._request_topic(await self.rpc(*api), topic)
+        self._own_addresses.check_redirect(api, address)
+        stream = await self._connect(*address, WireProtocol.TCPROS)
         self._check_identity(stream)
         return stream
 
@@ -100,5 +100,5 @@ class Dialer:
         try:
             self._check_peer(stream.peer, clock.now())
         except BaseException:
-            stream.abort("the peer's identity does not hold")
+            stream.abort("the peer's identity is revoked or cannot be checked")
             raise

@@ -1,6 +1,6 @@
-"""The grants in a node's directory: each is taken once, a bad one is told once.
+"""The grants in a node's directory: each is loaded once, an invalid one is logged once.
 
-A shell. Grants may arrive while the node runs; nothing here judges them, `access` does.
+Grants may arrive while the node runs; they are checked by `access`.
 """
 
 import logging
@@ -23,9 +23,9 @@ class GrantDirectory:
         self._errors: dict[Path, str] = {}
 
     def take_new(self) -> list[bytes]:
-        """Hold the grants that were not there before; returns them."""
+        """Hold the grants that are new in the directory; returns them."""
         paths = self._home.grant_files()
-        self._errors = {path: said for path, said in self._errors.items() if path in paths}
+        self._errors = {path: text for path, text in self._errors.items() if path in paths}
         found = ((path, self._read(path)) for path in paths)
         return [data for path, data in found if data is not None and self._hold(path, data)]
 
@@ -39,19 +39,19 @@ class GrantDirectory:
         return data
 
     def _hold(self, path: Path, data: bytes) -> bool:
-        """Whether it is one, and new."""
+        """Whether it is a valid grant, and new."""
         if data in self._seen:
             return False
         self._seen.add(data)
         try:
             self._access.hold(data)
         except HintedError as error:
-            _log.warning("%s is no grant and counts for nothing: %s", path, error)
+            _log.warning("%s is not a valid grant and is ignored: %s", path, error)
             return False
         return True
 
     def _warn_once(self, path: Path, error: str) -> None:
-        """Once for each cause."""
+        """Log an error once for each cause."""
         if self._errors.get(path) != error:
             self._errors[path] = error
             _log.warning("%s %s", path, error)

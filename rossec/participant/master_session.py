@@ -1,10 +1,10 @@
-"""A node's standing with its master: one control connection, renewed whenever it breaks.
+"""A node's session with its master: one control connection, opened again whenever it is lost.
 
-A shell. On every connection the node checks that it speaks to `/master` of its own trust domain,
-loads revocations, presents its grants and registers everything again, so that a restarted master
-knows it without the node's program noticing. The heartbeat fetches revocations as well: pushes
-alone could be suppressed without a trace (RFC 9770 section 11 asks the same). To a master that was
-rolled back the node hands the newer list it holds: others, who know nothing yet, would believe it.
+On every connection the node checks that the peer is `/master` of its own trust domain, loads
+revocations, presents its grants and registers everything again, so that a master can restart
+without the node's program noticing. The heartbeat fetches revocations as well: pushed updates alone
+could be suppressed unnoticed (RFC 9770 section 11 requires the same). A master whose list was
+rolled back receives the newer one this node holds, as new nodes would accept the old one.
 """
 
 import asyncio
@@ -34,7 +34,7 @@ _log = logging.getLogger("rossec.node")
 
 
 async def no_proofs(_: MasterCall) -> int:
-    """For a node that asks for no proofs: where revocations are a tree it stays refused."""
+    """For a node that requests no proofs: where revocations are a tree it stays refused."""
     return 0
 
 
@@ -46,9 +46,9 @@ class MasterSession:
         dial: opens a secure stream to the master.
         refresh: takes the newest revocation list and timestamp; raises when they are refused.
         restore: makes every registration again; called on each new connection.
-        held: the signed revocation list this node holds, which then need not be sent; without it
-            every answer brings the list.
-        prove: asks for the proofs that are wanted; how many came.
+        held: the signed revocation list this node holds, which the master then need not send;
+            without it every answer contains the list.
+        prove: requests the proofs that are wanted; returns how many were accepted.
     """
 
     def __init__(
@@ -70,18 +70,18 @@ class MasterSession:
         self._stream: SecureStream[Identity] | None = None
 
     async def call(self, method: str, *params: object) -> object:
-        """Value of `[1, status, value]` that the master answers.
+        """The value in the master's answer `[1, status, value]`.
 
         Raises:
-            RossecError: the master refuses, answers nonsense, or is out of reach.
+            RossecError: the master refuses, sends a malformed answer, or is out of reach.
         """
         return await self._connected().ask(method, self._name, *params)
 
     async def forward(self, method: str, *params: object) -> object:
-        """Whole answer to a call whose parameters are complete.
+        """The whole answer to a call whose parameters include the caller_id.
 
         Raises:
-            Fault, RossecError: as of `RpcClient.call`; the master is out of reach.
+            Fault, RossecError: see `RpcClient.call`; the master is out of reach.
         """
         return await self._connected().call(method, *params)
 
@@ -108,13 +108,13 @@ class MasterSession:
         try:
             await self._heartbeat()
             await self._restore(self)
-        except BaseException:  # nobody may go on with a master that did not hold
+        except BaseException:  # no caller may use a session that failed to open
             await self._disconnect()
             raise
         return stream
 
     async def run(self) -> None:
-        """Beat, and connect anew whenever the connection is lost. Runs until cancelled."""
+        """Send heartbeats, and reconnect whenever the connection is lost. Runs until cancelled."""
         retry = Retry(SystemRandom().random)
         while True:
             try:
@@ -130,11 +130,11 @@ class MasterSession:
                 await asyncio.sleep(retry.pause(asyncio.get_running_loop().time()))
 
     async def close(self) -> None:
-        """End the control connection; the master then forgets nothing until told to."""
+        """Close the control connection; registrations at the master stay."""
         await self._disconnect()
 
     async def _wait_for_heartbeat(self) -> None:
-        """Until the next beat, or until the connection ends: a restarted master is met at once."""
+        """Wait until the next heartbeat is due or the connection ends: then reconnect at once."""
         if self._stream is not None:
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(HEARTBEAT):
@@ -154,9 +154,9 @@ class MasterSession:
             await self._fetch_revocations()
 
     async def _send_held_list(self) -> bool:
-        """Bring the master the list this node holds; whether it is newer than the master's.
+        """Send the master the list this node holds; returns whether it is newer than the master's.
 
-        Of a tree a node has not the entries, without which it is of no use to the master.
+        Of a tree a node does not have the entries, which the master needs.
         """
         newest = b"" if self._held is None else self._held()
         if not newest or is_tree(newest):
@@ -164,12 +164,14 @@ class MasterSession:
         try:
             newer = await self.call("rossec.updateRevocations", newest) == 1
         except (AnswerRefused, Fault) as error:
-            _log.warning("%s: the master refuses the list held here: %s", self._name, error)
+            _log.warning(
+                "%s: the master refuses this node's revocation list: %s", self._name, error
+            )
             return False
         if newer:
             _log.warning(
-                "%s: the master had an older revocation list than this node, which has"
-                " handed it over: was its home restored from a backup?",
+                "%s: the master had an older revocation list than this node, and has received"
+                " the newer one: was its home restored from a backup?",
                 self._name,
             )
         return newer
@@ -183,7 +185,7 @@ class MasterSession:
             case [bytes() as revocations, bytes() as timestamp], SecureStream(peer=master):
                 try:
                     self._apply(revocations, timestamp, master)
-                except RevocationsStale:  # of a tree: the master's own key is still unproved
+                except RevocationsStale:  # of a tree: the master's own key has no proof yet
                     if not await self._prove(self.call):
                         raise
                     self._apply(revocations, timestamp, master)
@@ -191,10 +193,10 @@ class MasterSession:
                 raise CAError(*NO_LIST)
 
     def _apply(self, revocations: bytes, timestamp: bytes, master: Identity) -> None:
-        """Take the news; their time, asked for a moment ago, may correct a clock that was wrong."""
+        """Take the list and timestamp; a timestamp just requested may correct a wrong clock."""
         try:
             self._refresh(revocations, timestamp, master)
-        except ClocksDisagree:  # and nothing else: who is revoked, or lies, tells no time
+        except ClocksDisagree:  # only then: a revoked master sets no clock
             if not _corrects_clock(timestamp, master):
                 raise
             self._refresh(revocations, timestamp, master)
@@ -203,8 +205,8 @@ class MasterSession:
 
 
 def _corrects_clock(timestamp: bytes, master: Identity) -> bool:
-    """Whether the clock of this process was set back, and rightly so by the master's clock.
+    """Set the clock of this process by the master's, if that is right; returns whether it was.
 
-    Only an answer to the node's own question tells the time: it is as old as the call at most.
+    Only the answer to the node's own call may do so: it is at most as old as the call.
     """
     return clock.correct(open_timestamp(timestamp, master.public_key).issued)

@@ -1,7 +1,7 @@
 """The TCPROS handshake of a service inside the channel, both sides, as pure functions on fields.
 
-As for topics: names come from certificates, rights from the grants shown, and authorization
-precedes any look at what this node offers. Probes (`probe=1`) need the right as well (attack N6).
+As for topics: names come from certificates, rights from the grants presented, and the peer is
+authorized before this node looks up the service. Probes (`probe=1`) need the right as well (N6).
 """
 
 from collections.abc import Mapping
@@ -19,7 +19,7 @@ from rossec.ros.names import ANY_TYPE
 
 @dataclass(frozen=True)
 class ExpectedService:
-    """Name and checksum of a service type; `*` expects nothing."""
+    """Name and md5sum of a service type; `*` matches any."""
 
     type_name: str
     md5sum: str
@@ -106,7 +106,7 @@ def admit_provider(
     """Decide on a server from the header it answered with.
 
     Raises:
-        CallerMismatch, ConnectionHeaderRefused: it refuses, or calls itself by another name.
+        CallerMismatch, ConnectionHeaderRefused: it refuses, or its callerid does not match.
         GrantError, CAError: the peer may not provide.
     """
     if "error" in fields:
@@ -116,15 +116,15 @@ def admit_provider(
 
 
 def check_md5(fields: Mapping[str, bytes], service: str, md5sum: str) -> None:
-    """Compare checksums as ROS does, which ignores the type's name; `*` fits everything.
+    """Compare the md5sums as ROS does, which ignores the type's name; `*` matches any.
 
     Raises:
-        ConnectionHeaderRefused: the two sides do not mean the same service.
+        ConnectionHeaderRefused: the two sides have different definitions.
     """
-    theirs = text(fields, "md5sum")
-    if theirs != md5sum and ANY_TYPE not in {theirs, md5sum}:
+    peer_md5sum = text(fields, "md5sum")
+    if peer_md5sum != md5sum and ANY_TYPE not in {peer_md5sum, md5sum}:
         raise ConnectionHeaderRefused(
-            f"{service} has the checksum {md5sum} here, {theirs} at the peer",
+            f"{service} has the md5sum {md5sum} here, {peer_md5sum} at the peer",
             "both sides need the same version of the service's package",
         )
 

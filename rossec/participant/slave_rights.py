@@ -1,10 +1,9 @@
-"""Who may ask a node what: the rule of its slave API. Pure; every kind of node shares it.
+"""Who may call which method of a node's slave API. Pure; every kind of node shares it.
 
-Only the master steers a node (attacks N1-N3). An operator with the right to administer it may end
-it, one with the right to see the graph may ask what it is doing (N4); both show their grants first,
-with `rossec.presentGrants`. Where to connect for a topic any authenticated node may ask: the answer
-is the same for every topic, and the connection itself asks for the grant (N5). Anything else is
-refused, whatever it is (L1).
+Only the master controls a node (attacks N1-N3). An operator with the admin right may shut it down,
+one with the graph right may read its state (N4); both present their grants first, with
+`rossec.presentGrants`. Any authenticated node may call `requestTopic`: the answer is the same for
+every topic, and the topic connection requires the grant (N5). Every other method is refused (L1).
 """
 
 from collections.abc import Mapping
@@ -40,11 +39,11 @@ def check_slave_call(
     access: HandshakeAccess,
     now: int,
 ) -> None:
-    """Return if `peer`, having shown the grants `shown`, may call `method` of the node `node`.
+    """Return if `peer`, with the grants `presented`, may call `method` of the node `node`.
 
     Raises:
-        CallRefused: it is for the master alone, or for nobody.
-        GrantError, CAError: the right is missing, or the peer revoked.
+        CallRefused: only the master may call it, or there is no such method.
+        GrantError, CAError: the right is missing, or the peer is revoked.
     """
     access.check_peer(peer, now)
     if method in OPEN or (peer.name == MASTER and (method in MASTER_ONLY or method in SLAVE_CALLS)):

@@ -21,7 +21,7 @@ from rossec.net.aio.tasks import TaskSet
 from rossec.net.bounds import message_limit, unit_limit
 from rossec.net.rpc.client import serve_calls
 from rossec.participant.header_fields import text
-from rossec.participant.limit_memory import recall
+from rossec.participant.limit_memory import memory_scope
 from rossec.participant.topic_guard import FilterKey
 from rossec.ros import header
 from rossec.ros.header import MESSAGE_LIMIT
@@ -67,7 +67,7 @@ class Egress:
         self._on_topic_ended = on_topic_ended
         self._tasks = TaskSet()
         self._memories: ProgramMemories[CommandExecutor] = ProgramMemories(
-            recall(agent.identity.name)
+            memory_scope(agent.identity.name)
         )
         self.ports = PortPool(self._close_port)
 

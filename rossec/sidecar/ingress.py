@@ -21,7 +21,7 @@ from rossec.net.aio.tasks import TaskSet
 from rossec.net.rpc.client import serve_calls
 from rossec.participant import slave_api
 from rossec.participant.connections import AcceptedConnections
-from rossec.participant.limit_memory import recall
+from rossec.participant.limit_memory import memory_scope
 from rossec.participant.slave_rights import MASTER
 from rossec.participant.topic_guard import FilterKey
 from rossec.ros import header
@@ -74,7 +74,7 @@ class Ingress:
         self._tasks = TaskSet()
         self._accepted = accepted
         self._copies = CopyTracker()
-        self._memories = ProgramMemories(recall(agent.identity.name), self._is_dead)
+        self._memories = ProgramMemories(memory_scope(agent.identity.name), self._is_dead)
         self.ports = PortPool(self._close_port, self._is_dead)
 
     def open(self, local: Endpoint) -> int:

@@ -48,7 +48,7 @@ async def test_f1_a_guard_that_crashes_lets_nobody_through(
                 with contextlib.suppress(RossecError, xmlrpc.Fault):
                     assert (await eve(method, *params))[0] == -1
         assert not list(site.master._registry.nodes())
-        assert not site.master._consequences.stopping.is_set()
+        assert not site.master._effects.stopping.is_set()
     async with caller(site, EVE) as eve:
         assert (await eve("hasParam", "/p"))[2] is False
 

@@ -17,7 +17,7 @@ from grants.model import Restriction, Right
 from rossec.authority.renewals import sign_intermediate
 from rossec.authority.signing import SigningAuthority
 from rossec.errors import ChannelError
-from rossec.master.api.revoked_calls import CALLS, MOST, MOST_BELOW
+from rossec.master.api.revoked_calls import MAX_BELOW_INTERMEDIATE, MAX_CALLS, MAX_CONNECTIONS
 from rossec.net.rpc.client import CallFailed, RpcClient
 from rossec.participant.connections import STALE_GRACE
 from tests.rossec.sidecar.program import Program, sidecar
@@ -214,7 +214,7 @@ async def test_a_revoked_identity_hears_the_list_and_nothing_else(site: Site) ->
     for method in ("rossec.trl", "system.multicall", "getUri"):
         with pytest.raises(ChannelError):
             await call(uri, stolen, method, EVE)
-    held = [await dial(uri, stolen) for _ in range(MOST)]
+    held = [await dial(uri, stolen) for _ in range(MAX_CONNECTIONS)]
     with pytest.raises(ChannelError):
         await call(uri, stolen, "rossec.revocations", EVE)
     for stream in held:
@@ -228,13 +228,13 @@ async def test_a_revoked_intermediate_cannot_fill_the_master_with_names_of_its_m
 ) -> None:
     """Each has a share of its own; without one for all below it they hold every descriptor."""
     assert site.master is not None
-    names = [f"/eve_{number}" for number in range(MOST_BELOW + 8)]
+    names = [f"/eve_{number}" for number in range(MAX_BELOW_INTERMEDIATE + 8)]
     await bring(site, site.revoke(below(site, *names)))
     held = [await dial(site.master.uri, credentials(site, name)) for name in names]
-    for stream in held[MOST_BELOW:]:
+    for stream in held[MAX_BELOW_INTERMEDIATE:]:
         with pytest.raises(ChannelError):
             await stream.receive()
-    assert int(site.master.status()["connections"]) <= MOST_BELOW
+    assert int(site.master.status()["connections"]) <= MAX_BELOW_INTERMEDIATE
     for stream in held:
         stream.abort("seen enough")
 
@@ -245,7 +245,7 @@ async def test_a_revoked_identity_does_not_have_the_list_sent_again_and_again(si
     await bring(site, site.revoke(site.identity(EVE).thumbprint))
     stream = await dial(site.master.uri, credentials(site))
     client = RpcClient(stream)
-    for _ in range(CALLS):
+    for _ in range(MAX_CALLS):
         await client.call("rossec.revocations", EVE)
     with pytest.raises((ChannelError, CallFailed)):
         await client.call("rossec.revocations", EVE)

@@ -15,7 +15,7 @@ import pytest
 
 from grants.model import Right
 from rossec.errors import PeerRefused
-from rossec.master.server.updates import LEAVING
+from rossec.master.server.updates import MAX_CLOSING
 from tests.support.attacker import EVE, call, credentials
 from tests.support.caller import caller, refusal
 from tests.support.site import Site
@@ -137,7 +137,7 @@ async def test_m5_the_master_is_not_killed(site: Site, witness: Witness) -> None
         refusal(await eve.lie("shutdown", "/master", "now"))
         refusal(await eve.lie("shutdown", "/robot", "now"))
         assert (await eve("getPid"))[0] == 1
-    assert not site.master._consequences.stopping.is_set()
+    assert not site.master._effects.stopping.is_set()
 
 
 SAFETY = "/ns/safety/max_speed"
@@ -213,7 +213,7 @@ async def test_m7_no_ros_time_keeps_an_expired_right_alive(tmp_path: Path) -> No
             assert "param-set" in await eve.refused("setParam", "/eve/p", 2)
             await eve.refused("getParam", "/eve/p")
             await eve.refused("registerPublisher", "/clock", "rosgraph_msgs/Clock", eve.uri)
-            site.master._upkeep._changed.set()
+            site.master._maintenance._changed.set()
             registry = site.master._registry
             await until(lambda: not list(registry.nodes()))
             assert (await eve("getParam", "/use_sim_time"))[2] is True
@@ -257,7 +257,7 @@ async def test_m8_nobody_has_the_master_call_everywhere(site: Site, witness: Wit
                 where = f"http://127.{2 + number // 200}.1.{number % 200}:{port}/"
                 assert (await eve("registerSubscriber", "/t", T, where))[0] == 1
             clients = site.master._updates.nodes
-            assert 0 < len(clients) <= site.limits.nodes_per_identity + LEAVING
+            assert 0 < len(clients) <= site.limits.nodes_per_identity + MAX_CLOSING
             await asyncio.sleep(0)
             with contextlib.suppress(BlockingIOError):
                 while True:

@@ -30,7 +30,7 @@ def test_f11_an_empty_configuration_opens_nothing() -> None:
 async def test_f11_a_node_that_was_given_nothing_may_nothing(site: Site, witness: Witness) -> None:
     """Every method, with arguments that would do something: no effect, and nothing shown."""
     assert site.master is not None
-    assert site.master._answering is not None
+    assert site.master._answers is not None
     arguments: dict[str, tuple[Any, ...]] = {
         "lookupService": ("/s",), "lookupNode": ("/robot",), "getPublishedTopics": ("",),
         "shutdown": ("x",), "getParam": ("/",), "hasParam": ("/p",), "setParam": ("/p", 1),
@@ -51,13 +51,13 @@ async def test_f11_a_node_that_was_given_nothing_may_nothing(site: Site, witness
         "unsubscribeParam",
     }  # fmt: skip
     async with caller(site, EVE) as eve:
-        for method in site.master._answering._api.methods:
+        for method in site.master._answers._api.methods:
             code, status, value = await eve(method, *arguments.get(method, ()))
             assert status.find("arity") < 0, method
             nothing = value in ("", 0, [], [[], [], []], b"", [b""], {}) or value is False
             assert method in told or code == -1 or nothing, (method, value)
     assert site.master._registry.version == before
-    assert not site.master._consequences.stopping.is_set()
+    assert not site.master._effects.stopping.is_set()
 
 
 @pytest.fixture

@@ -106,7 +106,7 @@ async def test_the_entitled_and_only_they_learn_what_is_there(site: Site, lamp: 
     heard = await knock(port_of(lamp), credentials(site), asking(grants, "/lamp/no", probe="1"))
     assert heard.error == "rossec: /lamp does not provide /lamp/no"
     heard = await knock(port_of(lamp), credentials(site), asking(grants, md5sum="0" * 32))
-    assert "has the checksum" in heard.error
+    assert "has the md5sum" in heard.error
     heard = await knock(port_of(lamp), credentials(site), asking(grants, topic="/lamp/on"))
     assert "for a topic and for a service" in heard.error
     assert lamp_calls == []

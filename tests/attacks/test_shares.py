@@ -30,7 +30,7 @@ async def test_one_node_does_not_fill_the_log_of_what_is_missing(tmp_path: Path)
     """Of which a policy is learnt: who fills it decides what is learnt of the others."""
     site = Site(tmp_path / "site")
     log = DenialLog(tmp_path / "complaints")
-    site.complain = log
+    site.on_denial = log
     async with site.running(), caller(site, EVE) as eve, caller(site, ROBOT) as robot:
         await flood(eve, MAX_LINES + 2000)
         assert (await robot("getParam", "/robot/speed"))[0] == -1

@@ -80,7 +80,7 @@ def own_key(site: Site) -> bytes:
 def in_the_name_of_the_authority(site: Site) -> bytes:
     """Signed by a node, but naming the authority as its issuer (attack D5)."""
     issuer = site.anchor.thumbprint
-    return document.GRANT.sign(credentials(site).signer, claims.written(drafted(site), issuer))
+    return document.GRANT.sign(credentials(site).signer, claims.from_draft(drafted(site), issuer))
 
 
 def another_authority(site: Site) -> bytes:
@@ -109,7 +109,7 @@ def publish_only(site: Site) -> bytes:
 
 CASES: Final[list[tuple[str, Callable[[Site], bytes], type[GrantError], str]]] = [
     ("expired", past, GrantExpired, "expired"),
-    ("not yet valid", future, GrantNotYetValid, "holds only from"),
+    ("not yet valid", future, GrantNotYetValid, "is not valid before"),
     ("another key", another_key, GrantNotHeld, "bound to another key"),
     ("another topic", lambda s: signed(s, pattern="/robot/scan"), GrantMissing, "no grant for"),
     ("a longer topic", lambda s: signed(s, pattern=TOPIC + "x"), GrantMissing, "no grant for"),

@@ -13,7 +13,7 @@ from ca.certificates import from_pem
 from ca.enrollment import NONCE_SIZE, qr
 from ca.enrollment.authority import AuthorityEnrollment
 from ca.enrollment.messages import Delivery, write
-from ca.enrollment.transcript import grouped as spaced
+from ca.enrollment.transcript import group_digits
 from ca.errors import HintedError
 from ca.requests import MAX_REQUEST
 from ca.store.lifecycle import RequestRow, RequestState
@@ -185,7 +185,7 @@ def _hand_over(core: AuthorityEnrollment, bundle: bytes, where: Destination) -> 
     offer = core.offer(chain, root, secrets.token_bytes(NONCE_SIZE), now())
 
     def show(digits: str) -> None:
-        say(f"digits {spaced(digits)}")
+        say(f"digits {group_digits(digits)}")
         say("the same at the node? then confirm there; if not, stop here and there")
 
     asyncio.run(deliver(core, offer, *where, now, show))

@@ -10,7 +10,7 @@ from ca.enrollment import qr
 from ca.keys.hsm import KeyUri
 from ca.names import check_wildcard, spiffe_id
 from rossec import files
-from rossec.authority.home import AuthorityHome, fingerprint, grouped
+from rossec.authority.home import AuthorityHome, fingerprint, format_fingerprint
 from rossec.authority.renewals import own_node_is_due, renew_own_node
 from rossec.authority.signing import OWN_NODE
 from rossec.cli.shared import options, passphrase
@@ -133,7 +133,7 @@ def publish(environment: Environment, master_uri: str | None, passphrase_file: P
     The passphrase is needed only where something is revoked that no signed list says yet.
     """
     home = AuthorityHome.at(environment.home)
-    if count := home.unlisted(now()):
+    if count := home.count_unlisted(now()):
         note(f"{count} revocation{'s' * (count != 1)} in no signed list yet: it is signed anew")
         home.unlock(passphrase.read(passphrase_file, environment.variables)).refresh_list(now())
     asyncio.run(deliver(environment, master_uri))
@@ -207,7 +207,7 @@ def _introduce(path: Path, request: IdentityRequest, home: AuthorityHome, *, vou
         else "no code was checked: compare the fingerprint with the one the node shows"
     )
     say(f"{printable(spiffe_id(home.domain, request.name))} asks for an identity ({path})")
-    say(f"  fingerprint {grouped(request.thumbprint)}")
+    say(f"  fingerprint {format_fingerprint(request.thumbprint)}")
     say(f"  {how}")
 
 

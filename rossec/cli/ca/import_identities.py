@@ -7,8 +7,8 @@ import click
 
 from ca.certificates import Identity, from_pem
 from rossec import files
-from rossec.authority.home import AuthorityHome, grouped
-from rossec.authority.renewals import adopt
+from rossec.authority.home import AuthorityHome, format_fingerprint
+from rossec.authority.renewals import import_identity
 from rossec.cli.shared import options, passphrase
 from rossec.cli.shared.batch import Batch
 from rossec.cli.shared.context import Environment, confirm, moment, now, pass_environment
@@ -69,7 +69,7 @@ def _adopt(
     number, revoked = authority.store.next_number(), authority.store.revoked_entries()
     for path, data in found:
         with batch.one(path):
-            identity, new = adopt(authority, data, now(), replaced)
+            identity, new = import_identity(authority, data, now(), replaced)
             say(f"{'imported' if new else 'known already:'} {identity.name}")
     if authority.store.revoked_entries() == revoked:
         remind(authority.store, number)
@@ -81,7 +81,7 @@ def _adopt(
 
 def _introduce(home: AuthorityHome, path: Path, identity: Identity) -> None:
     say(f"{identity.name} of {home.domain} until {moment(identity.not_after)} ({path})")
-    say(f"  fingerprint {grouped(identity.thumbprint)}")
+    say(f"  fingerprint {format_fingerprint(identity.thumbprint)}")
     for issuer in identity.issuers:
         say(f"  signed by intermediate/{issuer.hex()[:16]}")
 

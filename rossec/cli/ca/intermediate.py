@@ -9,7 +9,7 @@ from ca.intermediates import check_intermediate_request
 from ca.keys.publickey import thumbprint
 from rossec import files
 from rossec.authority import intermediate_home
-from rossec.authority.home import AuthorityHome, grouped
+from rossec.authority.home import AuthorityHome, format_fingerprint
 from rossec.authority.renewals import sign_intermediate
 from rossec.cli.shared import passphrase
 from rossec.cli.shared.context import Duration, Environment, confirm, moment, now, pass_environment
@@ -36,7 +36,7 @@ def request(environment: Environment, domain: str, passphrase_file: Path | None)
     path = intermediate_home.begin(environment.home, domain, secret)
     key = check_intermediate_request(path.read_bytes(), domain)
     say(f"request of an intermediate of {domain}: {path}")
-    say(f"fingerprint {grouped(thumbprint(key))}")
+    say(f"fingerprint {format_fingerprint(thumbprint(key))}")
     say(f"next, at the root: rossec ca intermediate sign {path} --may renew")
 
 
@@ -67,7 +67,7 @@ def sign(
     key = check_intermediate_request(data, home.domain)
     powers = "renew identities" + (" and enroll new nodes" if may == "enroll" else "")
     say(f"an intermediate of {home.domain} that may {powers} until {moment(now() + lifetime)}")
-    say(f"  fingerprint {grouped(thumbprint(key))}")
+    say(f"  fingerprint {format_fingerprint(thumbprint(key))}")
     confirm("is this the fingerprint its host shows, and sign it?", yes=yes)
     authority = home.unlock(passphrase.read(passphrase_file, environment.variables))
     number = authority.store.next_number()

@@ -12,7 +12,7 @@ from ca.store.record import Store
 from grants.policy.model import Subject
 from grants.policy.projected_grants import projected_grants
 from rossec import files
-from rossec.authority.home import AuthorityHome, grouped
+from rossec.authority.home import AuthorityHome, format_fingerprint
 from rossec.authority.policyfile import PolicyFile, place
 from rossec.authority.signing import SigningAuthority
 from rossec.cli.ca.group import warn_of_tail
@@ -40,7 +40,7 @@ def requests(environment: Environment, everything: bool, as_json: bool) -> None:
         return
     for row in rows:
         say(f"{_short(row)}  {row.state}  {row.name}  {printable(row.source)}")
-        say(f"  fingerprint {grouped(row.thumbprint)}  until {moment(row.expires)}")
+        say(f"  fingerprint {format_fingerprint(row.thumbprint)}  until {moment(row.expires)}")
     if not rows:
         say("nobody asks for anything")
 
@@ -99,7 +99,7 @@ def introduce(
 ) -> None:
     """Everything a person should know before giving a name to a key."""
     say(f"{spiffe_id(home.domain, row.name)} asks for an identity")
-    say(f"  fingerprint {grouped(row.thumbprint)}")
+    say(f"  fingerprint {format_fingerprint(row.thumbprint)}")
     say(f"  from {printable(row.source)}")
     if wildcard:
         warn_of_tail(row.name)

@@ -114,7 +114,7 @@ def sign(
         serial=secrets.token_bytes(16), permissions=permissions,
     )  # fmt: skip
     number = authority.store.next_number()
-    data = authority.grant(draft, signed)
+    data = authority.issue_grant(draft, signed)
     say(f"grant {document.grant_id(data).hex()} for {node} until {moment(draft.expires)}")
     hand_over(environment, node, data, out)
     remind(authority.store, number)

@@ -18,7 +18,12 @@ from grants.policy.model import Effect, Policy
 from grants.request import GrantRequest, RequestedRight, sign_request
 from rossec import files
 from rossec.authority import requests
-from rossec.authority.approvals import ApprovalQueue, Change, PendingApproval, today
+from rossec.authority.approvals import (
+    ApprovalQueue,
+    PendingApproval,
+    VerdictChange,
+    seconds_left_today,
+)
 from rossec.authority.home import AuthorityHome
 from rossec.authority.policyfile import PolicyFile, layout_of
 from rossec.authority.signing import SigningAuthority
@@ -71,7 +76,7 @@ def request(
         files.create(out, data, 0o644)
         say(f"written to {out}; at the authority: rossec grant decide {out}")
     elif (authority / "ca.pem").exists():
-        requests.lay(authority, asked, data)
+        requests.put_in_inbox(authority, asked, data)
         say("laid into the authority's inbox; there: rossec grant decide")
     else:
         raise ConfigurationError("the authority is elsewhere", "give --out FILE, and carry it")
@@ -101,9 +106,9 @@ def decide(
     file = options.read_policy(environment, policy_path, signs=True)
     with _desk(environment, file) as desk:
         for path in request_files:
-            desk.take(requests.read(path))
+            desk.add_request(requests.read_request(path))
         _collect(desk)
-        questions = desk.questions()
+        questions = desk.pending()
         allowed = [item for item in questions if item.verdict.effect is Effect.ALLOW]
         if allowed:
             authority = AuthorityHome.at(environment.home).unlock(
@@ -112,7 +117,7 @@ def decide(
             for data in _signed(desk, authority, allowed, lambda verdict: verdict, "policy"):
                 _deliver(environment, data, out_dir)
         waiting = len(questions) - len(allowed)
-        denied = f", {desk.denied} denied" if desk.denied else ""
+        denied = f", {desk.denied_automatically} denied" if desk.denied_automatically else ""
         say(f"{len(allowed)} allowed, {waiting} for you{denied}: see `rossec grant pending`")
 
 
@@ -125,7 +130,7 @@ def pending(environment: Environment, as_json: bool, policy_path: Path | None) -
     file = options.read_policy(environment, policy_path, signs=True)
     with _desk(environment, file) as desk:
         _collect(desk)
-        asked = [item for item in desk.questions() if item.verdict.effect is Effect.PROMPT]
+        asked = [item for item in desk.pending() if item.verdict.effect is Effect.PROMPT]
         if as_json:
             say_json([_summary(item) for item in asked])
             return
@@ -176,7 +181,7 @@ def deny(environment: Environment, request_id: str, policy_path: Path | None) ->
     with _desk(environment, options.read_policy(environment, policy_path, signs=True)) as desk:
         for item in _chosen(desk, request_id):
             desk.deny(item, "a person")
-            say(f"denied {item.asked.request.node} {item.asked.requested}")
+            say(f"denied {item.stored.request.node} {item.stored.requested}")
 
 
 @contextmanager
@@ -189,7 +194,7 @@ def _desk(environment: Environment, file: PolicyFile) -> Iterator[ApprovalQueue]
 
 
 def _collect(desk: ApprovalQueue) -> None:
-    for trouble in desk.collect():
+    for trouble in desk.read_inbox():
         note(printable(f"a request was dropped: {trouble}"))
 
 
@@ -197,22 +202,22 @@ def _chosen(desk: ApprovalQueue, beginning: str) -> list[PendingApproval]:
     _collect(desk)
     found = [
         item
-        for item in desk.questions()
+        for item in desk.pending()
         if item.verdict.effect is Effect.PROMPT
-        and item.asked.request.id.hex().startswith(beginning.lower())
+        and item.stored.request.id.hex().startswith(beginning.lower())
     ]
-    if len({item.asked.request.id for item in found}) != 1 or not beginning:
+    if len({item.stored.request.id for item in found}) != 1 or not beginning:
         count = "several requests begin" if found else "no open request begins"
         hint = "see: rossec grant pending; no answer in time was a no"
         raise ConfigurationError(f"{count} with {beginning!r}", hint)
     return found
 
 
-def _change(file: PolicyFile, coarse: str | None, only_today: bool) -> Change:
+def _change(file: PolicyFile, coarse: str | None, only_today: bool) -> VerdictChange:
     if coarse is not None and coarse not in {*file.policy.filters, *PRESETS}:
         known = ", ".join({**file.policy.filters, **PRESETS})
         raise ConfigurationError(f"no filter {coarse!r} in {file.path}", f"there are: {known}")
-    left = today(now()) if only_today else None
+    left = seconds_left_today(now()) if only_today else None
 
     def change(verdict: Verdict) -> Verdict:
         if coarse is not None:
@@ -238,7 +243,7 @@ def _signed(
     desk: ApprovalQueue,
     authority: SigningAuthority,
     chosen: Sequence[PendingApproval],
-    change: Change,
+    change: VerdictChange,
     reason: str,
 ) -> Iterator[bytes]:
     for draft, data in desk.sign(authority, chosen, change, reason):
@@ -260,7 +265,7 @@ def _deliver(environment: Environment, data: bytes, out_dir: Path | None) -> Non
 
 
 def _show(item: PendingApproval, file: PolicyFile) -> None:
-    asked = item.asked
+    asked = item.stored
     say(f"{asked.short_id}  {asked.request.node} wants to {asked.requested}")
     say(f'  it says: "{printable(asked.request.why)}"')
     for rule in item.verdict.rules:
@@ -273,7 +278,7 @@ def _show(item: PendingApproval, file: PolicyFile) -> None:
 
 
 def _summary(item: PendingApproval) -> dict[str, object]:
-    asked = item.asked
+    asked = item.stored
     return {
         "request": asked.request.id.hex(),
         "node": asked.request.node,

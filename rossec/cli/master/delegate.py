@@ -62,13 +62,13 @@ def delegate(
     store = home.store()
     authority = home.unlock(passphrase.read(passphrase_file, environment.variables))
     if withdraw:
-        listed, count = authority.withdraw("withdrawn", now())
+        listed, count = authority.revoke_delegations("withdrawn", now())
         say(f"withdrew {count} delegation{'s' * (count != 1)} (list {listed.seq})")
         asyncio.run(deliver(environment, master_uri))
         say("the master has the new list")
         return
     number = authority.store.next_number()
-    data = authority.delegate(
+    data = authority.issue_delegation(
         store.valid_certificate(MASTER, now()).thumbprint, lifetime, ticket, now()
     )
     opened = open_delegation(data, authority.signer.public_key)

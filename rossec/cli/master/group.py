@@ -23,10 +23,10 @@ from rossec.master.operation import config as configs
 from rossec.master.operation.admin import AdminPort, ask
 from rossec.master.operation.audit_log import audit_written, denials_limited
 from rossec.master.operation.config import Config
-from rossec.master.operation.denial_log import DenialLog, unheard
+from rossec.master.operation.denial_log import DenialLog, ignore_denial
 from rossec.master.operation.descriptor_limit import raise_descriptor_limit
 from rossec.master.operation.json_log import log_as_json
-from rossec.master.operation.metrics import MetricsExporter, of_loop
+from rossec.master.operation.metrics import MetricsExporter, on_loop
 from rossec.master.operation.process_lock import process_lock
 from rossec.master.operation.shutdown import stop_on_signals, until_first_ends
 from rossec.master.operation.systemd import READY, STOPPING, notify
@@ -158,10 +158,10 @@ async def _serve(
         port=own.master_port if config.port is None else config.port,
         newest=None if newest is None else newest[0],
         entries=None if newest is None else newest[1],
-        news=near.news,
+        find_revocations=near.newest_if_changed,
         renewer=renewer,
         now=now(),
-        complain=DenialLog(config.complaints) if config.complaints is not None else unheard,
+        on_denial=DenialLog(config.complaints) if config.complaints is not None else ignore_denial,
         limits=config.limits,
         suites=suites,
     )
@@ -170,7 +170,7 @@ async def _serve(
     try:
         await _start(server)
         if config.metrics is not None:
-            exporter = MetricsExporter(of_loop(server.status), config.metrics)
+            exporter = MetricsExporter(on_loop(server.status), config.metrics)
         if config.admin:
             await admin.start()
         _greet(server, home, exporter, as_json=as_json)

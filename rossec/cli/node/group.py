@@ -7,7 +7,7 @@ import click
 from ca.certificates import Identity
 from ca.enrollment import qr
 from rossec import files
-from rossec.authority.home import fingerprint, grouped
+from rossec.authority.home import fingerprint, format_fingerprint
 from rossec.cli.shared.context import Environment, confirm, moment, now, pass_environment
 from rossec.home import NodeHome
 from rossec.terminal import say, say_json
@@ -30,7 +30,7 @@ def request(environment: Environment, name: str, domain: str, anonymous: bool) -
     home = NodeHome.of(environment.home, name)
     made = home.create_request(domain, wildcard=anonymous)
     say(f"request of {name}: {home.request_path}")
-    say(f"fingerprint {grouped(made.thumbprint)}")
+    say(f"fingerprint {format_fingerprint(made.thumbprint)}")
     option = " --anonymous" if anonymous else ""
     say(f"next, at the authority: rossec ca sign {home.request_path}{option}")
 
@@ -84,7 +84,7 @@ def show(environment: Environment, name: str, as_json: bool) -> None:
     say(f"{identity.name} of {identity.domain} until {moment(identity.not_after)}")
     if identity.wildcard:
         say(f"also for anonymous nodes, {identity.name}_*")
-    say(f"fingerprint {grouped(identity.thumbprint)}")
+    say(f"fingerprint {format_fingerprint(identity.thumbprint)}")
     say(f"{len(home.grants())} grants in {home.path}")
 
 

@@ -118,7 +118,7 @@ def _instead(
     authority.revoke(grant.id, f"opted out of {name}", now())
     say(f"revoked grant {grant.id.hex()} of {grant.subject}")
     rest = _rest(grant, name, node)
-    return None if rest is None else authority.grant(rest, now())
+    return None if rest is None else authority.issue_grant(rest, now())
 
 
 def _denial(name: str, node: str | None, taken: list[str]) -> NewRule:

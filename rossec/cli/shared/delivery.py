@@ -36,7 +36,7 @@ async def deliver(environment: Environment, master_uri: str | None) -> None:
     home = AuthorityHome.at(environment.home)
     data = _young_list(home)
     method = "rossec.updateRevocationTree" if is_tree(data) else "rossec.updateRevocations"
-    statement = (data, home.entries()) if is_tree(data) else (data,)
+    statement = (data, home.tree_entries()) if is_tree(data) else (data,)
     await carry(environment, master_uri, method, statement, "the list", _HINT)
 
 

@@ -20,8 +20,8 @@ from rossec.master.operation.denial_limit import DENIALS
 from rossec.net.host.peeruid import require_user
 
 DEADLINE: Final = 5.0
-_LINE: Final = 1024
-_PATH: Final = 107  # bytes, unix(7)
+_MAX_LINE: Final = 1024
+_MAX_PATH: Final = 107  # bytes, unix(7)
 _audit = logging.getLogger("rossec.audit")
 _denials = logging.getLogger(DENIALS)
 
@@ -42,9 +42,9 @@ class AdminPort:
         Raises:
             ConfigurationError: another master listens there, or the path is too long.
         """
-        if len(os.fsencode(self._path)) > _PATH:
+        if len(os.fsencode(self._path)) > _MAX_PATH:
             raise ConfigurationError(
-                f"{self._path} is too long a name for a socket, which has at most {_PATH} bytes",
+                f"{self._path} is too long a name for a socket, which has at most {_MAX_PATH} bytes",
                 "choose a shorter ROSSEC_HOME, or do without --admin",
             )
         if self._path.exists():
@@ -54,7 +54,9 @@ class AdminPort:
             self._path.unlink()
         before = os.umask(0o177)
         try:
-            self._server = await asyncio.start_unix_server(self._handle, self._path, limit=_LINE)
+            self._server = await asyncio.start_unix_server(
+                self._handle, self._path, limit=_MAX_LINE
+            )
         finally:
             os.umask(before)
 
@@ -77,7 +79,7 @@ class AdminPort:
     async def _answer(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         sock = writer.get_extra_info("socket")
         try:
-            user = require_user(_plain(sock), {os.geteuid(), 0})
+            user = require_user(_raw_socket(sock), {os.geteuid(), 0})
         except (PeerUserRefused, OSError) as error:
             _denials.warning("refused at the administrator's port: %s", error)
             return
@@ -92,7 +94,7 @@ class AdminPort:
         await writer.drain()
 
 
-def _plain(sock: Any) -> socket.socket:
+def _raw_socket(sock: Any) -> socket.socket:
     """asyncio hands out a stand-in; the real socket's methods are behind it."""
     found = getattr(sock, "_sock", sock)
     if not isinstance(found, socket.socket):

@@ -52,10 +52,10 @@ def encode(entry: Entry) -> str:
     return json.dumps(entry, sort_keys=True, separators=(",", ":"))
 
 
-def salvage(lines: Iterable[str], most: int | None = None) -> tuple[list[Entry], list[int]]:
+def salvage(lines: Iterable[str], max_damaged: int | None = None) -> tuple[list[Entry], list[int]]:
     """The entries that can be read, and the numbers of the lines that cannot.
 
-    Nothing is read after `most` lines that cannot.
+    Nothing is read after `max_damaged` lines that cannot.
     """
     entries, damaged = list[Entry](), list[int]()
     for number, line in enumerate(lines, 1):
@@ -64,7 +64,7 @@ def salvage(lines: Iterable[str], most: int | None = None) -> tuple[list[Entry],
             entries.append(entry)
             continue
         damaged.append(number)
-        if len(damaged) == most:
+        if len(damaged) == max_damaged:
             break
     return entries, damaged
 
@@ -116,7 +116,7 @@ class AuditFile(logging.Handler):
         self._path = path
         self._clock = clock
         self._file = self._open()
-        self._last, self._cut = self._take_up()
+        self._last, self._torn = self._resume()
         self._synced = clock()
         self._failing = False
 
@@ -129,13 +129,13 @@ class AuditFile(logging.Handler):
         }  # fmt: skip
         if left_out := getattr(record, LEFT_OUT, 0):
             entry[LEFT_OUT] = left_out
-        if self._cut:
-            entry["cut_short"] = self._cut
+        if self._torn:
+            entry["cut_short"] = self._torn
         try:
             self._reopen_if_moved()
-            self._begin(round(now, 3))
+            self._write_mark(round(now, 3))
             self._append(chained({**entry, "before": self._last}, self._last))
-            self._cut, self._failing = 0, False
+            self._torn, self._failing = 0, False
         except (OSError, PathRefused) as error:
             self._fail(error)
         if now - self._synced >= SYNC_EVERY or now < self._synced:
@@ -155,7 +155,7 @@ class AuditFile(logging.Handler):
             self._file = -1
         super().close()
 
-    def _begin(self, at: float) -> None:
+    def _write_mark(self, at: float) -> None:
         """A file that is empty begins with a line only the master can write."""
         if self._signer is not None and os.fstat(self._file).st_size == 0:
             self._append(chained(mark(self._signer, self._last, at), self._last))
@@ -188,7 +188,7 @@ class AuditFile(logging.Handler):
     def _open(self) -> int:
         return files.append_own(self._path)
 
-    def _take_up(self) -> tuple[str, int]:
+    def _resume(self) -> tuple[str, int]:
         """The hash to continue from; and how much was left of a line that was cut short."""
         size = os.fstat(self._file).st_size
         tail = os.pread(self._file, _TAIL, max(0, size - _TAIL))

@@ -20,10 +20,10 @@ from rossec.errors import ConfigurationError
 
 FIRST: Final = "0" * 64
 _KEY, _SIGNATURE = "key", "signature"
-_BEGINS: Final = "the audit begins"
-_GOES_ON: Final = "the audit goes on in a new file"
+_FIRST_FILE: Final = "the audit begins"
+_NEXT_FILE: Final = "the audit goes on in a new file"
 _COORDINATE: Final = 32
-_PARTS: Final = (
+_HINT: Final = (
     "name the parts before it, the oldest first; where they are gone, the last hash that you noted"
     " of them with --after"
 )
@@ -33,7 +33,7 @@ Entry = dict[str, Any]
 
 def mark(signer: Signer, before: str, at: float) -> Entry:
     """The line that begins a file, not yet chained; `before` is the hash it goes on from."""
-    text = _BEGINS if before == FIRST else _GOES_ON
+    text = _FIRST_FILE if before == FIRST else _NEXT_FILE
     point = signer.public_key.public_bytes(Encoding.X962, PublicFormat.UncompressedPoint)
     entry: Entry = {"at": at, "before": before, "level": "info", "text": text, _KEY: point.hex()}
     return {**entry, _SIGNATURE: signer.sign(_signed(entry)).hex()}
@@ -65,7 +65,7 @@ def check_beginning(first: Entry, key: bytes | None = None, after: str | None = 
         return ""
     if before == FIRST:
         return "its first line is not signed: an older master began it"
-    raise ConfigurationError("the beginning of the audit is missing", _PARTS)
+    raise ConfigurationError("the beginning of the audit is missing", _HINT)
 
 
 def _key_of(entry: Entry) -> bytes:
@@ -78,7 +78,7 @@ def _key_of(entry: Entry) -> bytes:
         r, s = (int.from_bytes(half) for half in (raw[:_COORDINATE], raw[_COORDINATE:]))
         key.verify(encode_dss_signature(r, s), _signed(entry), ec.ECDSA(hashes.SHA256()))
     except (InvalidSignature, ValueError, TypeError, KeyError) as error:
-        raise ConfigurationError("the first line of the audit is forged", _PARTS) from error
+        raise ConfigurationError("the first line of the audit is forged", _HINT) from error
     return thumbprint(key)
 
 

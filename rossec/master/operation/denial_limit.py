@@ -26,7 +26,7 @@ class LineBucket:
 
     burst: float
     rate: float
-    room: float
+    tokens: float
     at: float
 
     @classmethod
@@ -34,19 +34,19 @@ class LineBucket:
         """One that nothing was taken from."""
         return cls(burst, rate, burst, now)
 
-    def fill(self, now: float) -> bool:
+    def refill(self, now: float) -> bool:
         """Whether there is room for a line now."""
-        self.room = min(self.burst, self.room + max(0.0, now - self.at) * self.rate)
+        self.tokens = min(self.burst, self.tokens + max(0.0, now - self.at) * self.rate)
         self.at = now
-        return self.room >= 1
+        return self.tokens >= 1
 
 
 @dataclass
-class Share:
+class NodeBudget:
     """What one node may cause, what of it does not depend on others, and what it did in vain."""
 
-    most: LineBucket
-    own: LineBucket
+    limit: LineBucket
+    reserved: LineBucket
     left_out: int = 0
 
 
@@ -56,31 +56,31 @@ class DenialRateLimit(logging.Filter):
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         super().__init__()
         self._clock = clock
-        self._all = LineBucket.full(1000, 50, clock())
-        self._nodes: OrderedDict[str, Share] = OrderedDict()
+        self._common = LineBucket.full(1000, 50, clock())
+        self._nodes: OrderedDict[str, NodeBudget] = OrderedDict()
 
     def filter(self, record: logging.LogRecord) -> bool:
         """Whether the line is written; it says then how many before it were not."""
         now = self._clock()
         args = record.args
-        share = self._of(str(args[0]) if isinstance(args, tuple) and args else "", now)
-        common = self._all if self._all.fill(now) else share.own
-        if not (share.most.fill(now) and common.fill(now)):
-            share.left_out += 1
+        budget = self._budget(str(args[0]) if isinstance(args, tuple) and args else "", now)
+        common = self._common if self._common.refill(now) else budget.reserved
+        if not (budget.limit.refill(now) and common.refill(now)):
+            budget.left_out += 1
             return False
-        share.most.room -= 1
-        common.room -= 1
-        if share.left_out:
-            setattr(record, LEFT_OUT, share.left_out)
-            share.left_out = 0
+        budget.limit.tokens -= 1
+        common.tokens -= 1
+        if budget.left_out:
+            setattr(record, LEFT_OUT, budget.left_out)
+            budget.left_out = 0
         return True
 
-    def _of(self, node: str, now: float) -> Share:
-        share = self._nodes.get(node)
-        if share is None:
-            most, own = LineBucket.full(200, 10, now), LineBucket.full(10, 0.1, now)
-            share = self._nodes[node] = Share(most, own)
+    def _budget(self, node: str, now: float) -> NodeBudget:
+        budget = self._nodes.get(node)
+        if budget is None:
+            limit, reserved = LineBucket.full(200, 10, now), LineBucket.full(10, 0.1, now)
+            budget = self._nodes[node] = NodeBudget(limit, reserved)
             if len(self._nodes) > MOST_NODES:
                 self._nodes.popitem(last=False)
         self._nodes.move_to_end(node)
-        return share
+        return budget

@@ -15,14 +15,14 @@ from typing import Final, TypeAlias
 from grants.model import Right
 from rossec import files
 
-SHARE: Final = 200  # lines of one node
+LINES_PER_NODE: Final = 200  # lines of one node
 MAX_LINES: Final = 10_000  # of all nodes beyond their shares
 
 OnDenial: TypeAlias = Callable[[int, str, Right, str], None]
 """Called with `now`, the node, the right it lacks, and the name."""
 
 
-def unheard(now: int, node: str, right: Right, name: str) -> None:
+def ignore_denial(now: int, node: str, right: Right, name: str) -> None:
     """No log is kept."""
 
 
@@ -40,18 +40,18 @@ class DenialLog:
         self._line = log_line
         self._file = os.fdopen(files.append_own(path), "a", encoding="utf-8")
         self._seen: set[tuple[str, Right, str]] = set()
-        self._of_node: Counter[str] = Counter()
-        self._beyond = 0
+        self._lines_of_node: Counter[str] = Counter()
+        self._lines_beyond = 0
 
     def __call__(self, now: int, node: str, right: Right, name: str) -> None:
         """Write one line, unless it was written since the start, or node and log are full."""
-        complaint = node, right, name
-        is_beyond = self._of_node[node] >= SHARE
-        if complaint in self._seen or (is_beyond and self._beyond >= MAX_LINES):
+        denial = node, right, name
+        is_beyond = self._lines_of_node[node] >= LINES_PER_NODE
+        if denial in self._seen or (is_beyond and self._lines_beyond >= MAX_LINES):
             return
-        self._seen.add(complaint)
-        self._of_node[node] += 1
-        self._beyond += is_beyond
+        self._seen.add(denial)
+        self._lines_of_node[node] += 1
+        self._lines_beyond += is_beyond
         self._file.write(self._line(now, node, right, name) + "\n")
         self._file.flush()
 

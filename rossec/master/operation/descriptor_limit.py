@@ -9,6 +9,6 @@ DESCRIPTORS: Final = 65536
 def raise_descriptor_limit() -> None:
     """Raise the soft limit to `DESCRIPTORS`, or to the hard limit where that is lower."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    wanted = DESCRIPTORS if hard == resource.RLIM_INFINITY else min(hard, DESCRIPTORS)
-    if soft != resource.RLIM_INFINITY and soft < wanted:
-        resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, hard))
+    missing = DESCRIPTORS if hard == resource.RLIM_INFINITY else min(hard, DESCRIPTORS)
+    if soft != resource.RLIM_INFINITY and soft < missing:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (missing, hard))

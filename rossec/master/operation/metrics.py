@@ -13,13 +13,13 @@ from rossec.errors import ConfigurationError
 from rossec.net.halfopen import HalfOpen, HalfOpenCount, HalfOpenSlot
 
 ADDRESS: Final = "127.0.0.1"
-_CAPS: Final = HalfOpen(per_address=16, total=16)
+_LIMIT: Final = HalfOpen(per_address=16, total=16)
 DEADLINE: Final = 5.0  # seconds until the loop must have answered
-_COUNTED: Final = {
+_COUNTERS: Final = {
     "calls": "Calls answered.",
     "denials": "Calls refused for want of a right.",
 }
-_GAUGED: Final = {
+_GAUGES: Final = {
     "nodes": "Registered nodes.",
     "registrations": "Registrations of all kinds.",
     "connections": "Open connections, handshakes included.",
@@ -29,14 +29,14 @@ _GAUGED: Final = {
 Status = Callable[[], Mapping[str, Any]]
 
 
-def of_loop(status: Status) -> Status:
+def on_loop(status: Status) -> Status:
     """`status` of the running loop, for other threads: it must not change while it is counted."""
     loop = asyncio.get_running_loop()
 
-    async def asked() -> Mapping[str, Any]:
+    async def requested() -> Mapping[str, Any]:
         return status()
 
-    return lambda: asyncio.run_coroutine_threadsafe(asked(), loop).result(DEADLINE)
+    return lambda: asyncio.run_coroutine_threadsafe(requested(), loop).result(DEADLINE)
 
 
 class MetricsCollector:
@@ -50,9 +50,9 @@ class MetricsCollector:
         from prometheus_client import core  # noqa: PLC0415 - an extra
 
         status = self._status()
-        for name, text in _COUNTED.items():
+        for name, text in _COUNTERS.items():
             yield core.CounterMetricFamily(f"rossec_master_{name}", text, value=status[name])
-        for name, text in _GAUGED.items():
+        for name, text in _GAUGES.items():
             yield core.GaugeMetricFamily(f"rossec_master_{name}", text, value=status[name])
 
 
@@ -62,23 +62,23 @@ class _Server(ThreadingMixIn, WSGIServer):
     daemon_threads = True
 
     def __init__(self, *arguments: Any) -> None:
-        self._count = HalfOpenCount(_CAPS)
-        self._places: WeakKeyDictionary[Any, HalfOpenSlot] = WeakKeyDictionary()
+        self._count = HalfOpenCount(_LIMIT)
+        self._slots: WeakKeyDictionary[Any, HalfOpenSlot] = WeakKeyDictionary()
         super().__init__(*arguments)
 
     def verify_request(self, request: Any, client_address: Any) -> bool:
         """Before a thread is spent on a caller."""
-        place = self._count.admit(client_address[0])
-        if place is not None:
-            self._places[request] = place
-        return place is not None
+        slot = self._count.admit(client_address[0])
+        if slot is not None:
+            self._slots[request] = slot
+        return slot is not None
 
     def shutdown_request(self, request: Any) -> None:
         """As of the base; the caller counts until then."""
         super().shutdown_request(request)
-        place = self._places.pop(request, None)
-        if place is not None:
-            place.release()
+        slot = self._slots.pop(request, None)
+        if slot is not None:
+            slot.release()
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """A caller that is silent, or hangs up, is no news."""

@@ -22,11 +22,11 @@ from rossec.ros.settings import parse_uri
 
 
 class SlaveDialer:
-    """Connects as the master; `doubted` are those who are being asked whether they are there.
+    """Connects as the master; `probed` are those who are being asked whether they are there.
 
     Args:
         credentials, verify: the master's own identity, and who may answer.
-        on_other: called with the node called and the peer that answered in its place.
+        on_mismatch: called with the node called and the peer that answered in its place.
         limits, suites, known: as for connections that come in.
     """
 
@@ -34,7 +34,7 @@ class SlaveDialer:
         self,
         credentials: OwnCredential,
         verify: Verify[ChannelPeer],
-        on_other: Callable[[NodeRef, ChannelPeer], None],
+        on_mismatch: Callable[[NodeRef, ChannelPeer], None],
         *,
         limits: ChannelLimits,
         suites: tuple[int, ...],
@@ -42,11 +42,11 @@ class SlaveDialer:
     ) -> None:
         self._credentials = credentials
         self._verify = verify
-        self._on_other = on_other
+        self._on_mismatch = on_mismatch
         self._limits = limits
         self._suites = suites
         self._known = known
-        self.doubted: Final[set[NodeRef]] = set()
+        self.probed: Final[set[NodeRef]] = set()
 
     async def dial(self, node: NodeRef) -> RpcClient:
         """Connect to a slave API; whoever answers must be the node that registered.
@@ -68,16 +68,16 @@ class SlaveDialer:
         )
         if not stream.peer.covers(node.name) or stream.peer.thumbprint != node.thumbprint:
             stream.abort("not the node that was registered")
-            self._on_other(node, stream.peer)
+            self._on_mismatch(node, stream.peer)
             raise CallerMismatch(f"{stream.peer.name} answers at the slave API of {node.name}")
         return RpcClient(stream)
 
-    async def doubt(self, node: NodeRef) -> None:
+    async def probe(self, node: NodeRef) -> None:
         """Call `node` to say nothing: if somebody else answers there, that is reported."""
-        self.doubted.add(node)
+        self.probed.add(node)
         try:
             with contextlib.suppress(RossecError, OSError, TimeoutError):
                 async with asyncio.timeout(CALL_DEADLINE):
                     await (await self.dial(node)).close()
         finally:
-            self.doubted.discard(node)
+            self.probed.discard(node)

@@ -14,15 +14,15 @@ from ca.revocation.tree import is_tree
 from rossec.master.rights.interfaces import Statements
 from rossec.ros.text import printable
 
-WHOSE: Final = "the authority on this host"
+SOURCE: Final = "the authority on this host"
 
 _log = logging.getLogger("rossec.master.nearby")
 
-Find: TypeAlias = Callable[[], tuple[bytes, bytes] | None]
+FindRevocations: TypeAlias = Callable[[], tuple[bytes, bytes] | None]
 """The newest signed list or tree and the entries of a tree; None: it is what it was before."""
 
 
-def nothing() -> None:
+def no_authority() -> None:
     """There is no authority on this host."""
 
 
@@ -35,29 +35,31 @@ class LocalAuthority:
         on_changed: called when a newer list is in force.
     """
 
-    def __init__(self, find: Find, statements: Statements, on_changed: Callable[[], None]) -> None:
+    def __init__(
+        self, find: FindRevocations, statements: Statements, on_changed: Callable[[], None]
+    ) -> None:
         self._find = find
         self._statements = statements
         self._on_changed = on_changed
-        self._complained: str | None = None
+        self._last_warning: str | None = None
 
-    def look(self, now: int) -> None:
+    def check(self, now: int) -> None:
         """Take what is there, if it is newer."""
         try:
             found = self._find()
             newer = found is not None and self._take(*found, now)
         except (HintedError, OSError) as error:
-            self._complain(printable(error))
+            self._warn_once(printable(error))
         else:
-            self._complained = None
+            self._last_warning = None
             if newer:
                 self._on_changed()
 
-    def _complain(self, why: str) -> None:
+    def _warn_once(self, why: str) -> None:
         """Once for each reason: it is looked for again at every beat."""
-        if why != self._complained:
-            _log.warning("the list of %s is not taken: %s", WHOSE, why)
-        self._complained = why
+        if why != self._last_warning:
+            _log.warning("the list of %s is not taken: %s", SOURCE, why)
+        self._last_warning = why
 
     def _take(self, data: bytes, entries: bytes, now: int) -> bool:
         if is_tree(data):

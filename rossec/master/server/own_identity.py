@@ -13,7 +13,7 @@ from typing import Final
 from ca.certificates import Identity, build_request
 from ca.errors import HintedError
 from ca.renewal import renew_at, retry_delay, sign_renewal
-from grants.validity import moment
+from grants.validity import format_time
 from rossec.channel.edhoc.credentials import LiveCredentials
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
@@ -28,7 +28,7 @@ Renew = Callable[[bytes, int], bytes]
 
 
 class OwnIdentity:
-    """What the master shows, and looks after with `look`.
+    """What the master shows, and looks after with `check`.
 
     Raises:
         CertificateRefused: the identity in `home` has expired, or is not in order.
@@ -38,19 +38,19 @@ class OwnIdentity:
     def __init__(self, home: NodeHome, now: int) -> None:
         self._home = home
         self._identity = home.identity(now)
-        self._seen = self._stamp()
-        self._again = 0
+        self._loaded_version = self._file_version()
+        self._next_attempt = 0
         self.renew: Renew | None = None
         self.credentials = LiveCredentials(home.credentials())
 
-    def look(self, now: int) -> None:
+    def check(self, now: int) -> None:
         """Take up what lies in the home, and renew what is due; whatever fails is tried again."""
-        self._attempt(self._take_up, now)
+        self._attempt(self._reload, now)
         held = self._identity
-        if now >= max(self._again, renew_at(held.not_before, held.not_after)):
+        if now >= max(self._next_attempt, renew_at(held.not_before, held.not_after)):
             longest = _HOUR if self.renew is None else _RETRY
-            self._again = now + retry_delay(held.not_before, held.not_after, longest)
-            self._attempt(self._renew, now)
+            self._next_attempt = now + retry_delay(held.not_before, held.not_after, longest)
+            self._attempt(self._renew_if_possible, now)
 
     def _attempt(self, action: Callable[[int], None], now: int) -> None:
         try:
@@ -59,34 +59,34 @@ class OwnIdentity:
             hint = f" ({error.hint})" if isinstance(error, HintedError) and error.hint else ""
             _log.warning("the master's own identity: %s%s", printable(error), hint)
 
-    def _take_up(self, now: int) -> None:
-        stamp = self._stamp()
-        if stamp == self._seen:
+    def _reload(self, now: int) -> None:
+        version = self._file_version()
+        if version == self._loaded_version:
             return
-        self._seen = stamp
+        self._loaded_version = version
         found = self._home.identity(now)
         if found.thumbprint != self._identity.thumbprint:
             raise ConfigurationError("it is for another key now", "restart the master")
-        self._hold(found)
+        self._replace(found)
 
-    def _hold(self, identity: Identity) -> None:
+    def _replace(self, identity: Identity) -> None:
         self.credentials.current = self._home.credentials()
-        self._identity, self._again = identity, 0
-        _log.info("the master's own identity holds until %s", moment(identity.not_after))
+        self._identity, self._next_attempt = identity, 0
+        _log.info("the master's own identity holds until %s", format_time(identity.not_after))
 
-    def _renew(self, now: int) -> None:
+    def _renew_if_possible(self, now: int) -> None:
         own, held = self.credentials.current, self._identity
         if self.renew is None:
             verb = "ends" if now < held.not_after else "ended"
             raise ConfigurationError(
-                f"it {verb} {moment(held.not_after)}, and then no node may connect",
+                f"it {verb} {format_time(held.not_after)}, and then no node may connect",
                 f"rossec ca renew {held.name}, then rossec node install FILE here; no restart",
             )
         csr = build_request(own.signer, held.domain, held.name)
         bundle = self.renew(sign_renewal(own.signer, own.chain, csr, now), now)
-        self._hold(self._home.install(bundle, now))
-        self._seen = self._stamp()
+        self._replace(self._home.install(bundle, now))
+        self._loaded_version = self._file_version()
 
-    def _stamp(self) -> tuple[int, int, int]:
+    def _file_version(self) -> tuple[int, int, int]:
         found = (self._home.path / "node.pem").stat()
         return found.st_ino, found.st_mtime_ns, found.st_size

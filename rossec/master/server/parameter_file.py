@@ -18,9 +18,9 @@ from rossec.master.state import parameter_journal
 from rossec.master.state.parameter_journal import ParameterChange
 from rossec.master.state.parameters import Parameters
 
-GROWTH: Final = 4  # rewritten when it is so many times as long as it need be
-SMALL: Final = 1024 * 1024  # and at least this long
-LARGE: Final = 256 * 1024 * 1024  # what may come between two beats
+REWRITE_FACTOR: Final = 4  # rewritten when it is so many times as long as it need be
+REWRITE_MIN: Final = 1024 * 1024  # and at least this long
+MAX_UNSYNCED: Final = 256 * 1024 * 1024  # what may come between two beats
 
 _IN_FORCE: Final = "they are in force, and kept as soon as there is room"
 
@@ -34,9 +34,9 @@ class ParameterFile:
         self.parameters = Parameters()
         self._path = path
         self._file: int | None = None
-        self._size = self._needed = 0
+        self._size = self._snapshot_size = 0
         self._dirty = False
-        self._whole = True  # False: a change is missing in it
+        self._complete = True  # False: a change is missing in it
 
     def open(self) -> None:
         """Read the file, cut off what was not written to its end, and get ready to append.
@@ -68,10 +68,12 @@ class ParameterFile:
         if written != len(record):
             _log.error("parameters cannot be kept: %s; %s", reason, _IN_FORCE)
             os.ftruncate(self._file, self._size)  # half a record would hide what follows
-            self._whole = False
+            self._complete = False
             return
         self._size += len(record)
-        if self._size > self._needed + LARGE:  # whoever sets without end must not fill the disk
+        if (
+            self._size > self._snapshot_size + MAX_UNSYNCED
+        ):  # whoever sets without end must not fill the disk
             self.sync()
 
     def sync(self) -> None:
@@ -80,7 +82,10 @@ class ParameterFile:
             return
         self._dirty = False
         try:
-            if self._size > max(SMALL, GROWTH * self._needed) or not self._whole:
+            if (
+                self._size > max(REWRITE_MIN, REWRITE_FACTOR * self._snapshot_size)
+                or not self._complete
+            ):
                 self._rewrite()
             else:
                 os.fdatasync(self._file)
@@ -107,7 +112,7 @@ class ParameterFile:
         old = self._file
         flags = os.O_WRONLY | os.O_APPEND | os.O_CLOEXEC | os.O_NOFOLLOW
         self._file = os.open(self._path, flags)
-        self._size = self._needed = len(data)
-        self._whole = True
+        self._size = self._snapshot_size = len(data)
+        self._complete = True
         if old is not None:
             os.close(old)

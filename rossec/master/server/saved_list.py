@@ -21,36 +21,38 @@ class ListFile:
 
     def __init__(self, home: NodeHome) -> None:
         self._home = home
-        self._due: dict[Callable[[bytes], None], bytes] = {}  # in the order in which it is needed
+        self._unwritten: dict[
+            Callable[[bytes], None], bytes
+        ] = {}  # in the order in which it is needed
         self._failing = False
 
     def save(self, data: bytes) -> None:
         """Keep a signed list or tree; durable on return, or said not to be."""
-        self._keep(self._home.save_revocations, data)
+        self._save(self._home.save_revocations, data)
 
     def save_entries(self, data: bytes) -> None:
         """Keep the entries of a tree, which is saved after them."""
-        self._keep(self._home.save_entries, data)
+        self._save(self._home.save_entries, data)
 
     def retry(self) -> None:
         """Write what is not written; call it now and then."""
         try:
-            for write in tuple(self._due):
-                write(self._due[write])
-                del self._due[write]
+            for write in tuple(self._unwritten):
+                write(self._unwritten[write])
+                del self._unwritten[write]
         except (NotWritten, OSError) as error:
-            self._complain(error)
+            self._log_failure(error)
             return
         if self._failing:
             self._failing = False
             _log.warning("the revocation list is kept now")
 
-    def _keep(self, write: Callable[[bytes], None], data: bytes) -> None:
-        self._due.pop(write, None)
-        self._due[write] = data
+    def _save(self, write: Callable[[bytes], None], data: bytes) -> None:
+        self._unwritten.pop(write, None)
+        self._unwritten[write] = data
         self.retry()
 
-    def _complain(self, error: Exception) -> None:
+    def _log_failure(self, error: Exception) -> None:
         if not self._failing:
             hint = f" ({error.hint})" if isinstance(error, HintedError) else ""
             _log.error("the revocation list is in force, but not kept: %s%s", error, hint)

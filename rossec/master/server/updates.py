@@ -13,7 +13,7 @@ from collections.abc import Awaitable, Callable, Collection
 from typing import Final
 
 from rossec.errors import AnswerRefused, RossecError
-from rossec.master.state.parameter_values import weight
+from rossec.master.state.parameter_values import encoded_size
 from rossec.master.state.registry import NodeRef
 from rossec.net.aio.tasks import TaskSet
 from rossec.net.rpc.client import RpcClient
@@ -22,7 +22,7 @@ from rossec.ros.xmlrpc import Fault
 
 PENDING_LIMIT: Final = 1024
 PENDING_BYTES: Final = 8 * 1024 * 1024  # unless one update alone has more
-LEAVING: Final = 8  # slave APIs of one key that are being told goodbye
+MAX_CLOSING: Final = 8  # slave APIs of one key that are being told goodbye
 CALL_DEADLINE: Final = 5.0  # seconds, for connecting and for each call
 _RETRY_AFTER: Final = (0.2, 1.0, 3.0)  # seconds; then the update is given up
 
@@ -51,8 +51,8 @@ class NodeClient:
         self._deadline = deadline
         self._retry_after = retry_after
         self._pending: dict[Key, tuple[object, ...]] = {}
-        self._weights: dict[Key, int] = {}
-        self._wake = asyncio.Event()
+        self._encoded_sizes: dict[Key, int] = {}
+        self._posted = asyncio.Event()
         self._client: RpcClient | None = None
         self._failures = 0
 
@@ -63,45 +63,45 @@ class NodeClient:
 
     def post(self, key: Key, *params: object) -> None:
         """Send `key[0](*params)` soon, in place of an older one with the same key."""
-        self._pending[key], self._weights[key] = params, weight(params)
-        while len(self._pending) > PENDING_LIMIT or self._is_too_much():
-            self._forget(next(iter(self._pending)))
-        self._wake.set()
+        self._pending[key], self._encoded_sizes[key] = params, encoded_size(params)
+        while len(self._pending) > PENDING_LIMIT or self._is_oversized():
+            self._discard(next(iter(self._pending)))
+        self._posted.set()
 
-    def _is_too_much(self) -> bool:
-        return len(self._pending) > 1 and sum(self._weights.values()) > PENDING_BYTES
+    def _is_oversized(self) -> bool:
+        return len(self._pending) > 1 and sum(self._encoded_sizes.values()) > PENDING_BYTES
 
-    def _forget(self, key: Key) -> None:
-        del self._pending[key], self._weights[key]
+    def _discard(self, key: Key) -> None:
+        del self._pending[key], self._encoded_sizes[key]
 
     async def run(self) -> None:
         """Deliver until cancelled."""
         try:
             while True:
-                await self._wake.wait()
-                self._wake.clear()
+                await self._posted.wait()
+                self._posted.clear()
                 await self._deliver_all()
         finally:
-            await self._hang_up()
+            await self._disconnect()
 
     async def _deliver_all(self) -> None:
         while self._pending:
             key, params = next(iter(self._pending.items()))
             if await self._deliver(key[0], params):
                 self._failures = 0
-                self._done(key, params)
+                self._sent(key, params)
             elif self._failures >= len(self._retry_after):
                 _log.warning("gave up telling %s about %s", self.node.name, key[0])
                 self._failures = 0
                 self._pending.clear()
-                self._weights.clear()
+                self._encoded_sizes.clear()
             else:
                 await asyncio.sleep(self._retry_after[self._failures])
                 self._failures += 1
 
-    def _done(self, key: Key, params: tuple[object, ...]) -> None:
+    def _sent(self, key: Key, params: tuple[object, ...]) -> None:
         if self._pending.get(key) is params:  # else a newer one arrived while this was sent
-            self._forget(key)
+            self._discard(key)
 
     async def _deliver(self, method: str, params: tuple[object, ...]) -> bool:
         """Whether the node has the update; what it thinks of it is its own business."""
@@ -114,11 +114,11 @@ class NodeClient:
             _log.info("%s answers %s: %s", self.node.name, method, printable(error))
         except (RossecError, OSError, TimeoutError) as error:
             _log.info("cannot reach %s for %s: %s", self.node.name, method, printable(error))
-            await self._hang_up()
+            await self._disconnect()
             return False
         return True
 
-    async def _hang_up(self) -> None:
+    async def _disconnect(self) -> None:
         client, self._client = self._client, None
         if client is not None:
             with contextlib.suppress(RossecError, OSError, TimeoutError):
@@ -130,23 +130,26 @@ class Updates:
     """All node clients. `post` never waits.
 
     Args:
-        most: clients for one key at a time. A node can say where it is as often as it likes, each
+        max_clients: clients for one key at a time. A node can say where it is as often as it likes, each
             time elsewhere; the master must neither run out of connections nor call on everybody.
     """
 
     def __init__(
-        self, dial: Dial, most: int = 64 + LEAVING, *, deadline: float = CALL_DEADLINE
+        self, dial: Dial, max_clients: int = 64 + MAX_CLOSING, *, deadline: float = CALL_DEADLINE
     ) -> None:
         self._dial = dial
-        self._most = most
+        self._max_clients = max_clients
         self._deadline = deadline
         self._clients: dict[NodeRef, tuple[NodeClient, TaskSet]] = {}
-        self._leaving = TaskSet()
+        self._closing = TaskSet()
 
     def post(self, node: NodeRef, key: Key, *params: object) -> None:
         """Tell `node`, unless too many of its key are being told."""
         if node not in self._clients:
-            if sum(other.thumbprint == node.thumbprint for other in self._clients) >= self._most:
+            if (
+                sum(other.thumbprint == node.thumbprint for other in self._clients)
+                >= self._max_clients
+            ):
                 _log.info("%s changes its address too often: not told of %s", node.name, key[0])
                 return
             client, tasks = NodeClient(node, self._dial, deadline=self._deadline), TaskSet()
@@ -163,7 +166,7 @@ class Updates:
         ]
         for node in gone:
             _, tasks = self._clients.pop(node)
-            self._leaving.spawn(tasks.close(), f"hanging up on {node.name}")
+            self._closing.spawn(tasks.close(), f"hanging up on {node.name}")
 
     @property
     def nodes(self) -> tuple[NodeRef, ...]:
@@ -174,10 +177,10 @@ class Updates:
         """Hang up now, whatever was to be told (its key is revoked, or it is somebody else's)."""
         client = self._clients.pop(node, None)
         if client is not None:
-            self._leaving.spawn(client[1].close(), f"dropping {node.name}")
+            self._closing.spawn(client[1].close(), f"dropping {node.name}")
 
     async def close(self) -> None:
         """Stop all clients."""
         clients, self._clients = self._clients, {}
         await asyncio.gather(*(tasks.close() for _, tasks in clients.values()))
-        await self._leaving.close()
+        await self._closing.close()

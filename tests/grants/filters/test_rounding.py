@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from grants.errors import FilterRefused
 from grants.filters.layout import PRIMITIVES
 from grants.filters.rounding import hold, round_floats, round_integers, round_times
-from grants.memory import Cell
+from grants.memory import HysteresisState
 
 STEPS = st.floats(min_value=1e-320, max_value=1e308) | st.sampled_from([0.1, 0.5, 1.0, 2.0, 1e40])
 FLOATS = {"float32": st.floats(width=32), "float64": st.floats()}
@@ -105,13 +105,13 @@ PLAIN = (lambda value: value if not math.isfinite(value) else math.floor(value +
 
 def test_hysteresis() -> None:
     fresh = hold(lambda value: math.floor(value + 0.5), 1, 0.2)
-    one, other = fresh(Cell()), fresh(Cell())
+    one, other = fresh(HysteresisState()), fresh(HysteresisState())
     assert [one(x) for x in (0.4, 0.6, 0.7, 0.71, 0.31, 0.3, 0.29)] == [0, 0, 0, 1, 1, 1, 0]
     assert other(0.6) == 1  # a memory of its own
 
 
 def test_hysteresis_passes_and_forgets_what_is_no_number() -> None:
-    held = hold(*PLAIN)(Cell())
+    held = hold(*PLAIN)(HysteresisState())
     assert held(0.6) == 1.0
     assert math.isnan(held(math.nan))
     assert held(math.inf) == math.inf
@@ -120,5 +120,5 @@ def test_hysteresis_passes_and_forgets_what_is_no_number() -> None:
 
 def test_hysteresis_of_whole_numbers() -> None:
     scalar, _ = round_integers(PRIMITIVES["int32"], 10)
-    held = hold(scalar, 10, 2)(Cell())
+    held = hold(scalar, 10, 2)(HysteresisState())
     assert [held(value) for value in (4, 6, 7, 8, 3, 2)] == [0, 0, 0, 10, 10, 0]

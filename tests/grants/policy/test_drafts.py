@@ -125,6 +125,6 @@ def test_on_stale_reaches_the_grant_when_every_rule_says_keep() -> None:
     assert [item.restriction for item in permissions(kept)] == [Restriction(keep_when_stale=True)]
     [limited] = permissions(slow)
     assert limited.restriction == Restriction(rate=1, keep_when_stale=True)
-    assert "kept when news of revocations fails to arrive" in "".join(Decider(policy).explain(kept))
+    assert "kept while revocation data is stale" in "".join(Decider(policy).explain(kept))
     assert not cut.keep_when_stale
     assert not wish(policy, Right.CALL, "/none").keep_when_stale

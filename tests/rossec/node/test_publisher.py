@@ -9,7 +9,7 @@ from grants.errors import MessageRefused
 from grants.filters import layout
 from rossec.errors import ChannelClosed, ConfigurationError, NodeShutdown
 from rossec.node.publisher import Publisher, SubscriberConnection
-from rossec.participant.limit_memory import recall
+from rossec.participant.limit_memory import memory_scope
 from rossec.participant.message_types import message_type
 from rossec.participant.topic_handshake import TopicEndpoint
 
@@ -57,7 +57,11 @@ def no_keys(name: str) -> bytes:
 def publisher(**options: Any) -> Publisher:
     shape = layout.parse(STRING.name, STRING.definition)
     return Publisher(
-        TopicEndpoint("/t", STRING), shape, no_keys, recall("/robot"), **{"latch": False, **options}
+        TopicEndpoint("/t", STRING),
+        shape,
+        no_keys,
+        memory_scope("/robot"),
+        **{"latch": False, **options},
     )
 
 

@@ -36,7 +36,7 @@ async def test_a_kept_connection(lamp: Node, hall: Node) -> None:
 
 async def test_types_must_agree(lamp: Node, hall: Node) -> None:
     await lamp.service(LAMP, BOOL, switch)
-    with pytest.raises(ConnectionHeaderRefused, match="has the checksum"):
+    with pytest.raises(ConnectionHeaderRefused, match="has the md5sum"):
         await hall.client(LAMP, TRIGGER)()
     with pytest.raises(MessageError, match="unknown service type"):
         hall.client(LAMP, "std_srvs/SetBoool")

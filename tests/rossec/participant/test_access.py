@@ -123,7 +123,7 @@ def test_unknown_revocations_refuse_everyone(site: Site) -> None:
         (b"\xff", "unreadable list"),
         (encode({1: b"x"}), "expected a list"),
         (encode([b"x"] * 17), "expected a list of at most 16"),
-        (encode([b"x", "y"]), "holds something else"),
+        (encode([b"x", "y"]), "an item that is not bytes"),
         (encode([b"x" * (access.MAX_PRESENTED + 1)]), "unreadable list"),
     ],
 )
@@ -197,7 +197,9 @@ def test_a_list_without_its_confirmation_ends_all_reliance(site: Site) -> None:
     held.check_fresh(NOW)
     told = site.revoke(bytes(32))
     for data in (told, told):  # also when there is nothing new
-        with pytest.raises(RevocationsStale, match="what is revoked, and nothing more") as stale:
+        with pytest.raises(
+            RevocationsStale, match="the revocation list without a timestamp"
+        ) as stale:
             own.update_revocations(data, b"", master, NOW, saved.append)
         assert "enroll the node anew" in stale.value.hint
         assert (held.data, held.fresh_until) == (told, 0)

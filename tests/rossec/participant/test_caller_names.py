@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from rossec.master.state.parameters import Parameters, places_to_search
+from rossec.master.state.parameters import Parameters, search_candidates
 from rossec.participant.caller_names import (
     not_found,
     resolve_params,
@@ -78,7 +78,7 @@ def test_the_places_are_those_the_master_looks_at(caller: str, key: str) -> None
         tree = Parameters()
         tree.set(name, 1)
         there = [found for place, found in search_places(caller, key) if tree.has(place)]
-        looked_at = places_to_search(caller, key)
+        looked_at = search_candidates(caller, key)
         assert there == [found for place, found in looked_at if tree.has(place)]
 
 

@@ -25,7 +25,7 @@ async def test_a_master_that_lost_its_list_gets_it_back(
         monkeypatch.setattr(site.authority.store, "newest_list", lambda: None)
         await site.start_master(port)
         await until(lambda: home.load_revocations() == robot.revocations.data)
-        await until(lambda: "handed it over: was its home restored from a backup?" in caplog.text)
+        await until(lambda: "the newer one: was its home restored from a backup?" in caplog.text)
 
 
 async def test_what_cannot_be_handed_over_is_not(
@@ -40,7 +40,7 @@ async def test_what_cannot_be_handed_over_is_not(
         assert "the master refuses" not in caplog.text
         monkeypatch.setattr(session, "_held", lambda: b"forged")
         assert not await session._send_held_list()
-        assert "/robot: the master refuses the list held here" in caplog.text
+        assert "/robot: the master refuses this node's revocation list" in caplog.text
 
         def refuse(*_: object) -> None:
             raise RevocationRefused("something else is wrong with it")

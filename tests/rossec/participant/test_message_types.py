@@ -54,7 +54,7 @@ def test_an_unknown_type(name: str) -> None:
 
 @pytest.mark.parametrize("name", ["String", "std_msgs/", "/String", "std_msgs/msg/String", ""])
 def test_a_name_that_is_none(name: str) -> None:
-    with pytest.raises(MessageError, match="no message type name"):
+    with pytest.raises(MessageError, match="not a message type name"):
         message_type(name)
 
 

@@ -134,10 +134,10 @@ def test_flags_as_stock_clients_write_them(value: bytes, means: bool) -> None:
     assert not service_handshake.is_set({}, "probe")
 
 
-def test_checksums_must_agree() -> None:
+def test_md5sums_must_agree() -> None:
     service_handshake.check_md5({"md5sum": b"a"}, SERVICE, "*")
     with pytest.raises(
-        ConnectionHeaderRefused, match="/door/open has the checksum b here, a at the peer"
+        ConnectionHeaderRefused, match="/door/open has the md5sum b here, a at the peer"
     ):
         service_handshake.check_md5({"md5sum": b"a"}, SERVICE, "b")
     with pytest.raises(ConnectionHeaderRefused, match="has no 'md5sum'"):

@@ -30,7 +30,7 @@ def test_every_standard_type_is_one() -> None:
 
 
 @pytest.mark.ros
-def test_checksums_are_those_of_the_installed_packages() -> None:
+def test_md5sums_are_those_of_the_installed_packages() -> None:
     from importlib import import_module
 
     for name in _STANDARD:
@@ -56,7 +56,7 @@ def test_a_type_of_ones_own() -> None:
         ("house_srvs/Odd", "this is :: none\n---", "cannot register house_srvs/OddRequest"),
         ("house_srvs/Part", "uint8 a\n---\nNobody b", "unknown type house_srvs/Nobody"),
         ("std_srvs/SetBool", "bool other\n---\n", "already present"),
-        ("SetBool", "---", "no message type name"),
+        ("SetBool", "---", "not a message type name"),
     ],
 )
 def test_definitions_that_are_refused(name: str, text: str, why: str) -> None:

@@ -9,7 +9,7 @@ from grants.errors import RestrictionMismatch
 from grants.model import Restriction, Right, filter_rules
 from rossec.errors import ConnectionHeaderRefused
 from rossec.participant.definitions import Definition
-from rossec.participant.limit_memory import recall
+from rossec.participant.limit_memory import memory_scope
 from rossec.participant.topic_guard import guard_for
 from tests.rossec.sidecar.agent_setup import AgentSetup
 from tests.support.site import Site
@@ -35,13 +35,13 @@ def keyed(name: str) -> bytes:
 
 
 def test_without_restrictions_there_is_nothing_to_apply(setup: AgentSetup) -> None:
-    assert guard_for(NOTHING, decision(setup, None), keyed, recall("/viewer")) is None
+    assert guard_for(NOTHING, decision(setup, None), keyed, memory_scope("/viewer")) is None
 
 
 def test_conditions_and_filters(setup: AgentSetup) -> None:
     rules = filter_rules({"data": {"hash": {"key": "names", "length": 8}}})
     restriction = Restriction("std_msgs/String", ('msg.data != "no"',), rules)
-    guard = guard_for(WORD, decision(setup, restriction), keyed, recall("/viewer"))
+    guard = guard_for(WORD, decision(setup, restriction), keyed, memory_scope("/viewer"))
     assert guard is not None
     assert guard(b"\x02\0\0\0no", setup.site.now()) is None
     treated = guard(b"\x04\0\0\0anna", setup.site.now())
@@ -51,7 +51,7 @@ def test_conditions_and_filters(setup: AgentSetup) -> None:
 
 def test_what_only_counts_or_looks_at_the_clock_needs_no_definition(setup: AgentSetup) -> None:
     restricted = decision(setup, Restriction(None, ("now.getHours() >= 0",), rate=1.0))
-    guard = guard_for(NOTHING, restricted, keyed, recall("/viewer"))
+    guard = guard_for(NOTHING, restricted, keyed, memory_scope("/viewer"))
     assert guard is not None
     assert guard(b"anything", setup.site.now()) == [b"anything"]
 
@@ -60,8 +60,11 @@ def test_what_cannot_be_told_is_refused(setup: AgentSetup) -> None:
     restricted = decision(setup, Restriction("std_msgs/String", ("true",)))
     with pytest.raises(ConnectionHeaderRefused, match="does not have the md5sum"):
         guard_for(
-            Definition(WORD.name, WORD.md5sum, "int32 data"), restricted, keyed, recall("/viewer")
+            Definition(WORD.name, WORD.md5sum, "int32 data"),
+            restricted,
+            keyed,
+            memory_scope("/viewer"),
         )
     text = Definition("std_msgs/Text", WORD.md5sum, WORD.definition)
     with pytest.raises(RestrictionMismatch, match="these are std_msgs/Text"):
-        guard_for(text, restricted, keyed, recall("/viewer"))
+        guard_for(text, restricted, keyed, memory_scope("/viewer"))

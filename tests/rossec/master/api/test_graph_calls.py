@@ -47,7 +47,7 @@ def test_nobody_is_shown_what_was_kept_for_another(api: MasterApi) -> None:
     assert state(api, poor) == EMPTY
 
 
-@pytest.mark.parametrize("limit", ["_STATES_KEPT", "_ENTRIES_KEPT"])
+@pytest.mark.parametrize("limit", ["_MAX_CACHED_STATES", "_MAX_CACHED_ENTRIES"])
 def test_what_is_kept_is_bounded(
     api: MasterApi, monkeypatch: pytest.MonkeyPatch, limit: str
 ) -> None:
@@ -57,5 +57,5 @@ def test_what_is_kept_is_bounded(
     for number in range(5):
         assert len(state(api, everything(f"/viewer{number}"))[0]) == 5
     kept: Any = api.methods["getSystemState"].handler
-    assert len(kept.__self__._states) <= (2 if limit == "_STATES_KEPT" else 5)
-    assert len(kept.__self__._entries) <= (2 if limit == "_ENTRIES_KEPT" else 5)
+    assert len(kept.__self__._states) <= (2 if limit == "_MAX_CACHED_STATES" else 5)
+    assert len(kept.__self__._entries) <= (2 if limit == "_MAX_CACHED_ENTRIES" else 5)

@@ -4,9 +4,9 @@ import pytest
 
 from rossec.errors import HangUp
 from rossec.master.api.revoked_calls import (
-    CALLS,
-    MOST,
-    MOST_BELOW,
+    MAX_BELOW_INTERMEDIATE,
+    MAX_CALLS,
+    MAX_CONNECTIONS,
     RevokedCalls,
     RevokedConnections,
     answer_revoked,
@@ -58,18 +58,20 @@ def test_everything_else_ends_the_connection(method: str, params: tuple[object, 
 
 def test_each_identity_has_a_share_and_so_has_all_that_is_below_one_intermediate() -> None:
     hearers, one = RevokedConnections(), (b"one", b"above")
-    assert [hearers.admit(one) for _ in range(MOST + 1)] == [True] * MOST + [False]
-    others = [(b"%d" % number, b"above") for number in range(MOST_BELOW)]
-    assert sum(map(hearers.admit, others)) == MOST_BELOW - MOST
+    assert [hearers.admit(one) for _ in range(MAX_CONNECTIONS + 1)] == [True] * MAX_CONNECTIONS + [
+        False
+    ]
+    others = [(b"%d" % number, b"above") for number in range(MAX_BELOW_INTERMEDIATE)]
+    assert sum(map(hearers.admit, others)) == MAX_BELOW_INTERMEDIATE - MAX_CONNECTIONS
     assert hearers.admit((b"elsewhere",))
-    hearers.leave(one)
+    hearers.release(one)
     assert hearers.admit(one)
     assert not hearers.admit(others[-1])
 
 
 def test_it_is_answered_a_few_times_on_one_connection() -> None:
     calls = RevokedCalls(Told(), lambda: 7)
-    for _ in range(CALLS):
+    for _ in range(MAX_CALLS):
         assert calls.answer("rossec.revocations", ("/eve",), None)[2] == [b"list", b""]
-    with pytest.raises(HangUp, match="has heard it"):
+    with pytest.raises(HangUp, match="has been sent the list"):
         calls.answer("rossec.revocations", ("/eve",), None)

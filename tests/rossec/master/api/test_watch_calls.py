@@ -7,7 +7,7 @@ import pytest
 from grants.model import Right
 from rossec.master.api import watch_calls
 from rossec.master.api.dispatch import MasterApi
-from rossec.master.api.watch_calls import VIEWS, WATCH, no_news
+from rossec.master.api.watch_calls import MAX_VIEWS, WATCH, is_unchanged
 from rossec.master.rights.access_rules import Caller
 from rossec.master.state.registry import Registry
 from rossec.participant.graph_view import GraphView
@@ -69,9 +69,9 @@ def test_everything_at_first_then_what_changed(api: MasterApi) -> None:
         [],
         False,
     )  # fmt: skip
-    assert not no_news(watcher.answer)
+    assert not is_unchanged(watcher.answer)
     assert watcher.look() == ([], [], False)
-    assert no_news(watcher.answer)
+    assert is_unchanged(watcher.answer)
     do(api, "/laser", "unregisterService", "/reset", "rosrpc://l:2")
     do(api, "/map", "unregisterSubscriber", "/scan", "http://n:1/")
     assert watcher.look() == (
@@ -141,21 +141,21 @@ def test_an_answer_is_bounded_and_the_rest_follows(
 
 
 def test_watchers_of_one_identity_do_not_disturb_each_other(api: MasterApi) -> None:
-    watchers = [Watcher(api) for _ in range(VIEWS)]
-    assert [watcher.look()[2] for watcher in watchers] == [True] * VIEWS
-    assert [watcher.look()[2] for watcher in watchers] == [False] * VIEWS
+    watchers = [Watcher(api) for _ in range(MAX_VIEWS)]
+    assert [watcher.look()[2] for watcher in watchers] == [True] * MAX_VIEWS
+    assert [watcher.look()[2] for watcher in watchers] == [False] * MAX_VIEWS
     Watcher(api).look()
     assert watchers[-1].look() == ([], [], False)
     assert watchers[0].look()[2]  # it was the first to be forgotten
-    assert sum(map(len, api.watching._views.values())) <= VIEWS
+    assert sum(map(len, api.watch_calls._views.values())) <= MAX_VIEWS
 
 
 def test_who_is_gone_is_forgotten(api: MasterApi) -> None:
     watcher = Watcher(api)
     watcher.look()
-    api.watching.keep_only(frozenset({watcher.who.thumbprint}))
+    api.watch_calls.keep_only(frozenset({watcher.who.thumbprint}))
     assert not watcher.look()[2]
-    api.watching.keep_only(frozenset())
+    api.watch_calls.keep_only(frozenset())
     assert watcher.look()[2]
 
 

@@ -99,7 +99,7 @@ def test_nobody_is_there(tmp_path: Path) -> None:
 
 def test_what_is_no_socket_is_refused() -> None:
     with pytest.raises(PeerUserRefused):
-        module._plain(None)
+        module._raw_socket(None)
 
 
 async def test_a_path_too_long_for_a_socket_is_said(tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ from rossec.master.operation.descriptor_limit import raise_descriptor_limit
 
 
 @pytest.mark.parametrize(
-    ("limits", "wanted"),
+    ("limits", "expected"),
     [
         ((1024, 1 << 20), (65536, 1 << 20)),
         ((1024, 4096), (4096, 4096)),
@@ -18,10 +18,10 @@ from rossec.master.operation.descriptor_limit import raise_descriptor_limit
 def test_the_soft_limit_is_raised_as_far_as_the_hard_one_allows(
     monkeypatch: pytest.MonkeyPatch,
     limits: tuple[int, int],
-    wanted: tuple[int, int] | None,
+    expected: tuple[int, int] | None,
 ) -> None:
     changes: list[tuple[int, int]] = []
     monkeypatch.setattr(resource, "getrlimit", lambda _: limits)
     monkeypatch.setattr(resource, "setrlimit", lambda _, limit: changes.append(limit))
     raise_descriptor_limit()
-    assert changes == ([] if wanted is None else [wanted])
+    assert changes == ([] if expected is None else [expected])

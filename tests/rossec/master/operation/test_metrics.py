@@ -11,7 +11,7 @@ import pytest
 
 from rossec.errors import ConfigurationError
 from rossec.master.operation import metrics
-from rossec.master.operation.metrics import MetricsExporter, of_loop
+from rossec.master.operation.metrics import MetricsExporter, on_loop
 
 STATUS = {"calls": 5, "denials": 2, "nodes": 3, "registrations": 9, "connections": 4,
           "revocation_number": 7}  # fmt: skip
@@ -36,10 +36,10 @@ def test_callers_that_say_nothing_are_few(monkeypatch: pytest.MonkeyPatch) -> No
     monkeypatch.setattr(metrics._Handler, "timeout", 1.0)
     exporter = MetricsExporter(lambda: STATUS, 0)
     silent: list[socket.socket] = []
-    place = "127.0.0.1", exporter.port
+    slot = "127.0.0.1", exporter.port
     try:
         before = threading.active_count()
-        silent.extend(socket.create_connection(place, 10) for _ in range(100))
+        silent.extend(socket.create_connection(slot, 10) for _ in range(100))
         assert threading.active_count() - before <= 16
         while True:  # those that have a place give it back
             with contextlib.suppress(OSError):
@@ -72,5 +72,5 @@ async def test_the_loop_is_asked_so_that_nothing_changes_meanwhile() -> None:
         assert threading.current_thread() is threading.main_thread()
         return STATUS
 
-    asked = of_loop(status)
-    assert await asyncio.to_thread(asked) == STATUS
+    requested = on_loop(status)
+    assert await asyncio.to_thread(requested) == STATUS

@@ -302,12 +302,12 @@ def test_what_is_missing_is_missing_to_the_certified_name(api: MasterApi) -> Non
 
 
 def test_a_name_is_taken_once() -> None:
-    acting = RVIZ.acting_as("/rviz_1")
-    assert acting.acting_as("/rviz_1") is acting
+    acting_caller = RVIZ.acting_as("/rviz_1")
+    assert acting_caller.acting_as("/rviz_1") is acting_caller
     with pytest.raises(Refused):
-        acting.acting_as("/rviz_1_2")
+        acting_caller.acting_as("/rviz_1_2")
     with pytest.raises(Refused):
-        acting.acting_as("/rviz")
+        acting_caller.acting_as("/rviz")
 
 
 def test_an_administrator_cleans_up_after_a_node_and_does_nothing_else_for_it(
@@ -339,15 +339,15 @@ def test_m8_who_is_elsewhere_is_not_on_the_masters_host(
         for uri in ("http://localhost:9/", "http://10.0.0.7:9/")
     )
 
-    def answer(method: str, params: list[Any], *, near: bool) -> Any:
-        return api.call(method, params, who, 0, near=near).answer
+    def answer(method: str, params: list[Any], *, is_local: bool) -> Any:
+        return api.call(method, params, who, 0, is_local=is_local).answer
 
-    code, status, _ = refused = answer(method, here, near=False)
+    code, status, _ = refused = answer(method, here, is_local=False)
     assert (code, "on the master's host, and the caller is not" in status) == (-1, True)
     element = {"methodName": method, "params": here}
-    assert answer("system.multicall", [[element]], near=False) == [[refused]]
-    assert answer(method, there, near=False)[0] == 1
-    assert answer(method, here, near=True)[0] == 1
+    assert answer("system.multicall", [[element]], is_local=False) == [[refused]]
+    assert answer(method, there, is_local=False)[0] == 1
+    assert answer(method, here, is_local=True)[0] == 1
 
 
 def test_a_key_has_so_many_nodes() -> None:
@@ -358,6 +358,6 @@ def test_a_key_has_so_many_nodes() -> None:
 
     assert answer("/rviz_1", "http://h:1/")[0] == 1
     for name in ("/rviz_2", "/rviz"):
-        text = f"rossec: the identity of {name} has 1 nodes, the most of one key"
+        text = f"rossec: the identity of {name} has 1 nodes, the limit of one key"
         assert answer(name, "http://h:2/") == [-1, text, []]
     assert answer("/rviz_1", "http://h:3/")[0] == 1

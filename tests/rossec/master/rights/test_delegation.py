@@ -85,8 +85,8 @@ def test_no_longer_than_the_delegation() -> None:
     ("lifetime", "cap", "later", "refusal", "message"),
     [
         (HOUR // 2, 10 * HOUR, 10 * HOUR, RenewalTooWide, "has reached its cap"),
-        (HOUR // 2, 0, 0, RenewalTooWide, "outlives any ticket"),
-        (DAY, 2 * DAY, 0, RenewalTooWide, "outlives any ticket"),
+        (HOUR // 2, 0, 0, RenewalTooWide, "expires later than any ticket"),
+        (DAY, 2 * DAY, 0, RenewalTooWide, "expires later than any ticket"),
     ],
 )
 def test_what_is_not_renewed(
@@ -116,7 +116,7 @@ def test_nothing_for_another_key_authority_or_domain(world: World) -> None:
 def test_without_a_delegation_nothing_is_renewed() -> None:
     world = World()
     assert world.delegate.id is None
-    with pytest.raises(RenewalNotInTime, match="has not let this master renew") as refused:
+    with pytest.raises(RenewalNotInTime, match="has not delegated renewal") as refused:
         world.renew(world.grant())
     assert refused.value.hint == "at the authority: rossec master delegate"
     silent = Delegate(world.site.anchor, world.master.credentials.signer)

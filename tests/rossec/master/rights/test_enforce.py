@@ -43,7 +43,7 @@ def test_nothing_goes_while_the_rights_hold() -> None:
     state = registry()
     assert judge(state, FakeStatements(dict(BOTH))) == []
     assert len(list(state.nodes())) == 2
-    assert state.members(Kind.PARAMETER, "/p/") == (A,)
+    assert state.registered_nodes(Kind.PARAMETER, "/p/") == (A,)
 
 
 def test_only_what_lost_its_right_goes() -> None:
@@ -52,7 +52,7 @@ def test_only_what_lost_its_right_goes() -> None:
     assert judge(state, FakeStatements(callers)) == [PublishersChanged("/t", (B,), ())]
     assert state.keys_of("/a", Kind.PUBLISHER) == ("/u",)
     assert state.service_uri("/s") is None
-    assert state.members(Kind.PARAMETER, "/p/") == ()
+    assert state.registered_nodes(Kind.PARAMETER, "/p/") == ()
 
 
 @pytest.mark.parametrize("right", Right)
@@ -74,7 +74,7 @@ def test_a_revoked_node_goes_with_all_it_registered() -> None:
     events = judge(state, FakeStatements({"/b": BOTH["/b"]}))
     assert PublishersChanged("/t", (B,), ()) in events
     assert [node.name for node in state.nodes()] == ["/b"]
-    assert state.members(Kind.PARAMETER, "/p/") == ()
+    assert state.registered_nodes(Kind.PARAMETER, "/p/") == ()
 
 
 def test_a_step_is_small_and_judges_what_is_there_when_it_is_taken() -> None:

@@ -15,7 +15,7 @@ from grants.model import Right
 from grants.renewal import open_delegation
 from rossec.master.rights import statements as module
 from rossec.master.rights.access_rules import Caller
-from rossec.master.rights.presented_grants import FAILURES_WITHIN, MAX_FAILURES, MAX_HELD
+from rossec.master.rights.presented_grants import FAILURE_WINDOW, MAX_FAILURES, MAX_HELD
 from rossec.master.rights.statements import TrustState
 from rossec.master.state.registry import NodeRef
 from tests.support.authority import DAY, Site
@@ -111,7 +111,7 @@ def test_only_so_many_grants_are_verified_in_vain(world: World) -> None:
     assert world.present(*[b"garbage"] * MAX_FAILURES)[0] == 1
     assert world.present(good) == (1, ("too many grants of this node were refused",))
     assert world.present(held) == (1, ())
-    world.now += FAILURES_WITHIN
+    world.now += FAILURE_WINDOW
     assert world.present(good) == (2, ())
 
 
@@ -161,7 +161,7 @@ def test_a_key_below_a_revoked_intermediate_is_nobody(world: World) -> None:
         world.trust.caller(member, world.now)
     assert world.trust.caller_of(member, world.now) is None
     world.trust.keep_only(frozenset(), world.now)
-    assert world.trust._chains == {}
+    assert world.trust._identity_keys == {}
 
 
 def test_two_keys_of_one_name_are_two_callers(world: World) -> None:
@@ -219,8 +219,8 @@ def test_forgetting(world: World) -> None:
     assert not world.may(Right.PUBLISH, "/t")
 
 
-def delegated(world: World) -> World:
-    assert world.trust.delegated(world.site.delegation(world.master))
+def update_delegation(world: World) -> World:
+    assert world.trust.update_delegation(world.site.delegation(world.master))
     return world
 
 
@@ -231,7 +231,7 @@ def renew(world: World, *tokens: bytes) -> tuple[tuple[bytes, ...], tuple[str, .
 def test_a_renewed_grant_counts_at_once_and_when_it_is_presented(world: World) -> None:
     data = world.site.grant(world.node, {"/t": Right.PUBLISH}, lifetime=60, cap=DAY)
     world.present(data)
-    (token,), refused = renew(delegated(world), data)
+    (token,), refused = renew(update_delegation(world), data)
     assert refused == ()
     assert world.may(Right.PUBLISH, "/t", later=61)
     assert world.present(data, token) == (1, ())
@@ -249,7 +249,7 @@ def test_a_renewed_grant_counts_at_once_and_when_it_is_presented(world: World) -
 def test_what_was_renewed_ends_with_what_renewed_it(world: World, which: str) -> None:
     data = world.site.grant(world.node, {"/t": Right.PUBLISH}, lifetime=60, cap=DAY)
     delegation = world.site.delegation(world.master)
-    assert world.trust.delegated(delegation)
+    assert world.trust.update_delegation(delegation)
     renew(world, data)
     assert world.may(Right.PUBLISH, "/t")
     opened = open_delegation(delegation, world.site.anchor.public_key)
@@ -260,7 +260,7 @@ def test_what_was_renewed_ends_with_what_renewed_it(world: World, which: str) ->
 
 def test_one_that_is_not_renewed_does_not_spoil_the_others(world: World) -> None:
     good = world.site.grant(world.node, {"/t": Right.PUBLISH}, lifetime=60, cap=DAY)
-    tokens, refused = renew(delegated(world), b"garbage", good)
+    tokens, refused = renew(update_delegation(world), b"garbage", good)
     assert (tokens[0], len(refused)) == (b"", 1)
     assert tokens[1] != b""
     renew(world, *[b"garbage"] * MAX_FAILURES)
@@ -271,7 +271,8 @@ def test_a_renewed_grant_is_not_kept_when_there_is_no_room(world: World) -> None
     tokens = [world.site.grant(world.node, {f"/t{n}": Right.CALL}) for n in range(MAX_HELD)]
     world.present(*tokens)
     (token,), _ = renew(
-        delegated(world), world.site.grant(world.node, {"/t": Right.PUBLISH}, lifetime=60, cap=DAY)
+        update_delegation(world),
+        world.site.grant(world.node, {"/t": Right.PUBLISH}, lifetime=60, cap=DAY),
     )
     assert token
     assert not world.may(Right.PUBLISH, "/t")
@@ -279,18 +280,18 @@ def test_a_renewed_grant_is_not_kept_when_there_is_no_room(world: World) -> None
 
 def test_a_node_that_holds_the_list_is_not_sent_it(world: World) -> None:
     data, stamp = world.trust.current(world.now)
-    assert world.trust.news_for(world.node, world.now) == (data, stamp)
-    world.trust.held_by(world.node, digest(data))
-    assert world.trust.news_for(world.node, world.now) == (b"", stamp)
-    assert world.trust.news_for(world.master, world.now) == (data, stamp)
+    assert world.trust.revocations_for(world.node, world.now) == (data, stamp)
+    world.trust.record_held_list(world.node, digest(data))
+    assert world.trust.revocations_for(world.node, world.now) == (b"", stamp)
+    assert world.trust.revocations_for(world.master, world.now) == (data, stamp)
     other = NodeRef("/anonymous", "http://h:1/", world.node.thumbprint)
-    assert world.trust.news_for(other, world.now) == (data, stamp)
+    assert world.trust.revocations_for(other, world.now) == (data, stamp)
     newer = world.site.revoke(world.master)
     world.trust.update(newer, world.now)
-    assert world.trust.news_for(world.node, world.now)[0] == newer
-    world.trust.held_by(world.node, digest(newer))
+    assert world.trust.revocations_for(world.node, world.now)[0] == newer
+    world.trust.record_held_list(world.node, digest(newer))
     world.trust.keep_only(frozenset(), world.now)
-    assert world.trust.news_for(world.node, world.now)[0] == newer
+    assert world.trust.revocations_for(world.node, world.now)[0] == newer
 
 
 def test_a_caller_is_what_its_certificate_says(world: World) -> None:
@@ -305,31 +306,33 @@ def test_a_caller_is_what_its_certificate_says(world: World) -> None:
 def test_what_is_remembered_of_nodes_is_bounded(
     world: World, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(module, "MAX_NAMES", 2)
+    monkeypatch.setattr(module, "MAX_HELD_LISTS", 2)
     for n in range(5):
-        world.trust.held_by(NodeRef(f"/n{n}", "http://h:1/", world.node.thumbprint), bytes(32))
+        world.trust.record_held_list(
+            NodeRef(f"/n{n}", "http://h:1/", world.node.thumbprint), bytes(32)
+        )
         assert len(world.trust._lists) <= 2
 
 
 def test_what_of_the_list_concerns_a_node(world: World) -> None:
     other, third = world.site.enroll("/other"), world.site.enroll("/third")
-    own, near, far, unseen = (
+    own, is_local, far, unseen = (
         world.site.grant(who, {name: Right.SUBSCRIBE})
         for who, name in (
             (world.node, "/own"), (other, "/t"), (third, "/far"), (other, "/unseen"),
         )
     )  # fmt: skip
-    delegated(world)
+    update_delegation(world)
     id_ = world.trust._delegate.id
     assert id_ is not None
-    for who, token in ((world.node, own), (other, near), (third, far)):
+    for who, token in ((world.node, own), (other, is_local), (third, far)):
         world.trust.present(world.trust.caller(who, world.now), [token], world.now)
-    world.trust.update(world.site.revoke(own, near, far, unseen, other, id_), world.now)
+    world.trust.update(world.site.revoke(own, is_local, far, unseen, other, id_), world.now)
     world.trust.keep_only(frozenset(), world.now)
     caller = world.trust.caller(world.node, world.now)
     mine = {grant_id(own), id_}
     assert pertaining(world, caller) == mine
-    assert pertaining(world, caller, "/t") == mine | {grant_id(near), other.thumbprint}
+    assert pertaining(world, caller, "/t") == mine | {grant_id(is_local), other.thumbprint}
     assert len(world.trust.revoked()) == 6
     world.trust.update(world.site.revoke(far), world.now)
     assert pertaining(world, caller, "/t", "/far") == {grant_id(far)}
@@ -364,7 +367,7 @@ def test_a_tree_takes_the_place_of_the_list(world: World) -> None:
     data = world.site.grant(world.node, {"/t": Right.PUBLISH})
     world.present(data)
     tree, entries = tree_of(world, grant_id(data))
-    with pytest.raises(RevocationRefused, match="comes with its entries"):
+    with pytest.raises(RevocationRefused, match="needs its entries"):
         world.trust.update(tree, world.now)
     with pytest.raises(RevocationRefused, match="not those of the signed tree"):
         world.trust.update_tree(tree, tree_of(world, bytes(32))[1], world.now)

@@ -61,7 +61,7 @@ def test_from_a_cursor_on(requester: Requester) -> None:
     requester.add(C)
     assert requester.ask(diff=0, cursor=cursor)[1] == [[[], [C]], [[], [B]]]
     assert requester.ask(diff=1, cursor=cursor) == {1: [[[], [B]]], 2: cursor + 1, 3: False}
-    with pytest.raises(QueryRefused, match=r"never given out \(2\)"):
+    with pytest.raises(QueryRefused, match=r"never sent \(2\)"):
         requester.ask(diff=0, cursor=cursor + 3)
 
 

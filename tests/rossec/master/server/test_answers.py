@@ -10,10 +10,10 @@ import pytest
 
 from grants.document import grant_id
 from rossec.master.api.turns import Turns
-from rossec.master.rights.access_rules import LOOKS_AT_ONCE
+from rossec.master.rights.access_rules import NAMES_PER_YIELD
 from tests.rossec.master.world import SlaveNode, T, World, ends
 
-TOPICS = 20 * LOOKS_AT_ONCE
+TOPICS = 20 * NAMES_PER_YIELD
 
 
 @pytest.fixture
@@ -61,7 +61,7 @@ async def test_a_watcher_waits_for_news_in_turns(
 ) -> None:
     monkeypatch.setattr("rossec.master.server.answers.WATCH_WAIT", 0.05)
     asker = await slow.node("/asker")
-    for number in range(2 * LOOKS_AT_ONCE):
+    for number in range(2 * NAMES_PER_YIELD):
         await asker.ask("registerPublisher", f"/t{number}", T, asker.uri)
     whole = await asker.ask("rossec.watchGraph", "", 0)
     quiet = await asker.ask("rossec.watchGraph", whole["instance"], whole["cursor"])

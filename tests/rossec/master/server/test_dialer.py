@@ -18,8 +18,8 @@ async def test_whoever_answers_must_be_the_registered_node(world: World) -> None
     other = await world.node("/other")
     await other.ask("registerSubscriber", "/t", T, other.uri)
     await other.ask("registerPublisher", "/t", T, other.uri)
-    await until(lambda: other.heard("publisherUpdate") != [])
-    assert victim.told == []
+    await until(lambda: other.received_calls("publisherUpdate") != [])
+    assert victim.received == []
 
 
 async def test_who_registers_the_address_of_another_is_removed(
@@ -31,13 +31,13 @@ async def test_who_registers_the_address_of_another_is_removed(
     await squatter.ask("registerPublisher", "/t", T, victim.uri)
     await squatter.ask("registerSubscriber", "/t", T, victim.uri)
     await viewer.ask("registerPublisher", "/t", T, viewer.uri)  # of which the squatter is told
-    await until(lambda: viewer.heard("publisherUpdate")[-1:] == [("/t", [viewer.uri])])
+    await until(lambda: viewer.received_calls("publisherUpdate")[-1:] == [("/t", [viewer.uri])])
     assert f"/squatter is removed: /victim answers at {victim.uri}" in caplog.text
     assert world.server._updates.nodes == (
         NodeRef("/viewer", viewer.uri, viewer.member.thumbprint),
     )
     assert await victim.ask("registerPublisher", "/t", T, victim.uri) == [viewer.uri]
-    assert victim.told == []
+    assert victim.received == []
 
 
 async def test_who_comes_to_the_port_of_one_that_is_gone_is_let_in(
@@ -74,7 +74,7 @@ async def test_nobody_is_doubted_twice_at_a_time(
             assert not asked.done()
             with pytest.raises(AnswerRefused, match="registered by another node"):
                 await asked
-        assert world.server._dialler.doubted == set()
+        assert world.server._dialer.probed == set()
         assert await bob.ask("lookupNode", "/slow") == uri
 
 
@@ -85,5 +85,5 @@ async def test_news_for_one_key_never_goes_to_another_of_the_same_name(world: Wo
     await node.ask("registerSubscriber", "/t", T, newer.uri)
     await other.ask("registerSubscriber", "/t", T, other.uri)
     await other.ask("registerPublisher", "/t", T, other.uri)
-    await until(lambda: other.heard("publisherUpdate") != [])
-    assert newer.told == []
+    await until(lambda: other.received_calls("publisherUpdate") != [])
+    assert newer.received == []

@@ -15,10 +15,10 @@ async def test_a_subscriber_hears_of_its_publishers(world: World) -> None:
     camera, viewer = await world.node("/camera"), await world.node("/viewer")
     assert await viewer.ask("registerSubscriber", "/image", T, viewer.uri) == []
     assert await camera.ask("registerPublisher", "/image", T, camera.uri) == [viewer.uri]
-    await until(lambda: viewer.heard("publisherUpdate") == [("/image", [camera.uri])])
-    assert viewer.told[0][0] == "/master"
+    await until(lambda: viewer.received_calls("publisherUpdate") == [("/image", [camera.uri])])
+    assert viewer.received[0][0] == "/master"
     await camera.ask("unregisterPublisher", "/image", camera.uri)
-    await until(lambda: viewer.heard("publisherUpdate")[1:] == [("/image", [])])
+    await until(lambda: viewer.received_calls("publisherUpdate")[1:] == [("/image", [])])
     assert await camera.ask("getUri") == world.server.uri
 
 
@@ -32,22 +32,24 @@ async def test_three_dead_subscribers_do_not_delay_a_live_one(world: World) -> N
         live, talker = await world.node("/live"), await world.node("/talker")
         await live.ask("registerSubscriber", "/t", T, live.uri)
         await talker.ask("registerPublisher", "/t", T, talker.uri)
-        await until(lambda: live.heard("publisherUpdate") == [("/t", [talker.uri])])
+        await until(lambda: live.received_calls("publisherUpdate") == [("/t", [talker.uri])])
 
 
 async def test_a_restarted_node_replaces_itself(world: World) -> None:
     node = await world.node("/node")
     await node.ask("registerPublisher", "/t", T, node.uri)
     await node.ask("registerPublisher", "/t", T, "http://127.0.0.1:9/")
-    await until(lambda: node.heard("shutdown") != [])
-    assert node.heard("shutdown") == [("[/node] Reason: new node registered with same name",)]
+    await until(lambda: node.received_calls("shutdown") != [])
+    assert node.received_calls("shutdown") == [
+        ("[/node] Reason: new node registered with same name",)
+    ]
 
 
 async def test_parameters_are_passed_on(world: World) -> None:
     one, two = await world.node("/one"), await world.node("/two")
     assert await one.ask("subscribeParam", one.uri, "/rate") == {}
     await two.ask("setParam", "/rate", 5)
-    await until(lambda: one.heard("paramUpdate") == [("/rate/", 5)])
+    await until(lambda: one.received_calls("paramUpdate") == [("/rate/", 5)])
 
 
 async def test_an_administrator_stops_it(world: World) -> None:
@@ -120,5 +122,5 @@ async def test_what_is_administered_is_audited(
         "/admin calls unregisterPublisher for /robot: Unregistered [/robot] as provider of [/t]",
         f"/admin brought revocation list {number}",
         "/robot is cut off: the key of /robot is revoked",
-        "/admin brought a delegation to renew grants",
+        "/admin delivered a delegation to renew grants",
     ]

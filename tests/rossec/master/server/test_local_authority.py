@@ -4,7 +4,7 @@ import pytest
 
 from ca.errors import RevocationRefused
 from rossec.errors import ConfigurationError
-from rossec.master.server.local_authority import LocalAuthority, nothing
+from rossec.master.server.local_authority import LocalAuthority, no_authority
 from tests.rossec.master.fakes import FakeStatements
 
 
@@ -13,7 +13,7 @@ class Found:
         self.there: tuple[bytes, bytes] | Exception | None = None
         self.statements = FakeStatements()
         self.changes = 0
-        self.nearby = LocalAuthority(self.find, self.statements, self.changed)
+        self.local_authority = LocalAuthority(self.find, self.statements, self.changed)
 
     def find(self) -> tuple[bytes, bytes] | None:
         if isinstance(self.there, Exception):
@@ -30,14 +30,14 @@ def test_what_is_newer_is_taken() -> None:
         (None, 0), ((b"list 1", b""), 1), ((b"list 1", b""), 1), ((b"list 2", b""), 2),
     ):  # fmt: skip
         found.there = there
-        found.nearby.look(7)
+        found.local_authority.check(7)
         assert found.changes == changes
     assert found.statements.lists == [b"list 1", b"list 2"]
 
 
 def test_without_an_authority_nothing_is_ever_taken() -> None:
     found = Found()
-    LocalAuthority(nothing, found.statements, found.changed).look(7)
+    LocalAuthority(no_authority, found.statements, found.changed).check(7)
     assert (found.changes, found.statements.lists) == (0, [])
 
 
@@ -47,7 +47,7 @@ def test_a_tree_is_taken_with_its_entries(monkeypatch: pytest.MonkeyPatch) -> No
     )
     found = Found()
     found.there = b"tree", b" and entries"
-    found.nearby.look(7)
+    found.local_authority.check(7)
     assert found.statements.lists == [b"tree and entries"]
 
 
@@ -60,7 +60,7 @@ def test_what_is_wrong_is_said(
 ) -> None:
     found = Found()
     found.there = wrong
-    found.nearby.look(7)
+    found.local_authority.check(7)
     assert (found.changes, found.statements.lists) == (0, [])
     assert "the list of the authority on this host is not taken" in caplog.text
 
@@ -70,10 +70,10 @@ def test_each_reason_is_said_once(caplog: pytest.LogCaptureFixture) -> None:
     for there in (ConfigurationError("one", ""), ConfigurationError("another", "")):
         found.there = there
         for _ in range(3):
-            found.nearby.look(7)
+            found.local_authority.check(7)
     assert caplog.text.count("is not taken") == 2
     found.there = None
-    found.nearby.look(7)
+    found.local_authority.check(7)
     found.there = ConfigurationError("another", "")
-    found.nearby.look(7)
+    found.local_authority.check(7)
     assert caplog.text.count("is not taken: another") == 2

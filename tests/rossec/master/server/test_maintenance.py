@@ -37,9 +37,9 @@ async def test_an_older_key_of_a_name_cannot_disturb_the_node(world: World) -> N
     thief = await world.call_as(older)
     assert isinstance(await thief.ask("getPid", "/viewer"), int)
     assert await thief.ask("unregisterSubscriber", "/viewer", "/image", viewer.uri) == 0
-    await world.server._upkeep._enforce()
+    await world.server._maintenance._enforce()
     assert await camera.ask("registerPublisher", "/image", T, camera.uri) == [viewer.uri]
-    await until(lambda: viewer.heard("publisherUpdate") == [("/image", [camera.uri])])
+    await until(lambda: viewer.received_calls("publisherUpdate") == [("/image", [camera.uri])])
 
 
 async def test_a_revoked_grant_takes_the_registration_with_it(world: World) -> None:
@@ -48,11 +48,11 @@ async def test_a_revoked_grant_takes_the_registration_with_it(world: World) -> N
     await camera.ask("registerPublisher", "/image", T, camera.uri)
     revocations = world.site.revoke(camera.grant)
     assert await viewer.ask("rossec.updateRevocations", revocations) == 1
-    await until(lambda: viewer.heard("publisherUpdate")[-1:] == [("/image", [])])
+    await until(lambda: viewer.received_calls("publisherUpdate")[-1:] == [("/image", [])])
     with pytest.raises(AnswerRefused, match="is revoked"):
         await camera.ask("registerPublisher", "/image", T, camera.uri)
-    await until(lambda: len(viewer.heard("rossec.revocationUpdate")) > 0)
-    data, stamp = viewer.heard("rossec.revocationUpdate")[-1]
+    await until(lambda: len(viewer.received_calls("rossec.revocationUpdate")) > 0)
+    data, stamp = viewer.received_calls("rossec.revocationUpdate")[-1]
     assert data == revocations
     opened = open_timestamp(stamp, world.master.identity.public_key)
     assert opened.digest == digest(revocations)
@@ -64,7 +64,7 @@ async def test_a_revoked_identity_is_cut_off_and_stays_out(world: World) -> None
     await camera.ask("registerPublisher", "/image", T, camera.uri)
     await viewer.ask("rossec.updateRevocations", world.site.revoke(camera.member))
     await ends(camera.ask("getPid"))
-    await until(lambda: viewer.heard("publisherUpdate")[-1:] == [("/image", [])])
+    await until(lambda: viewer.received_calls("publisherUpdate")[-1:] == [("/image", [])])
     again = await world.call_as(camera.member)
     await ends(again.ask("getPid", "/camera"))
     state = await viewer.ask("getSystemState")
@@ -82,9 +82,9 @@ async def test_a_watcher_hears_that_a_node_was_revoked(world: World) -> None:
     gone: list[list[str]] = []
     async with asyncio.timeout(20):
         while ["publisher", "/image", "/camera"] not in gone:
-            news = await waiting
-            gone += news["removed"]
-            question = news["instance"], news["cursor"]
+            graph_changes = await waiting
+            gone += graph_changes["removed"]
+            question = graph_changes["instance"], graph_changes["cursor"]
             waiting = asyncio.ensure_future(watcher.ask("rossec.watchGraph", *question))
     waiting.cancel()
 
@@ -95,17 +95,17 @@ async def test_a_fault_of_ours_does_not_end_freshness(
     """Timestamps go on, and rights are enforced, whatever one round of it met."""
     node = await world.node("/node")
     await node.ask("registerSubscriber", "/t", T, node.uri)
-    told = world.trust.news_for
+    received = world.trust.revocations_for
 
     def crash(*_: object) -> Any:
-        monkeypatch.setattr(world.trust, "news_for", told)
+        monkeypatch.setattr(world.trust, "revocations_for", received)
         raise RuntimeError("a fault of ours")
 
-    monkeypatch.setattr(world.trust, "news_for", crash)
-    world.server._upkeep._changed.set()
+    monkeypatch.setattr(world.trust, "revocations_for", crash)
+    world.server._maintenance._changed.set()
     await until(lambda: "a fault of ours" in caplog.text)
-    world.server._upkeep._changed.set()
-    await until(lambda: node.heard("rossec.revocationUpdate") != [])
+    world.server._maintenance._changed.set()
+    await until(lambda: node.received_calls("rossec.revocationUpdate") != [])
 
 
 async def test_a_revoked_node_is_in_no_answer_from_the_moment_its_list_is_there(
@@ -134,7 +134,7 @@ async def test_a_master_whose_clock_went_back_goes_on_and_says_so(
     monkeypatch.setattr("rossec.clock.HOST", Clock(lambda: shows, lambda: 0.0))
     camera = await world.node("/camera")
     shows -= 3600
-    await world.server._upkeep._look_around()
+    await world.server._maintenance._run_once()
     _, stamp = await camera.ask("rossec.revocations")
     issued = open_timestamp(stamp, world.master.identity.public_key).issued
     assert issued == int(shows) + 3600

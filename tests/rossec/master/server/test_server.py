@@ -38,13 +38,19 @@ async def test_a_watcher_waits_until_there_is_news(
     question = whole["instance"], whole["cursor"]
     waiting = asyncio.ensure_future(watcher.ask("rossec.watchGraph", *question))
     await camera.ask("registerPublisher", "/image", T, camera.uri)
-    news = await waiting
-    assert ["publisher", "/image", "/camera"] in news["added"]
-    assert (news["whole"], news["instance"]) == (False, whole["instance"])
-    assert news["version"] > whole["version"]
+    find_revocations = await waiting
+    assert ["publisher", "/image", "/camera"] in find_revocations["added"]
+    assert (find_revocations["whole"], find_revocations["instance"]) == (False, whole["instance"])
+    assert find_revocations["version"] > whole["version"]
     monkeypatch.setattr("rossec.master.server.answers.WATCH_WAIT", 0.05)
-    quiet = await watcher.ask("rossec.watchGraph", news["instance"], news["cursor"])
-    assert (quiet["added"], quiet["removed"], quiet["cursor"]) == ([], [], news["cursor"])
+    quiet = await watcher.ask(
+        "rossec.watchGraph", find_revocations["instance"], find_revocations["cursor"]
+    )
+    assert (quiet["added"], quiet["removed"], quiet["cursor"]) == (
+        [],
+        [],
+        find_revocations["cursor"],
+    )
 
 
 async def test_m8_a_node_elsewhere_does_not_live_on_the_masters_host(

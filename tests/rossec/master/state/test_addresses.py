@@ -2,15 +2,15 @@
 
 import pytest
 
-from rossec.master.state.addresses import endpoint, is_here, is_place
+from rossec.master.state.addresses import endpoint, is_loopback_host, is_unicast_host
 
 
 @pytest.mark.parametrize(
     "host", ["robot", "robot.local", "x_y-1.example.org.", "10.0.0.7", "fe80::1", "a.b1", "1a"]
 )
 def test_places(host: str) -> None:
-    assert is_place(host)
-    assert not is_here(host)
+    assert is_unicast_host(host)
+    assert not is_loopback_host(host)
 
 
 @pytest.mark.parametrize(
@@ -22,7 +22,7 @@ def test_places(host: str) -> None:
     ],
 )  # fmt: skip
 def test_what_is_no_place_of_one_host_or_oddly_spelt(host: str) -> None:
-    assert not is_place(host)
+    assert not is_unicast_host(host)
 
 
 @pytest.mark.parametrize(
@@ -33,7 +33,7 @@ def test_what_is_no_place_of_one_host_or_oddly_spelt(host: str) -> None:
     ],
 )  # fmt: skip
 def test_the_masters_own_host(host: str) -> None:
-    assert is_here(host)
+    assert is_loopback_host(host)
 
 
 @pytest.mark.parametrize(

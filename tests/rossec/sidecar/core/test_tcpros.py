@@ -10,7 +10,7 @@ from rossec.channel.opening import WireProtocol
 from rossec.errors import CallerMismatch, ConnectionHeaderRefused, HangUp
 from rossec.participant.access import FIELD
 from rossec.participant.header_fields import Fields
-from rossec.participant.limit_memory import recall
+from rossec.participant.limit_memory import memory_scope
 from rossec.participant.message_types import message_type
 from rossec.sidecar.core.commands import CallProgram, Command, ConnectPeer, ConnectProgram, Suspend
 from rossec.sidecar.core.endpoints import Endpoint, local_endpoint, topic_endpoint
@@ -41,7 +41,7 @@ def proof(setup: AgentSetup, name: str, right: Right, topic: str) -> Fields:
 def admit(setup: AgentSetup, fields: Fields, door: Endpoint = DOOR) -> Layer[AdmittedConnection]:
     peer = setup.identity("/viewer")
     return admit_peer(
-        setup.agent, door, fields, peer, no_key, recall("/robot").child, setup.site.now()
+        setup.agent, door, fields, peer, no_key, memory_scope("/robot").child, setup.site.now()
     )
 
 
@@ -224,7 +224,7 @@ def test_services_both_ways(setup: AgentSetup) -> None:
             PEER,
             SERVICE | {"callerid": b"/rosservice"},
             no_key,
-            recall("/viewer").child,
+            memory_scope("/viewer").child,
             now,
         ),
         (ConnectPeer(PEER, shown), arrived(setup, provided, "/robot")),
@@ -232,7 +232,9 @@ def test_services_both_ways(setup: AgentSetup) -> None:
     assert there.answer == answer
     with pytest.raises(GrantMissing):
         run_layer(
-            connect_to_peer(viewer.agent, PEER, SERVICE, no_key, recall("/viewer").child, now),
+            connect_to_peer(
+                viewer.agent, PEER, SERVICE, no_key, memory_scope("/viewer").child, now
+            ),
             (ConnectPeer(PEER, shown), arrived(setup, answer, "/robot")),
         )
 
@@ -244,7 +246,7 @@ def test_a_program_subscribes_with_its_grants(setup: AgentSetup, shown: Fields) 
     proven = ANSWER | {"topic": b"/word"} | proof(setup, "/robot", Right.PUBLISH, "/word")
     meet = ConnectPeer(PEER, everything | {FIELD: shown[FIELD]})
     admitted = run_layer(
-        connect_to_peer(viewer.agent, PEER, everything, no_key, recall("/viewer").child, now),
+        connect_to_peer(viewer.agent, PEER, everything, no_key, memory_scope("/viewer").child, now),
         (meet, arrived(setup, proven, "/robot")),
     )
     assert admitted.answer == ANSWER | {"topic": b"/word"}
@@ -258,7 +260,7 @@ def test_a_program_subscribes_with_its_grants(setup: AgentSetup, shown: Fields) 
         with pytest.raises(error):
             run_layer(
                 connect_to_peer(
-                    viewer.agent, PEER, everything, no_key, recall("/viewer").child, now
+                    viewer.agent, PEER, everything, no_key, memory_scope("/viewer").child, now
                 ),
                 (meet, event),
             )
@@ -275,7 +277,12 @@ def test_a_header_is_for_a_topic_or_for_a_service(setup: AgentSetup, both: Field
         with pytest.raises(ConnectionHeaderRefused, match="for a topic or for a service"):
             run_layer(
                 connect_to_peer(
-                    setup.agent, PEER, fields, no_key, recall("/robot").child, setup.site.now()
+                    setup.agent,
+                    PEER,
+                    fields,
+                    no_key,
+                    memory_scope("/robot").child,
+                    setup.site.now(),
                 )
             )
 
@@ -291,7 +298,7 @@ def test_restrictions_on_calls_are_refused_not_ignored(setup: AgentSetup) -> Non
     asked = {"callerid": b"/robot", "service": b"/do", "md5sum": b"*"}
     answer = {"callerid": b"/viewer", **proof(setup, "/viewer", Right.PROVIDE, "/do")}
     layer = connect_to_peer(
-        setup.agent, PEER, asked, no_key, recall("/robot").child, setup.site.now()
+        setup.agent, PEER, asked, no_key, memory_scope("/robot").child, setup.site.now()
     )
     command = next(layer)
     assert isinstance(command, ConnectPeer)
@@ -305,16 +312,16 @@ def test_a_restricted_publisher_gets_a_guard(setup: AgentSetup, shown: Fields) -
     viewer, now = AgentSetup(setup.site, "/viewer"), setup.site.now()
     proven = ANSWER | {"topic": b"/word"} | proof(setup, "/robot", Right.PUBLISH, "/word")
     meet = ConnectPeer(PEER, shown)
-    layer = connect_to_peer(viewer.agent, PEER, ASKED, no_key, recall("/viewer").child, now)
+    layer = connect_to_peer(viewer.agent, PEER, ASKED, no_key, memory_scope("/viewer").child, now)
     admitted = run_layer(layer, (meet, arrived(setup, proven, "/robot")))
     assert admitted.guard is not None
     assert admitted.guard(b"\x04\0\0\0stop", now) is None
-    layer = connect_to_peer(viewer.agent, PEER, ASKED, no_key, recall("/viewer").child, now)
+    layer = connect_to_peer(viewer.agent, PEER, ASKED, no_key, memory_scope("/viewer").child, now)
     undefined = proven | {"message_definition": b""}
     admitted = run_layer(layer, (meet, arrived(setup, undefined, "/robot")))
     assert admitted.answer["message_definition"].strip() == b"string data"  # as this host knows it
     viewer.agent.known_types = lambda _: None
-    layer = connect_to_peer(viewer.agent, PEER, ASKED, no_key, recall("/viewer").child, now)
+    layer = connect_to_peer(viewer.agent, PEER, ASKED, no_key, memory_scope("/viewer").child, now)
     with pytest.raises(
         ConnectionHeaderRefused, match="how this subscriber reads a std_msgs/String"
     ):

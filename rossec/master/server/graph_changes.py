@@ -1,7 +1,7 @@
 """Waiting until the graph changes: what lets a call for news be answered when there are some.
 
 A shell. A watcher waits on its own connection, so nobody is called, queued for or retried; whatever
-happens in `GATHER` seconds after a change is told with it, so that a launch of a hundred nodes is
+happens in `BATCH_DELAY` seconds after a change is told with it, so that a launch of a hundred nodes is
 not told in a hundred answers.
 """
 
@@ -10,30 +10,30 @@ import contextlib
 from typing import Final
 
 WATCH_WAIT: Final = 5.0  # seconds; an answer without news tells the watcher that all is well
-GATHER: Final = 0.05
+BATCH_DELAY: Final = 0.05
 
 
-class GraphNews:
+class GraphChanges:
     """Wakes whoever waits when the state of the graph has changed."""
 
     def __init__(self) -> None:
         self._version = -1
-        self._turn: asyncio.Event | None = None  # while somebody waits
+        self._changed: asyncio.Event | None = None  # while somebody waits
 
-    def tell(self, version: int | None = None) -> None:
+    def notify(self, version: int | None = None) -> None:
         """There is news, unless the state still has the `version` told before."""
         if version is None or version != self._version:
             self._version = self._version if version is None else version
-            if self._turn is not None:
-                self._turn.set()
-                self._turn = None
+            if self._changed is not None:
+                self._changed.set()
+                self._changed = None
 
     async def wait(self, longest: float) -> None:
         """Return soon after the next change, or after `longest` seconds."""
-        if self._turn is None:
-            self._turn = asyncio.Event()
-        turn = self._turn
+        if self._changed is None:
+            self._changed = asyncio.Event()
+        changed = self._changed
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(longest):
-                await turn.wait()
-                await asyncio.sleep(GATHER)
+                await changed.wait()
+                await asyncio.sleep(BATCH_DELAY)
