@@ -18,7 +18,7 @@ def filter_key(directory: Path, name: str) -> bytes:
     """
     path = directory / f"{check_key_name(name)}.key"
     files.make_private_directory(directory)
-    with files.alone(directory):
+    with files.locked_directory(directory):
         if not path.exists():
             files.create(path, secrets.token_bytes(FILTER_KEY_SIZE))
     missing = ConfigurationError(f"there is no filter key {name} any more", f"it was {path}")
