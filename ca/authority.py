@@ -107,7 +107,7 @@ class Authority:
         Raises:
             IssueRefused: as `issue`, but an intermediate needs no leave to enroll.
         """
-        key, longest = renewal.request.public_key, min(lifetime, renewal.longest)
+        key, longest = renewal.request.public_key, min(lifetime, renewal.max_lifetime)
         return self.reissue(renewal.identity, key, now=now, serial=serial, lifetime=longest)
 
     def reissue(

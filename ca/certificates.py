@@ -163,11 +163,11 @@ class TrustAnchor:
     def _identity(self, der: bytes, issuer: "TrustAnchor | Intermediate") -> Identity:
         """What a leaf says; its signature is verified each time, before it is believed."""
         known = _cache.get((issuer.certificate, der))
-        if known is not None and known.signed.by(issuer.public_key):
+        if known is not None and known.signed.verifies(issuer.public_key):
             return known.identity
         certificate = svid.parse(der)
-        signed = svid.signed(certificate, issuer.subject)
-        if signed is None or not signed.by(issuer.public_key):
+        signed = svid.certificate_signature(certificate, issuer.subject)
+        if signed is None or not signed.verifies(issuer.public_key):
             raise self._foreign("certificate")
         identity = _read(self.domain, certificate, der)
         _cache[issuer.certificate, der] = _CachedLeaf(signed, identity)
@@ -179,7 +179,7 @@ class TrustAnchor:
 class _CachedLeaf(NamedTuple):
     """The parts of a leaf's DER."""
 
-    signed: svid.Signed
+    signed: svid.CertificateSignature
     identity: Identity
 
 

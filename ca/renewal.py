@@ -41,7 +41,7 @@ class Renewal:
     csr: bytes
 
     @property
-    def longest(self) -> int:
+    def max_lifetime(self) -> int:
         """The longest life (seconds) the successor may have: that of the identity it succeeds."""
         return self.identity.not_after - signed_at(
             self.identity.not_before, self.identity.not_after

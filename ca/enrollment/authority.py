@@ -109,7 +109,7 @@ class AuthorityEnrollment:
         self._wildcard = wildcard
         self._request: IdentityRequest | None = None
         self._csr = b""
-        self._agreed = b""
+        self._transcript = b""
         self._statement = b""
         self._deadline = code.expires if code.secret else 0
 
@@ -183,9 +183,9 @@ class AuthorityEnrollment:
             raise EnrollmentRefused(f"a nonce has {NONCE_SIZE} octets")
         self._move(AuthorityState.APPROVED, AuthorityState.OFFERED)
         self._deadline = now + WINDOW
-        self._agreed = transcript.transcript(self._csr, chain, root, nonce)
+        self._transcript = transcript.transcript(self._csr, chain, root, nonce)
         secret = self._code.secret
-        proof = transcript.tag(secret, self._agreed) if secret else b""
+        proof = transcript.tag(secret, self._transcript) if secret else b""
         return write(Offer(tuple(chain), root, nonce, proof))
 
     @property
@@ -227,9 +227,9 @@ class AuthorityEnrollment:
     def _acknowledged(self, message: Acknowledgement, now: int) -> None:
         self.state = AuthorityState.OVER
         contribution = transcript.open_acknowledgement(
-            message.statement, self.request.public_key, self._agreed
+            message.statement, self.request.public_key, self._transcript
         )
-        self.digits = transcript.digits(self._agreed, contribution)
+        self.digits = transcript.digits(self._transcript, contribution)
         self._statement = message.statement
         self._deadline = now + WINDOW
         self.state = AuthorityState.ACKNOWLEDGED
@@ -241,7 +241,7 @@ class AuthorityEnrollment:
     def _done(self, message: Done, _: int) -> None:
         if self.state is AuthorityState.ACKNOWLEDGED:  # a false word takes nothing back later
             self.state = AuthorityState.OVER
-        transcript.check_done(message.statement, self.request.public_key, self._agreed)
+        transcript.check_done(message.statement, self.request.public_key, self._transcript)
         self.state = AuthorityState.ENROLLED
 
     def _aborted(self, message: Abort, _: int) -> None:

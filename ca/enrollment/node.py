@@ -208,7 +208,7 @@ class NodeEnrollment:
         self._bad_digits += 1
         error = DigitsRefused(
             "these are not the digits of the offer this node has",
-            "if the authority really shows them, somebody is between you: do not go on",
+            "possible attacker in between: if the authority shows these digits, do not continue",
         )
         if self._bad_digits >= MAX_BAD_DIGITS:
             self.stop(error)
@@ -219,15 +219,15 @@ class NodeEnrollment:
 
     def _check_first_offer(self, offer: Offer, now: int) -> list[bytes]:
         """The first valid offer; nothing is kept of one that is not."""
-        agreed = self._check_tag(offer)
+        transcript_hash = self._check_tag(offer)
         anchor = self._check_certificates(offer, now)
         self._pending = Pending(
             offer.chain,
             offer.root,
             anchor,
-            transcript.digits(agreed, self._contribution),
-            agreed,
-            transcript.acknowledge(self._signer, agreed, self._contribution),
+            transcript.digits(transcript_hash, self._contribution),
+            transcript_hash,
+            transcript.sign_acknowledgement(self._signer, transcript_hash, self._contribution),
         )
         self.state, self.expires = NodeState.PENDING, now + WINDOW
         return [self._acknowledged()]
@@ -260,16 +260,16 @@ class NodeEnrollment:
         return write(Acknowledgement(self.pending.acknowledgement))
 
     def _done(self) -> bytes:
-        return write(Done(transcript.finish(self._signer, self.pending.transcript)))
+        return write(Done(transcript.sign_done(self._signer, self.pending.transcript)))
 
     def _check_tag(self, offer: Offer) -> bytes:
-        agreed = self._transcript(offer)
+        transcript_hash = self._transcript(offer)
         if not self._secret:
             if offer.tag:
                 raise OfferRefused("an offer for a screen code, where a label is enough")
-        elif not transcript.verify_tag(self._secret, agreed, offer.tag):
+        elif not transcript.verify_tag(self._secret, transcript_hash, offer.tag):
             self._count_bad_tag()
-        return agreed
+        return transcript_hash
 
     def _count_bad_tag(self) -> None:
         if (

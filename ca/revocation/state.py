@@ -39,7 +39,7 @@ __all__ = [
 
 NO_FLOOR: Final = (0, 0)
 SKEW: Final = 5  # seconds two synchronised clocks may differ
-MAX_PROVED: Final = 16 * 1024  # entries proved absent, and wanted, that are remembered
+MAX_PROOFS: Final = 16 * 1024  # entries proved absent, and wanted, that are remembered
 _HINT_STALE: Final = "check that the master is running and reachable, and both clocks"
 
 
@@ -55,12 +55,12 @@ class Revocations:
         self._list: RevocationList | RevocationTree | None = None
         self._data = b""
         self._entries: frozenset[bytes] = frozenset()
-        self._taken = 0
+        self._received = 0
         self._complete = True  # False: `_entries` are those that are known of a tree
         self._absent: set[bytes] = set()
-        self._wanted: dict[bytes, None] = {}
+        self._unproved: dict[bytes, None] = {}
         self._confirmed: Timestamp | None = None
-        self._relied = 0  # until when on a confirmation that is doubted now
+        self._relied_until = 0  # until when on a confirmation that is doubted now
 
     @property
     def floor(self) -> tuple[int, int]:
@@ -86,19 +86,19 @@ class Revocations:
     def fresh_until(self) -> int:
         """The last second at which `check` may say yes, or might have; 0 if there is none."""
         if self._list is None or self._confirmed is None:
-            return self._relied
+            return self._relied_until
         return min(self._confirmed.issued + self._confirmed.max_age, self._list.expires - 1)
 
     def status_valid_until(self, entry: bytes) -> int:
         """As `fresh_until`, for one entry: for the proof of one there is as long as for news."""
         if self._complete or entry in self._absent:
             return self.fresh_until
-        return min(self.fresh_until, self._taken + MAX_AGE)
+        return min(self.fresh_until, self._received + MAX_AGE)
 
     @property
     def unproved(self) -> list[bytes]:
         """Entries of a tree that were asked about and are waiting for a proof."""
-        return list(self._wanted)
+        return list(self._unproved)
 
     def add_proof(self, entry: bytes, proof: bytes) -> None:
         """Take the proof that `entry` is in the tree held, or is not.
@@ -109,11 +109,11 @@ class Revocations:
         if not isinstance(self._list, RevocationTree):
             return  # a list has come meanwhile, which says it all
         revoked = is_revoked(self._list, check_entry(entry), proof)
-        self._wanted.pop(entry, None)
+        self._unproved.pop(entry, None)
         if revoked:
             self._entries |= {entry}
             return
-        if len(self._absent) >= MAX_PROVED:
+        if len(self._absent) >= MAX_PROOFS:
             self._absent.clear()
         self._absent.add(entry)
 
@@ -153,9 +153,9 @@ class Revocations:
         entries = revocations.entries if isinstance(revocations, RevocationList) else self._entries
         added = entries - self._entries
         self._list, self._data, self._floor = revocations, data, revocations.number
-        self._entries, self._taken = entries, now
-        self._confirmed, self._relied = None, 0
-        self._absent, self._wanted = set(), {}
+        self._entries, self._received = entries, now
+        self._confirmed, self._relied_until = None, 0
+        self._absent, self._unproved = set(), {}
         return added
 
     def confirm(self, timestamp: Timestamp, now: int) -> None:
@@ -178,12 +178,12 @@ class Revocations:
             raise ClocksDisagree("the timestamp is from the future", "check both clocks")
         if timestamp.issued + timestamp.max_age < now:
             raise ClocksDisagree("the timestamp is too old", "check both clocks")
-        if self._confirmed is None or not self._newer_held(self._confirmed, timestamp, now):
+        if self._confirmed is None or not self._is_replay(self._confirmed, timestamp, now):
             self._confirmed = timestamp
 
     def expire_confirmation(self, until: int = 0) -> None:
         """Rely on the last confirmation no longer than `until`, and wait for a new one."""
-        self._relied = min(self.fresh_until, until)
+        self._relied_until = min(self.fresh_until, until)
         self._confirmed = None
 
     def check(self, entry: bytes, now: int) -> None:
@@ -199,8 +199,8 @@ class Revocations:
                 f"{entry.hex()} is revoked", "ask the authority's operator for the reason"
             )
         unproved = not self._complete and entry not in self._absent
-        if unproved and len(self._wanted) < MAX_PROVED:
-            self._wanted[entry] = None
+        if unproved and len(self._unproved) < MAX_PROOFS:
+            self._unproved[entry] = None
         self.check_fresh(now)
         if unproved:
             raise RevocationsStale(f"no proof has come yet that {entry.hex()} holds", _HINT_STALE)
@@ -242,7 +242,7 @@ class Revocations:
             )
 
     @staticmethod
-    def _newer_held(held: Timestamp, new: Timestamp, now: int) -> bool:
+    def _is_replay(held: Timestamp, new: Timestamp, now: int) -> bool:
         """A replayed older timestamp must not shorten the time; a corrected clock must heal."""
         return new.issued <= held.issued <= now + SKEW
 

@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 from ca.errors import KeyChanged, NameCovered, RenewalRefused, StoreError
 from ca.store.database import Database
-from ca.store.log import record
+from ca.store.log import append_entry
 from ca.store.log_entries import digest_of
 from ca.store.rows import INTERMEDIATE, CertificateRow
 
@@ -96,7 +96,7 @@ class IdentityTable:
         db.execute("INSERT INTO certificate VALUES (?, ?, ?, ?, ?, ?, ?)", (*values, now))
         if request is not None:
             db.execute("INSERT INTO answer VALUES (?, ?, ?)", (request, values[0], now))
-        record(db, now, "certificate", row.name, row.thumbprint.hex(), digest_of(values))
+        append_entry(db, now, "certificate", row.name, row.thumbprint.hex(), digest_of(values))
 
     def check_key(
         self,

@@ -23,7 +23,7 @@ from ca.store.log_entries import (
     digest_of,
     leaf,
     open_head,
-    split,
+    split_peaks,
 )
 
 COLLECTED = "collected"
@@ -47,7 +47,7 @@ class AuthorityLog:
         """The state of the log now, to be signed."""
         rows = self._database.rows("SELECT number, peaks FROM log ORDER BY number DESC LIMIT 1")
         size, peaks = (rows[0][0] + 1, rows[0][1]) if rows else (0, b"")
-        return Head(size, root_of(split(peaks)), now)
+        return Head(size, root_of(split_peaks(peaks)), now)
 
     def add_head(self, data: bytes, now: int) -> None:
         """Keep a signed head."""
@@ -75,7 +75,7 @@ class AuthorityLog:
             return self._audit(key, more)
 
     def _audit(self, key: ec.EllipticCurvePublicKey, more: tuple[bytes, ...]) -> Head:
-        tree = check_entries(self._recorded())
+        tree = check_entries(self._stored_entries())
         entries = self.entries()
         for what in schema.LOGGED_TABLES:
             self._check_rows(what, [entry for entry in entries if entry.what == what])
@@ -87,7 +87,7 @@ class AuthorityLog:
             newest = max(newest, head, key=lambda each: each.size)
         return newest
 
-    def _recorded(self) -> list[tuple[LogEntry, bytes]]:
+    def _stored_entries(self) -> list[tuple[LogEntry, bytes]]:
         rows = self._database.rows(
             "SELECT number, at, what, subject, detail, digest, peaks FROM log ORDER BY number"
         )
@@ -132,7 +132,7 @@ def _replay(entries: list[LogEntry]) -> dict[bytes, RequestState]:
 _STATES = frozenset(RequestState)
 
 
-def record(
+def append_entry(
     db: sqlite3.Connection, now: int, what: str, subject: str, detail: str, digest: bytes
 ) -> None:
     """Add an entry, inside the transaction of the change it tells of."""

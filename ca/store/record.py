@@ -14,7 +14,7 @@ from typing import Any, Self
 from ca.errors import RequestClosed, StoreError
 from ca.store.database import Database
 from ca.store.identities import IdentityTable
-from ca.store.log import AuthorityLog, record
+from ca.store.log import AuthorityLog, append_entry
 from ca.store.log_entries import digest_of
 from ca.store.requests import RequestTable
 from ca.store.rows import CertificateRow, GrantRow, RevocationRow
@@ -168,7 +168,7 @@ class Store:
         """
         with self.database.transaction() as db:
             db.execute("INSERT INTO grant_ VALUES (?, ?, ?, ?, ?, ?)", (*row, now))
-            record(db, now, "grant", row.name, row.id.hex(), digest_of(row))
+            append_entry(db, now, "grant", row.name, row.id.hex(), digest_of(row))
 
     def grants(self) -> list[GrantRow]:
         """Every grant signed, oldest first."""
@@ -211,7 +211,9 @@ class Store:
         """
         with self.database.transaction() as db:
             db.execute("INSERT INTO list VALUES (?, ?, ?, ?)", (*number, data, now))
-            record(db, now, "list", f"{number[0]}.{number[1]}", "", digest_of((*number, data)))
+            append_entry(
+                db, now, "list", f"{number[0]}.{number[1]}", "", digest_of((*number, data))
+            )
 
     def newest_list(self) -> bytes | None:
         """The signed revocation list with the highest number, if there is one."""
@@ -221,7 +223,7 @@ class Store:
     def log_event(self, what: str, subject: str, detail: str, now: int) -> None:
         """Write into the log what changes nothing else in the record, such as a restoration."""
         with self.database.transaction() as db:
-            record(db, now, what, subject, detail, b"")
+            append_entry(db, now, what, subject, detail, b"")
 
     def _newest(self, columns: str) -> tuple[Any, ...] | None:
         rows = self.database.rows(
@@ -235,4 +237,4 @@ def _revoke(db: sqlite3.Connection, entry: bytes, reason: str, now: int) -> None
         "INSERT INTO revocation VALUES (?, ?, ?) ON CONFLICT DO NOTHING", (entry, reason, now)
     )
     if done.rowcount:
-        record(db, now, "revocation", entry.hex(), reason, digest_of((entry, reason)))
+        append_entry(db, now, "revocation", entry.hex(), reason, digest_of((entry, reason)))

@@ -13,7 +13,7 @@ from ca.requests import IdentityRequest
 from ca.store.database import Database
 from ca.store.identities import IdentityTable
 from ca.store.lifecycle import MAX_OPEN, OPEN, RETENTION, RequestRow, RequestState, advance
-from ca.store.log import COLLECTED, record
+from ca.store.log import COLLECTED, append_entry
 
 _COLUMNS = (
     "digest, name, thumbprint, der, source, arrived, state, reason, changed, replaces, wildcard"
@@ -50,7 +50,7 @@ class RequestTable:
                 RequestState.PENDING, "", now,
             )  # fmt: skip
             db.execute("INSERT INTO csr VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)", row)
-            record(db, now, RequestState.PENDING, row.name, source, row.digest)
+            append_entry(db, now, RequestState.PENDING, row.name, source, row.digest)
         return row
 
     def all(self) -> list[RequestRow]:
@@ -105,13 +105,13 @@ class RequestTable:
 
     def collect(self, now: int) -> list[RequestRow]:
         """Forget every request whose time is over; returns what was forgotten."""
-        if not self._over(now):  # who only looks takes no lock
+        if not self._expired(now):  # who only looks takes no lock
             return []
         with self._database.transaction() as db:
-            over = self._over(now)
+            over = self._expired(now)
             for row in over:
                 db.execute("DELETE FROM csr WHERE digest = ?", (row.digest,))
-                record(db, now, COLLECTED, row.name, row.state, row.digest)
+                append_entry(db, now, COLLECTED, row.name, row.state, row.digest)
         return over
 
     def mark_issued(self, db: sqlite3.Connection, digest: bytes, now: int) -> None:
@@ -123,9 +123,9 @@ class RequestTable:
         held = self._find(digest)
         if held is None:
             raise RequestClosed("the request is not recorded", "first: rossec ca approve")
-        _move(db, advance(held, RequestState.ISSUED, now))
+        _update(db, advance(held, RequestState.ISSUED, now))
 
-    def _over(self, now: int) -> list[RequestRow]:
+    def _expired(self, now: int) -> list[RequestRow]:
         return self._rows(f"WHERE changed + CASE state {_RETENTION} END < ?", now)
 
     def _check_name(
@@ -158,7 +158,7 @@ class RequestTable:
     def _advance(self, row: RequestRow, state: RequestState, now: int, reason: str) -> RequestRow:
         moved = advance(row, state, now, reason)
         with self._database.transaction() as db:
-            _move(db, moved)
+            _update(db, moved)
         return moved
 
     def _find(self, digest: bytes) -> RequestRow | None:
@@ -177,7 +177,7 @@ class RequestTable:
         ]
 
 
-def _move(db: sqlite3.Connection, row: RequestRow) -> None:
+def _update(db: sqlite3.Connection, row: RequestRow) -> None:
     """The triggers of the record refuse a way that is not in the table, whoever was faster."""
     db.execute(
         "UPDATE csr SET state = ?, reason = ?, changed = ?, replaces = ?, wildcard = ?"
@@ -185,7 +185,7 @@ def _move(db: sqlite3.Connection, row: RequestRow) -> None:
         (row.state, row.reason, row.changed, row.replaces, row.wildcard, row.digest),
     )
     said = [row.reason, *["replaces the key"] * row.replaces, *["anonymous nodes"] * row.wildcard]
-    record(db, row.changed, row.state, row.name, "; ".join(filter(None, said)), row.digest)
+    append_entry(db, row.changed, row.state, row.name, "; ".join(filter(None, said)), row.digest)
 
 
 def _short(row: RequestRow) -> str:

@@ -12,7 +12,7 @@ from typing import Final
 
 from ca.errors import LogDamaged, StoreError
 from ca.store.lifecycle import TRANSITIONS, RequestState
-from ca.store.log_entries import LogEntry, digest_of, grow
+from ca.store.log_entries import LogEntry, digest_of, extend_peaks
 
 APPLICATION_ID: Final = 0x524F5343  # "ROSC"
 VERSION: Final = 2
@@ -200,7 +200,7 @@ def append(
     last = db.execute("SELECT number, peaks FROM log ORDER BY number DESC LIMIT 1").fetchone()
     number, peaks = (0, b"") if last is None else (last[0] + 1, last[1])
     entry = LogEntry(number, at, what, subject, detail, digest)
-    db.execute("INSERT INTO log VALUES (?, ?, ?, ?, ?, ?, ?)", (*entry, grow(peaks, entry)))
+    db.execute("INSERT INTO log VALUES (?, ?, ?, ?, ?, ?, ?)", (*entry, extend_peaks(peaks, entry)))
 
 
 def _rows_of(db: sqlite3.Connection, what: str) -> Iterator[tuple[int | str | bytes, ...]]:

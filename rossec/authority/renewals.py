@@ -56,7 +56,7 @@ def _renew(
     renewal = open_renewal(data, authority.authority.anchor, now, check)
     answered = authority.store.identities.issued_for(renewal.request.digest)
     if answered is not None:
-        return authority.again(answered, now, wildcard=renewal.identity.wildcard)
+        return authority.issued_bundle(answered, now, wildcard=renewal.identity.wildcard)
     der = authority.authority.renew(renewal, now=now, serial=_serial(), lifetime=lifetime)
     authority.store.add_certificate(
         certificate_row(authority.verify(der, now)),
@@ -136,7 +136,7 @@ def sign_intermediate(
     return name, authority.bundle(der)
 
 
-def adopt(
+def import_identity(
     authority: SigningAuthority, bundle: bytes, now: int, replaced: Collection[str] = ()
 ) -> tuple[Identity, bool]:
     """Record an identity that an intermediate of this root signed; whether it was not known yet.

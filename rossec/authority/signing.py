@@ -81,15 +81,15 @@ class SigningAuthority:
         answered = self.store.identities.issued_for(asked.digest)
         if answered is not None:
             self.store.identities.check_not_revoked(asked.name, asked.thumbprint)
-            return self.again(answered, now, wildcard=wildcard)
+            return self.issued_bundle(answered, now, wildcard=wildcard)
         row = self.store.requests.add(asked, request, source, now)
         if row.state is RequestState.PENDING:
             row = self.store.requests.approve(
                 row.digest, now, replace_key=replace_key, wildcard=wildcard
             )
-        return self.answer(row, now, lifetime)
+        return self.issue_approved(row, now, lifetime)
 
-    def answer(self, row: RequestRow, now: int, lifetime: int = LIFETIME) -> bytes:
+    def issue_approved(self, row: RequestRow, now: int, lifetime: int = LIFETIME) -> bytes:
         """Sign and record the identity an approved request asks for; returns the node's bundle.
 
         Raises:
@@ -119,7 +119,7 @@ class SigningAuthority:
         """What a node installs: its leaf, the intermediate if there is one, the root (PEM)."""
         return to_pem(der, *self.authority.chain, self.authority.anchor.certificate)
 
-    def again(self, row: CertificateRow, now: int, *, wildcard: bool) -> bytes:
+    def issued_bundle(self, row: CertificateRow, now: int, *, wildcard: bool) -> bytes:
         """Hand out once more what was issued for a request: the first answer may be lost."""
         if row not in self.store.identities.valid(row.name, now) or row.wildcard is not wildcard:
             raise RequestClosed(
@@ -128,7 +128,7 @@ class SigningAuthority:
             )
         return self.bundle(row.der)
 
-    def grant(self, draft: Draft, now: int) -> bytes:
+    def issue_grant(self, draft: Draft, now: int) -> bytes:
         """Sign and record a grant.
 
         Raises:
@@ -146,7 +146,7 @@ class SigningAuthority:
             self.store.add_grant(row, now)
         return data
 
-    def delegate(self, holder: bytes, lifetime: int, max_ttl: int, now: int) -> bytes:
+    def issue_delegation(self, holder: bytes, lifetime: int, max_ttl: int, now: int) -> bytes:
         """Let the master with the key `holder` renew grants; recorded before it is handed out.
 
         Raises:
@@ -163,7 +163,7 @@ class SigningAuthority:
         files.create(self.path / _DELEGATIONS / f"{name}.cose", data)
         return data
 
-    def withdraw(self, reason: str, now: int) -> tuple[RevocationList, int]:
+    def revoke_delegations(self, reason: str, now: int) -> tuple[RevocationList, int]:
         """Revoke every delegation that has not expired; returns the list, and how many.
 
         Raises:
@@ -219,7 +219,7 @@ class SigningAuthority:
                 self.store.revoke(entry, reason, now)
             return self.sign_list(now)
 
-    def _signed(self, listed: RevocationList) -> bytes:
+    def _sign_list_or_tree(self, listed: RevocationList) -> bytes:
         """The list, or where it has grown too long a tree of it."""
         if len(listed.entries) <= MAX_ENTRIES:
             return sign_list(self.signer, listed)
@@ -238,7 +238,7 @@ class SigningAuthority:
             held = self.store.newest_list()
             issued = 0 if held is None else open_statement(held, self.signer.public_key).issued
             late = now - issued > _LIST_REFRESH
-            if late or list_contents.missing(self.store, self.signer.public_key, now):
+            if late or list_contents.missing_entries(self.store, self.signer.public_key, now):
                 self.sign_list(now)
 
     def sign_list(self, now: int, *, new_epoch: bool = False) -> RevocationList:
@@ -255,9 +255,9 @@ class SigningAuthority:
             epoch, seq = self.store.next_number()
             if new_epoch:
                 epoch, seq = max(epoch + 1, now), 1
-            entries = list_contents.due(self.store, now)
+            entries = list_contents.required_entries(self.store, now)
             listed = RevocationList(epoch, seq, now, now + _LIST_LIFETIME, entries)
-            self.store.save_list(listed.number, self._signed(listed), now)
+            self.store.save_list(listed.number, self._sign_list_or_tree(listed), now)
             self.sign_head(now)
         return listed
 

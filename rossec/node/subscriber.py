@@ -21,7 +21,7 @@ from rossec import clock
 from rossec.errors import ConfigurationError, MessageError
 from rossec.net import withheld_log
 from rossec.net.aio import SecureStream
-from rossec.net.aio.arrivals import arrived
+from rossec.net.aio.arrivals import next_messages
 from rossec.net.aio.tasks import TaskSet
 from rossec.net.bounds import message_limit, unit_limit
 from rossec.participant.access import Access
@@ -165,7 +165,7 @@ class Subscriber:
             self._deliver(connection, early)
             framing = Framing(frames)
             while True:
-                self._deliver(connection, await arrived(stream, framing))
+                self._deliver(connection, await next_messages(stream, framing))
         finally:
             self.links.discard(connection)
             stream.abort("no longer subscribed")

@@ -36,7 +36,7 @@ async def test_d1_an_older_delegation_cannot_be_put_back(site: Site) -> None:
     older = site.delegate()
     await site.restart_master()
     async with caller(site, EVE, {"/t": Right.PUBLISH}) as eve:
-        site.authority.withdraw("test", site.now())
+        site.authority.revoke_delegations("test", site.now())
         newest = site.authority.store.newest_list()
         assert (await eve("rossec.updateRevocations", newest))[2] == 1
         assert (await eve("rossec.updateDelegation", older))[2] == 0

@@ -156,7 +156,7 @@ async def test_a_swapped_authority_and_a_label() -> None:
 
     with (
         WaitingRobot(robot_, label=True, person=lambda _: None) as robot,
-        pytest.raises(AcknowledgementRefused, match="about another offer"),
+        pytest.raises(AcknowledgementRefused, match="for another offer"),
     ):
         await enrolled_through(robot, swap)
     assert robot.trusted == []
@@ -184,7 +184,7 @@ async def test_a_swapped_authority_and_a_replayed_answer() -> None:
 
     with (
         WaitingRobot(robot_, label=True, person=lambda _: None) as robot,
-        pytest.raises(AcknowledgementRefused, match="about another offer"),
+        pytest.raises(AcknowledgementRefused, match="for another offer"),
     ):
         await enrolled_through(robot, swap)
     assert robot.trusted == []

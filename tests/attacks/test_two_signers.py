@@ -86,7 +86,7 @@ def listed(home: AuthorityHome) -> frozenset[bytes]:
     """What the newest signed statement revokes, a tree by its own entries."""
     data = home.revocation_list()
     if is_tree(data):
-        return TreeEntries.read(home.entries()).entries
+        return TreeEntries.read(home.tree_entries()).entries
     found = open_statement(data, home.anchor().public_key)
     assert isinstance(found, RevocationList)
     return found.entries
@@ -177,7 +177,7 @@ async def test_a_revocation_that_was_lost_before_is_made_good(
     said = await asyncio.to_thread(publish, "--passphrase-file", str(shell.secret))
     assert "the master has the newest list" in said
     assert not await connects()
-    assert AuthorityHome.at(shell.root).unlisted(NOW) == 0
+    assert AuthorityHome.at(shell.root).count_unlisted(NOW) == 0
 
 
 @pytest.mark.attack("revoked-while-renewing")

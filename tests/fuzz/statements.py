@@ -245,8 +245,8 @@ def _query(structure: bytes) -> None:
 
 
 AGREED: Final = bytes(32)
-ACKNOWLEDGED: Final = transcript.acknowledge(NODE, AGREED, bytes(NONCE_SIZE))
-DONE: Final = transcript.finish(NODE, AGREED)
+ACKNOWLEDGED: Final = transcript.sign_acknowledgement(NODE, AGREED, bytes(NONCE_SIZE))
+DONE: Final = transcript.sign_done(NODE, AGREED)
 
 
 def _acknowledgement(body: bytes) -> None:

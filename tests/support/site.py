@@ -15,7 +15,7 @@ from ca.revocation.tree import is_tree, open_tree
 from ca.store.record import Store
 from grants import document
 from grants.model import Draft, Permission, Restriction, Right, filter_rules
-from rossec.authority.list_contents import entries_of
+from rossec.authority.list_contents import tree_entries
 from rossec.authority.renewals import renew
 from rossec.authority.signing import SigningAuthority
 from rossec.channel.suite_selection import post_quantum
@@ -71,7 +71,7 @@ class Site:
         if data is None or not is_tree(data):
             return None
         tree = open_tree(data, self.anchor.public_key)
-        return entries_of(self.authority.store, tree).encoded()
+        return tree_entries(self.authority.store, tree).encoded()
 
     @property
     def environ(self) -> Mapping[str, str]:
@@ -124,14 +124,16 @@ class Site:
             serial=secrets.token_bytes(16),
             permissions=(Permission(pattern, right, restriction),),
         )  # fmt: skip
-        data = self.authority.grant(draft, now)
+        data = self.authority.issue_grant(draft, now)
         home.add_grant(document.grant_id(data), data)
         return data
 
     def delegate(self, at_most: int = HOUR) -> bytes:
         """Let the master renew grants, for `at_most` seconds each, once it is started."""
         home = self.enroll(MASTER)
-        data = self.authority.delegate(self.identity(MASTER).thumbprint, DAY, at_most, self.now())
+        data = self.authority.issue_delegation(
+            self.identity(MASTER).thumbprint, DAY, at_most, self.now()
+        )
         home.save_delegation(data)
         return data
 

@@ -80,13 +80,10 @@ def restore(
         return
     if newest is None:
         note("what was revoked after the backup is valid again: restore with --list if you can")
-    elif found.revived:
-        say(f"{found.revived} revocations are newer than the backup and were taken over")
+    elif found.restored_revocations:
+        say(f"{found.restored_revocations} revocations newer than the backup were taken over")
     note("a new revocation list was signed; deliver it with: rossec ca publish")
 
 
 def _read(path: Path, limit: int) -> bytes:
     return files.read(path, limit, ConfigurationError(f"there is no {path}"))
-
-
-COMMANDS = (backup, restore)

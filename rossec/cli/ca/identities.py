@@ -9,7 +9,7 @@ from ca.authority import DAY, MAX_LIFETIME
 from ca.store.record import Store
 from ca.store.rows import INTERMEDIATE, CertificateRow
 from rossec import files
-from rossec.authority.home import AuthorityHome, fingerprint, grouped
+from rossec.authority.home import AuthorityHome, fingerprint, format_fingerprint
 from rossec.authority.renewals import renew_by_name, renew_own_node
 from rossec.authority.signing import OWN_NODE
 from rossec.cli.shared import passphrase
@@ -53,7 +53,10 @@ def as_json(row: CertificateRow, state: str) -> dict[str, Any]:
 def line(row: CertificateRow, state: str) -> str:
     """One identity for people."""
     name = f"{row.name} and {row.name}_*" if row.wildcard else row.name
-    until, key = f"until {moment(row.not_after)}", f"fingerprint {grouped(row.thumbprint)}"
+    until, key = (
+        f"until {moment(row.not_after)}",
+        f"fingerprint {format_fingerprint(row.thumbprint)}",
+    )
     return "  ".join([name, until, key, *[state] * (state != "valid")])
 
 
@@ -131,6 +134,3 @@ def renew(
         say(f"renewed {name}: {target}")
         say(f"next, on its machine: rossec node install {target}")
     remind(authority.store, number)
-
-
-COMMANDS = (list_, show, renew)

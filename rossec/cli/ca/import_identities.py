@@ -1,18 +1,17 @@
 """`rossec ca import`: the root learns of the identities that its intermediates have signed."""
 
-import asyncio
 from pathlib import Path
 
 import click
 
 from ca.certificates import Identity, from_pem
 from rossec import files
-from rossec.authority.home import AuthorityHome, grouped
-from rossec.authority.renewals import adopt
-from rossec.cli.shared import options, passphrase
+from rossec.authority.home import AuthorityHome, format_fingerprint
+from rossec.authority.renewals import import_identity
+from rossec.cli.shared import options, passphrase, signing_options
 from rossec.cli.shared.batch import Batch
 from rossec.cli.shared.context import Environment, confirm, moment, now, pass_environment
-from rossec.cli.shared.delivery import deliver, remind
+from rossec.cli.shared.delivery import publish_list, remind
 from rossec.errors import ConfigurationError
 from rossec.terminal import say
 
@@ -26,7 +25,7 @@ _MAX_BUNDLE = 64 * 1024
     required=True,
     type=click.Path(path_type=Path, exists=True, dir_okay=False),
 )
-@options.replace_key(multiple=True)
+@signing_options.replace_key(multiple=True)
 @options.master_to_tell
 @click.option("--yes", is_flag=True, help="do not ask")
 @passphrase.option
@@ -69,21 +68,17 @@ def _adopt(
     number, revoked = authority.store.next_number(), authority.store.revoked_entries()
     for path, data in found:
         with batch.one(path):
-            identity, new = adopt(authority, data, now(), replaced)
+            identity, new = import_identity(authority, data, now(), replaced)
             say(f"{'imported' if new else 'known already:'} {identity.name}")
     if authority.store.revoked_entries() == revoked:
         remind(authority.store, number)
         return
     say("the replaced key is revoked")
-    asyncio.run(deliver(environment, master_uri))
-    say("the master has the new list")
+    publish_list(environment, master_uri)
 
 
 def _introduce(home: AuthorityHome, path: Path, identity: Identity) -> None:
     say(f"{identity.name} of {home.domain} until {moment(identity.not_after)} ({path})")
-    say(f"  fingerprint {grouped(identity.thumbprint)}")
+    say(f"  fingerprint {format_fingerprint(identity.thumbprint)}")
     for issuer in identity.issuers:
         say(f"  signed by intermediate/{issuer.hex()[:16]}")
-
-
-COMMANDS = (import_,)

@@ -9,7 +9,7 @@ from ca.intermediates import check_intermediate_request
 from ca.keys.publickey import thumbprint
 from rossec import files
 from rossec.authority import intermediate_home
-from rossec.authority.home import AuthorityHome, grouped
+from rossec.authority.home import AuthorityHome, format_fingerprint
 from rossec.authority.renewals import sign_intermediate
 from rossec.cli.shared import passphrase
 from rossec.cli.shared.context import Duration, Environment, confirm, moment, now, pass_environment
@@ -21,12 +21,7 @@ _MAX_FILE = 16 * 1024
 _FILE = click.Path(path_type=Path, exists=True, dir_okay=False)
 
 
-@click.group()
-def intermediate() -> None:
-    """Let a host sign nodes for a season, while the root stays offline."""
-
-
-@intermediate.command()
+@click.command()
 @click.argument("domain")
 @passphrase.option
 @pass_environment
@@ -36,11 +31,11 @@ def request(environment: Environment, domain: str, passphrase_file: Path | None)
     path = intermediate_home.begin(environment.home, domain, secret)
     key = check_intermediate_request(path.read_bytes(), domain)
     say(f"request of an intermediate of {domain}: {path}")
-    say(f"fingerprint {grouped(thumbprint(key))}")
+    say(f"fingerprint {format_fingerprint(thumbprint(key))}")
     say(f"next, at the root: rossec ca intermediate sign {path} --may renew")
 
 
-@intermediate.command()
+@click.command()
 @click.argument("request", type=_FILE)
 @click.option(
     "--may", required=True, type=click.Choice(["renew", "enroll"]),
@@ -67,7 +62,7 @@ def sign(
     key = check_intermediate_request(data, home.domain)
     powers = "renew identities" + (" and enroll new nodes" if may == "enroll" else "")
     say(f"an intermediate of {home.domain} that may {powers} until {moment(now() + lifetime)}")
-    say(f"  fingerprint {grouped(thumbprint(key))}")
+    say(f"  fingerprint {format_fingerprint(thumbprint(key))}")
     confirm("is this the fingerprint its host shows, and sign it?", yes=yes)
     authority = home.unlock(passphrase.read(passphrase_file, environment.variables))
     number = authority.store.next_number()
@@ -81,7 +76,7 @@ def sign(
     remind(authority.store, number)
 
 
-@intermediate.command()
+@click.command()
 @click.argument("bundle", type=_FILE)
 @passphrase.option
 @pass_environment
@@ -92,6 +87,3 @@ def install(environment: Environment, bundle: Path, passphrase_file: Path | None
     found = intermediate_home.install(environment.home, data, secret, now())
     powers = "renew and enroll" if found.may_enroll else "renew"
     say(f"this host may {powers} until {moment(found.not_after)}")
-
-
-COMMANDS = (intermediate,)

@@ -1,6 +1,5 @@
 """`rossec ca requests | approve | deny`: who asks for an identity, and what was answered."""
 
-import asyncio
 from pathlib import Path
 from typing import Final
 
@@ -12,13 +11,13 @@ from ca.store.record import Store
 from grants.policy.model import Subject
 from grants.policy.projected_grants import projected_grants
 from rossec import files
-from rossec.authority.home import AuthorityHome, grouped
+from rossec.authority.home import AuthorityHome, format_fingerprint
 from rossec.authority.policyfile import PolicyFile, place
 from rossec.authority.signing import SigningAuthority
-from rossec.cli.ca.group import warn_of_tail
-from rossec.cli.shared import options, passphrase
+from rossec.cli.ca.sign import warn_of_tail
+from rossec.cli.shared import options, passphrase, signing_options
 from rossec.cli.shared.context import Environment, moment, now, pass_environment
-from rossec.cli.shared.delivery import deliver, remind
+from rossec.cli.shared.delivery import publish_list, remind
 from rossec.errors import ConfigurationError
 from rossec.terminal import printable, say, say_json
 
@@ -40,16 +39,16 @@ def requests(environment: Environment, everything: bool, as_json: bool) -> None:
         return
     for row in rows:
         say(f"{_short(row)}  {row.state}  {row.name}  {printable(row.source)}")
-        say(f"  fingerprint {grouped(row.thumbprint)}  until {moment(row.expires)}")
+        say(f"  fingerprint {format_fingerprint(row.thumbprint)}  until {moment(row.expires)}")
     if not rows:
         say("nobody asks for anything")
 
 
 @click.command()
 @click.argument("request_id")
-@options.identity_lifetime
-@options.replace_key()
-@options.anonymous
+@signing_options.identity_lifetime
+@signing_options.replace_key()
+@signing_options.anonymous
 @click.option("--out", type=click.Path(path_type=Path), help="write the identity to this new file")
 @options.master_to_tell
 @passphrase.option
@@ -99,7 +98,7 @@ def introduce(
 ) -> None:
     """Everything a person should know before giving a name to a key."""
     say(f"{spiffe_id(home.domain, row.name)} asks for an identity")
-    say(f"  fingerprint {grouped(row.thumbprint)}")
+    say(f"  fingerprint {format_fingerprint(row.thumbprint)}")
     say(f"  from {printable(row.source)}")
     if wildcard:
         warn_of_tail(row.name)
@@ -120,8 +119,7 @@ def tell_of_replaced(
         remind(authority.store, number)
         return
     say("the replaced key is revoked")
-    asyncio.run(deliver(environment, master_uri))
-    say("the master has the new list")
+    publish_list(environment, master_uri)
 
 
 def _standing(store: Store, row: RequestRow) -> str:
@@ -172,6 +170,3 @@ def _digest(text: str) -> bytes:
 
 def _short(row: RequestRow) -> str:
     return row.digest.hex()[:_SHORT]
-
-
-COMMANDS = (requests, approve, deny)

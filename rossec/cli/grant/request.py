@@ -18,13 +18,19 @@ from grants.policy.model import Effect, Policy
 from grants.request import GrantRequest, RequestedRight, sign_request
 from rossec import files
 from rossec.authority import requests
-from rossec.authority.approvals import ApprovalQueue, Change, PendingApproval, today
+from rossec.authority.approvals import (
+    ApprovalQueue,
+    PendingApproval,
+    VerdictChange,
+    seconds_left_today,
+)
 from rossec.authority.home import AuthorityHome
 from rossec.authority.policyfile import PolicyFile, layout_of
 from rossec.authority.signing import SigningAuthority
 from rossec.cli.shared import options, passphrase
 from rossec.cli.shared.context import Environment, moment, now, pass_environment
 from rossec.cli.shared.handing_over import hand_over
+from rossec.cli.shared.policy import read_policy
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
 from rossec.terminal import note, printable, say, say_json
@@ -71,7 +77,7 @@ def request(
         files.create(out, data, 0o644)
         say(f"written to {out}; at the authority: rossec grant decide {out}")
     elif (authority / "ca.pem").exists():
-        requests.lay(authority, asked, data)
+        requests.put_in_inbox(authority, asked, data)
         say("laid into the authority's inbox; there: rossec grant decide")
     else:
         raise ConfigurationError("the authority is elsewhere", "give --out FILE, and carry it")
@@ -98,12 +104,12 @@ def decide(
 
     What it allows is signed; what it wants asked waits for `rossec grant pending`.
     """
-    file = options.read_policy(environment, policy_path, signs=True)
+    file = read_policy(environment, policy_path, signs=True)
     with _desk(environment, file) as desk:
         for path in request_files:
-            desk.take(requests.read(path))
+            desk.add_request(requests.read_request(path))
         _collect(desk)
-        questions = desk.questions()
+        questions = desk.pending()
         allowed = [item for item in questions if item.verdict.effect is Effect.ALLOW]
         if allowed:
             authority = AuthorityHome.at(environment.home).unlock(
@@ -112,7 +118,7 @@ def decide(
             for data in _signed(desk, authority, allowed, lambda verdict: verdict, "policy"):
                 _deliver(environment, data, out_dir)
         waiting = len(questions) - len(allowed)
-        denied = f", {desk.denied} denied" if desk.denied else ""
+        denied = f", {desk.denied_automatically} denied" if desk.denied_automatically else ""
         say(f"{len(allowed)} allowed, {waiting} for you{denied}: see `rossec grant pending`")
 
 
@@ -122,10 +128,10 @@ def decide(
 @pass_environment
 def pending(environment: Environment, as_json: bool, policy_path: Path | None) -> None:
     """Show what nodes ask for and the policy leaves to you. No answer in time is a no."""
-    file = options.read_policy(environment, policy_path, signs=True)
+    file = read_policy(environment, policy_path, signs=True)
     with _desk(environment, file) as desk:
         _collect(desk)
-        asked = [item for item in desk.questions() if item.verdict.effect is Effect.PROMPT]
+        asked = [item for item in desk.pending() if item.verdict.effect is Effect.PROMPT]
         if as_json:
             say_json([_summary(item) for item in asked])
             return
@@ -156,7 +162,7 @@ def approve(
 
     --approximate gives it through a filter of the policy or a preset, --today until midnight.
     """
-    file = options.read_policy(environment, policy_path, signs=True)
+    file = read_policy(environment, policy_path, signs=True)
     change = _change(file, coarse, only_today)
     with _desk(environment, file) as desk:
         chosen = _chosen(desk, request_id)
@@ -173,10 +179,10 @@ def approve(
 @pass_environment
 def deny(environment: Environment, request_id: str, policy_path: Path | None) -> None:
     """Say no to the request REQUEST_ID (or the beginning of it)."""
-    with _desk(environment, options.read_policy(environment, policy_path, signs=True)) as desk:
+    with _desk(environment, read_policy(environment, policy_path, signs=True)) as desk:
         for item in _chosen(desk, request_id):
             desk.deny(item, "a person")
-            say(f"denied {item.asked.request.node} {item.asked.requested}")
+            say(f"denied {item.stored.request.node} {item.stored.requested}")
 
 
 @contextmanager
@@ -189,7 +195,7 @@ def _desk(environment: Environment, file: PolicyFile) -> Iterator[ApprovalQueue]
 
 
 def _collect(desk: ApprovalQueue) -> None:
-    for trouble in desk.collect():
+    for trouble in desk.read_inbox():
         note(printable(f"a request was dropped: {trouble}"))
 
 
@@ -197,22 +203,22 @@ def _chosen(desk: ApprovalQueue, beginning: str) -> list[PendingApproval]:
     _collect(desk)
     found = [
         item
-        for item in desk.questions()
+        for item in desk.pending()
         if item.verdict.effect is Effect.PROMPT
-        and item.asked.request.id.hex().startswith(beginning.lower())
+        and item.stored.request.id.hex().startswith(beginning.lower())
     ]
-    if len({item.asked.request.id for item in found}) != 1 or not beginning:
+    if len({item.stored.request.id for item in found}) != 1 or not beginning:
         count = "several requests begin" if found else "no open request begins"
         hint = "see: rossec grant pending; no answer in time was a no"
         raise ConfigurationError(f"{count} with {beginning!r}", hint)
     return found
 
 
-def _change(file: PolicyFile, coarse: str | None, only_today: bool) -> Change:
+def _change(file: PolicyFile, coarse: str | None, only_today: bool) -> VerdictChange:
     if coarse is not None and coarse not in {*file.policy.filters, *PRESETS}:
         known = ", ".join({**file.policy.filters, **PRESETS})
         raise ConfigurationError(f"no filter {coarse!r} in {file.path}", f"there are: {known}")
-    left = today(now()) if only_today else None
+    left = seconds_left_today(now()) if only_today else None
 
     def change(verdict: Verdict) -> Verdict:
         if coarse is not None:
@@ -238,7 +244,7 @@ def _signed(
     desk: ApprovalQueue,
     authority: SigningAuthority,
     chosen: Sequence[PendingApproval],
-    change: Change,
+    change: VerdictChange,
     reason: str,
 ) -> Iterator[bytes]:
     for draft, data in desk.sign(authority, chosen, change, reason):
@@ -260,7 +266,7 @@ def _deliver(environment: Environment, data: bytes, out_dir: Path | None) -> Non
 
 
 def _show(item: PendingApproval, file: PolicyFile) -> None:
-    asked = item.asked
+    asked = item.stored
     say(f"{asked.short_id}  {asked.request.node} wants to {asked.requested}")
     say(f'  it says: "{printable(asked.request.why)}"')
     for rule in item.verdict.rules:
@@ -273,7 +279,7 @@ def _show(item: PendingApproval, file: PolicyFile) -> None:
 
 
 def _summary(item: PendingApproval) -> dict[str, object]:
-    asked = item.asked
+    asked = item.stored
     return {
         "request": asked.request.id.hex(),
         "node": asked.request.node,
@@ -283,6 +289,3 @@ def _summary(item: PendingApproval) -> dict[str, object]:
         "asked": asked.at,
         "restrictions": restriction_lines(item.verdict),
     }
-
-
-COMMANDS = (request, decide, pending, approve, deny)

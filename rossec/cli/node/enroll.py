@@ -12,7 +12,7 @@ from ca.enrollment.labels import Label, sheet
 from ca.enrollment.node import NodeEnrollment
 from ca.requests import check_request
 from rossec import files
-from rossec.authority.home import grouped
+from rossec.authority.home import format_fingerprint
 from rossec.cli.node.enroll_screen import EnrollmentScreen, authority_lines
 from rossec.cli.shared.context import Duration, Environment, now, pass_environment
 from rossec.cli.shared.context import confirm as ask_person
@@ -117,7 +117,7 @@ def labels(environment: Environment, names: tuple[str, ...], domain: str, out: P
     for name in names:
         csr = NodeHome.of(environment.home, name).label_request(domain)
         key = check_request(csr, domain).thumbprint
-        made.append(Label(name, grouped(key), qr.label_code(csr)))
+        made.append(Label(name, format_fingerprint(key), qr.label_code(csr)))
     files.replace(out, sheet(made).encode(), 0o644)
     say(f"{len(made)} label{'s' * (len(made) != 1)} in {out}: print it without scaling")
 
@@ -131,6 +131,3 @@ def _own_address(environment: Environment) -> str:
     if others:
         note(f"other addresses of this host, for --address: {', '.join(others)}")
     return first
-
-
-COMMANDS = (enroll, confirm, labels)

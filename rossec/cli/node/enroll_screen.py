@@ -13,7 +13,7 @@ from typing import Final
 from ca.certificates import to_pem
 from ca.enrollment import qr
 from ca.enrollment.node import NodeEnrollment, NodeState, Pending
-from ca.enrollment.transcript import grouped as spaced
+from ca.enrollment.transcript import group_digits
 from ca.errors import EnrollmentOver, HintedError
 from rossec import files
 from rossec.authority.home import fingerprint
@@ -166,5 +166,5 @@ def authority_lines(pending: control.Answer) -> list[str]:
     """Who offers an identity, and what to compare."""
     return [
         f"authority of {printable(pending['domain'])}, fingerprint {pending['authority']}",
-        f"digits {spaced(pending['digits'])}",
+        f"digits {group_digits(pending['digits'])}",
     ]

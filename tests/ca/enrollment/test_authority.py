@@ -121,7 +121,7 @@ def test_the_answer_of_another_key() -> None:
     node = Robot().enrollment()
     authority, offer = offered(node, SITE)
     node.receive(offer, NOW)
-    statement = transcript.acknowledge(new_signer(), node.pending.transcript, fresh())
+    statement = transcript.sign_acknowledgement(new_signer(), node.pending.transcript, fresh())
     with pytest.raises(AcknowledgementRefused, match="not signed by the node"):
         authority.receive(write(Acknowledgement(statement)), NOW)
     assert authority.state is AuthorityState.OVER
@@ -134,7 +134,7 @@ def test_a_replayed_answer() -> None:
     _, offer = offered(first, SITE)
     (recorded,) = first.receive(offer, NOW)
     later, _ = offered(robot.enrollment(), SITE)
-    with pytest.raises(AcknowledgementRefused, match="about another offer"):
+    with pytest.raises(AcknowledgementRefused, match="for another offer"):
         later.receive(recorded, NOW)
     assert later.state is AuthorityState.OVER
     assert later.digits == ""
@@ -147,7 +147,7 @@ def test_a_replayed_last_word() -> None:
     first.confirm(authority.digits, NOW)
     (recorded,) = first.activated()
     later, _ = acknowledged(robot.enrollment(), SITE)
-    with pytest.raises(AcknowledgementRefused, match="about another offer"):
+    with pytest.raises(AcknowledgementRefused, match="for another offer"):
         later.receive(recorded, NOW)
     assert later.state is AuthorityState.OVER
     authority.receive(recorded, NOW)
@@ -174,7 +174,7 @@ def test_the_last_word_before_the_answer_changes_nothing() -> None:
 def test_a_second_different_answer() -> None:
     node = Robot().enrollment()
     authority, _ = acknowledged(node, SITE)
-    other = transcript.acknowledge(new_signer(), node.pending.transcript, fresh())
+    other = transcript.sign_acknowledgement(new_signer(), node.pending.transcript, fresh())
     with pytest.raises(AcknowledgementRefused, match="a second, different answer"):
         authority.receive(write(Acknowledgement(other)), NOW)
     assert authority.digits == node.pending.digits

@@ -251,7 +251,7 @@ def test_three_wrong_digits() -> None:
     for _ in range(MAX_BAD_DIGITS):
         with pytest.raises(DigitsRefused, match="not the digits") as caught:
             node.confirm(wrong(authority.digits), NOW)
-        assert "somebody is between you" in caught.value.hint
+        assert "possible attacker in between" in caught.value.hint
     with pytest.raises(EnrollmentOver, match="over: these are not the digits"):
         node.confirm(authority.digits, NOW)
 
@@ -317,4 +317,4 @@ def test_the_digits_depend_on_what_the_node_reveals_last() -> None:
     second.receive(offer, NOW)
     assert first.pending.transcript == second.pending.transcript
     assert first.pending.digits != second.pending.digits
-    assert transcript.grouped(first.pending.digits)[3] == " "
+    assert transcript.group_digits(first.pending.digits)[3] == " "

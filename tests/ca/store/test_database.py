@@ -11,7 +11,7 @@ import pytest
 from ca.errors import RecordUnusable, StoreError
 from ca.store import database as module
 from ca.store.database import Database
-from ca.store.log import record
+from ca.store.log import append_entry
 
 NOW = 1_800_000_000
 
@@ -30,7 +30,7 @@ def database(path: Path) -> Iterator[Database]:
 
 
 def note(db: sqlite3.Connection, text: str) -> None:
-    record(db, NOW, "noted", text, "", b"")
+    append_entry(db, NOW, "noted", text, "", b"")
 
 
 def fail(database: Database, text: str) -> None:

@@ -11,7 +11,7 @@ from ca.errors import LogDamaged, StoreError
 from ca.requests import build_request, check_request
 from ca.revocation.merkle import EMPTY_ROOT
 from ca.store.lifecycle import DAY
-from ca.store.log_entries import grow, sign_head
+from ca.store.log_entries import extend_peaks, sign_head
 from ca.store.record import Store
 from ca.store.rows import CertificateRow, GrantRow
 from tests.support.pki import NOW, new_signer
@@ -112,7 +112,7 @@ def rewrite(path: Path, change: str) -> None:
         entries, peaks = store.log.entries(), b""
     with closing(sqlite3.connect(path)) as db:
         for entry in entries:
-            peaks = grow(peaks, entry)
+            peaks = extend_peaks(peaks, entry)
             db.execute("UPDATE log SET peaks = ? WHERE number = ?", (peaks, entry.number))
         db.commit()
 
@@ -137,9 +137,9 @@ def test_a_way_no_request_goes(store: Store, path: Path) -> None:
     for what in ("issued", "approved", "collected", "pending"):
         with closing(Store.create(path.with_name(what))) as other:
             with other.database.transaction() as db:
-                from ca.store.log import record
+                from ca.store.log import append_entry
 
-                record(db, NOW, what, "/a", "", b"d" * 32)
+                append_entry(db, NOW, what, "/a", "", b"d" * 32)
             if what in {"issued", "approved"}:
                 with pytest.raises(LogDamaged, match="log entry 0 is no way a request can go"):
                     audited(other)

@@ -189,7 +189,7 @@ def test_a_person_is_asked_for_the_code(shell: Shell, monkeypatch: pytest.Monkey
 
 def test_a_code_that_has_ended(shell: Shell) -> None:
     text = qr.screen_code(Robot().csr, bytes(16), 1000, "127.0.0.1:9")
-    refused(shell("ca", "enroll", text), "the code ended", "show a new one")
+    refused(shell("ca", "enroll", text), "the code expired", "show a new one")
 
 
 def test_nobody_waits_there(shell: Shell) -> None:

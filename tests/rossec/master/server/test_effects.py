@@ -122,5 +122,5 @@ async def test_what_is_administered_is_audited(
         "/admin calls unregisterPublisher for /robot: Unregistered [/robot] as provider of [/t]",
         f"/admin brought revocation list {number}",
         "/robot is cut off: the key of /robot is revoked",
-        "/admin brought a delegation to renew grants",
+        "/admin delivered a delegation to renew grants",
     ]
