@@ -78,7 +78,7 @@ class _Server(ThreadingMixIn, WSGIServer):
         super().shutdown_request(request)
         slot = self._slots.pop(request, None)
         if slot is not None:
-            slot.settle()
+            slot.release()
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """A caller that is silent, or hangs up, is no news."""
