@@ -32,7 +32,7 @@ def test_the_very_first_line(signer: KeySigner) -> None:
 def test_the_first_line_of_a_later_file(signer: KeySigner) -> None:
     first, key = mark(signer, BEFORE, 1.5), thumbprint(signer.public_key)
     assert first["text"] == "the audit goes on in a new file"
-    assert check_beginning(first, key) == f"it goes on from {BEFORE}, not among these files"
+    assert check_beginning(first, key) == f"it continues from {BEFORE}, not among these files"
     assert check_beginning(first, key, BEFORE) == ""
 
 
