@@ -183,7 +183,8 @@ async def test_a_link_of_rospy_ends_with_its_grant(site: Site, tmp_path: Path) -
             await viewer.tell(f"{-HOUR} 0")
             await viewer.hears("the host's clock went back")
             await viewer.tell(f"{-HOUR} {LIFE + 1}")
-            await viewer.hears("cut /robot (/words): its grant or its certificate has expired")
+            expired = "(/words): its grant or its certificate has expired"
+            await viewer.hears(f"closed the connection with /robot {expired}")
 
 
 @pytest.mark.attack("clock-set-back")

@@ -30,7 +30,7 @@ Status = Callable[[], Mapping[str, Any]]
 
 
 def on_loop(status: Status) -> Status:
-    """`status` for other threads, called in the running loop: its state must not change meanwhile."""
+    """`status` for other threads: called in the running loop, where its state is changed."""
     loop = asyncio.get_running_loop()
 
     async def requested() -> Mapping[str, Any]:
@@ -78,7 +78,7 @@ class _Server(ThreadingMixIn, WSGIServer):
         super().shutdown_request(request)
         slot = self._slots.pop(request, None)
         if slot is not None:
-            slot.settle()
+            slot.release()
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Errors of connections are not logged."""

@@ -232,7 +232,7 @@ class MasterServer:
             await self._serve_revoked(stream)
             return
         self._streams.add(stream)  # until its socket is closed: a lingering one counts
-        stream.when_lost(partial(self._streams.discard, stream))
+        stream.when_closed(partial(self._streams.discard, stream))
         is_local = is_loopback(stream.address) or stream.address == stream.local_address
         await serve_calls(
             stream,

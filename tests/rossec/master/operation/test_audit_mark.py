@@ -41,7 +41,7 @@ def test_a_line_that_is_none(signer: KeySigner) -> None:
     assert str(error) == "the beginning of the audit is missing"
     assert "--after" in error.hint
     old = {"before": FIRST, "at": 1.0, "text": "the master began"}
-    assert "an older master" in check_beginning(old)
+    assert "of an older version" in check_beginning(old)
     assert check_beginning({"before": BEFORE}, after=BEFORE) == ""
     assert "is missing" in str(refusal({"before": BEFORE}, after="cd" * 32))
 
