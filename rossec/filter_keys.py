@@ -13,7 +13,7 @@ def filter_key(directory: Path, name: str) -> bytes:
     """The key `name`, 32 random bytes; created on first use.
 
     Raises:
-        FilterRefused: not the name of a key.
+        FilterRefused: not a key name.
         ConfigurationError: the file does not hold a key.
     """
     path = directory / f"{check_key_name(name)}.key"
