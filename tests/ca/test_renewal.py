@@ -166,7 +166,7 @@ def test_neither_it_nor_its_intermediate_may_be_revoked(which: int) -> None:
 
 
 def test_only_its_own_name() -> None:
-    with pytest.raises(RenewalRefused, match="/robot asks for the identity of /master"):
+    with pytest.raises(RenewalRefused, match="/robot requests the identity of /master"):
         asked(build_request(NEW, "home", "/master"))
     with pytest.raises(RequestRefused, match="trust domain 'lab'"):
         asked(build_request(NEW, "lab", "/robot"))
@@ -209,14 +209,14 @@ def test_a_chain_is_of_certificates() -> None:
 
 def test_only_statements_of_this_kind() -> None:
     payload: Value = {6: DUE, -70021: CSR, -70022: [LEAF]}
-    refused(Profile("rossec-grant+cwt").sign(OLD, payload), "this is no renewal")
-    refused(b"", "this is no renewal")
-    refused(bytes(MAX_RENEWAL + 1), "this is no renewal")
+    refused(Profile("rossec-grant+cwt").sign(OLD, payload), "this is not a renewal")
+    refused(b"", "this is not a renewal")
+    refused(bytes(MAX_RENEWAL + 1), "this is not a renewal")
 
 
 def test_fed_with_a_tail_and_cut() -> None:
     data = sign_renewal(OLD, (LEAF,), CSR, DUE)
-    refused(data + b"\0", "this is no renewal")
+    refused(data + b"\0", "this is not a renewal")
     for end in range(0, len(data), 7):
         with pytest.raises(RenewalRefused):
             open_renewal(data[:end], SITE.anchor, DUE, nothing_is_revoked)

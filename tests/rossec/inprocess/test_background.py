@@ -92,7 +92,7 @@ async def test_connections_end_when_nobody_confirms_the_list(
             assert site.master is not None
             await site.master.close()
             cut = await listener.hears("cut /robot (/robot/words): ", within=90)
-            assert "the last confirmation ran out" in cut
+            assert "the last confirmation expired" in cut
     assert "Traceback" not in listener.said
 
 

@@ -222,12 +222,12 @@ def test_a_tail_is_the_authoritys_word_not_the_requests(shell: Shell) -> None:
 
 @pytest.mark.parametrize("name", ["/master", "/ca"])
 def test_no_tail_for_those_whom_all_trust(shell: Shell, name: str) -> None:
-    refused(shell("node", "request", name, "--anonymous"), f"{name} is one node")
+    refused(shell("node", "request", name, "--anonymous"), f"{name} is a single node")
     shell.node(name).rename(shell.root / "aside")
     shell("node", "request", name)
     request = str(shell.node(name) / "node.csr")
     said = shell.unlocked("ca", "sign", request, "--yes", "--anonymous")
-    refused(said, f"{name} is one node", "a name of their own")
+    refused(said, f"{name} is a single node", "a name of their own")
 
 
 def test_an_anonymous_node_goes_with_its_identity(shell: Shell) -> None:
@@ -245,7 +245,7 @@ def test_a_link_beside_a_request_is_not_followed(shell: Shell, tmp_path: Path) -
     target.write_bytes(b"precious")
     (tmp_path / "node.pem").symlink_to(target)
     said = shell.unlocked("ca", "sign", str(request), "--yes")
-    assert (said.code, "is not a plain file" in said.err) == (1, True)
+    assert (said.code, "is not a regular file" in said.err) == (1, True)
     assert target.read_bytes() == b"precious"
     (tmp_path / "node.pem").unlink()
     assert shell.unlocked("ca", "sign", str(request), "--yes").code == 0, "signed once"
