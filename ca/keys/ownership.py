@@ -129,7 +129,7 @@ def _check_owner(path: Path, status: os.stat_result) -> None:
     owner, word = _user(status.st_uid)
     if os.geteuid() == 0:
         raise PathRefused(
-            f"{path} belongs to {owner}: root must not trust what {owner} can write",
+            f"{path} belongs to {owner}, who could change what root trusts here",
             f"run it as {owner} (sudo -u {word} rossec ...), or use a ROSSEC_HOME that root owns",
         )
     raise PathRefused(

@@ -154,8 +154,8 @@ def test_the_draft_itself_is_good() -> None:
         ([CA, USAGE, (uris("spiffe://home/a"), False)], "the authority's name is invalid"),
         ([CA, USAGE, (uris("https://home"), False)], "is not a SPIFFE trust domain"),
         ([CA, USAGE], "0 names where exactly one"),
-        ([CA, USAGE, HOME], "does not say whether it may renew or enroll"),
-        ([CA, USAGE, HOME, (BOTH, False)], "does not say whether it may renew or enroll"),
+        ([CA, USAGE, HOME], "has no policy to renew or enroll"),
+        ([CA, USAGE, HOME, (BOTH, False)], "has no policy to renew or enroll"),
         ([CA, USAGE, HOME, (ENROLL, True)], "unknown critical extension"),
     ],
 )

@@ -204,7 +204,9 @@ def test_closed_fields(payload: Value) -> None:
 
 
 def test_a_chain_is_of_certificates() -> None:
-    refused(PROFILE.sign(OLD, {6: DUE, -70021: CSR, -70022: [LEAF, 1]}), "not of certificates")
+    refused(
+        PROFILE.sign(OLD, {6: DUE, -70021: CSR, -70022: [LEAF, 1]}), "not a list of certificates"
+    )
 
 
 def test_only_statements_of_this_kind() -> None:

@@ -161,7 +161,7 @@ def test_root_is_told_whose_it_is(mine: Path, monkeypatch: pytest.MonkeyPatch) -
     nobody = pwd.getpwnam("nobody")
     as_another(monkeypatch, nobody.pw_uid)
     monkeypatch.setattr(os, "geteuid", lambda: 0)
-    hint = refused(mine / "ca.pem", "belongs to nobody, and this is root")
+    hint = refused(mine / "ca.pem", "belongs to nobody, who could change what root trusts")
     assert "sudo -u nobody rossec" in hint
     assert "a ROSSEC_HOME that is root's" in hint
     as_another(monkeypatch)

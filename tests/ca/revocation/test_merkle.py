@@ -198,7 +198,7 @@ def test_proofs_have_a_form(proof: list[bytes]) -> None:
 
 
 def test_peaks_fit_their_size() -> None:
-    with pytest.raises(ProofRefused, match="a tree of 3 leaves has not 1 peaks"):
+    with pytest.raises(ProofRefused, match="a tree of 3 leaves does not have 1 peaks"):
         extend([EMPTY_ROOT], 3, b"")
 
 
