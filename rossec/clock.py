@@ -9,7 +9,7 @@ the machine is suspended. They count `DRIFT` slower, since counters and clocks a
 
 A clock that went back by more than `SKEW` is a *setback*: it is counted, and whoever relies on news
 relies on them no longer until they are confirmed (`rossec.participant.revocation_watch`). If the
-clock was wrong before, and not now, then another clock says so: `heard` takes the host's word
+clock was wrong before, and not now, then another clock says so: `correct` takes the host's word
 again.
 """
 
@@ -60,7 +60,7 @@ class Clock:
             self.setbacks += 1
         return counted
 
-    def heard(self, moment: int) -> bool:
+    def correct(self, moment: int) -> bool:
         """Another clock, that is believed, shows `moment` just now; whether that corrects this one.
 
         It does where the host's clock agrees with the other, and was set back.
@@ -85,9 +85,9 @@ def now() -> int:
     return int(HOST.time())
 
 
-def heard(moment: int) -> bool:
+def correct(moment: int) -> bool:
     """As of `Clock`."""
-    return HOST.heard(moment)
+    return HOST.correct(moment)
 
 
 class Setbacks:

@@ -41,7 +41,7 @@ def create(path: Path, data: bytes, mode: int = 0o600) -> None:
         ConfigurationError: the file exists already.
         NotWritten: the disk does not take it; nothing is left behind.
     """
-    with _told(path):
+    with _disk_errors(path):
         _create(path, data, mode)
 
 
@@ -57,7 +57,7 @@ def replace(path: Path, data: bytes, mode: int = 0o600) -> None:
             f"{path} is not a plain file and is not replaced", "name a new file, or a plain one"
         )
     temporary = path.with_name(f".{path.name}.{secrets.token_hex(8)}")
-    with _told(path):
+    with _disk_errors(path):
         _create(temporary, data, mode)
         try:
             temporary.replace(path)
@@ -86,7 +86,7 @@ def _create(path: Path, data: bytes, mode: int) -> None:
 
 
 @contextmanager
-def _told(path: Path) -> Iterator[None]:
+def _disk_errors(path: Path) -> Iterator[None]:
     """What the disk refuses, in words. A peer may read the first line: no path in it."""
     try:
         yield
@@ -99,7 +99,7 @@ def _told(path: Path) -> Iterator[None]:
         ) from error
 
 
-def settle(temporary: Path, path: Path) -> None:
+def commit_directory(temporary: Path, path: Path) -> None:
     """Give a finished directory its name, durable on return: it is there whole or not at all.
 
     Raises:
@@ -117,7 +117,7 @@ def settle(temporary: Path, path: Path) -> None:
     _sync_directory(path.parent)
 
 
-def hold(path: Path, busy: ConfigurationError) -> int:
+def lock_file(path: Path, busy: ConfigurationError) -> int:
     """Make `path` this process's alone until the descriptor returned is closed, or it dies.
 
     Raises:
@@ -134,7 +134,7 @@ def hold(path: Path, busy: ConfigurationError) -> int:
 
 
 @contextmanager
-def alone(directory: Path) -> Iterator[None]:
+def locked_directory(directory: Path) -> Iterator[None]:
     """Nobody else who asks for this is at work in `directory` meanwhile: to look, then to write."""
     descriptor = os.open(directory, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
     try:

@@ -13,12 +13,12 @@ def filter_key(directory: Path, name: str) -> bytes:
     """The key `name`, 32 random bytes; made when it is first asked for.
 
     Raises:
-        FilterRefused: not the name of a key.
+        FilterRefused: not a key name.
         ConfigurationError: the file does not hold a key.
     """
     path = directory / f"{check_key_name(name)}.key"
     files.make_private_directory(directory)
-    with files.alone(directory):
+    with files.locked_directory(directory):
         if not path.exists():
             files.create(path, secrets.token_bytes(FILTER_KEY_SIZE))
     missing = ConfigurationError(f"there is no filter key {name} any more", f"it was {path}")

@@ -212,7 +212,7 @@ class NodeHome:
 
         Processes of one identity share this directory: a slower one puts no older list back.
         """
-        with files.alone(self.path):
+        with files.locked_directory(self.path):
             held = self.load_revocations()
             if held is None or self._number(held) <= self._number(data):
                 files.replace(self.path / "revocations.cose", data)

@@ -1,7 +1,7 @@
-"""The node this process is: its identity, its grants, what it knows of revocations; for threads.
+"""The node that this process is: its identity, grants and revocation data; thread-safe.
 
-One lock makes a list and its confirmation one step: between the two nothing would be fresh, and
-every peer that asks in that moment would be refused.
+One lock makes a list and its confirmation one step: between the two no revocation data would be
+fresh, and every peer that is checked would be refused.
 """
 
 from collections.abc import Callable
@@ -90,7 +90,7 @@ class LockedAccess:
 
 
 class LocalIdentity:
-    """One enrolled node, as which this process speaks.
+    """The enrolled node that this process is.
 
     Args:
         home: its directory.
@@ -99,7 +99,7 @@ class LocalIdentity:
 
     Raises:
         ConfigurationError: no identity, or another node's.
-        CertificateRefused, KeyRefused: an identity or a key that does not hold.
+        CertificateRefused, KeyRefused: the identity or the key is invalid.
     """
 
     def __init__(self, home: NodeHome, name: str, suites: tuple[int, ...] = PRODUCTION) -> None:
@@ -113,18 +113,18 @@ class LocalIdentity:
         self.access = LockedAccess(Access(self.anchor, self.revocations))
 
     def take_revocations(self, data: bytes, timestamp: bytes, master: Identity) -> None:
-        """Take over a list (empty: the one held) and the master's word that it is the newest.
+        """Take a list (empty: the one held) and the master's confirmation that it is the newest.
 
         Raises:
-            CAError: either does not hold. A list that does counts nevertheless.
+            CAError: either is invalid. A valid list is taken nevertheless.
         """
         with self.access.lock:
             self.access.update_revocations(
                 data, timestamp, master, now(), self.home.save_revocations
             )
 
-    def doubt(self) -> None:
-        """Rely on what the master said no longer: the clock it was heard by went back."""
+    def expire_confirmation(self) -> None:
+        """Treat the master's confirmation as expired: the clock it was received by went back."""
         with self.access.lock:
             self.revocations.expire_confirmation(now() - 1)
 
@@ -135,15 +135,15 @@ class LocalIdentity:
             return self.revocations.unproved
 
     def add_proof(self, entry: bytes, proof: bytes) -> None:
-        """As of `Revocations`."""
+        """See `Revocations.add_proof`."""
         with self.access.lock:
             self.revocations.add_proof(entry, proof)
 
     def refresh_identity(self) -> bool:
-        """Speak with the certificate that is in the directory now; whether it is another one.
+        """Use the certificate that is in the directory now; returns whether it is another one.
 
         Raises:
-            HintedError: it does not hold; the one before stays.
+            HintedError: it is invalid; the one before stays.
         """
         credentials = self.home.credentials()
         if credentials.chain == self.credentials.chain:
@@ -151,13 +151,13 @@ class LocalIdentity:
         self.identity, self.credentials = self.home.identity(now()), credentials
         return True
 
-    def termination_reason(self, link: AuthorizedPeer) -> str | None:
+    def termination_reason(self, connection: AuthorizedPeer) -> str | None:
         """Why a live connection must end now, if it must."""
         with self.access.lock:
-            return termination_reason(link, self.revocations, now())
+            return termination_reason(connection, self.revocations, now())
 
     def is_revoked(self, peer: Identity) -> bool:
-        """Whether the key of `peer`, or one that vouches for it, is on the list."""
+        """Whether the key of `peer`, or one in its chain, is on the list."""
         with self.access.lock:
             return not self.revocations.entries.isdisjoint(peer.keys)
 

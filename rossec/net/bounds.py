@@ -13,7 +13,7 @@ from rossec.ros.header import HEADER_LIMIT
 from rossec.ros.xmlrpc import BODY_LIMIT
 
 PREAUTH_LIMIT: Final = 2 * HEADER_LIMIT  # with whatever was joined to it
-JOINED: Final = 2 * 1024 * 1024  # 256 KiB of messages, one more, and 4 bytes for each
+BATCH_LIMIT: Final = 2 * 1024 * 1024  # 256 KiB of messages, one more, and 4 bytes for each
 _CALLS: Final = ChannelLimits(unit=2 * BODY_LIMIT)  # XML-RPC, with HTTP's headers
 
 ACCEPTED: Final = {
@@ -38,4 +38,4 @@ def message_limit(size: int | None, most: int) -> int:
 
 def unit_limit(size: int | None, most: int) -> int:
     """How long a unit with such messages may be: senders join what is short."""
-    return message_limit(size, most) + JOINED
+    return message_limit(size, most) + BATCH_LIMIT

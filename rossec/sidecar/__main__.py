@@ -1,6 +1,6 @@
-"""The sidecar's own process: `python -I -m rossec.sidecar`, which `rossec run` becomes.
+"""The sidecar process: `python -I -m rossec.sidecar`, executed by `rossec run`.
 
-Apart from the command line, whose imports would double its memory. Arguments come as one JSON
+Separate from the command line, whose imports would double its memory. Arguments come as one JSON
 object from `rossec.cli.node.run`; they hold no secret.
 """
 
@@ -14,7 +14,7 @@ from typing import Any
 
 from ca.errors import HintedError
 from rossec.channel.suite_selection import post_quantum
-from rossec.discovery.choose import settle_master
+from rossec.discovery.choose import discover_master
 from rossec.environment import own_home
 from rossec.log_limits import LogRateLimit
 from rossec.ros import settings
@@ -28,7 +28,7 @@ _REFUSED = 1
 
 
 def main() -> int:
-    """Run what the arguments say; returns the exit code."""
+    """Run with the arguments; return the exit code."""
     _restore_sigint()
     options = json.loads(sys.argv[1])
     logging.basicConfig(
@@ -50,7 +50,7 @@ def main() -> int:
 
 
 def _restore_sigint() -> None:
-    """End on Ctrl-C as any other process does; `rossec run` has held the signal back till now."""
+    """End on Ctrl-C as other processes do; `rossec run` has blocked the signal until now."""
     if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
@@ -58,7 +58,7 @@ def _restore_sigint() -> None:
 
 async def _run(options: dict[str, Any]) -> int:
     limits = raise_limit()
-    before = await settle_master(child.outer_environment(os.environ), options["identity"])
+    before = await discover_master(child.outer_environment(os.environ), options["identity"])
     callers = _callers(options)
     sidecar = Sidecar(
         own_home(before),

@@ -1,7 +1,7 @@
-"""One identity of the sidecar, in its parts; the house that visits are made for.
+"""One identity of the sidecar: assembles its parts and provides the agent services.
 
-A shell around `layers.AgentState`. `membership` is its standing with the master, `exports` and
-`imports` are its doors, and the watch cuts what expires or is revoked: without it nothing goes on.
+A shell around `layers.AgentState`. `membership` holds the master session, `ingress` and `egress`
+the ports; the watchdog closes connections that expire or are revoked: if it fails, all are closed.
 """
 
 import asyncio
@@ -41,11 +41,11 @@ class Agent:
     """Acts for the identity in `home`.
 
     Args:
-        outside: where the master is and how peers reach this host.
-        callers: which programs may use it.
-        master_uri: the loopback master, as its programs know it.
-        half_open: what strangers have begun at any door of this process.
-        suites: offered and accepted, in order of preference.
+        settings: where the master is and how peers reach this host.
+        callers: the programs that may use it.
+        master_uri: the URI of the loopback master.
+        half_open: the unauthenticated connections at all ports of this process.
+        suites: cipher suites, offered and accepted, in order of preference.
     """
 
     def __init__(
@@ -104,21 +104,21 @@ class Agent:
             await executor.close()
 
     async def close(self) -> None:
-        """Close every door, end every connection."""
+        """Close every port and every connection."""
         await self._ingress.close()
         await self._egress.close()
         await self._tasks.close()
         await self._cache.close()
         await self._membership.close()
 
-    # --- what a visit needs
+    # --- agent services
 
     def open_ingress(self, local: Endpoint) -> int:
-        """The port outside for `local`."""
+        """The network port for `local`; it listens."""
         return self._ingress.open(local)
 
     def suspend_ingress(self, local: Endpoint) -> None:
-        """Refuse callers for `local`: the program is gone."""
+        """Refuse callers for `local`: the program has ended."""
         self._ingress.suspend(local)
 
     def open_egress(self, remote: Endpoint) -> int:
@@ -130,20 +130,20 @@ class Agent:
         return self._egress.refuse(remote)
 
     def cache_client(self, remote: Endpoint, client: SlaveApiClient) -> None:
-        """Keep a connection for the next caller of `remote`, for a moment."""
+        """Cache a connection for the next caller of `remote`, for a few seconds."""
         self._cache.put(remote, client)
 
     def cached_client(self, remote: Endpoint) -> SlaveApiClient | None:
-        """Such a connection, for this caller alone."""
+        """Take a cached connection to `remote`."""
         return self._cache.take(remote)
 
     async def dial(self, remote: Endpoint) -> SecureStream[Identity]:
-        """Connect to a peer whose identity holds, or to a program of the same identity."""
+        """Connect to a peer with a valid identity, or to a program of the same identity."""
         own_identity = self.state.endpoints.program_at(remote) is not None
         return await self._connector.dial(remote, own_identity=own_identity)
 
     def check_peer(self, peer: Identity) -> None:
-        """Return if the identity of `peer` holds still."""
+        """Return if the identity of `peer` is still valid."""
         self.state.access.check_peer(peer, clock.now())
 
     async def call_master(self, method: str, params: tuple[object, ...]) -> object:
@@ -151,29 +151,29 @@ class Agent:
         return await self._membership.call_master(method, params)
 
     def proof(self, right: Right, name: str) -> bytes:
-        """Grants that prove `right` on `name`."""
+        """The grants for `right` on `name`."""
         return self.state.access.present(right, name, clock.now())
 
-    # --- the master, and the watch
+    # --- master and watchdog
 
     async def _ensure_started(self) -> None:
-        """Meet the master; a program that calls before it is there tries again, as in ROS."""
+        """Connect to the master once; until it is up programs retry, as in ROS."""
         async with self._start_lock:
             if self._has_failed:
-                raise HangUp("nobody watches over the connections of this identity any more")
+                raise HangUp("the watchdog of this identity has failed")
             if self._started:
                 return
             local_address = await self._membership.start()
             self.state.endpoints.host = self._settings.address or local_address
             self._started = True
-            self._tasks.spawn(self._watchdog.run(), f"{self.name}: watch")
+            self._tasks.spawn(self._watchdog.run(), f"{self.name}: watchdog")
 
     async def _dial_master(self) -> SecureStream[Identity]:
         host, port = self._settings.master_host, self._settings.master_port
         return await self._connector.dial(Endpoint(WireProtocol.HTTP, host, port), allow_stale=True)
 
     def _watchdog_failed(self, _: BaseException) -> None:
-        """The watch has died: what it would no longer cut must not go on."""
+        """The watchdog has failed: close what it can no longer check."""
         self._has_failed = True
-        self._connections.abort("nobody watches over it any more")
+        self._connections.abort("the watchdog has failed")
         self._tasks.spawn(self.close(), f"{self.name}: closing after a failure")

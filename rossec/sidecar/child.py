@@ -1,10 +1,10 @@
 """The program a private sidecar was started for: its environment, its signals, its end.
 
-A shell. The program finds the loopback master in its environment, nothing else: no secret is there
-or on its command line. It has the descriptors that were passed to us, as `<(...)` of a shell does.
-Programs it leaves behind become our children (subreaper), so that they stay its own. What another
-process sends us is passed on; what the kernel sends (Ctrl-C) the terminal has sent to the program
-as well. Which it was only signalfd(2) tells.
+A shell. The program gets the loopback master in its environment, nothing else: no secret is there
+or on its command line. It inherits the descriptors passed to us, as with `<(...)` of a shell. Its
+orphans become our children (subreaper), so that they remain its descendants. Signals of other
+processes are forwarded; signals of the kernel (Ctrl-C) the terminal has sent to the program as
+well. Only signalfd(2) tells the two apart.
 """
 
 import asyncio
@@ -23,7 +23,7 @@ from rossec.sidecar.core.endpoints import LOOPBACK, Loopback
 from rossec.sidecar.descriptors import Limits, restore_limit
 
 OUTSIDE: Final = "ROSSEC_OUTSIDE"
-"""Where a nested `rossec run` finds what the outer one replaced."""
+"""The variable in which a nested `rossec run` finds what the outer one replaced."""
 
 _REPLACED: Final = ("ROS_MASTER_URI", "ROS_IP", "ROS_HOSTNAME", "ROS_IPV6")
 _FORWARDED: Final = (
@@ -42,7 +42,7 @@ def outer_environment(environ: Mapping[str, str]) -> dict[str, str]:
     """The environment as it was before an outer `rossec run` changed it.
 
     Raises:
-        ConfigurationError: the variable that says so is damaged.
+        ConfigurationError: the saved variable is damaged.
     """
     saved = environ.get(OUTSIDE)
     if saved is None:
@@ -61,7 +61,7 @@ def program_environment(
     master_uri: str,
     loopback: Loopback = LOOPBACK,
 ) -> dict[str, str]:
-    """The environment for the program; a nested `rossec run` finds what was `settled` outside."""
+    """The environment for the program; a nested `rossec run` restores what was `settled`."""
     before = {key: settled[key] for key in _REPLACED if key in settled}
     kept = {key: value for key, value in environ.items() if key not in _REPLACED}
     own = {"ROS_IP": loopback.host}
@@ -71,10 +71,10 @@ def program_environment(
 
 
 def adopt_orphans() -> None:
-    """Become the parent of what the program leaves behind.
+    """Become the parent of the program's orphans.
 
     Raises:
-        OSError: the kernel does not let us.
+        OSError: the kernel refuses.
     """
     if _LIBC.prctl(_SUBREAPER, 1, 0, 0, 0) != 0:
         raise OSError(ctypes.get_errno(), "prctl PR_SET_CHILD_SUBREAPER")
@@ -83,7 +83,7 @@ def adopt_orphans() -> None:
 async def run(
     command: Sequence[str], environ: Mapping[str, str], limits: Limits | None = None
 ) -> int:
-    """Run the program to its end; its exit code, 128 and the signal's number if one ended it.
+    """Run the program to its end; its exit code, or 128 plus the signal that ended it.
 
     Args:
         limits: of descriptors, for the program.
@@ -94,7 +94,7 @@ async def run(
     with _blocked_signals() as (mask, signals):
 
         def prepare() -> None:
-            # A program whose sidecar was killed reaches nobody, and must not linger.
+            # A program whose sidecar was killed has no connections left and must end.
             _LIBC.prctl(_DEATH_SIGNAL, signal.SIGTERM, 0, 0, 0)
             signal.pthread_sigmask(signal.SIG_SETMASK, mask)
             if limits is not None:
@@ -130,9 +130,9 @@ class NoSuchProgram(HintedError):
 
 @contextlib.contextmanager
 def _blocked_signals() -> Iterator[tuple[set[int | signal.Signals], int]]:
-    """Signals wait at a descriptor meanwhile; with it comes the mask from before.
+    """Block the forwarded signals; yields the previous mask and a signalfd descriptor.
 
-    They are held back from before the program starts: none is lost.
+    They are blocked before the program starts: none is lost.
     """
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, _FORWARDED)
     try:
@@ -171,13 +171,13 @@ def _forwarding_signals(program: asyncio.subprocess.Process, signals: int) -> It
     try:
         yield
     finally:
-        forward()  # what came in the last moment was for the program, and must not end us
+        forward()  # a signal that came last was for the program and must not end us
         loop.remove_reader(signals)
         loop.remove_signal_handler(signal.SIGCHLD)
 
 
 def _pending_signals(signals: int) -> Iterator[tuple[int, int]]:
-    """Each signal that waits, with its code."""
+    """Each pending signal, with its code."""
     with contextlib.suppress(BlockingIOError):
         while True:
             number, _, code = _SIGNAL.unpack(os.read(signals, _SIGNAL.size))
@@ -185,7 +185,7 @@ def _pending_signals(signals: int) -> Iterator[tuple[int, int]]:
 
 
 def _reap(own: int) -> None:
-    """Collect adopted children that have ended; the program itself is waited for elsewhere."""
+    """Reap adopted children that have ended; the program itself is waited for elsewhere."""
     with contextlib.suppress(ChildProcessError):
         while (found := os.waitid(os.P_ALL, 0, os.WEXITED | os.WNOHANG | os.WNOWAIT)) is not None:
             if found.si_pid == own:

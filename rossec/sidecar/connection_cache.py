@@ -1,7 +1,7 @@
-"""Connections to peers' slave APIs, kept for a moment for the program that was told of them.
+"""Connections to peers' slave APIs, cached briefly for the program that looked them up.
 
-A shell. A door is opened only if the peer answers; the program that then comes through it finds
-the connection made.
+A shell. A port is opened only if the peer answers; the program that then connects to the port
+reuses that connection.
 """
 
 import asyncio
@@ -15,24 +15,24 @@ _LIFETIME: Final = 5.0
 
 
 class ConnectionCache:
-    """At most one for each peer."""
+    """Caches at most one connection for each peer."""
 
     def __init__(self) -> None:
         self._clients: dict[Endpoint, SlaveApiClient] = {}
         self._tasks = TaskSet()
 
     def put(self, remote: Endpoint, client: SlaveApiClient) -> None:
-        """Keep a connection for the next caller of `remote`, for a moment."""
+        """Cache a connection for the next caller of `remote`, for a few seconds."""
         old = self._clients.pop(remote, None)
         self._clients[remote] = client
-        self._tasks.spawn(self._close_later(remote, client, old), "a kept connection")
+        self._tasks.spawn(self._close_later(remote, client, old), "a cached connection")
 
     def take(self, remote: Endpoint) -> SlaveApiClient | None:
-        """Such a connection, for this caller alone."""
+        """Take a cached connection to `remote`."""
         return self._clients.pop(remote, None)
 
     async def close(self) -> None:
-        """Let go of all."""
+        """Drop all connections."""
         await self._tasks.close()
 
     async def _close_later(

@@ -1,6 +1,6 @@
-"""The channel as one identity speaks it: it connects to peers, and listens for them.
+"""The secure channel of one identity: connects to peers and listens for them.
 
-A shell. Whoever answers is checked before anything is said.
+A shell. A peer is checked before anything is sent to it.
 """
 
 from typing import Final
@@ -35,10 +35,10 @@ _ACCEPTED: Final = {
 
 
 class PeerConnector:
-    """Acts with `credentials`, for peers that `anchor` vouches for and `access` knows as alive.
+    """Authenticates with `credentials`; peers need a certificate of `anchor`, valid for `access`.
 
     Args:
-        half_open: what strangers have begun at any door of this process.
+        half_open: the unauthenticated connections at all ports of this process.
     """
 
     def __init__(
@@ -60,21 +60,21 @@ class PeerConnector:
     async def dial(
         self, remote: Endpoint, *, allow_stale: bool = False, own_identity: bool = False
     ) -> SecureStream[Identity]:
-        """Connect to a peer whose identity holds.
+        """Connect to a peer with a valid identity.
 
         Args:
-            own: it is a program of this same identity: nobody else will do.
-            news: it brings what is revoked, so that it may be met before anybody knows.
+            allow_stale: accept stale revocation data: the master provides fresh data.
+            own_identity: the peer must be a program of this identity.
 
         Raises:
-            HangUp: it does not hold, or nobody knows.
+            HangUp: the identity is invalid, or its revocation status unknown.
         """
         stream = await self._connect(remote, self._own_dials if own_identity else None)
         try:
             self._access.check_peer(stream.peer, clock.now())
         except HintedError as error:
             if not (allow_stale and isinstance(error, RevocationsStale)):
-                stream.abort("the peer's identity does not hold")
+                stream.abort("the peer's identity is invalid")
                 raise HangUp(str(error), error.hint) from error
         return stream
 
@@ -90,9 +90,9 @@ class PeerConnector:
     def listen(
         self, handler: Handler[Identity], host: str, protocol: WireProtocol
     ) -> SecureServer[Identity]:
-        """Listen, on loopback alone when `host`, where peers are told to come, is loopback.
+        """Listen; on loopback alone if `host`, the advertised address, is loopback.
 
-        The port is named when it is bound, so that the kernel keeps it while the server rests.
+        The port is bound explicitly, so that the kernel reserves it while the server is suspended.
         """
         bind = host if is_loopback(host) else None
         return bind_free_port(

@@ -1,7 +1,7 @@
-"""Doors on loopback: programs call a peer's slave API, subscribe to its topics, call services.
+"""Loopback ports for peers: programs call a peer's slave API, subscribe to topics, call services.
 
-A shell. Each connection runs one layer after another; whatever goes wrong ends that connection, on
-both sides.
+A shell. Each connection runs one layer after another; an error closes that connection on both
+sides.
 """
 
 import asyncio
@@ -44,12 +44,12 @@ _log = logging.getLogger("rossec.sidecar")
 
 
 class Egress:
-    """The doors of one identity.
+    """The loopback ports of one identity.
 
     Args:
-        house: whom visits are made for.
+        services: the services of its agent.
         filter_key: finds a key for pseudonyms by its name.
-        ended: told of a topic whose connection, made at that monotonic time, has ended.
+        on_topic_ended: called with the topic and the start (monotonic) of a connection that ended.
     """
 
     def __init__(
@@ -78,13 +78,13 @@ class Egress:
         return listener.port
 
     def refuse(self, remote: Endpoint) -> int:
-        """The loopback port for `remote`; it refuses callers."""
+        """The loopback port for `remote`; the kernel refuses callers."""
         listener = self._port_for(remote)
         listener.suspend()
         return listener.port
 
     async def close(self) -> None:
-        """Close every door."""
+        """Close every port."""
         for listener in self.ports:
             await listener.close()
         await self._tasks.close()

@@ -1,7 +1,7 @@
-"""What one connection keeps open at its other end, and how commands are carried out for it.
+"""Executes the commands of one connection's layers, and owns the connections this opens.
 
-A shell: it dials, asks and reports; it decides nothing. Whoever answers outside is checked before
-anything is said to it, and whoever listens inside before it is connected to.
+A shell: it connects, calls and reports; it decides nothing. A peer is checked before anything is
+sent to it, and a program that listens before it is connected to.
 """
 
 import asyncio
@@ -54,7 +54,7 @@ DEADLINE: Final = 10.0
 
 @dataclass
 class SlaveApiClient:
-    """A peer's slave API, connected; `shown` are the rights whose grants it has seen."""
+    """A connection to a peer's slave API; `presented`: the rights whose grants were presented."""
 
     rpc: RpcClient
     peer: Identity
@@ -62,12 +62,12 @@ class SlaveApiClient:
 
     @property
     def usable(self) -> bool:
-        """Whether it can still be asked."""
+        """Whether it is still open."""
         return not self.rpc.closed
 
 
 class AgentServices(Protocol):
-    """What a visit needs of the identity it is made for."""
+    """The services that an executor needs of its agent."""
 
     @property
     def name(self) -> str:
@@ -75,10 +75,10 @@ class AgentServices(Protocol):
 
     @property
     def callers(self) -> Callers:
-        """Which programs may be reached."""
+        """The programs that may be connected to."""
 
     def open_ingress(self, local: Endpoint) -> int:
-        """The port outside for `local`."""
+        """The network port for `local`; it listens."""
 
     def suspend_ingress(self, local: Endpoint) -> None:
         """Refuse callers for `local`."""
@@ -90,30 +90,30 @@ class AgentServices(Protocol):
         """The loopback port for `remote`; it refuses callers."""
 
     def cache_client(self, remote: Endpoint, client: SlaveApiClient) -> None:
-        """Keep a connection for the next caller of `remote`."""
+        """Cache a connection for the next caller of `remote`."""
 
     def cached_client(self, remote: Endpoint) -> SlaveApiClient | None:
-        """Such a connection, for this caller alone."""
+        """Take a cached connection to `remote`."""
 
     async def dial(self, remote: Endpoint) -> SecureStream[Identity]:
-        """Connect to a peer whose identity holds."""
+        """Connect to a peer with a valid identity."""
 
     def check_peer(self, peer: Identity) -> None:
-        """Return if the identity of `peer` holds still. Raises a `HintedError`."""
+        """Return if the identity of `peer` is still valid. Raises a `HintedError`."""
 
     async def call_master(self, method: str, params: tuple[object, ...]) -> object:
         """The master's answer."""
 
     def proof(self, right: Right, name: str) -> bytes:
-        """Grants that prove `right` on `name`."""
+        """The grants for `right` on `name`."""
 
 
 class CommandExecutor:
-    """One connection's other end.
+    """Executes commands for one connection.
 
     Attributes:
-        program, stream: the end that was met for TCPROS.
-        first: what it sent after its header.
+        program, stream: the TCPROS connection to a program or to a peer.
+        first: the bytes it sent after its header.
     """
 
     def __init__(self, services: AgentServices) -> None:
@@ -131,7 +131,7 @@ class CommandExecutor:
             while True:
                 try:
                     event = await self._execute(command)
-                except Fault as fault:  # an answer as well; multicalls give it to one element
+                except Fault as fault:  # a valid answer; in a multicall that of one element
                     command = layer.throw(fault)
                 else:
                     command = layer.send(event)
@@ -140,7 +140,7 @@ class CommandExecutor:
             return outcome
 
     async def close(self) -> None:
-        """Drop what is open."""
+        """Close everything that is open."""
         await self._close_program_rpc()
         if self._peer_client is not None:
             with contextlib.suppress(RossecError, OSError):
@@ -151,11 +151,11 @@ class CommandExecutor:
             self.stream.abort("the other end is gone")
 
     async def _close_program_rpc(self) -> None:
-        """Close the connection to a program's slave API; what follows may last for days."""
-        client, self._program_rpc = self._program_rpc, None
-        if client is not None:
+        """Close the connection to a program's slave API: a TCPROS connection may last for days."""
+        rpc, self._program_rpc = self._program_rpc, None
+        if rpc is not None:
             with contextlib.suppress(RossecError, OSError):
-                await client.close()
+                await rpc.close()
 
     async def _execute(self, command: Command) -> Event:
         match command:
@@ -233,7 +233,7 @@ class CommandExecutor:
         return PlainStream(sock)
 
     async def _probe_egress(self, remote: Endpoint) -> int:
-        """A door that opens only if the peer answers; its connection is kept for who comes next."""
+        """Open a port only if the peer answers; its connection is cached for the next caller."""
         try:
             async with asyncio.timeout(DEADLINE):
                 client = await self._connect_peer(remote)
@@ -248,7 +248,7 @@ class CommandExecutor:
             self._peer_client = self._services.cached_client(remote)
         if self._peer_client is None or not self._peer_client.usable:
             self._peer_client = await self._connect_peer(remote)
-        self._services.check_peer(self._peer_client.peer)  # it may have been met long ago
+        self._services.check_peer(self._peer_client.peer)  # connected long ago, perhaps
         if right is not None and right not in self._peer_client.presented:
             await self._present_grants(self._peer_client, right)
         return self._peer_client.rpc
@@ -262,7 +262,7 @@ class CommandExecutor:
         return SlaveApiClient(RpcClient(stream), stream.peer)
 
     async def _present_grants(self, client: SlaveApiClient, right: Right) -> None:
-        """Show grants; whether they suffice is heard with the answer to the question itself."""
+        """Present grants; the answer to the call itself says whether they suffice."""
         grants = self._services.proof(right, client.peer.name)
         with contextlib.suppress(Fault):
             await client.rpc.call(PRESENT, self._services.name, grants)

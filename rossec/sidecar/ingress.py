@@ -1,7 +1,7 @@
-"""Doors to the network: peers call a program's slave API, subscribe to its topics, call services.
+"""Network ports for programs: peers call a slave API, subscribe to topics, call services.
 
-A shell. Each connection runs one layer after another; whatever goes wrong ends that connection, on
-both sides. A peer that is refused is told why its own grants do not suffice, and no more.
+A shell. Each connection runs one layer after another; an error closes that connection on both
+sides. A refused peer is told why its own grants do not suffice, and no more.
 """
 
 import asyncio
@@ -47,12 +47,12 @@ RevocationsHandler = Callable[[bytes, bytes, Identity], None]
 
 
 class Ingress:
-    """The doors of one identity.
+    """The network ports of one identity.
 
     Args:
-        house: whom visits are made for.
+        services: the services of its agent.
         filter_key: finds a key for pseudonyms by its name.
-        news: takes a list of revocations and a timestamp from the master.
+        on_revocations: takes a revocation list and a timestamp from the master.
     """
 
     def __init__(
@@ -78,19 +78,19 @@ class Ingress:
         self.ports = PortPool(self._close_port, self._is_dead)
 
     def open(self, local: Endpoint) -> int:
-        """The port outside for `local`."""
+        """The network port for `local`; it listens."""
         server = self.ports.get_or_open(local, lambda: self._listen(local))
-        server.wake()
+        server.resume()
         return server.port
 
     def suspend(self, local: Endpoint) -> None:
-        """Refuse callers for `local`: the program is gone."""
+        """Refuse callers for `local`: the program has ended."""
         server = self.ports.get(local)
         if server is not None:
-            server.rest()
+            server.suspend()
 
     async def close(self) -> None:
-        """Close every door."""
+        """Close every port."""
         for server in self.ports:
             await server.close()
         await self._tasks.close()
@@ -110,7 +110,7 @@ class Ingress:
     def _close_port(self, local: Endpoint, server: SecureServer[Identity]) -> None:
         self._agent.endpoints.remove_ingress(local, server.port)
         self._agent.forget(local)
-        self._tasks.spawn(server.close(), f"the door for {local.uri}")
+        self._tasks.spawn(server.close(), f"network port for {local.uri}")
 
     def _is_dead(self, local: Endpoint) -> bool:
         return not self._services.callers.listeners(local.port)

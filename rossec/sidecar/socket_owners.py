@@ -1,9 +1,9 @@
-"""Which descendant of a process holds a socket: found by a search, proved by one descriptor.
+"""Whether a descendant of a process holds a socket: found by a search, verified by its descriptor.
 
-A search reads what every descendant has open, which grows with programs and their connections. So
-those who wait while one runs share the next; what a process had open before is looked at last; and
-whose turn it is not waits for milliseconds at most. Nothing that is remembered is believed: that a
-process, the same before and after, is below the ancestor and has the socket is read each time.
+A search reads the descriptors of every descendant, which grows with programs and connections. So
+callers that wait during a search share the next one; descriptors seen before are read last; and a
+search yields to the loop every few milliseconds. A cached location is not trusted: each time it is
+read again that the process, the same before and after, is a descendant and has the socket.
 """
 
 import asyncio
@@ -26,30 +26,30 @@ _REMEMBERED: Final = 4096  # sockets
 
 
 class _SocketLocation(NamedTuple):
-    """Where a socket was seen."""
+    """The process and descriptor at which a socket was seen."""
 
     process: Process
     descriptor: str
 
 
 class SocketOwners:
-    """Finds holders among the descendants of `ancestor`."""
+    """Finds the holders of sockets among the descendants of `ancestor`."""
 
     def __init__(self, ancestor: int) -> None:
         self._ancestor = ancestor
-        self._locations: dict[int, _SocketLocation] = {}  # by the socket's inode; the oldest first
-        self._seen: dict[Process, set[str]] = {}  # descriptors that no caller's socket was at
+        self._locations: dict[int, _SocketLocation] = {}  # by socket inode; the oldest first
+        self._seen: dict[Process, set[str]] = {}  # descriptors that were no caller's socket
         self._wanted: set[int] = set()
         self._search_lock = asyncio.Lock()
 
     async def holds(self, inode: int) -> bool:
-        """Whether a descendant has the socket now."""
+        """Whether a descendant holds the socket now."""
         if self._verified(inode):
             return True
         self._wanted.add(inode)
         async with self._search_lock:
             if inode in self._wanted:
-                wanted = frozenset(self._wanted)  # those of a caller that gave up, too
+                wanted = frozenset(self._wanted)  # also those of cancelled callers
                 await self._search(wanted)
                 self._wanted -= wanted
         return self._verified(inode)
@@ -58,12 +58,12 @@ class SocketOwners:
         location = self._locations.get(inode)
         if location is None:
             return False
-        number = location.process.number
+        pid = location.process.pid
         is_held = (
-            process(number) == location.process
-            and socket_at(number, location.descriptor) == inode
-            and descends(number, self._ancestor)
-            and process(number) == location.process
+            process(pid) == location.process
+            and socket_at(pid, location.descriptor) == inode
+            and descends(pid, self._ancestor)
+            and process(pid) == location.process
         )
         if not is_held:
             del self._locations[inode]
@@ -84,18 +84,18 @@ class SocketOwners:
 
     def _remember(self, inode: int, location: _SocketLocation) -> None:
         self._locations[inode] = location
-        # A program that calls again often does so at the same descriptor.
+        # A program that connects again often uses the same descriptor.
         self._seen[location.process].discard(location.descriptor)
         if len(self._locations) > _REMEMBERED:
             del self._locations[next(iter(self._locations))]
 
     def _open_sockets(self) -> Iterator[tuple[int | None, _SocketLocation]]:
-        """What the descendants have open, the likeliest first."""
-        found = [process(number) for number in descendants(parents(), self._ancestor)]
+        """The open descriptors of the descendants, the most likely first."""
+        found = [process(pid) for pid in descendants(parents(), self._ancestor)]
         self._seen = {each: self._seen.get(each, set()) for each in found if each is not None}
         later: list[_SocketLocation] = []
         for each, seen in self._seen.items():
-            names = descriptors(each.number)
+            names = descriptors(each.pid)
             seen.intersection_update(names)
             for name in names:
                 location = _SocketLocation(each, name)
@@ -103,6 +103,6 @@ class SocketOwners:
                     later.append(location)
                 else:
                     seen.add(name)
-                    yield socket_at(each.number, name), location
+                    yield socket_at(each.pid, name), location
         for location in later:
-            yield socket_at(location.process.number, location.descriptor), location
+            yield socket_at(location.process.pid, location.descriptor), location

@@ -15,7 +15,7 @@ from ca.certificates import Identity
 from ca.encoding import encode
 from grants.model import Right
 from rossec.channel.opening import REFUSAL, tcpros_refusal
-from rossec.demo.stranger import believe_anyone
+from rossec.demo.intruder import accept_any
 from rossec.errors import ChannelError
 from rossec.inprocess.live_connections import PEER_CONNECTIONS
 from rossec.net.aio import SecureStream, connect, serve
@@ -160,7 +160,7 @@ def exchange(port: int, data: bytes) -> bytes:
 
 async def raw(victim: Victim, data: bytes) -> bytes:
     """Send `data` as Eve inside the channel; all that comes back."""
-    stream = await connect(HOST, victim.port, credentials(victim.site), believe_anyone)
+    stream = await connect(HOST, victim.port, credentials(victim.site), accept_any)
     answer = b""
     with contextlib.suppress(ChannelError):
         await stream.send(data)
@@ -257,7 +257,7 @@ async def test_revoking_cuts_this_connection_and_no_other(victim: Victim, what: 
         await until(lambda: sight.received > 0, within=20)
         data = site.revoke(grant if what == "grant" else site.identity(name).thumbprint)
         await victim.viewer._session.call("rossec.updateRevocations", data)
-        await until(lambda: f"cut {name}" in victim.said, within=20)
+        await until(lambda: f"closed the connection with {name}" in victim.said, within=20)
         await until(lambda: not sight.links, within=20)
         received = sight.received
         await victim.goes_on()
@@ -271,7 +271,7 @@ async def test_an_expired_grant_cuts_to_the_second(victim: Victim) -> None:
     async with site.node("/guest") as guest:
         sight = await guest.subscriber(STATE, TYPE)
         await until(lambda: sight.received > 0, within=20)
-        await until(lambda: "cut /guest" in victim.said, within=20)
+        await until(lambda: "closed the connection with /guest" in victim.said, within=20)
         await until(lambda: not sight.links, within=20)
         await victim.goes_on()
 

@@ -168,7 +168,7 @@ async def test_what_a_revoked_publisher_sent_before_is_not_heard_after(tmp_path:
             assert site.master is not None
             own = credentials(site, "/carrier")
             await call(site.master.uri, own, "rossec.updateRevocations", "/carrier", data)
-            await dreamer.hears("cut /chatterer")
+            await dreamer.hears("closed the connection with /chatterer")
             dreamer.said = ""
             with pytest.raises(TimeoutError):
                 await dreamer.hears("\0", within=1)

@@ -87,6 +87,3 @@ def restore(
 
 def _read(path: Path, limit: int) -> bytes:
     return files.read(path, limit, ConfigurationError(f"there is no {path}"))
-
-
-COMMANDS = (backup, restore)

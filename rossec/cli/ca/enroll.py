@@ -20,7 +20,7 @@ from ca.store.lifecycle import RequestRow, RequestState
 from rossec import files
 from rossec.authority.home import AuthorityHome
 from rossec.cli.ca.requests import introduce, tell_of_replaced
-from rossec.cli.shared import options, passphrase
+from rossec.cli.shared import options, passphrase, signing_options
 from rossec.cli.shared.context import Environment, agrees, now, pass_environment, reraise_interrupt
 from rossec.cli.shared.delivery import remind
 from rossec.enrollment import address
@@ -47,9 +47,9 @@ _DENIED: Final = "no, at the authority"
     help="no code: this request, whose fingerprint you have compared",
 )
 @click.option("--address", "told", help="where the node waits, for a label: host, or host:port")
-@options.identity_lifetime
-@options.replace_key()
-@options.anonymous
+@signing_options.identity_lifetime
+@signing_options.replace_key()
+@signing_options.anonymous
 @click.option("--later", is_flag=True, help="only record who asks; decide with: rossec ca approve")
 @options.master_to_tell
 @click.option("--yes", is_flag=True, help="do not ask")
@@ -202,6 +202,3 @@ def _write(csr_file: Path | None, bundle: bytes) -> None:
 def _read(path: Path) -> bytes:
     with path.open("rb") as stream:
         return stream.read(MAX_REQUEST + 1)
-
-
-COMMANDS = (enroll,)

@@ -134,6 +134,3 @@ def renew(
         say(f"renewed {name}: {target}")
         say(f"next, on its machine: rossec node install {target}")
     remind(authority.store, number)
-
-
-COMMANDS = (list_, show, renew)

@@ -1,6 +1,5 @@
 """`rossec ca import`: the root learns of the identities that its intermediates have signed."""
 
-import asyncio
 from pathlib import Path
 
 import click
@@ -9,10 +8,10 @@ from ca.certificates import Identity, from_pem
 from rossec import files
 from rossec.authority.home import AuthorityHome, format_fingerprint
 from rossec.authority.renewals import import_identity
-from rossec.cli.shared import options, passphrase
+from rossec.cli.shared import options, passphrase, signing_options
 from rossec.cli.shared.batch import Batch
 from rossec.cli.shared.context import Environment, confirm, moment, now, pass_environment
-from rossec.cli.shared.delivery import deliver, remind
+from rossec.cli.shared.delivery import publish_list, remind
 from rossec.errors import ConfigurationError
 from rossec.terminal import say
 
@@ -26,7 +25,7 @@ _MAX_BUNDLE = 64 * 1024
     required=True,
     type=click.Path(path_type=Path, exists=True, dir_okay=False),
 )
-@options.replace_key(multiple=True)
+@signing_options.replace_key(multiple=True)
 @options.master_to_tell
 @click.option("--yes", is_flag=True, help="do not ask")
 @passphrase.option
@@ -75,8 +74,7 @@ def _adopt(
         remind(authority.store, number)
         return
     say("the replaced key is revoked")
-    asyncio.run(deliver(environment, master_uri))
-    say("the master has the new list")
+    publish_list(environment, master_uri)
 
 
 def _introduce(home: AuthorityHome, path: Path, identity: Identity) -> None:
@@ -84,6 +82,3 @@ def _introduce(home: AuthorityHome, path: Path, identity: Identity) -> None:
     say(f"  fingerprint {format_fingerprint(identity.thumbprint)}")
     for issuer in identity.issuers:
         say(f"  signed by intermediate/{issuer.hex()[:16]}")
-
-
-COMMANDS = (import_,)

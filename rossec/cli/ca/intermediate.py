@@ -21,12 +21,7 @@ _MAX_FILE = 16 * 1024
 _FILE = click.Path(path_type=Path, exists=True, dir_okay=False)
 
 
-@click.group()
-def intermediate() -> None:
-    """Let a host sign nodes for a season, while the root stays offline."""
-
-
-@intermediate.command()
+@click.command()
 @click.argument("domain")
 @passphrase.option
 @pass_environment
@@ -40,7 +35,7 @@ def request(environment: Environment, domain: str, passphrase_file: Path | None)
     say(f"next, at the root: rossec ca intermediate sign {path} --may renew")
 
 
-@intermediate.command()
+@click.command()
 @click.argument("request", type=_FILE)
 @click.option(
     "--may", required=True, type=click.Choice(["renew", "enroll"]),
@@ -81,7 +76,7 @@ def sign(
     remind(authority.store, number)
 
 
-@intermediate.command()
+@click.command()
 @click.argument("bundle", type=_FILE)
 @passphrase.option
 @pass_environment
@@ -92,6 +87,3 @@ def install(environment: Environment, bundle: Path, passphrase_file: Path | None
     found = intermediate_home.install(environment.home, data, secret, now())
     powers = "renew and enroll" if found.may_enroll else "renew"
     say(f"this host may {powers} until {moment(found.not_after)}")
-
-
-COMMANDS = (intermediate,)

@@ -18,16 +18,9 @@ from rossec.terminal import note, printable, say, say_json
 _MAX_HEAD = 4096
 
 
-@click.group(invoke_without_command=True)
-@click.option("--last", type=click.IntRange(1), help="only the newest so many entries")
-@click.option("--json", "in_json", is_flag=True, help="one line of JSON")
-@click.pass_context
-def log(context: click.Context, last: int | None, in_json: bool) -> None:
-    """Show everything the authority did, oldest first."""
-    if context.invoked_subcommand is not None:
-        return
-    home = AuthorityHome.at(context.find_object(Environment).home)  # type: ignore[union-attr]
-    entries = home.store().log.entries()[-(last or 0) :]
+def show(environment: Environment, last: int | None, *, in_json: bool) -> None:
+    """Show the newest `last` entries, by default all."""
+    entries = AuthorityHome.at(environment.home).store().log.entries()[-(last or 0) :]
     if in_json:
         say_json([_as_json(entry) for entry in entries])
         return
@@ -36,7 +29,7 @@ def log(context: click.Context, last: int | None, in_json: bool) -> None:
         say(printable("  ".join(filter(None, words))))
 
 
-@log.command()
+@click.command()
 @click.option(
     "--head", "heads", multiple=True, type=click.Path(path_type=Path, exists=True, dir_okay=False),
     help="a signed head kept elsewhere (rossec ca log head)",
@@ -64,7 +57,7 @@ def verify(environment: Environment, heads: tuple[Path, ...], in_json: bool) -> 
         note("a head kept elsewhere shows more: this file's owner could have rewritten all of it")
 
 
-@log.command()
+@click.command()
 @click.option("--out", type=click.Path(path_type=Path, dir_okay=False), help="write it here")
 @passphrase.option
 @pass_environment
@@ -84,7 +77,7 @@ def head(environment: Environment, out: Path | None, passphrase_file: Path | Non
     say(f"head of {size} entries: {out}")
 
 
-@log.command()
+@click.command()
 @click.option("--entry", type=click.IntRange(0), help="prove that this entry is in the log")
 @click.option(
     "--since", type=click.Path(path_type=Path, exists=True, dir_okay=False),
@@ -122,6 +115,3 @@ def _as_json(entry: LogEntry) -> dict[str, Any]:
 def _read(path: Path) -> bytes:
     missing = ConfigurationError(f"there is no {path}")
     return files.read(path, _MAX_HEAD, missing)
-
-
-COMMANDS = (log,)

@@ -1,6 +1,5 @@
 """`rossec ca requests | approve | deny`: who asks for an identity, and what was answered."""
 
-import asyncio
 from pathlib import Path
 from typing import Final
 
@@ -15,10 +14,10 @@ from rossec import files
 from rossec.authority.home import AuthorityHome, format_fingerprint
 from rossec.authority.policyfile import PolicyFile, place
 from rossec.authority.signing import SigningAuthority
-from rossec.cli.ca.group import warn_of_tail
-from rossec.cli.shared import options, passphrase
+from rossec.cli.ca.sign import warn_of_tail
+from rossec.cli.shared import options, passphrase, signing_options
 from rossec.cli.shared.context import Environment, moment, now, pass_environment
-from rossec.cli.shared.delivery import deliver, remind
+from rossec.cli.shared.delivery import publish_list, remind
 from rossec.errors import ConfigurationError
 from rossec.terminal import printable, say, say_json
 
@@ -47,9 +46,9 @@ def requests(environment: Environment, everything: bool, as_json: bool) -> None:
 
 @click.command()
 @click.argument("request_id")
-@options.identity_lifetime
-@options.replace_key()
-@options.anonymous
+@signing_options.identity_lifetime
+@signing_options.replace_key()
+@signing_options.anonymous
 @click.option("--out", type=click.Path(path_type=Path), help="write the identity to this new file")
 @options.master_to_tell
 @passphrase.option
@@ -120,8 +119,7 @@ def tell_of_replaced(
         remind(authority.store, number)
         return
     say("the replaced key is revoked")
-    asyncio.run(deliver(environment, master_uri))
-    say("the master has the new list")
+    publish_list(environment, master_uri)
 
 
 def _standing(store: Store, row: RequestRow) -> str:
@@ -172,6 +170,3 @@ def _digest(text: str) -> bytes:
 
 def _short(row: RequestRow) -> str:
     return row.digest.hex()[:_SHORT]
-
-
-COMMANDS = (requests, approve, deny)

@@ -30,6 +30,7 @@ from rossec.authority.signing import SigningAuthority
 from rossec.cli.shared import options, passphrase
 from rossec.cli.shared.context import Environment, moment, now, pass_environment
 from rossec.cli.shared.handing_over import hand_over
+from rossec.cli.shared.policy import read_policy
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
 from rossec.terminal import note, printable, say, say_json
@@ -103,7 +104,7 @@ def decide(
 
     What it allows is signed; what it wants asked waits for `rossec grant pending`.
     """
-    file = options.read_policy(environment, policy_path, signs=True)
+    file = read_policy(environment, policy_path, signs=True)
     with _desk(environment, file) as desk:
         for path in request_files:
             desk.add_request(requests.read_request(path))
@@ -127,7 +128,7 @@ def decide(
 @pass_environment
 def pending(environment: Environment, as_json: bool, policy_path: Path | None) -> None:
     """Show what nodes ask for and the policy leaves to you. No answer in time is a no."""
-    file = options.read_policy(environment, policy_path, signs=True)
+    file = read_policy(environment, policy_path, signs=True)
     with _desk(environment, file) as desk:
         _collect(desk)
         asked = [item for item in desk.pending() if item.verdict.effect is Effect.PROMPT]
@@ -161,7 +162,7 @@ def approve(
 
     --approximate gives it through a filter of the policy or a preset, --today until midnight.
     """
-    file = options.read_policy(environment, policy_path, signs=True)
+    file = read_policy(environment, policy_path, signs=True)
     change = _change(file, coarse, only_today)
     with _desk(environment, file) as desk:
         chosen = _chosen(desk, request_id)
@@ -178,7 +179,7 @@ def approve(
 @pass_environment
 def deny(environment: Environment, request_id: str, policy_path: Path | None) -> None:
     """Say no to the request REQUEST_ID (or the beginning of it)."""
-    with _desk(environment, options.read_policy(environment, policy_path, signs=True)) as desk:
+    with _desk(environment, read_policy(environment, policy_path, signs=True)) as desk:
         for item in _chosen(desk, request_id):
             desk.deny(item, "a person")
             say(f"denied {item.stored.request.node} {item.stored.requested}")
@@ -288,6 +289,3 @@ def _summary(item: PendingApproval) -> dict[str, object]:
         "asked": asked.at,
         "restrictions": restriction_lines(item.verdict),
     }
-
-
-COMMANDS = (request, decide, pending, approve, deny)

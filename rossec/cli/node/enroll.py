@@ -131,6 +131,3 @@ def _own_address(environment: Environment) -> str:
     if others:
         note(f"other addresses of this host, for --address: {', '.join(others)}")
     return first
-
-
-COMMANDS = (enroll, confirm, labels)

@@ -17,6 +17,7 @@ from rossec.authority.policyfile import layout_of
 from rossec.cli.shared import options
 from rossec.cli.shared.context import Environment, now, pass_environment
 from rossec.cli.shared.message_text import fill, parse_message, render
+from rossec.cli.shared.policy import read_policy
 from rossec.errors import ConfigurationError
 from rossec.participant.message_types import MessageType, message_type
 from rossec.terminal import note, say, say_json
@@ -47,7 +48,7 @@ def explain(
     policy_path: Path | None,
 ) -> None:
     """Say whether NODE may use RIGHT (subscribe, publish, call, ...) on NAME, and why."""
-    read = options.read_policy(environment, policy_path)
+    read = read_policy(environment, policy_path)
     decider = read.decider
     asked = _right(right)
     verdict = decider.decide(subject_of(environment, node), asked, name)

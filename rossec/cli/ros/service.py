@@ -18,12 +18,7 @@ _AS = click.option("--as", "node", required=True, metavar="NODE", help="identity
 _JSON = click.option("--json", "as_json", is_flag=True, help="one line of JSON")
 
 
-@click.group()
-def service() -> None:
-    """List, ask and call services."""
-
-
-@service.command("list")
+@click.command("list")
 @_AS
 @_JSON
 @pass_environment
@@ -32,7 +27,7 @@ def list_(environment: Environment, node: str, as_json: bool) -> None:
     asyncio.run(_list(environment, node, as_json))
 
 
-@service.command()
+@click.command()
 @click.argument("name")
 @_AS
 @_JSON
@@ -42,7 +37,7 @@ def info(environment: Environment, name: str, node: str, as_json: bool) -> None:
     asyncio.run(_info(environment, name, node, as_json))
 
 
-@service.command()
+@click.command()
 @click.argument("name")
 @click.argument("content", default="{}")
 @_AS

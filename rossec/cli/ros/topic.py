@@ -13,12 +13,7 @@ from rossec.participant.message_types import Message, message_type
 from rossec.terminal import note, say
 
 
-@click.group()
-def topic() -> None:
-    """Publish and listen."""
-
-
-@topic.command()
+@click.command()
 @click.argument("name")
 @click.argument("type_name", metavar="TYPE")
 @click.option("--as", "node", required=True, metavar="NODE", help="identity to use")
@@ -29,7 +24,7 @@ def echo(environment: Environment, name: str, type_name: str, node: str, count: 
     asyncio.run(_echo(environment, name, type_name, node, count))
 
 
-@topic.command()
+@click.command()
 @click.argument("name")
 @click.argument("type_name", metavar="TYPE")
 @click.argument("content", default="{}")

@@ -9,8 +9,6 @@ from typing import Final
 
 import click
 
-from rossec import clock
-from rossec.environment import own_home
 from rossec.errors import ConfigurationError
 
 _UNITS: Final = {"s": 1, "m": 60, "h": 3600, "d": 86400, "w": 7 * 86400}
@@ -27,6 +25,8 @@ class Environment:
     @property
     def home(self) -> Path:
         """ROSSEC_HOME, if nobody else can write there."""
+        from rossec.environment import own_home  # noqa: PLC0415 - not needed for help and completion
+
         return own_home(self.variables)
 
 
@@ -35,6 +35,8 @@ pass_environment = click.make_pass_decorator(Environment)
 
 def now() -> int:
     """Seconds since the epoch, host clock."""
+    from rossec import clock  # noqa: PLC0415 - not needed for help and completion
+
     return clock.now()
 
 

@@ -1,5 +1,6 @@
 """Carry the newest revocation list to the master, as the authority's own node `/ca`."""
 
+import asyncio
 from typing import Final
 
 from ca.errors import CertificateExpired, HintedError
@@ -11,7 +12,7 @@ from rossec.cli.shared.context import Environment, moment, now
 from rossec.cli.shared.master import master_as, master_at
 from rossec.errors import ConfigurationError, NotDelivered
 from rossec.ros import settings
-from rossec.terminal import note
+from rossec.terminal import note, say
 
 _HINT = (
     "the list is signed and kept, but cuts nobody before the master has it;"
@@ -38,6 +39,12 @@ async def deliver(environment: Environment, master_uri: str | None) -> None:
     method = "rossec.updateRevocationTree" if is_tree(data) else "rossec.updateRevocations"
     statement = (data, home.tree_entries()) if is_tree(data) else (data,)
     await carry(environment, master_uri, method, statement, "the list", _HINT)
+
+
+def publish_list(environment: Environment, master_uri: str | None) -> None:
+    """Deliver the list that was signed just now, and say so; see `deliver`."""
+    asyncio.run(deliver(environment, master_uri))
+    say("the master has the new list")
 
 
 async def carry(

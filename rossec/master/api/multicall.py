@@ -1,8 +1,8 @@
 """`system.multicall`: each element is a call of its own, with its own rights. Pure.
 
-It is made in turns, so that one node with four thousand elements does not keep the others waiting;
-what the caller may do is asked anew each time. What is bounded: the elements, those that cost much,
-and how long all answers are together. Nesting is refused.
+It is processed in turns, so that four thousand elements of one node do not delay other calls; the
+caller's rights are evaluated again at each turn. Limited are the number of elements, the number of
+expensive ones, and the size of all answers together. Nesting is refused.
 """
 
 import xmlrpc.client
@@ -18,8 +18,8 @@ from rossec.ros.xmlrpc import BODY_LIMIT
 Fault = xmlrpc.client.Fault
 MULTICALL: Final = "system.multicall"
 MULTICALL_LIMIT: Final = 4096  # roslaunch sets every parameter of a launch file in one
-MULTICALL_QUERIES: Final = 16  # answers over the whole graph; more in one call only amplifies
-MULTICALL_ANSWER: Final = BODY_LIMIT  # bytes, about; else 4096 questions for one large parameter
+MULTICALL_QUERIES: Final = 16  # queries of the whole graph; more would be amplification
+MULTICALL_ANSWER: Final = BODY_LIMIT  # bytes, about; else 4096 requests for one large parameter
 MULTICALL_ONCE: Final = frozenset(  # each of these costs signatures or carries a whole list
     {
         "rossec.presentGrants", "rossec.renewGrants", "rossec.updateDelegation",
@@ -32,14 +32,14 @@ MULTICALL_ONCE: Final = frozenset(  # each of these costs signatures or carries 
 
 _RIGHTS_CHANGED: Final = (RevocationsChanged, GrantsPresented)
 BeginCall = Callable[[str, Sequence[object]], CallOutcome | Work]
-"""Makes one call, or begins to, or raises `Fault`."""
+"""Answers one call, or begins to, or raises `Fault`."""
 
 
 class Multicall:
-    """One multicall: `step` until `done`, then `answer` is what to answer.
+    """One multicall: call `step` until `done`, then `answer` is its answer.
 
     Raises:
-        Fault: it is none, or asks for too much.
+        Fault: the multicall is malformed or exceeds a limit.
     """
 
     def __init__(self, params: Sequence[object]) -> None:
@@ -50,18 +50,18 @@ class Multicall:
             raise Fault(1, f"rossec: more than {MULTICALL_QUERIES} state queries in a multicall")
         self._calls: list[object] = calls
         self._answers: list[object] = []
-        self._first_index: dict[str, int] = {}  # where the first of each is
+        self._first_index: dict[str, int] = {}  # by method, of those allowed once
         self._bytes_left = MULTICALL_ANSWER
-        self._work: Work | None = None  # the element that is being made
+        self._work: Work | None = None  # the element in progress
 
     @property
     def done(self) -> bool:
-        """Whether nothing is left to be made."""
+        """Whether no element is left."""
         return self._bytes_left < 0 or len(self._answers) == len(self._calls)
 
     @property
     def answer(self) -> object:
-        """The answers made so far; a fault when they are too long, though what was made is made."""
+        """The answers so far; a fault when they are too long: the calls made remain in effect."""
         if self._bytes_left >= 0:
             return self._answers
         made = f"{len(self._answers)} of its {len(self._calls)} calls were made"
@@ -69,7 +69,7 @@ class Multicall:
         return Fault(1, f"rossec: {text}: {made}, ask for less at a time")
 
     def step(self, begin: BeginCall, expired: TurnExpired) -> tuple[MasterEvent, ...]:
-        """Make calls until the turn is `expired`; returns what is to be delivered for them."""
+        """Process elements until the turn has `expired`; returns the events to deliver."""
         events: list[MasterEvent] = []
         while not self.done:
             outcome = self._run_element(begin, expired)
@@ -79,15 +79,15 @@ class Multicall:
             self._bytes_left -= encoded_size(outcome.answer)
             events += outcome.events
             if expired() or (events and isinstance(events[-1], _RIGHTS_CHANGED)):
-                break  # what follows from it must have followed before the next one is made
+                break  # its effects must come before the next element
         return tuple(events)
 
     def restart_element(self) -> None:
-        """What the element that is being made has found so far does not count any more."""
+        """Discard the partial result of the element in progress."""
         self._work = None
 
     def _run_element(self, begin: BeginCall, expired: TurnExpired) -> CallOutcome | None:
-        """Make one element; None: there is more to do."""
+        """Process one element; None: it is not finished."""
         try:
             begun = self._begin_next(begin) if self._work is None else self._work
             outcome = begun if isinstance(begun, CallOutcome) else advance(begun, expired)

@@ -1,7 +1,7 @@
 """The Parameter Server's calls. Pure; texts are stock's.
 
 A right must cover what a call reaches: for a tree every parameter in it, before and after. So
-`setParam("/", ...)` or `getParam("/ns")` is no way around a missing right on one of them.
+`setParam("/", ...)` or `getParam("/ns")` does not circumvent a missing right on one of them.
 """
 
 import xmlrpc.client
@@ -45,7 +45,7 @@ class ParameterCalls:
     """Handlers over one parameter tree.
 
     Args:
-        caller_of: what a subscriber may read when an update goes out; None: nothing any more.
+        caller_of: a subscriber with its rights when an update is sent; None: its key is revoked.
         limit: bytes of all parameters together.
     """
 
@@ -60,10 +60,10 @@ class ParameterCalls:
         self._limit = limit
         self._registry = registry
         self._caller_of = caller_of
-        self._bytes_added: Counter[bytes] = Counter()  # by key, bytes that it added
+        self._bytes_added: Counter[bytes] = Counter()  # by key, net of what it deleted
 
     def methods(self) -> Methods:
-        """The rows of the method table."""
+        """The entries of the method table."""
         key, api = arg.key("key"), arg.uri("caller_api", "http")
         return {
             "getParam": Method((key,), 0, self._get),
@@ -80,7 +80,7 @@ class ParameterCalls:
         key = request.text(1)
         item = self._parameters.item(key)
         require_tree(request.caller, Right.PARAM_GET, key, item)
-        if item[1] is None:  # which no parameter can be
+        if item[1] is None:  # no parameter has this value
             return Reply(0, f"Parameter [{key}] is not set", -1)
         return Reply(_sendable(item[1]), f"Parameter [{key}]")
 
@@ -94,38 +94,38 @@ class ParameterCalls:
         try:
             parameter_state.check_names(key, value)
             require_tree(request.caller, Right.PARAM_SET, key, *self._affected_items(key, value))
-            self._set_within_share(request.caller, key, value)
+            self._set_within_quota(request.caller, key, value)
         except (TypeError, ValueError) as error:
             return Reply(0, f"Error: invalid arguments: {error}", -1)
-        kept = PersistParameter(ParameterChange(key, value))
+        persist = PersistParameter(ParameterChange(key, value))
         events = self._updates(key, value, request, setter=request.caller.name)
-        return Reply(0, f"parameter {key} set", events=(kept, *events))
+        return Reply(0, f"parameter {key} set", events=(persist, *events))
 
     def _affected_items(self, key: str, value: object) -> list[ParameterItem]:
-        """What is there before and after `key` is set to `value`."""
+        """The items that setting `key` to `value` reaches, before and after."""
         before = self._parameters.items_affected(key)  # the last of them is `key` itself
         has_tree = isinstance(value, dict) or isinstance(before[-1][1], dict)
         return [*before, (key, value)] if has_tree else before
 
-    def _set_within_share(self, caller: Caller, key: str, value: object) -> None:
-        """Nobody fills the room that is for all: one key has half of it, so long as it lives.
+    def _set_within_quota(self, caller: Caller, key: str, value: object) -> None:
+        """Set a parameter; the net additions of one key in this run are at most half of the limit.
 
-        What was set before the master was started is nobody's.
+        What was set before the master was started counts for no key.
         """
-        before, share = self._parameters.size, self._limit // 2
+        before, quota = self._parameters.size, self._limit // 2
         own = min(self._bytes_added[caller.thumbprint], before)  # others may have deleted it
         try:
-            self._parameters.set(key, value, min(self._limit, before + max(0, share - own)))
+            self._parameters.set(key, value, min(self._limit, before + max(0, quota - own)))
         except TooLarge as error:
             if error.size > self._limit:
                 raise TooLarge(error.size, self._limit) from error
             raise ValueError(
-                f"the parameters that {caller.identity} has set would take more than {share} bytes"
+                f"the parameters that {caller.identity} has set would take more than {quota} bytes"
             ) from error
         self._account(caller, before)
 
     def _account(self, caller: Caller, before: int) -> None:
-        """Count what a caller added since the size was `before`; less than nothing is nothing."""
+        """Count what a caller added since the size was `before`, at least 0 in total."""
         key = caller.thumbprint
         self._bytes_added[key] = (
             min(self._bytes_added[key], before) + self._parameters.size - before
@@ -142,26 +142,28 @@ class ParameterCalls:
         except ParameterMissing:
             return Reply(0, f"parameter [{key}] is not set", -1)
         self._account(request.caller, before)
-        kept = PersistParameter(ParameterChange(key, deleted=True))
+        persist = PersistParameter(ParameterChange(key, deleted=True))
         events = self._updates(key, {}, request, setter=None)
-        return Reply(0, f"parameter {key} deleted", events=(kept, *events))
+        return Reply(0, f"parameter {key} deleted", events=(persist, *events))
 
     def _search(self, request: CallRequest) -> Steps:
         key = request.text(1)
         try:
-            items = parameter_state.search_candidates(request.caller.name, key)
+            candidates = parameter_state.search_candidates(request.caller.name, key)
         except ValueError as error:
             return Reply(0, f"Internal failure: {error}", 0)
-        for item, found in items:
-            if self._parameters.has(item) and (yield from self._is_readable(request.caller, item)):
+        for candidate, found in candidates:
+            if not self._parameters.has(candidate):
+                continue
+            if (yield from self._is_readable(request.caller, candidate)):
                 return Reply(found, f"Found [{found}]")
         return Reply("", f"Cannot find parameter [{key}] in an upwards search", -1)
 
     def _is_readable(self, caller: Caller, key: str) -> Generator[None, None, bool]:
-        """Whether the caller may read anything there."""
-        decided = decisions_across_turns(caller, Right.PARAM_GET, self._parameters.item(key))
+        """Whether the caller may read anything at or below `key`."""
+        results = decisions_across_turns(caller, Right.PARAM_GET, self._parameters.item(key))
         at_once = caller.names_per_yield
-        for count, decision in enumerate(decided, 1):
+        for count, decision in enumerate(results, 1):
             if decision.covered:
                 return True
             if not count % at_once:
@@ -169,19 +171,19 @@ class ParameterCalls:
         return False
 
     def _parameter_names(self, request: CallRequest) -> Steps:
-        shown, room, at_once = list[str](), _MAX_ENCODED, request.caller.names_per_yield
+        shown, bytes_left, at_once = list[str](), _MAX_ENCODED, request.caller.names_per_yield
         for count, name in enumerate(self._readable_names(request.caller), 1):
             if name is not None:
                 shown.append(name)
-                room -= parameter_values.encoded_size(name)
-            if room < 0:
+                bytes_left -= parameter_values.encoded_size(name)
+            if bytes_left < 0:
                 raise Fault(1, _TOO_LONG)
             if not count % at_once:
                 yield
         return Reply(shown, "Parameter names")
 
     def _readable_names(self, caller: Caller) -> Iterator[str | None]:
-        """Every parameter the caller may read, and None where it was looked for one in vain."""
+        """Every parameter the caller may read, and None for each name it may not."""
         for decision in decisions_across_turns(caller, Right.PARAM_GET, self._parameters.item("/")):
             if decision.covered:
                 yield from parameter_names(decision.item)
@@ -207,7 +209,7 @@ class ParameterCalls:
         self, key: str, value: object, request: CallRequest, setter: str | None
     ) -> tuple[ParameterChanged, ...]:
         subscriptions = self._registry.keys(Kind.PARAMETER)
-        allowed: dict[tuple[bytes, str], bool] = {}  # a key that is many nodes is judged once
+        allowed: dict[tuple[bytes, str], bool] = {}  # by key: it may have many nodes
 
         def may_receive(node: NodeRef, update: parameter_state.ParameterUpdate) -> bool:
             about = node.thumbprint, update.key
@@ -230,7 +232,7 @@ class ParameterCalls:
 
 
 def _sendable(value: object) -> object:
-    """The value, unless it is far too long to be sent: to write it out would take long as well."""
+    """The value, unless it is far too long: encoding it would already take long."""
     if isinstance(value, dict) and parameter_values.exceeds(value, _MAX_ENCODED):
         raise Fault(1, _TOO_LONG)
     return value

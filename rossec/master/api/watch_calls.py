@@ -1,9 +1,9 @@
-"""The master's state for those who follow it: whole at first, then only what changed. Pure.
+"""Watching the graph: the whole state in the first answer, then only the changes. Pure.
 
-The state is a set of facts, so a difference is two sets, and whatever happened between two looks
-of a watcher is told as one. What a watcher was told is remembered here; what it may not see is no
-fact for it. Nothing is queued: a slow watcher is told less often, one that is not known (any more)
-is told everything. An answer is bounded; `more` says that the rest follows at once.
+The state is a set of facts, so a change is two sets, and all changes between two calls of a watcher
+are sent as one. What each watcher was sent is stored here, without what it may not see. Nothing is
+queued: a slow watcher is updated less often, one without a stored view is sent everything. An
+answer is bounded; `more` says that the rest follows at once.
 """
 
 from collections import OrderedDict
@@ -18,8 +18,8 @@ from rossec.master.state.registry import ANY_TYPE, Kind, Registry
 
 WATCH: Final = "rossec.watchGraph"
 BATCH: Final = 1024  # facts in one answer
-MAX_VIEWS: Final = 4  # watchers of one identity
-_START: Final = 0  # the cursor of a watcher that knows nothing
+MAX_VIEWS: Final = 4  # stored for one identity
+_START: Final = 0  # the cursor of a watcher without state
 
 Fact: TypeAlias = tuple[str, str, str]
 """Kind, name and value: `("publisher", "/scan", "/laser")`, `("type", "/scan", "pkg/Type")`,
@@ -31,9 +31,9 @@ View: TypeAlias = frozenset[Fact]
 def facts(
     registry: Registry, access_control: AccessControl, caller: Caller
 ) -> Iterator[Fact | None]:
-    """What `caller` may see of the graph: as `getSystemState` and its like show it.
+    """What `caller` may see of the graph, as in `getSystemState` and similar queries.
 
-    None for each name and node that was looked at in vain.
+    None for each name and node that it may not see.
     """
     for kind in (Kind.PUBLISHER, Kind.SUBSCRIBER, Kind.SERVICE):
         for key, names in registry.entries(kind):
@@ -54,10 +54,10 @@ def facts(
 
 
 class WatchCalls:
-    """The call by which a node follows the graph.
+    """The call by which a node watches the graph.
 
     Args:
-        instance: names this run of the master: a restarted one counts from zero again.
+        instance: identifies this run of the master: cursors start again after a restart.
     """
 
     def __init__(self, registry: Registry, access_control: AccessControl, instance: str) -> None:
@@ -68,12 +68,12 @@ class WatchCalls:
         self._views: OrderedDict[bytes, OrderedDict[int, View]] = OrderedDict()
 
     def methods(self) -> Methods:
-        """The row of the method table."""
+        """The entry of the method table."""
         checks = (arg.text("instance"), arg.number("cursor"))
         return {WATCH: Method(checks, {}, self._watch)}
 
     def keep_only(self, thumbprints: frozenset[bytes]) -> None:
-        """Forget the watchers of all other keys."""
+        """Discard the views of all other keys."""
         for key in self._views.keys() - thumbprints:
             del self._views[key]
 
@@ -114,7 +114,7 @@ class WatchCalls:
 
 
 def is_unchanged(answer: object) -> bool:
-    """Whether an answer to the call says that nothing changed."""
+    """Whether an answer to the call contains no change."""
     match answer:
         case [1, _, {"whole": False, "added": [], "removed": []}]:
             return True

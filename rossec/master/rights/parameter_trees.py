@@ -44,10 +44,11 @@ def has_right_on_all(caller: Caller, right: Right, items: Sequence[ParameterItem
     """Whether `caller` has `right` on every parameter in `items`, and `items` are not too large."""
     if len(items) == 1 and not isinstance(items[0][1], dict):  # the usual case
         return caller.may(right, items[0][0])
-    most = min(MAX_NAMES_CHECKED, MAX_PATTERN_MATCHES // max(1, caller.patterns(right)))
-    decided = (decision for item in items for decision in decisions(caller, right, item))
+    limit = min(MAX_NAMES_CHECKED, MAX_PATTERN_MATCHES // max(1, caller.patterns(right)))
+    results = (decision for item in items for decision in decisions(caller, right, item))
     return all(
-        count <= most and decision.covered is not False for count, decision in enumerate(decided, 1)
+        count <= limit and decision.covered is not False
+        for count, decision in enumerate(results, 1)
     )
 
 

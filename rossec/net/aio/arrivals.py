@@ -15,13 +15,13 @@ class UnitSource(Protocol):
         """The next of them."""
 
 
-async def arrived(source: UnitSource, framing: Framing) -> list[bytes]:
+async def next_messages(source: UnitSource, framing: Framing) -> list[bytes]:
     """The messages that the next bytes complete, maybe none.
 
     Raises:
         ChannelError: there are no more; or as of `Framing`.
     """
-    while framing.waits:
+    while framing.incomplete:
         try:
             async with asyncio.timeout(PATIENCE):
                 data = await source.receive()

@@ -75,11 +75,11 @@ async def connect(
         )
 
     if known is None:
-        return await _introduce(await _reach(host, port, timeout), partial(core, request_x5t=False))
+        return await _handshake(await _dial(host, port, timeout), partial(core, request_x5t=False))
     request_x5t = known.knows_address((host, port))
     try:
-        stream = await _introduce(
-            await _reach(host, port, timeout), partial(core, request_x5t=request_x5t)
+        stream = await _handshake(
+            await _dial(host, port, timeout), partial(core, request_x5t=request_x5t)
         )
     except (HandshakeFailed, PeerRefused) as error:
         # Whatever is wrong with a handshake that spoke in hashes, a hash may have led it astray.
@@ -88,12 +88,12 @@ async def connect(
         elif not request_x5t or isinstance(error, HandshakeTimeout):
             raise
         at_length = partial(core, request_x5t=False)
-        stream = await _introduce(await _reach(host, port, timeout), at_length)
+        stream = await _handshake(await _dial(host, port, timeout), at_length)
     known.note_address((host, port))
     return stream
 
 
-async def _introduce(
+async def _handshake(
     sock: socket.socket, core: Callable[[], Connection[PeerT]]
 ) -> SecureStream[PeerT]:
     ready: asyncio.Future[SecureStream[PeerT]] = asyncio.get_running_loop().create_future()
@@ -124,7 +124,7 @@ async def _introduce(
         raise
 
 
-async def _reach(host: str, port: int, timeout: float) -> socket.socket:  # noqa: ASYNC109 - passed on by `connect`
+async def _dial(host: str, port: int, timeout: float) -> socket.socket:  # noqa: ASYNC109 - passed on by `connect`
     try:
         return await dial(host, port, timeout)
     except (OSError, TimeoutError, ValueError, IndexError, OverflowError) as error:

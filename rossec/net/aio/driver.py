@@ -52,11 +52,11 @@ class Driver(ReceiveQueue, Generic[PeerT]):
         self._on_authenticated = on_authenticated
         self._on_end = on_end
         self._timer: asyncio.TimerHandle | None = None
-        self._cut_at = 0.0
+        self._abort_at = 0.0
         self._when_writable: list[Callable[[], None]] = []
         self.on_unit: Callable[[bytes], bool] | None = None
-        self._lost = False
-        self._when_lost: list[Callable[[], None]] | None = None
+        self._socket_closed = False
+        self._when_closed: list[Callable[[], None]] | None = None
         self.authenticated = False
         self.address = address
         self.transport = Transport(sock, self)
@@ -67,7 +67,7 @@ class Driver(ReceiveQueue, Generic[PeerT]):
 
     # -- called by the transport
 
-    def received(self, count: int) -> None:
+    def buffer_updated(self, count: int) -> None:
         """Hand the bytes to the core and its events to the consumer."""
         try:
             events = self.connection.buffer_updated(count, wall_clock())
@@ -80,16 +80,16 @@ class Driver(ReceiveQueue, Generic[PeerT]):
             event = events[0]
             if isinstance(event, UnitReceived) and self.on_unit(event.data):
                 return
-        self._take_in(events)
+        self._handle_events(events)
         if self.connection.has_unfinished_unit:
             self._arm()
 
-    def _take_in(self, events: Sequence[Event[PeerT]]) -> None:
+    def _handle_events(self, events: Sequence[Event[PeerT]]) -> None:
         for event in events:
             if isinstance(event, UnitReceived):
                 self._deliver(event.data)
             elif isinstance(event, Authenticated):
-                self._introduce(event.identity)
+                self._handle_authenticated(event.identity)
             else:
                 self.flush()
                 self._end(ChannelClosed("the peer closed the connection"))
@@ -97,36 +97,36 @@ class Driver(ReceiveQueue, Generic[PeerT]):
         if self._units:
             self._notify()
 
-    def _introduce(self, peer: PeerT) -> None:
+    def _handle_authenticated(self, peer: PeerT) -> None:
         """Wake whoever waits for the peer; what it says at once travels with the last flight."""
         self.authenticated = True
         self._on_authenticated(self, peer)
         self._loop.call_soon(self.flush)
         self._arm()
 
-    def eof(self) -> None:
+    def eof_received(self) -> None:
         """The peer ended the stream; without its close that is a truncation."""
         try:
             self.connection.receive_eof()
         except ChannelError as error:
             self.fail(error)
 
-    def drained(self) -> None:
+    def resume_writing(self) -> None:
         """The peer caught up."""
-        self._wake()
+        self._wake_waiters()
         callbacks, self._when_writable = self._when_writable, []
         for callback in callbacks:
             callback()
 
-    def lost(self) -> None:
+    def connection_lost(self) -> None:
         """Whatever the reason, wake everyone who waits."""
         self._cancel_timer()
         if self.error is None:
-            self.eof()
+            self.eof_received()
             self._end(ChannelClosed("the connection is closed"))
-        self._lost = True
-        self._wake()
-        callbacks, self._when_lost = self._when_lost, None
+        self._socket_closed = True
+        self._wake_waiters()
+        callbacks, self._when_closed = self._when_closed, None
         for callback in callbacks or ():
             callback()
         del self._on_authenticated, self._on_end  # they hold whoever holds this
@@ -147,14 +147,14 @@ class Driver(ReceiveQueue, Generic[PeerT]):
         """Whether a write would not pile up."""
         return self.transport.writable
 
-    def when_lost(self, callback: Callable[[], None]) -> None:
+    def when_closed(self, callback: Callable[[], None]) -> None:
         """Call back, once, when the socket is closed."""
-        if self._lost:
+        if self._socket_closed:
             callback()
             return
-        if self._when_lost is None:
-            self._when_lost = []
-        self._when_lost.append(callback)
+        if self._when_closed is None:
+            self._when_closed = []
+        self._when_closed.append(callback)
 
     def when_writable(self, callback: Callable[[], None]) -> None:
         """Call back, once, when the peer caught up."""
@@ -181,8 +181,8 @@ class Driver(ReceiveQueue, Generic[PeerT]):
             self.connection.close()
             self.flush()
             self._end(ChannelClosed("the connection was closed"), linger=True)
-        while not self._lost:
-            await self._change()
+        while not self._socket_closed:
+            await self._changed()
 
     def abort(self, error: ChannelError) -> None:
         """Cut the connection; the peer sees a truncation."""
@@ -209,8 +209,8 @@ class Driver(ReceiveQueue, Generic[PeerT]):
         if not self.transport.closed:
             self.transport.write_eof()
             self.transport.resume_reading()
-            self._cut_at = self._loop.time() + _LINGER
-            self._look_within(_LINGER)
+            self._abort_at = self._loop.time() + _LINGER
+            self._arm_timer(_LINGER)
 
     # -- time
 
@@ -218,25 +218,25 @@ class Driver(ReceiveQueue, Generic[PeerT]):
         deadline = self.connection.deadline()
         if deadline is not None:
             # A day at most: the host's clock may be set while we wait.
-            self._look_within(min(max(0.0, deadline - clock.time()), 86400.0))
+            self._arm_timer(min(max(0.0, deadline - clock.time()), 86400.0))
 
-    def _look_within(self, delay: float) -> None:
+    def _arm_timer(self, delay: float) -> None:
         """One timer does: when it fires too early for anything, it is set again."""
         at = self._loop.time() + delay
         if self._timer is None or at < self._timer.when():
             self._cancel_timer()
-            self._timer = self._loop.call_at(at, self._look)
+            self._timer = self._loop.call_at(at, self._on_timer)
 
-    def _look(self) -> None:
+    def _on_timer(self) -> None:
         self._timer = None
         if self.error is None:
-            self._tick()
-        elif self._loop.time() >= self._cut_at:
+            self._run_timers()
+        elif self._loop.time() >= self._abort_at:
             self.transport.abort()
         else:
-            self._look_within(self._cut_at - self._loop.time())
+            self._arm_timer(self._abort_at - self._loop.time())
 
-    def _tick(self) -> None:
+    def _run_timers(self) -> None:
         try:
             self.connection.tick(wall_clock(), reading=self.transport.reading)
         except ChannelError as error:

@@ -25,9 +25,9 @@ class ReceiveQueue:
         self._loop = asyncio.get_running_loop()
         self._units: deque[bytes] | None = None  # None: an empty one has its price
         self._unread = 0
-        self._push: Callable[[bytes], bool] | None = None
-        self._push_failed: BaseException | None = None
-        self._waiting: list[asyncio.Future[None]] = []
+        self._write_nowait: Callable[[bytes], bool] | None = None
+        self._forward_error: BaseException | None = None
+        self._waiters: list[asyncio.Future[None]] = []
         self.on_ready: Callable[[], None] | None = None
         self.error: ChannelError | None = None
 
@@ -41,21 +41,21 @@ class ReceiveQueue:
 
     def _deliver(self, unit: bytes) -> None:
         """Pass the unit on at once if somebody pours; keep it otherwise."""
-        push = self._push
-        if push is None:
+        write_nowait = self._write_nowait
+        if write_nowait is None:
             if self._units is None:
                 self._units = deque()
             self._units.append(unit)
             self._unread += len(unit)
             return
         try:
-            lags = not push(unit)
-        except BaseException as error:  # noqa: BLE001 - raised where it belongs, in `pour`
-            self._push_failed, lags = error, True
+            lags = not write_nowait(unit)
+        except BaseException as error:  # noqa: BLE001 - raised where it belongs, in `forward`
+            self._forward_error, lags = error, True
         if lags:
-            self._push = None
+            self._write_nowait = None
             self.transport.pause_reading()
-            self._wake()
+            self._wake_waiters()
 
     async def receive(self) -> bytes:
         """Return the next unit.
@@ -64,7 +64,7 @@ class ReceiveQueue:
             ChannelError: there will be none.
         """
         while (unit := self.take()) is None:
-            await self._change()
+            await self._changed()
         return unit
 
     @property
@@ -93,48 +93,48 @@ class ReceiveQueue:
         """There is something to take, or there will never be; pause reading if it is too much."""
         if self.on_ready is not None:
             self.on_ready()
-        if self._waiting:
-            self._wake()
+        if self._waiters:
+            self._wake_waiters()
         if self._unread > _PAUSE_ABOVE and self.error is None:
             self.transport.pause_reading()
 
-    async def pour(
-        self, push: Callable[[bytes], bool], drain: Callable[[], Awaitable[None]]
+    async def forward(
+        self, write_nowait: Callable[[bytes], bool], drain: Callable[[], Awaitable[None]]
     ) -> NoReturn:
-        """Pass each unit to `push` as it arrives, without a turn of the loop for it.
+        """Pass each unit to `write_nowait` as it arrives, without a turn of the loop for it.
 
-        When `push` says no, nothing more is read until `drain` returns.
+        When `write_nowait` says no, nothing more is read until `drain` returns.
 
         Raises:
-            ChannelError: there will be no more units; or whatever `push` or `drain` raise.
+            ChannelError: there will be no more units; or whatever `write_nowait` or `drain` raise.
         """
         try:
             while True:
                 while self._units:
-                    push(await self.receive())
+                    write_nowait(await self.receive())
                     await drain()
                 self.check()
                 self.transport.resume_reading()
-                self._push = push
-                while self._is_pouring():
-                    await self._change()
-                if self._push_failed is not None:
-                    raise self._push_failed
+                self._write_nowait = write_nowait
+                while self._is_forwarding():
+                    await self._changed()
+                if self._forward_error is not None:
+                    raise self._forward_error
                 await drain()
         finally:
-            self._push = None
+            self._write_nowait = None
 
-    def _is_pouring(self) -> bool:
-        return self._push is not None and self.error is None
+    def _is_forwarding(self) -> bool:
+        return self._write_nowait is not None and self.error is None
 
-    def _change(self) -> asyncio.Future[None]:
+    def _changed(self) -> asyncio.Future[None]:
         """What to await until anything happens; the caller looks whether it was for it."""
         waiter = self._loop.create_future()
-        self._waiting.append(waiter)
+        self._waiters.append(waiter)
         return waiter
 
-    def _wake(self) -> None:
-        waiting, self._waiting = self._waiting, []
+    def _wake_waiters(self) -> None:
+        waiting, self._waiters = self._waiters, []
         for waiter in waiting:
             if not waiter.done():
                 waiter.set_result(None)
@@ -147,10 +147,10 @@ class ReceiveQueue:
         """
         if not self.transport.writable:
             while self.transport.backlog > 0 and self.error is None:
-                await self._change()
+                await self._changed()
         self.check()
 
     async def wait_ended(self) -> None:
         """Return when the connection is at its end."""
         while self.error is None:
-            await self._change()
+            await self._changed()

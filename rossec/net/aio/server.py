@@ -32,7 +32,7 @@ _log = logging.getLogger("rossec.net.server")
 _DEFAULTS: Final = ChannelLimits()
 _BACKLOG: Final = 128
 _ACCEPTS_PER_TURN: Final = 16
-_REST: Final = 1.0  # seconds, when the host is out of descriptors
+_ACCEPT_PAUSE: Final = 1.0  # seconds, when the host is out of descriptors
 _REPORT_EVERY: Final = 10.0
 
 Handler: TypeAlias = Callable[[SecureStream[PeerT]], Awaitable[None]]
@@ -54,11 +54,11 @@ class SecureServer(Generic[PeerT]):
         self._make_core = make_core
         self._half_open = half_open
         self._drivers: set[Driver[PeerT]] = set()
-        self._places: dict[Driver[PeerT], HalfOpenSlot] = {}  # of those that are not authenticated
+        self._slots: dict[Driver[PeerT], HalfOpenSlot] = {}  # of those that are not authenticated
         self._tasks = TaskSet()
         self._loop = asyncio.get_running_loop()
         self._listeners: list[socket.socket] = []
-        self._resting = False
+        self._suspended = False
         self._refused = 0
         self._report_again = 0.0
         self.addresses: list[tuple[str, int]] = []
@@ -79,10 +79,10 @@ class SecureServer(Generic[PeerT]):
             sock.setblocking(False)
             self.addresses.append(sock.getsockname()[:2])
             self._listeners.append(sock)
-            self._watch(sock)
+            self._add_reader(sock)
 
-    def _watch(self, listener: socket.socket) -> None:
-        if listener.fileno() >= 0 and not self._resting:  # nor closed meanwhile
+    def _add_reader(self, listener: socket.socket) -> None:
+        if listener.fileno() >= 0 and not self._suspended:  # nor closed meanwhile
             self._loop.add_reader(listener.fileno(), self._accept, listener)
 
     def _accept(self, listener: socket.socket) -> None:
@@ -93,21 +93,21 @@ class SecureServer(Generic[PeerT]):
             except (BlockingIOError, InterruptedError, ConnectionAbortedError):
                 return
             except OSError as error:  # out of descriptors or memory: callers wait in the kernel
-                _log.warning("cannot accept connections for %s s: %s", _REST, error)
+                _log.warning("cannot accept connections for %s s: %s", _ACCEPT_PAUSE, error)
                 self._loop.remove_reader(listener.fileno())
-                self._loop.call_later(_REST, self._watch, listener)
+                self._loop.call_later(_ACCEPT_PAUSE, self._add_reader, listener)
                 return
-            place = self._admit(where[0])
-            if place is None:
+            slot = self._admit(where[0])
+            if slot is None:
                 sock.close()
             else:
-                self._begin(sock, where[0], place)
+                self._begin(sock, where[0], slot)
 
     def _admit(self, address: str) -> HalfOpenSlot | None:
         """The place of one more unfinished handshake, if it is bearable; nothing was spent yet."""
-        place = self._half_open.admit(address)
-        if place is not None:
-            return place
+        slot = self._half_open.admit(address)
+        if slot is not None:
+            return slot
         self._refused += 1
         if self._loop.time() >= self._report_again:  # a flood of callers is no flood of lines
             _log.warning(
@@ -116,27 +116,27 @@ class SecureServer(Generic[PeerT]):
             self._refused, self._report_again = 0, self._loop.time() + _REPORT_EVERY
         return None
 
-    def _begin(self, sock: socket.socket, address: str, place: HalfOpenSlot) -> None:
+    def _begin(self, sock: socket.socket, address: str, slot: HalfOpenSlot) -> None:
         try:
             driver = Driver(self._make_core(), sock, address, self.on_authenticated, self.on_end)
         except BaseException:
             sock.close()
-            place.settle()
+            slot.release()
             raise
         self._drivers.add(driver)
-        self._places[driver] = place
-        place.close = partial(driver.abort, ChannelClosed("others need its place"))
-        driver.when_lost(partial(self._leave, driver))
+        self._slots[driver] = slot
+        slot.close = partial(driver.abort, ChannelClosed("others need its place"))
+        driver.when_closed(partial(self._release_slot, driver))
 
-    def _leave(self, driver: Driver[PeerT]) -> None:
+    def _release_slot(self, driver: Driver[PeerT]) -> None:
         """It is authenticated, or its socket is closed."""
-        place = self._places.pop(driver, None)
-        if place is not None:
-            place.settle()
+        slot = self._slots.pop(driver, None)
+        if slot is not None:
+            slot.release()
 
     def on_authenticated(self, driver: Driver[PeerT], peer: PeerT) -> None:
         """Start the handler."""
-        self._leave(driver)
+        self._release_slot(driver)
         stream = SecureStream(driver, peer)
         self._tasks.spawn(self._handle(stream), name=f"rossec connection from {driver.address}")
 
@@ -146,8 +146,8 @@ class SecureServer(Generic[PeerT]):
             return
         self._drivers.discard(driver)
         if not driver.authenticated:
-            if driver in self._places:
-                self._places[driver].linger()  # until it is closed
+            if driver in self._slots:
+                self._slots[driver].linger()  # until it is closed
             level = logging.WARNING if isinstance(error, PlainPeer) else logging.INFO
             _log.log(level, "connection from %s refused: %s", driver.address, error)
 
@@ -161,27 +161,27 @@ class SecureServer(Generic[PeerT]):
             raise  # a crash is logged by the task's owner
         await stream.close()
 
-    def rest(self) -> None:
+    def suspend(self) -> None:
         """Refuse callers as if nobody listened, but keep the port.
 
         Linux keeps only a port that was named when the socket was bound, not one it chose itself.
         """
-        self._resting = True
+        self._suspended = True
         for listener in self._listeners:
             self._loop.remove_reader(listener.fileno())
             listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 0)  # stays ours
             with suppress(OSError):  # it rests already
                 listener.shutdown(socket.SHUT_RDWR)
 
-    def wake(self) -> None:
-        """Listen again after `rest`."""
-        if not self._resting:
+    def resume(self) -> None:
+        """Listen again after `suspend`."""
+        if not self._suspended:
             return
-        self._resting = False
+        self._suspended = False
         for listener in self._listeners:
             listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             listener.listen(_BACKLOG)
-            self._watch(listener)
+            self._add_reader(listener)
 
     async def close(self) -> None:
         """Stop listening, cut every connection, wait until the handlers are gone."""
@@ -190,7 +190,7 @@ class SecureServer(Generic[PeerT]):
             listener.close()
         self._listeners.clear()
         await self._tasks.close()
-        for driver in [*self._drivers, *self._places]:
+        for driver in [*self._drivers, *self._slots]:
             driver.abort(ChannelClosed("the server was closed"))
 
     async def __aenter__(self) -> Self:

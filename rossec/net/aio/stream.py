@@ -176,7 +176,7 @@ class SecureStream(Generic[PeerT]):
         ended = monotonic()
         self._burst_until = ended + (ended - began) * _BURST
 
-    def push(self, data: Bytes) -> bool:
+    def write_nowait(self, data: Bytes) -> bool:
         """Send `data` now, as one unit, whether the peer lags or not; false: it does, `drain`.
 
         For one who is the only sender and holds back when told so: what the socket does not take is
@@ -216,17 +216,17 @@ class SecureStream(Generic[PeerT]):
         """
         await self._driver.drain()
 
-    def pour(
-        self, push: Callable[[bytes], bool], drain: Callable[[], Awaitable[None]]
+    def forward(
+        self, write_nowait: Callable[[bytes], bool], drain: Callable[[], Awaitable[None]]
     ) -> Coroutine[Any, Any, NoReturn]:
-        """Pass each unit to `push` as it arrives; when that says no, wait for `drain`.
+        """Pass each unit to `write_nowait` as it arrives; when that says no, wait for `drain`.
 
         Raises:
-            ChannelError: as `receive`; and whatever `push` and `drain` raise.
+            ChannelError: as `receive`; and whatever `write_nowait` and `drain` raise.
         """
-        return self._driver.pour(push, drain)
+        return self._driver.forward(write_nowait, drain)
 
-    def send_at_once(self, unit: bytes) -> bool:
+    def try_send(self, unit: bytes) -> bool:
         """Send a unit now, unless something is queued before it, or the peer lags.
 
         Returns whether it did; if not, `send` it.
@@ -276,9 +276,9 @@ class SecureStream(Generic[PeerT]):
         """
         return self._driver.receive()
 
-    def when_lost(self, callback: Callable[[], None]) -> None:
+    def when_closed(self, callback: Callable[[], None]) -> None:
         """Call back, once, when the socket is closed: a while after the end, which is told."""
-        self._driver.when_lost(callback)
+        self._driver.when_closed(callback)
 
     async def wait_ended(self) -> None:
         """Return when the connection is at its end, whoever ended it; takes no unit."""

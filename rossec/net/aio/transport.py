@@ -23,19 +23,19 @@ class TransportOwner(Protocol):
         """Lend the place for the next bytes."""
         ...
 
-    def received(self, count: int) -> None:
+    def buffer_updated(self, count: int) -> None:
         """So many bytes were written there."""
         ...
 
-    def eof(self) -> None:
+    def eof_received(self) -> None:
         """The peer sends nothing more."""
         ...
 
-    def drained(self) -> None:
+    def resume_writing(self) -> None:
         """Everything written is with the kernel."""
         ...
 
-    def lost(self) -> None:
+    def connection_lost(self) -> None:
         """The socket is closed; said once, and never from within a call of this class."""
         ...
 
@@ -111,14 +111,14 @@ class Transport:
             return False
         if count > 0:
             try:
-                self._owner.received(count)
+                self._owner.buffer_updated(count)
             except BaseException:  # a fault inside, perhaps in a guard: nothing more comes through
                 self.abort()
                 raise
             return True
         self.pause_reading()
         self._closing = True
-        self._owner.eof()
+        self._owner.eof_received()
         if not self._pending:
             self.abort()
         return False
@@ -166,7 +166,7 @@ class Transport:
         if self._closing:
             self.abort()
         else:
-            self._owner.drained()
+            self._owner.resume_writing()
 
     # -- ends
 
@@ -198,5 +198,5 @@ class Transport:
             self._pending = None
             self.backlog = 0
         self._socket.close()
-        self._loop.call_soon(self._owner.lost)
+        self._loop.call_soon(self._owner.connection_lost)
         del self._owner  # a closed one holds nobody

@@ -38,27 +38,27 @@ class Holder(NamedTuple):
     inode: int
 
 
-def owner_in(tables: Iterable[str], near: Endpoint, far: Endpoint) -> int | None:
-    """The user of the socket bound to `near` and connected to `far`; None: no such socket. Pure.
+def user_in(tables: Iterable[str], local: Endpoint, remote: Endpoint) -> int | None:
+    """The user of the socket bound to `local` and connected to `remote`; None: there is none. Pure.
 
     `tables` are the texts of /proc/net/tcp and tcp6. An IPv4 address matches in its mapped form
     too (::ffff:127.0.0.1): either side may use a dual-stack socket.
     """
-    found = holder_in(tables, near, far)
+    found = holder_in(tables, local, remote)
     return None if found is None else found.user
 
 
-def holder_in(tables: Iterable[str], near: Endpoint, far: Endpoint) -> Holder | None:
-    """Like `owner_in`, with the socket's number. Pure."""
-    wanted = {f"{_hex(near, mapped)} {_hex(far, mapped)} {_ESTABLISHED}" for mapped in (0, 1)}
+def holder_in(tables: Iterable[str], local: Endpoint, remote: Endpoint) -> Holder | None:
+    """Like `user_in`, with the socket's number. Pure."""
+    wanted = {f"{_hex(local, mapped)} {_hex(remote, mapped)} {_ESTABLISHED}" for mapped in (0, 1)}
     found = [holder for row, holder in _rows(tables) if row in wanted]
     return found[0] if len({holder.user for holder in found}) == 1 else None
 
 
-def listeners_in(tables: Iterable[str], place: Endpoint) -> list[Holder]:
-    """Who listens where a connection to `place` may arrive. Pure."""
-    address, port = place
-    wanted = {_hex(place, 0), _hex(place, 1), _hex(("::", port), 0)}
+def listeners_in(tables: Iterable[str], endpoint: Endpoint) -> list[Holder]:
+    """Who listens where a connection to `endpoint` may arrive. Pure."""
+    address, port = endpoint
+    wanted = {_hex(endpoint, 0), _hex(endpoint, 1), _hex(("::", port), 0)}
     if ":" not in address:
         wanted.add(_hex(("0.0.0.0", port), 0))  # noqa: S104 - looked for
     return [
@@ -69,7 +69,7 @@ def listeners_in(tables: Iterable[str], place: Endpoint) -> list[Holder]:
 
 
 def _rows(tables: Iterable[str]) -> Iterator[tuple[str, Holder]]:
-    """`near far state` as the kernel writes it, and who holds the socket, if anybody does."""
+    """`local remote state` as the kernel writes it, and who holds the socket, if anybody does."""
     for table in tables:
         for line in table.splitlines()[1:]:
             fields = line.split()
@@ -102,27 +102,27 @@ def holder_of(sock: socket.socket) -> Holder:
     Raises:
         PeerUserRefused, OSError: as `user_of`.
     """
-    near, far = sock.getpeername()[:2], sock.getsockname()[:2]
-    holder = _holder(near, far)
+    local, remote = sock.getpeername()[:2], sock.getsockname()[:2]
+    holder = _holder(local, remote)
     if holder is not None:
         return holder
     raise PeerUserRefused("the other end of the connection belongs to no program here", _HINT)
 
 
-def _holder(near: Endpoint, far: Endpoint) -> Holder | None:
+def _holder(local: Endpoint, remote: Endpoint) -> Holder | None:
     try:
-        entry = sockdiag.find(near, far)
+        entry = sockdiag.find(local, remote)
     except OSError:
         for _ in range(_TRIES):
-            holder = holder_in(tables(), near, far)
+            holder = holder_in(tables(), local, remote)
             if holder is not None:
                 return holder
         return None
     return None if entry is None or entry.inode == 0 else Holder(entry.user, entry.inode)
 
 
-def listeners(place: Endpoint) -> list[Holder]:
-    """Who listens where a connection to `place`, an address of this host, arrives.
+def listeners(endpoint: Endpoint) -> list[Holder]:
+    """Who listens where a connection to `endpoint`, an address of this host, arrives.
 
     It is one at most, unless only the tables can be asked: then all who may be.
 
@@ -130,9 +130,9 @@ def listeners(place: Endpoint) -> list[Holder]:
         OSError: the kernel's tables cannot be read.
     """
     try:
-        entry = sockdiag.listener(place)
+        entry = sockdiag.listener(endpoint)
     except OSError:
-        return listeners_in(tables(), place)
+        return listeners_in(tables(), endpoint)
     return [] if entry is None or entry.inode == 0 else [Holder(entry.user, entry.inode)]
 
 

@@ -32,49 +32,49 @@ class SocketEntry(NamedTuple):
     """One socket: its state, the user who made it, its number (0: nobody holds it any more)."""
 
     state: int
-    near: tuple[bytes, int]
-    far: tuple[bytes, int]
+    local: tuple[bytes, int]
+    remote: tuple[bytes, int]
     user: int
     inode: int
 
 
-def find(near: tuple[str, int], far: tuple[str, int]) -> SocketEntry | None:
-    """The socket that is bound to `near` and connected to `far`; None: there is none.
+def find(local: tuple[str, int], remote: tuple[str, int]) -> SocketEntry | None:
+    """The socket that is bound to `local` and connected to `remote`; None: there is none.
 
     Raises:
         OSError: the kernel cannot tell.
     """
-    ends = _packed(near), _packed(far)
+    ends = _packed(local), _packed(remote)
     entry = _found(*ends)
     if entry is None or entry.state != ESTABLISHED:  # a listener is what the kernel falls back to
         return None
-    return entry if (_plain(entry.near), _plain(entry.far)) == ends else None
+    return entry if (_plain(entry.local), _plain(entry.remote)) == ends else None
 
 
-def listener(place: tuple[str, int]) -> SocketEntry | None:
-    """The socket that a connection to `place` would reach; None: nobody listens there.
+def listener(local: tuple[str, int]) -> SocketEntry | None:
+    """The socket that a connection to `local` would reach; None: nobody listens there.
 
     Raises:
         OSError: the kernel cannot tell.
     """
-    entry = _found(_packed(place), _packed((place[0], 0)))  # nobody is connected from port 0
+    entry = _found(_packed(local), _packed((local[0], 0)))  # nobody is connected from port 0
     return entry if entry is not None and entry.state == LISTEN else None
 
 
-def _found(near: tuple[bytes, int], far: tuple[bytes, int]) -> SocketEntry | None:
-    family = socket.AF_INET if len(near[0]) == 4 else socket.AF_INET6
+def _found(local: tuple[bytes, int], remote: tuple[bytes, int]) -> SocketEntry | None:
+    family = socket.AF_INET if len(local[0]) == 4 else socket.AF_INET6
     try:
-        return _ask(_request(family, near, far))
+        return _ask(_request(family, local, remote))
     except FileNotFoundError:
         return None
 
 
-def _request(family: int, near: tuple[bytes, int], far: tuple[bytes, int]) -> bytes:
+def _request(family: int, local: tuple[bytes, int], remote: tuple[bytes, int]) -> bytes:
     body = (
         _WHAT.pack(family, socket.IPPROTO_TCP, 0, 0, 1 << ESTABLISHED)
-        + _PORTS.pack(near[1], far[1])
-        + near[0].ljust(16, b"\0")
-        + far[0].ljust(16, b"\0")
+        + _PORTS.pack(local[1], remote[1])
+        + local[0].ljust(16, b"\0")
+        + remote[0].ljust(16, b"\0")
         + _ANY_COOKIE
     )
     return _HEAD.pack(_HEAD.size + len(body), _BY_FAMILY, _ASK, 1, 0) + body
@@ -110,10 +110,10 @@ def parse(data: bytes) -> SocketEntry:
 
 
 def _entry(body: bytes) -> SocketEntry:
-    family, state, ports, near, far, user, inode = _FOUND.unpack_from(body)
+    family, state, ports, local, remote, user, inode = _FOUND.unpack_from(body)
     size = 4 if family == socket.AF_INET else 16
-    near_port, far_port = _PORTS.unpack(ports)
-    return SocketEntry(state, (near[:size], near_port), (far[:size], far_port), user, inode)
+    local_port, remote_port = _PORTS.unpack(ports)
+    return SocketEntry(state, (local[:size], local_port), (remote[:size], remote_port), user, inode)
 
 
 def _packed(end: tuple[str, int]) -> tuple[bytes, int]:

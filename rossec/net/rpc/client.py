@@ -130,7 +130,7 @@ class RpcClient:
             raise CallFailed(f"{method}: no answer within {self._deadline:g} s") from error
         finally:
             if not complete:
-                await self._give_up()
+                await self._abandon()
         return body
 
     async def _response(self) -> bytes:
@@ -138,7 +138,7 @@ class RpcClient:
             self._http.feed(await self._stream.receive())
         return body
 
-    async def _give_up(self) -> None:
+    async def _abandon(self) -> None:
         self._closed = True
         with contextlib.suppress(RossecError):
             await self._stream.close()

@@ -47,7 +47,7 @@ class ServedStream(Protocol[PeerT_co]):
     def next_unit(self) -> bytes | None:
         """The next unit, if it is there. Raises a `RossecError` when there will be none."""
 
-    def send_at_once(self, unit: bytes) -> bool:
+    def try_send(self, unit: bytes) -> bool:
         """Send, if that needs no waiting; whether it did."""
 
     async def send(self, *pieces: bytes) -> None:
@@ -71,8 +71,20 @@ class CallLoop(Generic[PeerT]):
     """Serves one stream; see `rossec.net.rpc.client.serve_calls`."""
 
     __slots__ = (
-        "_busy", "_deadline", "_dispatch", "_ended", "_http", "_idle", "_idle_set", "_job",
-        "_late", "_limit", "_loop", "_scope", "_stream", "_value",
+        "_busy",
+        "_deadline",
+        "_deadline_timer",
+        "_dispatch",
+        "_ended",
+        "_http",
+        "_idle",
+        "_idle_set",
+        "_job",
+        "_limit",
+        "_loop",
+        "_scope",
+        "_stream",
+        "_value",
     )  # fmt: skip  # fmt: skip
 
     def __init__(
@@ -93,7 +105,7 @@ class CallLoop(Generic[PeerT]):
         self._loop = asyncio.get_running_loop()
         self._scope = asyncio.timeout(idle)
         self._idle_set = 0.0
-        self._late: asyncio.TimerHandle | None = None
+        self._deadline_timer: asyncio.TimerHandle | None = None
         self._job: asyncio.Future[Coroutine[Any, Any, None] | None] = self._loop.create_future()
         self._value: Awaitable[object] | None = None  # what the last such call waits for
         self._busy = False  # a call is being answered, and no other may be taken
@@ -117,7 +129,7 @@ class CallLoop(Generic[PeerT]):
     def _close(self) -> None:
         self._ended = True
         self._stream.on_ready(None)
-        self._on_time()
+        self._cancel_deadline()
         if self._job.done() and not self._job.cancelled() and self._job.exception() is None:
             job = self._job.result()
             if job is not None:  # begun by nobody, nor what it was to wait for
@@ -130,19 +142,19 @@ class CallLoop(Generic[PeerT]):
     def _ready(self) -> None:
         """Answer one call if there is one."""
         if self._is_free():
-            self._go_on(None)
+            self._answer_next(None)
 
     def _take(self, unit: bytes) -> bool:
         """The short way: answer the call that has just arrived."""
         free = self._is_free()
         if free:
-            self._go_on(unit)
+            self._answer_next(unit)
         return free
 
     def _is_free(self) -> bool:
         return not (self._busy or self._ended or self._job.cancelled())  # with `run`, a moment ago
 
-    def _go_on(self, unit: bytes | None) -> None:
+    def _answer_next(self, unit: bytes | None) -> None:
         """Answer the next call; whatever goes wrong here ends the connection."""
         self._busy = True
         try:
@@ -167,12 +179,12 @@ class CallLoop(Generic[PeerT]):
             if unit is None:
                 unit = stream.next_unit()
             if unit is None:
-                if http.pending and self._late is None:
-                    self._late = self._loop.call_later(self._deadline, self._end)
+                if http.pending and self._deadline_timer is None:
+                    self._deadline_timer = self._loop.call_later(self._deadline, self._end)
                 return None
             body, unit = http.feed_whole(unit), None
-        if self._late is not None:
-            self._on_time()
+        if self._deadline_timer is not None:
+            self._cancel_deadline()
         return body
 
     def _answer(self, body: bytes) -> None:
@@ -183,14 +195,14 @@ class CallLoop(Generic[PeerT]):
                 self._value = value
                 self._wait_for(self._respond_later(value))
                 return
-            response = self._written(value)
+            response = self._encoded(value)
         except HangUp:
             raise
         except Exception as error:  # noqa: BLE001 - judged there
             response = _failure(error)
         self._respond(response)
 
-    def _written(self, value: object) -> bytes:
+    def _encoded(self, value: object) -> bytes:
         """The response, if it is not longer than a call may be: no peer would take it."""
         response = xmlrpc.dump_response(value)
         if len(response) > self._limit:
@@ -203,7 +215,7 @@ class CallLoop(Generic[PeerT]):
 
     def _respond(self, response: bytes) -> None:
         message = self._http.respond(response)
-        if self._stream.send_at_once(message):
+        if self._stream.try_send(message):
             self._answered()
             if self._http.pending or self._stream.has_unit:
                 self._loop.call_soon(self._ready)
@@ -212,7 +224,7 @@ class CallLoop(Generic[PeerT]):
 
     async def _respond_later(self, value: Awaitable[object]) -> None:
         try:
-            response = self._written(await value)
+            response = self._encoded(await value)
         except HangUp:
             raise
         except Exception as error:  # noqa: BLE001 - judged there
@@ -227,20 +239,20 @@ class CallLoop(Generic[PeerT]):
         if self._http.closing:
             self._end()
         else:
-            self._put_off()
+            self._restart_idle()
 
     # -- time and ends
 
-    def _put_off(self) -> None:
+    def _restart_idle(self) -> None:
         """Begin the idle time anew: not for each call, a timer costs more than many a call."""
         if self._idle is not None and (now := self._loop.time()) > self._idle_set + self._idle / 64:
             self._idle_set = now
             self._scope.reschedule(now + self._idle)
 
-    def _on_time(self) -> None:
-        if self._late is not None:
-            self._late.cancel()
-            self._late = None
+    def _cancel_deadline(self) -> None:
+        if self._deadline_timer is not None:
+            self._deadline_timer.cancel()
+            self._deadline_timer = None
 
     def _end(self) -> None:
         if not self._ended:

@@ -41,9 +41,9 @@ class SecureSocket(Carrier[PeerT]):
         self,
         sock: socket.socket,
         core: Connection[PeerT],
-        on_settled: Callable[[], None] = lambda: None,
+        on_released: Callable[[], None] = lambda: None,
     ) -> None:
-        super().__init__(sock, core, on_settled)
+        super().__init__(sock, core, on_released)
         self._closed = False
         self._event = -1
         self._flagged = False
@@ -116,7 +116,7 @@ class SecureSocket(Carrier[PeerT]):
         """Return the peer, once it is authenticated."""
         end = self._end()
         while self.peer is None:
-            self._raise_if_over()
+            self._raise_if_ended()
             self._receive(end)
         return self.peer
 
@@ -156,7 +156,7 @@ class SecureSocket(Carrier[PeerT]):
                     return
                 self._units.clear()
 
-    def tend(self) -> None:
+    def run_timers(self) -> None:
         """Meet the peer's renewals, and this side's, while nobody uses the connection.
 
         It never waits: where somebody reads or writes just now, it happens by itself.
@@ -169,10 +169,10 @@ class SecureSocket(Carrier[PeerT]):
                     self._take_in(None, AT_ONCE)
                 finally:
                     self._reading.release()
-            self._tick()  # after the peer's answer to the last renewal
+            self._run_timers()  # after the peer's answer to the last renewal
             with self._core_lock:
                 if self._core.has_data_to_send:
-                    self._core.put_back(self._offer(self._core.data_to_send()))
+                    self._core.put_back(self._send_nowait(self._core.data_to_send()))
         finally:
             self._writing.release()
 
@@ -181,7 +181,7 @@ class SecureSocket(Carrier[PeerT]):
         while not self._units:
             if isinstance(self._error, ChannelClosed):
                 return b""
-            self._raise_if_over()
+            self._raise_if_ended()
             self._receive(end)
         if self._aborted:
             return b""
@@ -204,14 +204,14 @@ class SecureSocket(Carrier[PeerT]):
         if self.peer is None:
             with self._reading:
                 self.do_handshake()
-        self._tick()
+        self._run_timers()
         with self._writing:
-            self._raise_if_over()
-            if not self._push_small(pieces, end):
-                self._push_unit(pieces, end)
+            self._raise_if_ended()
+            if not self._write_small(pieces, end):
+                self._write_unit(pieces, end)
         self._flush(end)
 
-    def send_now(self, data: bytes) -> bool:
+    def try_send(self, data: bytes) -> bool:
         """Send a small unit where this needs no waiting; False: nothing has happened.
 
         What the kernel did not take is `unsent`, and goes before anything else.
@@ -219,19 +219,19 @@ class SecureSocket(Carrier[PeerT]):
         if self.peer is None or not self._writing.acquire(blocking=False):
             return False
         try:
-            self._raise_if_over()
-            self._tick()
+            self._raise_if_ended()
+            self._run_timers()
             with self._core_lock:
                 record = self._core.seal_small(data)
                 if record is not None:
-                    self._core.put_back(self._offer(record))
+                    self._core.put_back(self._send_nowait(record))
         finally:
             self._writing.release()
         return record is not None
 
     @property
     def unsent(self) -> bool:
-        """Whether `send_now` left something: `sendall`, even of nothing, sends it."""
+        """Whether `try_send` left something: `sendall`, even of nothing, sends it."""
         return self._core.has_data_to_send
 
     # -- ends
@@ -240,7 +240,7 @@ class SecureSocket(Carrier[PeerT]):
         """Give the TCP socket back, before anything was read from it."""
         self._closed = True
         self._fail(ChannelClosed("the connection was given back"))
-        self._settle()
+        self._release()
         return self._socket
 
     def shutdown(self, how: int = socket.SHUT_RDWR) -> None:
@@ -270,7 +270,7 @@ class SecureSocket(Carrier[PeerT]):
             self._epoll.close()
             os.close(self._event)
         self._socket.close()
-        self._settle()
+        self._release()
 
     def __enter__(self) -> "SecureSocket[PeerT]":
         return self

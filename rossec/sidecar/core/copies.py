@@ -1,10 +1,10 @@
-"""Copies of one message: a program sends one to each connection, also where the key is the same.
+"""Copies of one message: a program sends one to each connection, also to those of one key.
 
-Pure. To be let through once is to be let through on all connections of the key. What arrives beside
-a message that was let through, and equals it, is taken for its copy: once on each connection that
-was open then, and within `WINDOW` seconds, since a constant message would otherwise go on passing.
-A latching program's newcomer is shown what its key was last let see, unless the rate has room for
-what comes now. So whether a message changed cannot be found out by connecting.
+Pure. A message that passed once passes on all connections of the key. A message equal to one that
+passed counts as its copy: once on each connection that was open at that time, and within `WINDOW`
+seconds, since a constant message would otherwise keep passing. A new connection to a latching
+program gets the last message that passed for its key, unless the rate limit has room for a new
+one. So connecting does not reveal whether a message changed.
 """
 
 from collections.abc import Iterator
@@ -20,7 +20,7 @@ WINDOW: Final = 1  # seconds by a clock of whole seconds
 
 
 class MessageGuard(Protocol):
-    """What stands between a program and a peer: a guard, or one that knows of copies."""
+    """Filters the messages between a program and a peer: a guard, or one that handles copies."""
 
     def check(self, now: int) -> None:
         """As of `Guard`."""
@@ -30,7 +30,7 @@ class MessageGuard(Protocol):
 
 
 class _LastMessage:
-    """The message that was let through last, and which connections still lack it."""
+    """The last message that passed, and the connections that have not had it yet."""
 
     def __init__(self, message: bytes, mark: object, now: int, pending: set["SharedGuard"]) -> None:
         self.message = message
@@ -48,7 +48,7 @@ class _Group:
 
 
 class SharedGuard:
-    """One of them."""
+    """The guard of one connection of a group."""
 
     def __init__(self, guard: Guard, group: _Group, *, latching: bool) -> None:
         self._guard = guard
@@ -60,7 +60,7 @@ class SharedGuard:
         self._guard.check(now)
 
     def initial_message(self, now: int) -> list[Buffer]:
-        """What the key was let see, where the rate allows nothing newer."""
+        """The last message that passed for the key, if the rate limit allows no newer one."""
         last = self._group.last
         if last is None or not self._latching or self._guard.ready(now):
             return []
@@ -83,7 +83,7 @@ class SharedGuard:
 
 
 class CopyTracker:
-    """What the connections of each key have in common; of one identity."""
+    """The state that the connections of each key share; of one identity."""
 
     def __init__(self) -> None:
         self._groups: WeakKeyDictionary[Memory, _Group] = WeakKeyDictionary()
@@ -92,9 +92,9 @@ class CopyTracker:
     def share(
         self, guard: Guard | None, now: int, *, latching: bool
     ) -> Iterator[tuple[MessageGuard | None, list[Buffer]]]:
-        """What judges the messages of one connection while the block runs (None: nothing does).
+        """The guard of one connection while the block runs; None: the connection is unrestricted.
 
-        With it what the peer is shown first, in pieces, if there is something.
+        With it the first message for the peer, in pieces; empty: none.
         """
         if guard is None or guard.memory is None:
             yield guard, []
@@ -107,4 +107,4 @@ class CopyTracker:
         finally:
             group.open.discard(shared_guard)
             if not (group.open or latching):
-                group.last = None  # nobody will be shown it
+                group.last = None  # no connection will need it

@@ -1,9 +1,9 @@
-"""Endpoints, and which door stands for which: the two tables every rewriting goes through. Pure.
+"""Endpoints and the two mapping tables for rewriting addresses. Pure.
 
-A program keeps its loopback port, and gets a door to the network (export); a peer keeps its
-address, and gets a door on loopback (import). A program's own URI is given back to it byte for
-byte: roscpp compares it so to recognise itself. An endpoint on this host is its port, whatever host
-a program writes; programs are told the one by which they reach loopback.
+A program keeps its loopback port and gets a network port (ingress); a peer keeps its address and
+gets a loopback port (egress). A program's own URI is returned to it byte for byte: roscpp compares
+it so to recognize itself. An endpoint on this host is identified by its port, whatever host a
+program writes; programs get the host name by which they reach loopback.
 """
 
 from dataclasses import dataclass, replace
@@ -15,7 +15,7 @@ from rossec.ros.settings import parse_uri
 
 
 class Loopback(NamedTuple):
-    """Where programs and their sidecar meet: the address, and how URIs name it."""
+    """The loopback address of programs and sidecar, and its host name in URIs."""
 
     address: str
     host: str
@@ -27,10 +27,10 @@ _SCHEMES: Final = {WireProtocol.HTTP: "http", WireProtocol.TCPROS: "rosrpc"}
 
 @dataclass(frozen=True)
 class Endpoint:
-    """Where somebody listens, for XML-RPC (HTTP) or for topics and services (TCPROS).
+    """A listening address, for XML-RPC (HTTP) or for topics and services (TCPROS).
 
     Attributes:
-        asked: `port` is that of a program's slave API, which says where its topics are.
+        via_slave_api: `port` is the slave API's; the topic port is requested from it.
     """
 
     protocol: WireProtocol
@@ -47,17 +47,17 @@ class Endpoint:
 
 
 def local_endpoint(protocol: WireProtocol, port: int) -> Endpoint:
-    """The endpoint of a program of this host."""
+    """The endpoint of a program on this host."""
     return Endpoint(protocol, LOOPBACK.host, port)
 
 
 def topic_endpoint(api: Endpoint) -> Endpoint:
-    """Where the topics of the program with this slave API are: it is asked when somebody comes."""
+    """The topic endpoint of a program; its slave API is asked for the port on each connection."""
     return Endpoint(WireProtocol.TCPROS, api.host, api.port, via_slave_api=True)
 
 
 def parse_endpoint(uri: object, protocol: WireProtocol) -> Endpoint | None:
-    """The endpoint a URI names; None: it is not one of this kind."""
+    """The endpoint that a URI names; None: invalid, or of another protocol."""
     head = f"{_SCHEMES[protocol]}://"
     if not isinstance(uri, str) or not uri.startswith(head):
         return None
@@ -68,42 +68,42 @@ def parse_endpoint(uri: object, protocol: WireProtocol) -> Endpoint | None:
 
 
 class EndpointMap:
-    """The doors of one identity.
+    """The endpoint mapping of one identity.
 
     Args:
         host: where peers reach this host.
-        near: where programs reach it.
+        loopback_host: where programs reach it.
     """
 
     def __init__(self, host: str, loopback_host: str = LOOPBACK.host) -> None:
         self.host = host
         self._loopback_host = loopback_host
-        self._ingress: dict[Endpoint, Endpoint] = {}  # outside -> inside
+        self._ingress: dict[Endpoint, Endpoint] = {}  # network -> loopback
         self._egress: dict[int, Endpoint] = {}  # loopback port -> remote
         self._own_uris: dict[Endpoint, str] = {}
 
     def add_ingress(self, local: Endpoint, port: int) -> Endpoint:
-        """A door to the network for `local`; returns what peers are told."""
+        """Map a network port to `local`; returns the endpoint for peers."""
         outside = Endpoint(local.protocol, self.host, port)
         self._ingress[_casefolded(outside)] = local
         return outside
 
     def add_egress(self, remote: Endpoint, port: int) -> Endpoint:
-        """A loopback door to `remote`; returns what programs are told."""
+        """Map a loopback port to `remote`; returns the endpoint for programs."""
         self._egress[port] = remote
         return Endpoint(remote.protocol, self._loopback_host, port)
 
     def remove_ingress(self, local: Endpoint, port: int) -> None:
-        """The door to the network at `port` for `local` is gone."""
+        """Forget the network port `port` for `local`."""
         self._ingress.pop(_casefolded(Endpoint(local.protocol, self.host, port)), None)
         self._own_uris.pop(local, None)
 
     def remove_egress(self, port: int) -> None:
-        """The loopback door at `port` is gone; the number may become a program's."""
+        """Forget the loopback port `port`; a program may bind it later."""
         self._egress.pop(port, None)
 
     def set_own_uri(self, local: Endpoint, uri: str) -> None:
-        """Remember how a program writes its own URI."""
+        """Store a program's own URI as the program writes it."""
         self._own_uris[local] = uri
 
     def own_uri(self, local: Endpoint) -> str:
@@ -111,15 +111,15 @@ class EndpointMap:
         return self._own_uris.get(local, replace(local, host=self._loopback_host).uri)
 
     def program_at(self, outside: Endpoint) -> Endpoint | None:
-        """The program of this identity that a peer's address leads back to."""
+        """The program of this identity at a network endpoint."""
         return self._ingress.get(_casefolded(outside))
 
     def peer_at(self, local: Endpoint) -> Endpoint | None:
-        """The peer a loopback door leads to."""
+        """The peer at a loopback endpoint."""
         found = self._egress.get(local.port)
         return found if found is not None and found.protocol is local.protocol else None
 
 
 def _casefolded(endpoint: Endpoint) -> Endpoint:
-    """Host names are the same in any case, and a URI that was parsed has lost its own."""
+    """Host names are case-insensitive, and a parsed URI is in lower case."""
     return replace(endpoint, host=endpoint.host.lower())

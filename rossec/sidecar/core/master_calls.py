@@ -1,8 +1,8 @@
 """Calls of programs to their master, rewritten for the secured one. Pure layers.
 
 The table says where a call carries an address: the program's slave API, its service, or one in the
-answer. A method that is not in it is not passed on. Elements of a multicall are calls of their
-own. What a program registers is remembered, so that a restarted master hears of it again.
+answer. A method that is not in it is not forwarded. Elements of a multicall are handled as single
+calls. Registrations are stored, to be made again with a restarted master.
 """
 
 from dataclasses import dataclass
@@ -34,7 +34,7 @@ MASTER: Final = "/master"
 
 
 class Result(Enum):
-    """What a successful answer holds."""
+    """The value of a successful answer."""
 
     PLAIN = "no address"
     NODES = "a list of slave API URIs"
@@ -50,8 +50,8 @@ class CallRule:
     Attributes:
         api: the caller's slave API URI.
         service: a service URI of the caller.
-        undoes: the registration it takes back.
-        default: the value of a refusal, stock's.
+        unregisters: the method whose registration it removes.
+        default: the value of a refusal, as of the stock master.
     """
 
     api: int | None = None
@@ -62,12 +62,12 @@ class CallRule:
 
     @property
     def address_index(self) -> int:
-        """Where a registration says its address: a service's own, else the slave API."""
+        """The index of a registration's address: the service's, else the slave API's."""
         return next(index for index in (self.service, self.api) if index is not None)
 
     @property
     def registers(self) -> bool:
-        """Whether others will know the program by this name and address."""
+        """Whether the call registers the program under its name and address."""
         return self.api is not None and self.unregisters is None
 
 
@@ -103,7 +103,7 @@ def handle_call(agent: AgentState, method: str, params: tuple[object, ...]) -> L
 
     Raises:
         Fault: no such method.
-        HangUp: the master is out of reach; the program will try again.
+        HangUp: the master is unreachable; the program will try again.
     """
     if method == MULTICALL:
         return (yield from _multicall(agent, params))
@@ -114,18 +114,18 @@ def handle_call(agent: AgentState, method: str, params: tuple[object, ...]) -> L
     caller = str(params[0])
     if rule.registers and not agent.covers(caller):
         return [-1, _not_covered(agent, caller), 0]
-    outside = yield from _params_for_master(agent, method, rule, caller, params)
-    if outside is None:
+    master_params = yield from _params_for_master(agent, method, rule, caller, params)
+    if master_params is None:
         return [-1, "rossec: this address is not the program's own", 0]
-    key = None if outside[0] == caller else searched_key(method, params)
+    key = None if master_params[0] == caller else searched_key(method, params)
     if key is None:
-        answer = yield from _call_master(method, outside)
+        answer = yield from _call_master(method, master_params)
     else:
-        answer = yield from _search(caller, outside[0], key)
+        answer = yield from _search(caller, master_params[0], key)
     if answer[0] == 1:
-        _record_registration(agent, method, rule, params, outside)
+        _record_registration(agent, method, rule, params, master_params)
         if method == _SUBSCRIBE:
-            answer[2] = agent.followed_publishers(outside[RELATIVE_NAME[method]], answer[2])
+            answer[2] = agent.followed_publishers(master_params[RELATIVE_NAME[method]], answer[2])
         return (yield from _answer_for_program(agent, rule, _own_api(rule, params), answer))
     return answer
 
@@ -153,7 +153,7 @@ def _call_master(method: str, params: tuple[object, ...]) -> Layer[list[object]]
 
 
 def _search(caller: str, name: object, key: str) -> Layer[list[object]]:
-    """Search from the namespace of `asker`; the master would, from that of `name`."""
+    """Search from the namespace of `caller`; the master would search from that of `name`."""
     for place, found in search_places(caller, key):
         answer = search_result((yield from _call_master(SEARCH, (name, place))), found)
         if answer is not None:
@@ -185,9 +185,9 @@ def _element(agent: AgentState, element: object) -> Layer[object]:
 def _params_for_master(
     agent: AgentState, method: str, rule: CallRule, caller: str, params: tuple[object, ...]
 ) -> Layer[tuple[object, ...] | None]:
-    """The parameters for the secured master; None: an address that is not the program's."""
+    """The parameters for the secured master; None: the address is not the program's own."""
     name = caller
-    if rule.unregisters is None:  # `rosnode cleanup` speaks for dead nodes; the master judges that
+    if rule.unregisters is None:  # `rosnode cleanup` names dead nodes; the master authorizes it
         name = agent.name_for(caller)
     changed = list(params if name == caller else resolve_params(method, params, caller))
     changed[0] = name
@@ -196,7 +196,7 @@ def _params_for_master(
             continue
         given = parse_endpoint(params[index], protocol)
         if given is None:
-            continue  # the master says what is wrong with it
+            continue  # the master refuses it with a reason
         address = yield from _address(agent, rule, given)
         if address is None:
             return None
@@ -205,16 +205,16 @@ def _params_for_master(
     if own is not None and rule.registers:
         agent.endpoints.set_own_uri(own, str(params[rule.api or 0]))
         known = agent.programs.get(own)
-        if known is None or known.name != caller:  # a dead one's port may be another's now
+        if known is None or known.name != caller:  # the port may have been reused
             agent.programs[own] = Program(caller)
     return tuple(changed)
 
 
 def _address(agent: AgentState, rule: CallRule, given: Endpoint) -> Layer[str | None]:
-    """What the master knows an endpoint by that a program names.
+    """The address, for the master, of an endpoint that a program names.
 
-    A door on loopback is a peer's: `rosnode cleanup` gives back what `lookupNode` answered. Nobody
-    can register one as its own, or the sidecar would call itself.
+    An egress port stands for a peer: `rosnode cleanup` sends the URI that `lookupNode` returned. No
+    program can register one as its own; the sidecar would call itself.
     """
     local = local_endpoint(given.protocol, given.port)
     remote = agent.endpoints.peer_at(local)
@@ -234,32 +234,40 @@ def _record_registration(
     method: str,
     rule: CallRule,
     params: tuple[object, ...],
-    outside: tuple[object, ...],
+    master_params: tuple[object, ...],
 ) -> None:
-    key = str(outside[RELATIVE_NAME[method]]) if method in RELATIVE_NAME else ""
+    key = str(master_params[RELATIVE_NAME[method]]) if method in RELATIVE_NAME else ""
     own = _own_api(rule, params)
     if rule.registers and own is not None:
         program = agent.programs.setdefault(own, Program(str(params[0])))
-        program.registrations[method, key] = outside
+        program.registrations[method, key] = master_params
     elif rule.unregisters is not None:
-        _remove_registration(agent, rule, rule.unregisters, key, outside)
+        _remove_registration(agent, rule, rule.unregisters, key, master_params)
 
 
 def _remove_registration(
-    agent: AgentState, rule: CallRule, undone: str, key: str, outside: tuple[object, ...]
+    agent: AgentState,
+    rule: CallRule,
+    registered_by: str,
+    key: str,
+    master_params: tuple[object, ...],
 ) -> None:
-    """The address says whose registration it was: a successor of the same name keeps its own."""
-    place, made_at = rule.address_index, RULES[undone].address_index
+    """Remove the registration with this address; a new program of the same name keeps its own."""
+    index, registered_index = rule.address_index, RULES[registered_by].address_index
     for program in agent.programs.values():
-        made = program.registrations.get((undone, key))
-        if made is not None and len(outside) > place and made[made_at] == outside[place]:
-            del program.registrations[undone, key]
+        made = program.registrations.get((registered_by, key))
+        if (
+            made is not None
+            and len(master_params) > index
+            and made[registered_index] == master_params[index]
+        ):
+            del program.registrations[registered_by, key]
 
 
 def _answer_for_program(
     agent: AgentState, rule: CallRule, own: Endpoint | None, answer: list[object]
 ) -> Layer[list[object]]:
-    """A successful answer of the master, as the program must see it."""
+    """A successful answer of the master, rewritten for the program."""
     code, status, value = answer
     match rule.result:
         case Result.NODES:
@@ -279,7 +287,7 @@ def _answer_for_program(
 
 
 def _node(agent: AgentState, remote: Endpoint) -> Layer[str]:
-    """A node of the same identity is met directly: it is the caller itself, or its like."""
+    """The URI of a node; a node of the same identity is reached directly."""
     own = agent.endpoints.program_at(remote)
     return (yield from agent.egress_uri(remote, own, probe=True))
 
@@ -293,9 +301,9 @@ def _not_covered(agent: AgentState, caller: str) -> str:
 
 
 def restore(agent: AgentState) -> Layer[None]:
-    """Make every registration again, for a master that was restarted; the dead are left out.
+    """Make every registration again with a restarted master, except those of dead programs.
 
-    They might come back in the place of a successor of the same name, which the master would end.
+    A dead program could replace a new one of the same name, which the master would shut down.
     """
     for own, program in tuple(agent.programs.items()):
         if (yield from _is_gone(agent, own, (yield Probe(own)))):
@@ -305,7 +313,7 @@ def restore(agent: AgentState) -> Layer[None]:
 
 
 def resubscribe(agent: AgentState, topic: str) -> Layer[None]:
-    """Name the publishers of `topic` again to who subscribes: rospy gives up what has ended."""
+    """Send the publishers of `topic` to its subscribers again: rospy needs it to reconnect."""
     for own, program in tuple(agent.programs.items()):
         params = program.registrations.get((_SUBSCRIBE, topic))
         if params is not None:
@@ -327,7 +335,7 @@ def _register_again(
 
 
 def drop_overdue_publishers(agent: AgentState) -> Layer[None]:
-    """Name to programs who is left of publishers that the master did not name again in time."""
+    """Update the subscribers of topics whose publishers the master did not name again in time."""
     for topic in agent.publisher_grace.expired_topics():
         for own, program in tuple(agent.programs.items()):
             if (_SUBSCRIBE, topic) in program.registrations:
@@ -338,7 +346,7 @@ def drop_overdue_publishers(agent: AgentState) -> Layer[None]:
 def notify_program(
     agent: AgentState, own: Endpoint, method: str, params: tuple[object, ...]
 ) -> Layer[None]:
-    """Call a program that may be gone."""
+    """Call a program that may have ended."""
     yield from _is_gone(agent, own, (yield CallProgram(own, method, params)))
 
 

@@ -1,12 +1,12 @@
 """Calls between nodes: a peer's to a program's slave API, and a program's to a peer's. Pure layers.
 
-Both directions are default deny and drop UDPROS, which would leave the channel (attack N10). A
-peer is judged before the program hears of it. `requestTopic` is answered here, with the same door
-for every topic: the program is asked when somebody with the right comes to it (N5, `headers`).
-Answers are parsed and written anew, and hold a value only if the code is 1: rospy takes any
-positive one for success, and stock parsers read what ours refuses, so that an address the sidecar
-did not see would be dialled in clear. The one answer that travels as it is, is that of
-`getBusStats`, where roscpp's is malformed; it holds no address.
+Both directions are default deny and drop UDPROS, which would bypass the channel (attack N10). A
+peer is authorized before the program is called. `requestTopic` is answered here, with the same port
+for every topic: the program is asked once an authorized peer connects to it (N5, `tcpros`).
+Answers are parsed and serialized again, and hold a value only if the code is 1: rospy takes any
+positive code for success, and stock parsers accept what ours refuses; a program would connect in
+plaintext to an address that the sidecar did not see. Only the answer of `getBusStats` is forwarded
+unparsed: roscpp's is malformed, and it holds no address.
 """
 
 from typing import Final
@@ -32,7 +32,7 @@ from rossec.sidecar.core.layers import AgentState, Layer, UnexpectedEvent, own_e
 _UNPARSED: Final = frozenset({"getBusStats"})
 REQUEST_TOPIC: Final = "requestTopic"
 _INBOUND: Final = "i"
-_MAX_EGRESS: Final = 64  # that one answer of a peer may have opened
+_MAX_EGRESS: Final = 64  # ports that one answer of a peer can open
 
 
 def handle_peer_call(
@@ -47,7 +47,7 @@ def handle_peer_call(
     """Answer a peer's call to the program at `local`.
 
     Raises:
-        CallRefused, GrantError, CAError: the peer may not.
+        CallRefused, GrantError, CAError: the peer is not authorized.
         HangUp: the program does not answer.
     """
     node = agent.identity.name
@@ -78,13 +78,13 @@ def handle_peer_call(
 def _answer_request_topic(
     agent: AgentState, local: Endpoint, params: tuple[object, ...]
 ) -> Layer[object]:
-    """Where the topics of a program are, whatever the topic; a dead one is found out as ever."""
+    """The answer to `requestTopic`, the same for every topic; a dead program does not answer."""
     refused = _invalid_request_topic(params)
     if refused is not None:
         return refused
     yield from _require_alive(agent, local, (yield Probe(local)))
-    door = yield from agent.ingress_endpoint(topic_endpoint(local))
-    return [1, "ready", [TCPROS, door.host, door.port]]
+    ingress = yield from agent.ingress_endpoint(topic_endpoint(local))
+    return [1, "ready", [TCPROS, ingress.host, ingress.port]]
 
 
 def succeeded(code: object) -> bool:
@@ -93,7 +93,7 @@ def succeeded(code: object) -> bool:
 
 
 def _refusal(answer: object) -> list[object]:
-    """An answer that is none, or does not say success: without its value, whatever that is."""
+    """An unsuccessful or invalid answer, without its value."""
     match answer:
         case [(-1 | 0) as code, str() as status, _]:
             return [code, status, 0]
@@ -104,7 +104,7 @@ def _refusal(answer: object) -> list[object]:
 
 
 def _require_alive(agent: AgentState, local: Endpoint, event: Event) -> Layer[None]:
-    """Refuse from now on in the name of a program that is gone."""
+    """Hang up if the program did not answer; suspend its port if it has ended."""
     if isinstance(event, NoAnswer):
         if event.dead:
             agent.forget(local)
@@ -122,7 +122,7 @@ def _params_for_program(
 
 
 def _invalid_request_topic(params: tuple[object, ...]) -> list[object] | None:
-    """What to answer to a `requestTopic` that cannot be one for TCPROS; None: it can."""
+    """The refusal of a `requestTopic` without TCPROS or with invalid parameters; None: valid."""
     if len(params) != 3:
         return [-1, "Error: bad call arity", []]
     if not isinstance(params[1], str) or not params[1]:
@@ -133,7 +133,7 @@ def _invalid_request_topic(params: tuple[object, ...]) -> list[object] | None:
 def _answer_for_peer(
     agent: AgentState, local: Endpoint, method: str, status: object, value: object
 ) -> Layer[object]:
-    """The program's answer as a peer must see it: with doors in place of loopback ports."""
+    """A program's answer, rewritten for a peer: ingress ports in place of loopback ports."""
     match method, value:
         case "getUri", _:
             return [1, status, (yield from agent.ingress_endpoint(local)).uri]
@@ -148,7 +148,7 @@ def _answer_for_peer(
 def _program_bus_info(
     agent: AgentState, local: Endpoint, entries: list[object]
 ) -> Layer[list[object]]:
-    """A program's connections; of incoming ones it names the URI of the publisher, maybe itself."""
+    """A program's bus info; an incoming connection names its publisher, maybe the program."""
     found: list[object] = []
     for entry in entries:
         match entry:
@@ -200,14 +200,14 @@ def handle_program_call(
 def _answer_for_program(
     agent: AgentState, remote: Endpoint, method: str, status: object, value: object
 ) -> Layer[object]:
-    """A peer's answer as the program must see it: with doors in place of addresses."""
+    """A peer's answer, rewritten for a program: egress ports in place of addresses."""
     match method, value:
         case "requestTopic", ["TCPROS", str() as host, int() as port] if (
             host and 0 < port < 1 << 16
         ) and not _leads_back(agent, remote, Endpoint(WireProtocol.TCPROS, host, port)):
             uri = yield from agent.egress_uri(Endpoint(WireProtocol.TCPROS, host, port))
-            door = parse_endpoint(uri, WireProtocol.TCPROS)
-            return [1, "ready", ["TCPROS", door.host, door.port]] if door else [-1, "", []]
+            egress = parse_endpoint(uri, WireProtocol.TCPROS)
+            return [1, "ready", ["TCPROS", egress.host, egress.port]] if egress else [-1, "", []]
         case "requestTopic", _:
             return [-1, NO_TRANSPORT, []]
         case "getUri", _:
@@ -221,13 +221,13 @@ def _answer_for_program(
 
 
 def _leads_back(agent: AgentState, remote: Endpoint, place: Endpoint) -> bool:
-    """Whether another node names a place of this identity's own: nobody may be led to itself."""
+    """Whether another node names an endpoint of this identity (reflection)."""
     behind = agent.endpoints.program_at
     return behind(place) is not None and behind(remote) is None
 
 
 def _peer_bus_info(agent: AgentState, entries: list[object]) -> Layer[list[object]]:
-    """A peer's connections, with the URIs that `lookupNode` gives: tools compare the two."""
+    """A peer's bus info, with the URIs that `lookupNode` returns: tools compare them."""
     uris: dict[str, str] = {}
     found: list[object] = []
     for entry in entries:

@@ -1,9 +1,9 @@
 """The TCPROS handshake between a program and a peer, both directions. Pure layers.
 
-The header of the one end is read once, judged, given to the other end, and its answer judged in
-turn; grants are added towards the network and taken out towards the program. Where a topic is the
-program is asked only for a peer that may subscribe to it. What comes back says how the bytes that
-follow must be treated: a guard for outgoing messages that are restricted, nothing else.
+The header of one end is read once, authorized and sent to the other end, and its answer is
+authorized in turn; grants are added towards the network and removed towards the program. A program
+is asked for its topic port only for an authorized subscriber. The result says how to handle the
+bytes that follow: a guard for restricted messages, otherwise none.
 """
 
 from collections.abc import Callable, Mapping
@@ -38,19 +38,19 @@ from rossec.sidecar.core.slave_calls import REQUEST_TOPIC, succeeded
 
 _CALLER = "callerid"
 _LONGEST_NAME = 255
-FindRecall: TypeAlias = Callable[[str], MemoryScope]  # of a program that calls itself so
+FindMemoryScope: TypeAlias = Callable[[str], MemoryScope]  # by the program's caller_id
 
 
 @dataclass(frozen=True)
 class AdmittedConnection:
-    """Two ends that may now exchange messages.
+    """A connection whose two ends may exchange messages.
 
     Attributes:
         answer: the header for the end that asked.
-        decision: what the peer may do; when it ends, the connection does.
-        guard: treats each message before it is passed on; None: bytes pass as they are.
+        decision: the authorization of the peer; the connection ends with it.
+        guard: filters each message before it is forwarded; None: bytes are forwarded unchanged.
         service: both directions carry data; else only from publisher to subscriber.
-        size: of every message to a program, if they are all alike and that is known.
+        message_size: of every message to a program, if the size is fixed and known.
     """
 
     answer: Mapping[str, bytes]
@@ -61,7 +61,7 @@ class AdmittedConnection:
 
     @property
     def latching(self) -> bool:
-        """Whether the publisher shows its last message to whoever connects."""
+        """Whether the publisher sends its last message to new subscribers."""
         return self.answer.get("latching") == b"1"
 
 
@@ -71,13 +71,13 @@ def admit_peer(
     fields: Mapping[str, bytes],
     peer: Identity,
     filter_key: FilterKey,
-    recall_of: FindRecall,
+    memory_scope_of: FindMemoryScope,
     now: int,
 ) -> Layer[AdmittedConnection]:
     """A peer subscribes to a topic of the program at `local`, or calls its service.
 
     Raises:
-        ConnectionHeaderRefused, GrantError, CAError: it may not, or the program refuses it.
+        ConnectionHeaderRefused, GrantError, CAError: the peer or the program is refused.
         HangUp: the program does not answer.
     """
     service = _is_service(fields)
@@ -98,7 +98,9 @@ def admit_peer(
     guard = None
     if decision.restrictions:
         kind = sender_definition(from_header(answer), decision, agent.known_types)
-        guard = guard_for(kind, decision, filter_key, recall_of(_program_name(arrived.fields)))
+        guard = guard_for(
+            kind, decision, filter_key, memory_scope_of(_program_name(arrived.fields))
+        )
     return AdmittedConnection(
         {**answer, **_own_proof(agent, fields, arrived.now)}, decision, guard, service
     )
@@ -107,11 +109,11 @@ def admit_peer(
 def _request_topic(
     agent: AgentState, local: Endpoint, fields: Mapping[str, bytes]
 ) -> Layer[Endpoint]:
-    """Where the program has the topic, as its slave API says it.
+    """The endpoint of the topic, requested from the program's slave API.
 
     Raises:
-        ConnectionHeaderRefused: it does not publish it.
-        HangUp: it does not answer.
+        ConnectionHeaderRefused: the program does not publish the topic.
+        HangUp: the program does not answer.
     """
     topic = topic_handshake.requested_topic(fields)
     request = (text(fields, _CALLER), topic, [[TCPROS]])
@@ -133,8 +135,8 @@ def _request_topic(
 
 
 def _is_service(fields: Mapping[str, bytes]) -> bool:
-    """What a header is for. Both would be judged as one and served as the other: roscpp and rospy
-    look for the topic first.
+    """Whether a header is for a service. One with both fields would be authorized as one and served
+    as the other: roscpp and rospy check the topic first.
 
     Raises:
         ConnectionHeaderRefused: not exactly one of the two.
@@ -157,7 +159,7 @@ def _answer_for_peer(
 
 
 def _program_name(fields: Mapping[str, bytes]) -> str:
-    """What a program calls itself."""
+    """The caller_id of a program."""
     return text(fields, _CALLER)[:_LONGEST_NAME] if _CALLER in fields else ""
 
 
@@ -177,14 +179,14 @@ def connect_to_peer(
     remote: Endpoint,
     fields: Mapping[str, bytes],
     filter_key: FilterKey,
-    recall_of: FindRecall,
+    memory_scope_of: FindMemoryScope,
     now: int,
 ) -> Layer[AdmittedConnection]:
     """A program subscribes to a topic of the peer at `remote`, or calls its service.
 
     Raises:
-        ConnectionHeaderRefused, GrantError, CAError: the peer refuses, or may not publish or
-        provide. HangUp: the peer does not answer.
+        ConnectionHeaderRefused, GrantError, CAError: the peer refuses, or is not authorized to
+        publish or provide. HangUp: the peer does not answer.
     """
     service = _is_service(fields)
     request = {**without_grants(fields), _CALLER: _caller_name(agent, fields)}
@@ -212,7 +214,7 @@ def connect_to_peer(
         sent = from_header(arrived.fields)
         kind = receiver_definition(own, sent, decision, agent.known_types)
         if decision.restrictions:
-            guard = guard_for(kind, decision, filter_key, recall_of(_program_name(fields)))
+            guard = guard_for(kind, decision, filter_key, memory_scope_of(_program_name(fields)))
         answer = without_grants(arrived.fields) | definition_fields(kind, decision)
         message_size = size_of(reported_definition(kind, sent))
     return AdmittedConnection(answer, decision, guard, service, message_size)
@@ -234,5 +236,5 @@ def _require_header(event: Event) -> HeaderArrived:
 
 
 def without_grants(fields: Mapping[str, bytes]) -> dict[str, bytes]:
-    """The header without what is between rossec and rossec."""
+    """The header without the grants field."""
     return {key: value for key, value in fields.items() if key != FIELD}

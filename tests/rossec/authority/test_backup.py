@@ -167,7 +167,7 @@ def test_an_interrupted_restoration_changes_nothing(
         raise KeyboardInterrupt
 
     data = back_up(home, PASSPHRASE)
-    monkeypatch.setattr(files, "settle", interrupted)
+    monkeypatch.setattr(files, "commit_directory", interrupted)
     with pytest.raises(KeyboardInterrupt):
         restore(tmp_path / "new", data, PASSPHRASE, NOW)
     assert not list((tmp_path / "new").iterdir())

@@ -72,7 +72,7 @@ async def test_a_listener_beside_the_program_is_nobodys_business() -> None:
         server.close()
         with (
             socket.create_server(("127.0.0.1", port)),
-            pytest.raises(ConnectionRefusedError, match="changed hands"),
+            pytest.raises(ConnectionRefusedError, match="another program listens"),
         ):
             callers.check_unchanged(port, [holder])
 

@@ -80,7 +80,7 @@ async def test_a_number_that_is_given_again_proves_nothing(
         inode = peeruid.holder_of(end).inode
         assert await ours.holds(inode)
         started = [1, 2, 1]  # found by a search, then gone when it is to be proved
-        monkeypatch.setattr(socket_owners, "process", lambda number: Process(number, started.pop()))
+        monkeypatch.setattr(socket_owners, "process", lambda pid: Process(pid, started.pop()))
         monkeypatch.setattr(socket_owners, "parents", lambda: [(one.running[0].pid, os.getpid())])
         assert not await ours.holds(inode)
         assert started == []
@@ -98,10 +98,10 @@ async def test_a_number_given_again_while_it_is_read_proves_nothing(
 
         def changing(_: int) -> Process:
             asked.append(None)
-            return found if len(asked) < 3 else Process(found.number, found.started + 1)
+            return found if len(asked) < 3 else Process(found.pid, found.started + 1)
 
         monkeypatch.setattr(socket_owners, "process", changing)
-        monkeypatch.setattr(socket_owners, "parents", lambda: [(found.number, os.getpid())])
+        monkeypatch.setattr(socket_owners, "parents", lambda: [(found.pid, os.getpid())])
         assert not await ours.holds(inode)
         assert len(asked) == 3
 

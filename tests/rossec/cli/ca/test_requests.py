@@ -93,7 +93,7 @@ def test_the_master_hears_of_a_replaced_key(shell: Shell, monkeypatch: object) -
         return
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("rossec.cli.ca.requests.deliver", delivered)
+        patch.setattr("rossec.cli.shared.delivery.deliver", delivered)
         said = shell.unlocked("ca", "approve", request_id, "--replace-key", "/robot")
     assert said.out.endswith("the replaced key is revoked\nthe master has the new list\n")
 

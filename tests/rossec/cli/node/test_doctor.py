@@ -68,7 +68,7 @@ async def test_a_node_in_order_and_its_faults(
         (tmp_path / "odd.toml").write_bytes(b"\xff")
         code, said = await doctor("/robot", ROSSEC_CONFIG=str(tmp_path / "odd.toml"))
         assert code == 1
-        assert "the options' file is no TOML" in said
+        assert "the options' file is not TOML" in said
 
 
 async def test_an_identity_that_ends_soon_is_said(

@@ -76,7 +76,7 @@ def test_list_and_delete(site: Site, capsys: pytest.CaptureFixture[str]) -> None
         (("get", "/robot/value"), "/eve", "param-get on /robot/value", ""),
         (("set", "/robot/value", "1"), "/eve", "param-set on /robot/value", ""),
         (("set", "/robot/value", ""), "/robot", "cannot be nothing", "rossec param delete"),
-        (("set", "/robot/value", '"\\e[2J"'), "/robot", "cannot read this setParam", "as bytes"),
+        (("set", "/robot/value", '"\\e[2J"'), "/robot", "cannot parse this setParam", "as bytes"),
         (("set", "/robot/value", "[1"), "/robot", "is no YAML", ""),
         (("set", "/robot/value", "99999999999"), "/robot", "XML-RPC cannot carry", ""),
         (("list",), "/nobody", "/nobody has no", "rossec node request"),

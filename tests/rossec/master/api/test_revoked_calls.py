@@ -73,5 +73,5 @@ def test_it_is_answered_a_few_times_on_one_connection() -> None:
     calls = RevokedCalls(Told(), lambda: 7)
     for _ in range(MAX_CALLS):
         assert calls.answer("rossec.revocations", ("/eve",), None)[2] == [b"list", b""]
-    with pytest.raises(HangUp, match="has heard it"):
+    with pytest.raises(HangUp, match="has been sent the list"):
         calls.answer("rossec.revocations", ("/eve",), None)

@@ -1,6 +1,5 @@
-"""`rossec privacy`: which data is collected, who has access and why; and the way out of it."""
+"""`rossec privacy opt-out`: show nobody a topic, or one node nothing."""
 
-import asyncio
 import secrets
 import time
 from dataclasses import replace
@@ -8,66 +7,22 @@ from pathlib import Path
 
 import click
 
-from ca.names import check_name
 from grants import document
 from grants.model import Draft, Grant, Permission, Right
 from grants.names import check_pattern
-from grants.policy import privacy as report
-from grants.policy.decision import Decider
 from grants.policy.editing import NewRule, add_rules, free_id
-from grants.policy.model import Subject
 from grants.policy.patterns import intersects
-from grants.policy.privacy import PrivacyRow, ReceiverAccess
-from rossec import files
 from rossec.authority.home import AuthorityHome
-from rossec.authority.policyfile import layout_of
 from rossec.authority.signing import SigningAuthority
 from rossec.cli.shared import options, passphrase
-from rossec.cli.shared.context import Environment, moment, now, pass_environment
-from rossec.cli.shared.delivery import deliver
+from rossec.cli.shared.context import Environment, now, pass_environment
+from rossec.cli.shared.delivery import publish_list
 from rossec.cli.shared.handing_over import hand_over
-from rossec.terminal import say, say_json
+from rossec.cli.shared.policy import read_policy
+from rossec.terminal import say
 
 
-@click.group(invoke_without_command=True)
-@click.option("--node", help="only what this node sees")
-@click.option("--field", help="only fields with this in their path")
-@click.option("--held", is_flag=True, help="what is granted now, instead of what the policy allows")
-@click.option("--html", type=click.Path(path_type=Path), help="write a page to this file")
-@click.option("--json", "as_json", is_flag=True, help="one line of JSON")
-@options.policy
-@click.pass_context
-def privacy(
-    context: click.Context,
-    node: str | None,
-    field: str | None,
-    held: bool,
-    html: Path | None,
-    as_json: bool,
-    policy_path: Path | None,
-) -> None:
-    """Show every field of every topic: who sees it, how, why and until when."""
-    if context.invoked_subcommand is not None:
-        return
-    environment = context.find_object(Environment)
-    assert environment is not None  # noqa: S101 - main() gives it
-    read = options.read_policy(environment, policy_path)
-    accesses = report.from_policy(read.decider)
-    if held:
-        accesses = _held(AuthorityHome.at(environment.home), read.decider)
-    rows = [row for row in report.rows(accesses, layout_of) if _wanted(row, node, field)]
-    if html is not None:
-        page = report.html(rows, f"What {read.policy.robot} shows to whom")
-        files.replace(html, page.encode(), 0o644)
-        say(f"written to {html}")
-    elif as_json:
-        say_json(report.as_json(rows))
-    else:
-        for line in report.lines(rows):
-            say(line)
-
-
-@privacy.command("opt-out")
+@click.command("opt-out")
 @click.argument("name")
 @click.option("--node", "is_node", is_flag=True, help="NAME is a node, enrolled or not")
 @options.master_to_tell
@@ -88,7 +43,7 @@ def opt_out(
     What else the revoked grants allowed is granted anew.
     """
     check_pattern(name)
-    read = options.read_policy(environment, policy_path)
+    read = read_policy(environment, policy_path)
     home = AuthorityHome.at(environment.home)
     store = home.store()
     known = name in {row.name for row in store.certificates()}
@@ -107,8 +62,7 @@ def opt_out(
             say(f"its other rights are grant {document.grant_id(data).hex()}")
             hand_over(environment, subject, data, None)
     if concerned:
-        asyncio.run(deliver(environment, master_uri))
-        say("the master has the new list")
+        publish_list(environment, master_uri)
 
 
 def _instead(
@@ -163,41 +117,3 @@ def _rest(grant: Grant, name: str, node: str | None) -> Draft | None:
         grant.domain, grant.subject, grant.holder, grant.not_before, grant.expires, grant.cap,
         secrets.token_bytes(16), tuple(kept),
     )  # fmt: skip
-
-
-def _held(home: AuthorityHome, decider: Decider) -> list[ReceiverAccess]:
-    """What is granted now, with the reason the policy gives for it today."""
-    store = home.store()
-    try:
-        revoked = store.revoked_entries()
-        grants = [document.peek(row.data) for row in store.grants() if row.id not in revoked]
-    finally:
-        store.close()
-    return [
-        _access(grant, permission, decider)
-        for grant in grants
-        if grant.not_before <= now() < grant.expires
-        for permission in grant.permissions
-        if Right.SUBSCRIBE in permission.rights
-    ]
-
-
-def _access(grant: Grant, permission: Permission, decider: Decider) -> ReceiverAccess:
-    subject = Subject(check_name(grant.subject), grant.holder)
-    verdict = decider.decide(subject, Right.SUBSCRIBE, permission.pattern)
-    restriction = permission.restriction
-    kind = decider.policy.type_of(permission.pattern)
-    return ReceiverAccess(
-        permission.pattern,
-        kind if restriction is None or restriction.type is None else restriction.type,
-        grant.subject,
-        "; ".join(rule.why for rule in verdict.rules if rule.why and verdict),
-        moment(grant.expires),
-        f"grant {grant.short_id}",
-        () if restriction is None else (restriction,),
-        getattr(restriction, "rate", None),
-    )
-
-
-def _wanted(row: PrivacyRow, node: str | None, field: str | None) -> bool:
-    return (node is None or row.receiver == node) and (field is None or field in row.field)
