@@ -79,7 +79,7 @@ class NodeHome:
         """Make the key and the request for an identity; with `wildcard`, for anonymous nodes too.
 
         Raises:
-            NameRefused: not a trust domain, or a name that is one node.
+            NameRefused: not a trust domain, or a name that cannot have a tail.
             KeyRefused: the node has a key already.
         """
         files.make_private_directory(self.path)
