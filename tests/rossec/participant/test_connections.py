@@ -57,7 +57,7 @@ def test_silence_is_borne_for_a_while(site: Site) -> None:
     held = revocations(site)
     last = held.fresh_until + STALE_GRACE
     assert termination_reason(Linked(), held, last - 1) is None
-    assert "confirmation ran out" in (termination_reason(Linked(), held, last) or "")
+    assert "confirmation expired" in (termination_reason(Linked(), held, last) or "")
 
 
 def test_without_any_list_nothing_lives(site: Site) -> None:
