@@ -75,7 +75,7 @@ def test_list_and_delete(site: Site, capsys: pytest.CaptureFixture[str]) -> None
         (("delete", "/robot/none"), "/robot", "/robot/none is not set", "rossec param list"),
         (("get", "/robot/value"), "/eve", "param-get on /robot/value", ""),
         (("set", "/robot/value", "1"), "/eve", "param-set on /robot/value", ""),
-        (("set", "/robot/value", ""), "/robot", "cannot be nothing", "rossec param delete"),
+        (("set", "/robot/value", ""), "/robot", "cannot be null", "rossec param delete"),
         (("set", "/robot/value", '"\\e[2J"'), "/robot", "cannot read this setParam", "as bytes"),
         (("set", "/robot/value", "[1"), "/robot", "is no YAML", ""),
         (("set", "/robot/value", "99999999999"), "/robot", "XML-RPC cannot carry", ""),
