@@ -52,15 +52,15 @@ class Budget:
         Raises:
             AnnouncementRefused: there is nothing left for it now.
         """
-        purses = [self._proven[source]] if source in self._proven else [
+        buckets = [self._proven[source]] if source in self._proven else [
             self._of(source), self._totals[known_chain]
         ]  # fmt: skip
-        if not all(purse.has(cost, clock) for purse in purses):
+        if not all(bucket.has(cost, clock) for bucket in buckets):
             raise AnnouncementRefused("more announcements than can be checked")
-        for purse in purses:
-            purse.take(cost)
+        for bucket in buckets:
+            bucket.take(cost)
 
-    def proved(self, source: Hashable) -> None:
+    def note_verified(self, source: Hashable) -> None:
         """An announcement from `source` verified."""
         if source not in self._proven:
             self._proven[source] = self._of(source)

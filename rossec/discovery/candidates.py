@@ -87,7 +87,7 @@ class Candidates:
     def __init__(self, anchor: TrustAnchor, revoked: frozenset[bytes] = frozenset()) -> None:
         self._anchor = anchor
         self._revoked = revoked
-        self._held: dict[tuple[bytes, DatagramSource], Candidate] = {}
+        self._candidates: dict[tuple[bytes, DatagramSource], Candidate] = {}
         self._seen: OrderedDict[tuple[bytes, int, int], None] = OrderedDict()
         self._newest: dict[bytes, Announcement] = {}
         self._chains: OrderedDict[tuple[bytes, ...], tuple[Identity, float]] = OrderedDict()
@@ -122,7 +122,7 @@ class Candidates:
     def ranked(self, now: int, clock: float) -> list[Candidate]:
         """The masters still heard, the best first; those no probe has reached are last."""
         self._forget(now)
-        return sorted(self._held.values(), key=lambda one: one.quality(clock))
+        return sorted(self._candidates.values(), key=lambda one: one.quality(clock))
 
     def best(self, now: int, clock: float) -> Candidate | None:
         """The best master that a probe has reached."""
@@ -136,7 +136,7 @@ class Candidates:
             return None
         identity = self._identity(claim, source, now, clock)
         announcement = claim.verify(identity)
-        self._budget.proved(source)
+        self._budget.note_verified(source)
         self._remember(announcement, source)
         self._check_newer(identity.thumbprint, announcement)
         return self._take(identity.thumbprint, source, announcement, now, clock)
@@ -158,17 +158,17 @@ class Candidates:
         self, key: bytes, source: DatagramSource, announcement: Announcement, now: int, clock: float
     ) -> Candidate:
         self._forget(now)
-        held = self._held.get((key, source))
-        if held is None and len(self._held) >= MAX_CANDIDATES:
+        found = self._candidates.get((key, source))
+        if found is None and len(self._candidates) >= MAX_CANDIDATES:
             raise AnnouncementRefused("more masters announce themselves than can be remembered")
-        if held is None or held.announcement.instance != announcement.instance:
-            held = self._held[key, source] = Candidate(key, source, announcement)
-        held.announcement = announcement
-        held.heard.append((announcement.seq, clock))
-        return held
+        if found is None or found.announcement.instance != announcement.instance:
+            found = self._candidates[key, source] = Candidate(key, source, announcement)
+        found.announcement = announcement
+        found.heard.append((announcement.seq, clock))
+        return found
 
     def _forget(self, now: int) -> None:
-        self._held = {key: one for key, one in self._held.items() if now <= one.ends}
+        self._candidates = {key: one for key, one in self._candidates.items() if now <= one.ends}
 
     def _is_repeated(self, announcement: Announcement, source: DatagramSource) -> bool:
         """Whether one with these numbers has verified: then another can only be it, or forged."""

@@ -19,7 +19,7 @@ VARIABLE: Final = "ROS_MASTER_URI"
 DISCOVER: Final = "discover:"
 
 
-async def settle_master(environ: Mapping[str, str], identity: str | None) -> dict[str, str]:
+async def discover_master(environ: Mapping[str, str], identity: str | None) -> dict[str, str]:
     """`environ`, with the URI of the best master found where discovery was asked for.
 
     Args:

@@ -38,7 +38,7 @@ async def serve(directory: Path, answer: Callable[[Answer], Answer]) -> asyncio.
             if _is_ours(writer.get_extra_info("socket")):
                 async with asyncio.timeout(_PATIENCE):
                     request = _request(await reader.readline())
-                writer.write(json.dumps(_answered(answer, request)).encode() + b"\n")
+                writer.write(json.dumps(_call(answer, request)).encode() + b"\n")
         except (OSError, ValueError, TimeoutError):
             pass  # whoever speaks nonsense gets no answer
         finally:
@@ -50,7 +50,7 @@ async def serve(directory: Path, answer: Callable[[Answer], Answer]) -> asyncio.
         raise ConfigurationError(
             "an enrollment of this node is waiting already", "finish or stop that one first"
         )
-    with _place(directory) as path:
+    with _socket_path(directory) as path:
         return await asyncio.start_unix_server(call, path, limit=_LIMIT)
 
 
@@ -80,11 +80,11 @@ def ask(directory: Path, request: Answer) -> Answer:
     return answer
 
 
-def _exchange(sock: socket.socket, question: bytes) -> bytes:
+def _exchange(sock: socket.socket, request: bytes) -> bytes:
     """The line that answers; none when the other side has hung up."""
     sock.settimeout(_PATIENCE)
     with suppress(OSError), sock.makefile("rb") as stream:
-        sock.sendall(question)
+        sock.sendall(request)
         return stream.readline(_LIMIT)
     return b""
 
@@ -96,7 +96,7 @@ def _request(line: bytes) -> Answer:
     return found
 
 
-def _answered(answer: Callable[[Answer], Answer], request: Answer) -> Answer:
+def _call(answer: Callable[[Answer], Answer], request: Answer) -> Answer:
     try:
         return answer(request)
     except HintedError as error:
@@ -113,7 +113,7 @@ def _connect(directory: Path) -> socket.socket | None:
     """A connection to the waiting process, or None: a socket nobody listens at is no process."""
     sock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     try:
-        with _place(directory) as path:
+        with _socket_path(directory) as path:
             sock.connect(path)
     except (FileNotFoundError, ConnectionRefusedError):
         sock.close()
@@ -122,7 +122,7 @@ def _connect(directory: Path) -> socket.socket | None:
 
 
 @contextmanager
-def _place(directory: Path) -> Iterator[str]:
+def _socket_path(directory: Path) -> Iterator[str]:
     descriptor = os.open(directory, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
     try:
         yield f"/proc/self/fd/{descriptor}/{_NAME}"

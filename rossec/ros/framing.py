@@ -24,7 +24,7 @@ class Framing:
         self._progress = Progress()
 
     @property
-    def waits(self) -> bool:
+    def incomplete(self) -> bool:
         """Whether a message has been begun."""
         return self._reader.pending > 0
 

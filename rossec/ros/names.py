@@ -56,7 +56,7 @@ def resolve(name: str, node: str, remappings: Mapping[str, str] | None = None) -
     return resolved if remappings is None else remappings.get(resolved, resolved)
 
 
-def upwards(space: str, key: str) -> Iterator[tuple[str, str]]:
+def search_paths(space: str, key: str) -> Iterator[tuple[str, str]]:
     """Where stock looks for `key` from `space`, innermost first: what must exist, and is found."""
     above = [part for part in space.split(SEPARATOR) if part]
     first, *_ = key.split(SEPARATOR)

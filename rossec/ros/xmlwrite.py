@@ -15,7 +15,7 @@ _ONE: Final = len("<params>\n<param>\n"), -len("</param>\n</params>\n")
 _INTS: Final = range(-(2**31), 2**31)
 
 
-class Written(list[object]):
+class EncodedList(list[object]):
     """A list whose text is known already; nobody may change it any more."""
 
     __slots__ = ("text",)
@@ -51,7 +51,7 @@ def _value(value: object) -> str:
         return string(value)  # type: ignore[arg-type]
     if kind is int and value in _INTS:
         return f"<value><int>{value}</int></value>\n"
-    if kind is Written:
+    if kind is EncodedList:
         return value.text  # type: ignore[attr-defined,no-any-return]
     if kind is list or kind is tuple:
         return _array(value)  # type: ignore[arg-type]

@@ -86,7 +86,7 @@ def test_rotation_goes_on(audit: Audit) -> None:
     assert (whole.code, len(whole.err.splitlines())) == (0, 1)
     alone = audit.shell("audit", "--verify")
     assert alone.code == 0
-    assert f"it goes on from {last}, not among these files" in alone.err
+    assert f"it continues from {last}, not among these files" in alone.err
     noted = audit.shell("audit", "--verify", "--after", last)
     assert (noted.code, len(noted.err.splitlines())) == (0, 1)
     audit.keep(*audit.lines[1:])

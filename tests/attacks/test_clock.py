@@ -203,7 +203,7 @@ async def test_a_master_does_not_revive_what_has_ended(site: Site, hand: Hand) -
 async def test_a_whole_site_set_back_goes_on_in_its_own_time(
     site: Site, hand: Hand, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Whoever speaks for NTP gains nothing, and does not end what runs."""
+    """A peer that speaks for NTP gains nothing, and does not end what runs."""
     monkeypatch.setattr(master_session, "HEARTBEAT", 0.2)
     async with undisturbed(site) as witness:
         before = clock.now()

@@ -1,4 +1,4 @@
-"""Whoever wants the master to be busy with his questions alone: others are answered between.
+"""A peer that wants the master to be busy with his questions alone: others are answered between.
 
 What a turn of the loop costs is counted in calls of functions, not in seconds: a machine under load
 must not change the outcome. A turn lasts 5 ms, in which some ten thousand functions are called.
@@ -106,7 +106,7 @@ async def answers(other: Caller) -> None:
 
 @pytest.mark.attack("frozen-master")
 async def test_others_are_answered_during_a_long_multicall(full: Site) -> None:
-    """Whoever may ask all this gets his answers; others get theirs between them."""
+    """A peer that may ask all this gets his answers; others get theirs between them."""
     calls = [{"methodName": "getParamNames", "params": [EVE]}]
     async with caller(full, EVE, {"/robot/*/p7": LITTLE}) as eve, caller(full, "/other") as other:
         eve.client._deadline = other.client._deadline = 120  # on a busy machine

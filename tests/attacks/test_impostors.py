@@ -12,7 +12,7 @@ from ca.errors import ForeignCertificate, HintedError
 from grants.errors import GrantExpired, GrantForged, GrantMalformed, GrantMissing, GrantNotHeld
 from grants.model import Right
 from rossec.channel.edhoc.credentials import Credentials
-from rossec.demo.stranger import Whoever, believe_anyone
+from rossec.demo.intruder import UnverifiedPeer, accept_any
 from rossec.errors import CallerMismatch, ConnectionHeaderRefused, IdentityRefused
 from rossec.net.aio import SecureStream, serve
 from rossec.net.rpc.client import serve_calls
@@ -47,20 +47,20 @@ async def impostor(own: Credentials, fields: dict[str, str | bytes]) -> AsyncIte
     kind = message_type(POSE)
     lie = header.frame(bytes(kind.serialize(kind.create())))
 
-    async def topic(stream: SecureStream[Whoever]) -> None:
+    async def topic(stream: SecureStream[UnverifiedPeer]) -> None:
         await stream.receive()
         await stream.send(header.encode(fields), lie)
         await stream.wait_ended()
 
-    async def where(method: str, params: tuple[object, ...], peer: Whoever) -> object:
+    async def where(method: str, params: tuple[object, ...], peer: UnverifiedPeer) -> object:
         return [1, "", ["TCPROS", HOST, door.port]]
 
-    async def slave(stream: SecureStream[Whoever]) -> None:
+    async def slave(stream: SecureStream[UnverifiedPeer]) -> None:
         await serve_calls(stream, where)
 
     async with (
-        serve(topic, HOST, 0, own, believe_anyone) as door,
-        serve(slave, HOST, 0, own, believe_anyone) as api,
+        serve(topic, HOST, 0, own, accept_any) as door,
+        serve(slave, HOST, 0, own, accept_any) as api,
     ):
         yield f"http://{HOST}:{api.port}/"
 

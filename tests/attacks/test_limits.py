@@ -92,7 +92,7 @@ async def test_no_connection_sets_hysteresis_anew(site: Site) -> None:
 
 @pytest.mark.attack("more-by-reconnecting")
 async def test_a_latched_message_is_no_second_sample(site: Site) -> None:
-    """Whoever connects again gets what he had: nothing newer, and nothing that tells of it."""
+    """A peer that connects again gets the message it had: nothing newer, and no sign of it."""
     async with publishing(site, SELDOM_ONE, latch=True) as eve:
         for value in range(4):
             eve.publisher.publish_bytes(number(value))

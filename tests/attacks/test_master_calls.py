@@ -246,7 +246,7 @@ async def test_m8_the_master_is_no_tool_against_third_parties(
 
 @pytest.mark.attack("master-as-tool")
 async def test_m8_nobody_has_the_master_call_everywhere(site: Site, witness: Witness) -> None:
-    """Whoever moves at every call has many addresses called, were there no end to it."""
+    """A peer that moves at every call has many addresses called, were there no end to it."""
     assert site.master is not None
     accepted: set[tuple[str, int]] = set()
     with socket.create_server(("", 0), backlog=512) as silent:

@@ -1,4 +1,4 @@
-"""Whoever wants the master busy, slow or full (M9-M11): others are served, and nothing piles up.
+"""Peers that exhaust the master (M9-M11): others are served, and every queue is bounded.
 
 The deadlines are short here, so that the tests need not wait; what is tested is that they exist.
 """

@@ -1,7 +1,6 @@
-"""Whoever was the master, or makes one below an intermediate of his, and is known to be revoked.
+"""A master that is revoked, or whose intermediate is, and that nodes are redirected to.
 
-His certificate still verifies, and connections are redirected to him. He says that the list held is
-the newest, so that no other one is missed, or that it is earlier than it is.
+Its certificate still verifies. It confirms an old list as the newest, or reports an earlier time.
 """
 
 import secrets

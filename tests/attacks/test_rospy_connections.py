@@ -15,7 +15,7 @@ from ca.certificates import Identity
 from ca.encoding import encode
 from grants.model import Right
 from rossec.channel.opening import REFUSAL, tcpros_refusal
-from rossec.demo.stranger import believe_anyone
+from rossec.demo.intruder import accept_any
 from rossec.errors import ChannelError
 from rossec.inprocess.live_connections import PEER_CONNECTIONS
 from rossec.net.aio import SecureStream, connect, serve
@@ -160,7 +160,7 @@ def exchange(port: int, data: bytes) -> bytes:
 
 async def raw(victim: Victim, data: bytes) -> bytes:
     """Send `data` as Eve inside the channel; all that comes back."""
-    stream = await connect(HOST, victim.port, credentials(victim.site), believe_anyone)
+    stream = await connect(HOST, victim.port, credentials(victim.site), accept_any)
     answer = b""
     with contextlib.suppress(ChannelError):
         await stream.send(data)

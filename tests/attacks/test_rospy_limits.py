@@ -156,7 +156,7 @@ async def test_no_connection_sets_hysteresis_anew(target: Target) -> None:
 
 @pytest.mark.attack("more-by-reconnecting")
 async def test_a_latched_message_is_no_second_sample(target: Target) -> None:
-    """Whoever comes back is shown what he had, whatever was published since."""
+    """A peer that comes back is shown what he had, whatever was published since."""
     once = await (await target.subscribe(PLAN)).first()
     for _ in range(4):
         ear = await target.subscribe(PLAN)

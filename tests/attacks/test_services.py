@@ -14,7 +14,7 @@ import pytest
 from ca.encoding import encode
 from grants.errors import GrantError, GrantMissing
 from grants.model import Right
-from rossec.demo.stranger import believe_anyone
+from rossec.demo.intruder import accept_any
 from rossec.errors import ChannelError, RossecError
 from rossec.net.aio import SecureServer, SecureStream, connect, serve
 from rossec.node import Node
@@ -117,7 +117,7 @@ async def open_call(
     site: Site, lamp: Node, grant: bytes | None = None, **changes: str
 ) -> AsyncIterator[SecureStream[Any]]:
     """Eve's connection after the headers."""
-    stream = await connect(HOST, port_of(lamp), credentials(site), believe_anyone)
+    stream = await connect(HOST, port_of(lamp), credentials(site), accept_any)
     try:
         await stream.send(header.encode(asking([grant or may_call(site)], **changes)))
         async with asyncio.timeout(30):
@@ -262,7 +262,7 @@ async def impostor(
         await stream.send(reply)
         await stream.wait_ended()
 
-    server: SecureServer[Any] = serve(play, HOST, 0, credentials(site), believe_anyone)
+    server: SecureServer[Any] = serve(play, HOST, 0, credentials(site), accept_any)
 
     async def lookup(_: str) -> str:
         return f"rosrpc://{HOST}:{server.port}"

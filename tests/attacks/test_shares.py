@@ -1,4 +1,4 @@
-"""Whoever uses up what is there for all: nobody else is silenced or left without room."""
+"""A peer that uses up what is there for all: nobody else is silenced or left without room."""
 
 import logging
 from pathlib import Path

@@ -1,7 +1,7 @@
 """Two operators at one authority at the same moment: no revocation may be lost between them.
 
-Whoever knows when an operator signs only has to make another one sign too (see R13 of attacks.md):
-what was recorded and stands in no list lets a thief's key go on.
+An attacker that knows when one operator signs makes another one sign too (R13 of attacks.md): a
+revocation that is recorded but in no list leaves a stolen key valid.
 """
 
 import asyncio

@@ -156,11 +156,11 @@ async def test_a_node_reads_every_file_among_its_grants(
     async with site.node("/robot") as robot:
         await robot.publisher(TOPIC, "geometry_msgs/PoseStamped")
         assert "folder.grant cannot be read" in caplog.text
-        assert "early0.grant is no grant" in caplog.text
+        assert "early0.grant is not a valid grant" in caplog.text
         claims: Any = GRANT.peek(signed(site))
         text = encode({**claims, 9: encode([[TOPIC, 2, {0: "a/B", 2: {7: {"clear": True}}}]])})
         (place / "late.grant").write_bytes(seal(GRANT, site.authority.signer, text))
-        await until(lambda: "late.grant is no grant" in caplog.text, within=30)
+        await until(lambda: "late.grant is not a valid grant" in caplog.text, within=30)
         later = site.publish("/robot", "/robot/later")
         await until(lambda: later in robot._grant_directory._seen, within=30)
         await robot.publisher("/robot/later", "std_msgs/String")

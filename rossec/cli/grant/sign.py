@@ -121,7 +121,7 @@ def presets() -> None:
     for entry in PRESETS.values():
         say(entry.name)
         say(f"  hides {entry.hides}")
-        say(f"  still tells {entry.leaves}")
+        say(f"  still tells {entry.reveals}")
 
 
 def _check_new(out: Path) -> None:

@@ -286,7 +286,7 @@ async def test_a_node_refuses_an_older_list_after_its_own_restart(
         return False
 
     with monkeypatch.context() as silent:
-        silent.setattr(MasterSession, "_hand_over", keep_it)
+        silent.setattr(MasterSession, "_send_held_list", keep_it)
         with pytest.raises(RollbackRefused, match="older"):
             async with site.node("/robot"):
                 pass
@@ -362,7 +362,7 @@ async def test_a_bad_grant_file_is_told_and_does_no_harm(
         await robot.publisher("/robot/pose", POSE)
         (robot.home.path / "grants" / "huge.grant").write_bytes(bytes(300_000))
         await until(lambda: "huge.grant cannot be read" in caplog.text)
-        assert caplog.text.count("is no grant") == 1
+        assert caplog.text.count("is not a valid grant") == 1
 
 
 async def test_a_malformed_message_is_left_out(

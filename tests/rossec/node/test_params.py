@@ -166,5 +166,5 @@ async def test_names_that_are_none(robot: Node, monkeypatch: pytest.MonkeyPatch)
         return ["/a", 1]
 
     monkeypatch.setattr(robot._session._client, "ask", answer)
-    with pytest.raises(AnswerMalformed, match="no list of text"):
+    with pytest.raises(AnswerMalformed, match="not a list of str"):
         await robot.params.names()

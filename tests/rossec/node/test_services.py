@@ -136,7 +136,7 @@ async def test_what_is_known(lamp: Node, hall: Node, monkeypatch: pytest.MonkeyP
             return value
 
         monkeypatch.setattr(hall._session._client, "ask", answer)
-        with pytest.raises(AnswerMalformed, match="a system state that is none"):
+        with pytest.raises(AnswerMalformed, match="an invalid system state"):
             await hall.services.known()
 
 

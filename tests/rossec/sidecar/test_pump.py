@@ -110,7 +110,7 @@ class LaggingPeer:
         self.heard: list[bytes] = []
         self.lags = False
 
-    def push(self, data: bytes) -> bool:
+    def write_nowait(self, data: bytes) -> bool:
         self.heard.append(data)
         self.lags = True
         return False

@@ -103,6 +103,6 @@ def test_what_is_no_socket_is_refused() -> None:
 
 
 async def test_a_path_too_long_for_a_socket_is_said(tmp_path: Path) -> None:
-    with pytest.raises(ConfigurationError, match="too long a name for a socket") as caught:
+    with pytest.raises(ConfigurationError, match="too long for the path of a socket") as caught:
         await AdminPort(tmp_path / ("d" * 108), {}).start()
     assert "ROSSEC_HOME" in caught.value.hint

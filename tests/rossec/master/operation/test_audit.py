@@ -145,7 +145,7 @@ def test_a_disk_that_fails_is_no_reason_to_end(
         book.write("one")
         book.write("one more")
     assert caplog.messages == [
-        "the audit cannot be written: [Errno 9] Bad file descriptor; its lines so far are whole"
+        "the audit cannot be written: [Errno 9] Bad file descriptor; the lines before are intact"
     ]
     book.write("two")
     verify(book.entries(), FIRST)
@@ -160,7 +160,7 @@ def test_a_full_disk_leaves_no_half_line(
         patch.setattr(os, "write", lambda file, data: write(file, data[:20]))
         book.write("two")
     assert caplog.messages == [
-        "the audit cannot be written: the disk is full; its lines so far are whole"
+        "the audit cannot be written: the disk is full; the lines before are intact"
     ]
     book.write("three")
     assert [entry["text"] for entry in book.entries()] == ["one", "three"]

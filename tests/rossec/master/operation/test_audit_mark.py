@@ -32,7 +32,7 @@ def test_the_very_first_line(signer: KeySigner) -> None:
 def test_the_first_line_of_a_later_file(signer: KeySigner) -> None:
     first, key = mark(signer, BEFORE, 1.5), thumbprint(signer.public_key)
     assert first["text"] == "the audit goes on in a new file"
-    assert check_beginning(first, key) == f"it goes on from {BEFORE}, not among these files"
+    assert check_beginning(first, key) == f"it continues from {BEFORE}, not among these files"
     assert check_beginning(first, key, BEFORE) == ""
 
 
@@ -41,7 +41,7 @@ def test_a_line_that_is_none(signer: KeySigner) -> None:
     assert str(error) == "the beginning of the audit is missing"
     assert "--after" in error.hint
     old = {"before": FIRST, "at": 1.0, "text": "the master began"}
-    assert "an older master" in check_beginning(old)
+    assert "of an older version" in check_beginning(old)
     assert check_beginning({"before": BEFORE}, after=BEFORE) == ""
     assert "is missing" in str(refusal({"before": BEFORE}, after="cd" * 32))
 

@@ -67,7 +67,7 @@ async def test_refused_grants_are_audited_but_no_error(
     old = world.site.grant(member, EVERYTHING, start=-9 * 86400)
     late = await world.call_as(member)
     assert await late.ask("rossec.presentGrants", "/late", [old]) == 0
-    assert "/late presents grants that are refused: " in caplog.text
+    assert "/late presented grants that are refused: " in caplog.text
     assert await node.ask("rossec.presentGrants", [old]) == 1
 
 
@@ -76,7 +76,7 @@ async def test_nobody_writes_lines_into_the_log(
 ) -> None:
     caplog.set_level("INFO")
     eve = await world.node("/eve", {"/eve/t": Right.SUBSCRIBE, "/master": Right.ADMIN})
-    forged = "x\nrossec: WARNING: /robot is cut off\x9b31m\u202e"
+    forged = "x\nrossec: WARNING: /robot is disconnected\x9b31m\u202e"
     for method, *params in (
         ("getParam", f"/{forged}"),
         ("setParam", f"/{forged}", 1),
@@ -120,7 +120,7 @@ async def test_what_is_administered_is_audited(
     number = world.trust.number
     assert lines == [
         "/admin calls unregisterPublisher for /robot: Unregistered [/robot] as provider of [/t]",
-        f"/admin brought revocation list {number}",
-        "/robot is cut off: the key of /robot is revoked",
+        f"/admin delivered revocation list {number}",
+        "/robot is disconnected: the key of /robot is revoked",
         "/admin delivered a delegation to renew grants",
     ]

@@ -62,7 +62,7 @@ def test_what_is_wrong_is_said(
     found.there = wrong
     found.local_authority.check(7)
     assert (found.changes, found.statements.lists) == (0, [])
-    assert "the list of the authority on this host is not taken" in caplog.text
+    assert "the list of the authority on this host is not accepted" in caplog.text
 
 
 def test_each_reason_is_said_once(caplog: pytest.LogCaptureFixture) -> None:
@@ -71,9 +71,9 @@ def test_each_reason_is_said_once(caplog: pytest.LogCaptureFixture) -> None:
         found.there = there
         for _ in range(3):
             found.local_authority.check(7)
-    assert caplog.text.count("is not taken") == 2
+    assert caplog.text.count("is not accepted") == 2
     found.there = None
     found.local_authority.check(7)
     found.there = ConfigurationError("another", "")
     found.local_authority.check(7)
-    assert caplog.text.count("is not taken: another") == 2
+    assert caplog.text.count("is not accepted: another") == 2

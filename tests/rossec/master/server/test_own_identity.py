@@ -47,7 +47,7 @@ def test_another_certificate_is_taken_up_without_a_restart(
     world: World, caplog: pytest.LogCaptureFixture
 ) -> None:
     assert not world.check(NOW + 25 * DAY)
-    assert "the master's own identity: it ends " in caplog.text
+    assert "the master's own identity: it expires " in caplog.text
     assert (
         "(rossec ca renew /master, then rossec node install FILE here; no restart)" in caplog.text
     )
@@ -66,7 +66,7 @@ def test_it_complains_every_hour_and_not_at_every_beat(
         world.check(NOW + 25 * DAY + second)
     assert len(caplog.messages) == 2
     world.check(NOW + 31 * DAY)
-    assert "it ended " in caplog.messages[-1]
+    assert "it expired " in caplog.messages[-1]
 
 
 def test_it_is_renewed_where_the_host_can(world: World) -> None:
@@ -103,7 +103,7 @@ def test_another_key_needs_a_restart(world: World, caplog: pytest.LogCaptureFixt
     )
     assert not world.check(NOW + 10)
     assert caplog.messages == [
-        "the master's own identity: it is for another key now (restart the master)"
+        "the master's own identity: the installed identity has another key (restart the master)"
     ]
     assert not world.check(NOW + 20)
     assert len(caplog.messages) == 1

@@ -82,7 +82,7 @@ def test_a_full_disk_is_reported_and_leaves_no_half_record(
     with monkeypatch.context() as patch:
         patch.setattr(os, "write", lambda fd, data: write(fd, data[:5]))
         change(parameter_file, "/b", 2)
-    assert caplog.text.count("parameters cannot be kept") == 2
+    assert caplog.text.count("parameters cannot be saved") == 2
     change(parameter_file, "/c", 3)
     assert opened(path).parameters.get("/") == {"a": 1, "c": 3}
 
@@ -117,7 +117,7 @@ def test_it_is_rewritten_at_once_when_it_grows_too_fast(
 def test_a_disk_without_room_is_said_and_the_file_is_as_it_was(
     path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    kept, said = opened(path), "they are in force, and kept as soon as there is room"
+    kept, said = opened(path), "they are in force, and saved as soon as there is room"
     before = path.read_bytes()
     with no_room():
         change(kept, "/a", 1)

@@ -24,12 +24,12 @@ def test_what_cannot_be_written_is_written_when_there_is_room(
         kept.retry()
     assert home.load_revocations() is home.load_entries() is None
     assert len(caplog.messages) == 1
-    assert "the revocation list is in force, but not kept: revocations.ent" in caplog.text
+    assert "the revocation list is in force, but not saved: revocations.ent" in caplog.text
     assert "make room" in caplog.text
     kept.retry()
     assert home.load_revocations() == second
     assert home.load_entries() == b"entries"
-    assert caplog.messages[1:] == ["the revocation list is kept now"]
+    assert caplog.messages[1:] == ["the revocation list is saved now"]
     kept.retry()
     assert len(caplog.messages) == 2
 

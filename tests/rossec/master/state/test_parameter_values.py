@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from rossec.master.state.parameter_values import DEPTH_LIMIT, check, encoded_size, exceeds
 from rossec.ros import xmlrpc
-from rossec.ros.xmlwrite import Written
+from rossec.ros.xmlwrite import EncodedList
 
 _WHEN = datetime(2020, 1, 2, 3, 4, 5)  # noqa: DTZ001 - XML-RPC's times have no zone
 _GOOD = st.recursive(
@@ -73,7 +73,7 @@ def test_the_depth_is_bounded() -> None:
 
 
 def test_what_is_written_already_weighs_its_text() -> None:
-    state = Written([["/t", ["/node"]]])
+    state = EncodedList([["/t", ["/node"]]])
     assert encoded_size([1, "", state]) - encoded_size([1, ""]) == len(state.text)
     assert encoded_size((1, 2)) == encoded_size([1, 2])
 
