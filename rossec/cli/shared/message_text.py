@@ -101,5 +101,5 @@ def parse_message(text: str) -> object:
     except YamlRefused as error:
         shown = printable(text[:_SHOWN]) + ("..." if len(text) > _SHOWN else "")
         raise ConfigurationError(
-            f"invalid YAML: {shown}: {error}", error.hint or "for example '{data: hello}'"
+            f"cannot parse {shown}: {error}", error.hint or "for example '{data: hello}'"
         ) from error

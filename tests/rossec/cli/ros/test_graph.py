@@ -159,7 +159,7 @@ async def test_the_same_trouble_is_told_once(site: Site, monkeypatch: pytest.Mon
     monkeypatch.setattr(module, "note", notes.append)
     monkeypatch.setattr(module, "say", said.append)
     monkeypatch.setattr(module, "_PAUSE", 0.01)
-    monkeypatch.setattr(module, "_LONGEST", 0.04)
+    monkeypatch.setattr(module, "_MAX_PAUSE", 0.04)
     site.publish("/robot", "/robot/pose")
     async with site.running(), site.node("/robot") as robot:
         await robot.publisher("/robot/pose", POSE)

@@ -77,7 +77,7 @@ def test_list_and_delete(site: Site, capsys: pytest.CaptureFixture[str]) -> None
         (("set", "/robot/value", "1"), "/eve", "param-set on /robot/value", ""),
         (("set", "/robot/value", ""), "/robot", "cannot be null", "rossec param delete"),
         (("set", "/robot/value", '"\\e[2J"'), "/robot", "cannot parse this setParam", "as bytes"),
-        (("set", "/robot/value", "[1"), "/robot", "invalid YAML", ""),
+        (("set", "/robot/value", "[1"), "/robot", "cannot parse", ""),
         (("set", "/robot/value", "99999999999"), "/robot", "XML-RPC cannot carry", ""),
         (("list",), "/nobody", "/nobody has no", "rossec node request"),
     ],
