@@ -22,7 +22,7 @@ def registered(site: Site, kind: Kind) -> list[str]:
     return [node.name for node in site.master._registry.registered_nodes(kind, TOPIC)]
 
 
-async def test_a_subscriber_that_is_back_first_hangs_up_on_nobody(
+async def test_a_subscriber_that_reconnects_first_keeps_its_connections(
     site: Site, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Every message arrives, over the connection that was there (`undisturbed`)."""
@@ -38,7 +38,7 @@ async def test_a_subscriber_that_is_back_first_hangs_up_on_nobody(
         await witness.goes_on()
 
 
-async def test_who_says_goodbye_is_let_go_of_at_once(
+async def test_a_publisher_that_unregisters_is_dropped_at_once(
     site: Site, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     site.publish("/robot", TOPIC)

@@ -18,7 +18,7 @@ def entitled(site: Site, name: str) -> None:
     site.grant(name, Right.CALL, SERVICE)
 
 
-async def test_its_own_topic_and_service(tmp_path: Path) -> None:
+async def test_a_node_uses_its_own_topic_and_service(tmp_path: Path) -> None:
     site = Site(tmp_path / "site")
     entitled(site, "/robot")
 
@@ -40,7 +40,7 @@ async def test_its_own_topic_and_service(tmp_path: Path) -> None:
                 assert (await client()).message == "said to itself"
 
 
-async def test_without_the_right_not_even_from_itself(tmp_path: Path) -> None:
+async def test_a_node_needs_the_right_for_its_own_topic(tmp_path: Path) -> None:
     site = Site(tmp_path / "site")
     site.subscribe("/robot", TOPIC)
     async with site.running(), site.node("/robot") as robot:

@@ -102,7 +102,7 @@ async def test_queued_messages_share_a_unit() -> None:
     assert topic.links == set()
 
 
-async def test_a_slow_subscriber_loses_the_oldest() -> None:
+async def test_the_oldest_messages_of_a_slow_subscriber_are_dropped() -> None:
     topic, stream = publisher(queue_size=2), Stream()
     task = await serve(topic, stream, Guard())
     stream.open.clear()
@@ -119,7 +119,7 @@ async def test_a_slow_subscriber_loses_the_oldest() -> None:
     await asyncio.gather(task, return_exceptions=True)
 
 
-async def test_equal_treatments_are_made_once() -> None:
+async def test_subscribers_with_equal_filters_share_the_filtered_message() -> None:
     topic = publisher()
     guards = [Guard("same"), Guard("same"), Guard("other", lambda _: None)]
     tasks = [await serve(topic, Stream(), guard) for guard in guards]
@@ -131,7 +131,7 @@ async def test_equal_treatments_are_made_once() -> None:
     await asyncio.gather(*tasks, return_exceptions=True)
 
 
-async def test_a_message_that_cannot_be_judged_is_withheld(
+async def test_a_message_that_cannot_be_evaluated_is_withheld(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     def refuse(_: object) -> None:
@@ -148,7 +148,7 @@ async def test_a_message_that_cannot_be_judged_is_withheld(
     await asyncio.gather(task, return_exceptions=True)
 
 
-async def test_an_expired_link_gets_nothing_more() -> None:
+async def test_an_expired_connection_receives_no_more_messages() -> None:
     topic, stream = publisher(), Stream()
     task = await serve(topic, stream, Guard(), seconds=0)
     topic.publish_bytes(text("late"))
@@ -159,7 +159,7 @@ async def test_an_expired_link_gets_nothing_more() -> None:
 
 
 @pytest.mark.parametrize("withheld", [False, True])
-async def test_the_last_message_greets_newcomers(withheld: bool) -> None:
+async def test_a_latched_message_is_sent_to_new_subscribers(withheld: bool) -> None:
     topic, stream = publisher(latch=True), Stream()
     topic.publish_bytes(text("before"))
     guard = Guard(treat=(lambda _: None) if withheld else (lambda message: [message]))
@@ -170,7 +170,7 @@ async def test_the_last_message_greets_newcomers(withheld: bool) -> None:
     await asyncio.gather(task, return_exceptions=True)
 
 
-async def test_waiting_for_subscribers() -> None:
+async def test_wait_for_subscribers_returns_when_they_are_connected() -> None:
     topic = publisher()
     waiting = asyncio.get_running_loop().create_task(topic.wait_for_subscribers(2))
     tasks = [await serve(topic, Stream(), Guard())]
@@ -192,7 +192,7 @@ async def test_a_batch_is_bounded() -> None:
     assert topic.topic == "/t"
 
 
-async def test_a_link_is_known_before_its_answer_is_sent() -> None:
+async def test_a_connection_is_registered_before_its_answer_is_sent() -> None:
     topic, stream = publisher(), Stream()
     stream.open.clear()
     task = await serve(topic, stream, Guard())
@@ -205,7 +205,7 @@ async def test_a_link_is_known_before_its_answer_is_sent() -> None:
     await asyncio.gather(task, return_exceptions=True)
 
 
-async def test_what_is_judged_is_what_is_sent() -> None:
+async def test_a_buffer_that_changes_later_is_sent_as_it_was_checked() -> None:
     topic, stream = publisher(latch=True), Stream()
     task = await serve(topic, stream, Guard())
     buffer = bytearray(text("judged"))
@@ -230,6 +230,6 @@ async def test_a_closed_node_publishes_nothing() -> None:
 
 
 @pytest.mark.parametrize("size", [0, -1])
-async def test_a_queue_holds_something(size: int) -> None:
+async def test_a_queue_size_below_one_is_refused(size: int) -> None:
     with pytest.raises(ConfigurationError, match="a queue of"):
         publisher(queue_size=size)

@@ -7,8 +7,9 @@ import pytest
 
 from grants.model import Right
 from rossec.master.state.registry import Kind
-from tests.rossec.node.test_node import tell_master, until
+from tests.support.poses import tell_master
 from tests.support.site import Site
+from tests.support.witness import until
 
 
 @pytest.fixture

@@ -14,7 +14,7 @@ from tests.support.site import Site
 from tests.support.witness import until
 
 
-async def test_many_calls_at_once(lamp: Node, hall: Node) -> None:
+async def test_concurrent_calls_are_answered(lamp: Node, hall: Node) -> None:
     running: list[int] = []
     most = 0
 
@@ -39,7 +39,7 @@ async def test_a_service_without_fields(lamp: Node, hall: Node) -> None:
     await hall.client("/lamp/off", "std_srvs/Empty")()
 
 
-async def test_what_a_handler_says_and_what_it_does_not(
+async def test_a_caller_receives_service_failed_and_no_other_exception(
     lamp: Node, hall: Node, caplog: pytest.LogCaptureFixture
 ) -> None:
     said: list[BaseException | object] = [
@@ -67,7 +67,7 @@ async def test_what_a_handler_says_and_what_it_does_not(
     assert "secret" in caplog.text
 
 
-async def test_a_handler_that_takes_too_long(lamp: Node, hall: Node) -> None:
+async def test_a_call_to_a_slow_handler_fails(lamp: Node, hall: Node) -> None:
     async def never(_: Any) -> None:
         await asyncio.Event().wait()
 
@@ -83,7 +83,7 @@ async def test_a_handler_that_takes_too_long(lamp: Node, hall: Node) -> None:
 
 
 @pytest.mark.parametrize("side", ["caller", "provider"])
-async def test_each_call_is_judged_anew(
+async def test_each_call_is_authorized_again(
     lamp: Node, hall: Node, side: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Before the watch looks: what has ended is met by the call itself."""
@@ -99,7 +99,7 @@ async def test_each_call_is_judged_anew(
     await until(lambda: not service.links and not client.links)
 
 
-async def test_conditions_and_filters_of_the_caller(site: Site, lamp: Node) -> None:
+async def test_conditions_and_filters_of_the_caller_are_applied(site: Site, lamp: Node) -> None:
     heard: list[bool] = []
 
     def listen(request: Any) -> dict[str, object]:
@@ -143,7 +143,7 @@ async def test_conditions_and_filters_of_the_caller(site: Site, lamp: Node) -> N
             await client(data=True)
 
 
-async def test_a_request_that_does_not_end(
+async def test_an_incomplete_request_times_out(
     lamp: Node, hall: Node, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(provider, "REQUEST_DEADLINE", 0.05)

@@ -16,7 +16,7 @@ from tests.support.witness import until
 TRIGGER = "std_srvs/Trigger"
 
 
-async def test_a_kept_connection(lamp: Node, hall: Node) -> None:
+async def test_a_persistent_connection_is_used_again(lamp: Node, hall: Node) -> None:
     service = await lamp.service(LAMP, BOOL, switch)
     async with hall.client(LAMP, BOOL, persistent=True) as client:
         assert await called(client, data=True) == "on is True"
@@ -42,9 +42,7 @@ async def test_types_must_agree(lamp: Node, hall: Node) -> None:
         hall.client(LAMP, "std_srvs/SetBoool")
 
 
-async def test_restrictions_of_the_provider_are_the_caller_s_to_apply(
-    site: Site, hall: Node
-) -> None:
+async def test_the_caller_applies_the_restrictions_of_the_provider(site: Site, hall: Node) -> None:
     heard: list[bool] = []
 
     def listen(request: Any) -> dict[str, object]:
@@ -62,7 +60,7 @@ async def test_restrictions_of_the_provider_are_the_caller_s_to_apply(
     assert heard == [False]
 
 
-async def test_a_probe_asks_for_the_header_alone(lamp: Node, hall: Node) -> None:
+async def test_a_probe_requests_the_header_only(lamp: Node, hall: Node) -> None:
     await lamp.service(LAMP, BOOL, switch)
     fields, provider = await hall.services.probe(LAMP)
     assert provider.name == "/lamp"
@@ -73,7 +71,7 @@ async def test_a_probe_asks_for_the_header_alone(lamp: Node, hall: Node) -> None
     )
 
 
-async def test_messages_that_arrive_in_parts(
+async def test_messages_may_arrive_in_several_units(
     site: Site, lamp: Node, hall: Node, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Units are what somebody sent at once: a frame may need several of them."""

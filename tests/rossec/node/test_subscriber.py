@@ -11,7 +11,7 @@ from tests.support.witness import until
 TYPE = "std_msgs/String"
 
 
-async def test_a_restricted_publisher_is_believed_no_further(
+async def test_the_restrictions_of_a_publisher_are_applied_by_the_subscriber(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     """The publisher here does not hold itself back: nobody makes it."""

@@ -26,7 +26,7 @@ def shown(latch: Latch[bytes], receiver: Guard, now: int = NOW) -> bytes | None:
     return None
 
 
-def test_the_newest_or_what_was_seen() -> None:
+def test_a_new_subscriber_receives_the_newest_message_or_the_last_one_it_received() -> None:
     latch: Latch[bytes] = Latch()
     memory, other = Memory(), Memory()
     assert shown(latch, guard(memory)) is None

@@ -28,14 +28,14 @@ def told() -> Told:
     return Told()
 
 
-def test_without_a_loss_the_master_is_believed(told: Told) -> None:
+def test_the_list_of_the_master_is_used_without_a_loss(told: Told) -> None:
     assert told.named.update(T, [B]) == [B]
     assert told.named.update(T, []) == []
     assert told.named.expired_topics() == []
     assert told.named.to_follow("/unknown") == []
 
 
-def test_after_a_loss_those_who_are_missing_are_followed(told: Told) -> None:
+def test_missing_publishers_are_kept_after_a_loss(told: Told) -> None:
     told.named.session_opened()
     assert told.named.update(T, []) == [A, B]
     assert told.named.update(T, [C]) == [C, A, B]
@@ -48,7 +48,7 @@ def test_after_a_loss_those_who_are_missing_are_followed(told: Told) -> None:
     assert (told.named.expired_topics(), told.named.expired_topics()) == ([T], [])
 
 
-def test_who_was_named_again_and_is_taken_away_is_gone_at_once(told: Told) -> None:
+def test_a_publisher_listed_again_and_removed_is_dropped_at_once(told: Told) -> None:
     told.named.session_opened()
     assert told.named.update(T, [A]) == [A, B]
     assert told.named.update(T, []) == [B]
@@ -58,7 +58,7 @@ def test_who_was_named_again_and_is_taken_away_is_gone_at_once(told: Told) -> No
     assert told.named.expired_topics() == [], "nobody was missing"
 
 
-def test_whoever_resets_sessions_keeps_nobody_alive(told: Told) -> None:
+def test_repeated_losses_do_not_extend_the_grace_period(told: Told) -> None:
     """The time began with the first loss."""
     for _ in range(5):
         told.named.session_opened()
@@ -69,7 +69,7 @@ def test_whoever_resets_sessions_keeps_nobody_alive(told: Told) -> None:
     assert told.named.update(T, [A]) == [A]
 
 
-def test_after_a_complete_list_a_loss_is_a_new_one(told: Told) -> None:
+def test_a_loss_after_a_complete_list_begins_a_new_grace_period(told: Told) -> None:
     told.named.session_opened()
     told.now += GRACE - 1
     assert told.named.update(T, [A, B]) == [A, B]
@@ -79,7 +79,7 @@ def test_after_a_complete_list_a_loss_is_a_new_one(told: Told) -> None:
     assert told.named.to_follow(T) == [A, B]
 
 
-def test_one_topic_that_is_complete_does_not_begin_the_time_of_another_anew(told: Told) -> None:
+def test_a_complete_topic_does_not_extend_the_grace_period_of_another(told: Told) -> None:
     told.named.update(U, [C])
     told.named.session_opened()
     assert told.named.update(U, [C]) == [C]
@@ -91,7 +91,7 @@ def test_one_topic_that_is_complete_does_not_begin_the_time_of_another_anew(told
     assert told.named.expired_topics() == [T, U]
 
 
-def test_a_topic_that_nobody_subscribes_to_is_forgotten(told: Told) -> None:
+def test_a_topic_without_subscribers_is_forgotten(told: Told) -> None:
     told.named.session_opened()
     told.named.forget(T)
     assert told.named.to_follow(T) == []
@@ -100,7 +100,7 @@ def test_a_topic_that_nobody_subscribes_to_is_forgotten(told: Told) -> None:
     assert told.named.expired_topics() == []
 
 
-async def test_its_time_goes_on_when_a_clock_is_put_right(
+async def test_the_grace_period_does_not_depend_on_the_corrected_clock(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A clock that was an hour ahead would otherwise keep publishers for an hour."""

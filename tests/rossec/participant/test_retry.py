@@ -6,7 +6,7 @@ from rossec.participant.retry import FAST_PERIOD, FIRST, Retry
 
 
 @pytest.mark.parametrize("rand", [0.0, 0.5, 0.999])
-def test_for_half_a_minute_a_second_at_most_and_then_five(rand: float) -> None:
+def test_pauses_are_a_second_at_most_for_half_a_minute_and_then_five(rand: float) -> None:
     retry, now, pauses = Retry(lambda: rand), 1000.0, []
     while now < 1000 + 2 * FAST_PERIOD:
         pauses.append((now, retry.pause(now)))
@@ -19,7 +19,7 @@ def test_for_half_a_minute_a_second_at_most_and_then_five(rand: float) -> None:
     assert pauses[-1][1] == 5 * cut
 
 
-def test_a_success_ends_the_loss() -> None:
+def test_a_success_resets_the_pauses() -> None:
     retry = Retry(lambda: 0)
     assert [retry.pause(now) for now in (0.0, 40, 41, 42, 43, 44)] == [0.25, 0.5, 1, 2, 4, 5]
     retry.succeeded()

@@ -30,7 +30,7 @@ def revocations(site: Site) -> Revocations:
     return Revocations(site.anchor.public_key)
 
 
-async def test_an_expired_link_is_cut_once_however_long_it_lingers(
+async def test_an_expired_connection_is_aborted_once(
     revocations: Revocations,
 ) -> None:
     link = Linked(ends=int(time.time()) - 1)
@@ -52,7 +52,7 @@ async def test_an_expired_link_is_cut_once_however_long_it_lingers(
     assert looks < 10, "it waits for the next period"
 
 
-def test_after_a_clock_that_went_back_news_are_waited_for(
+def test_revocations_are_stale_after_the_clock_was_set_back(
     site: Site, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     shows = time.time()
