@@ -100,7 +100,7 @@ CASES: Final[list[tuple[str, Make, type[HintedError]]]] = [
 
 @pytest.mark.attack("false-publisher")
 @pytest.mark.parametrize(("make", "kind"), [c[1:] for c in CASES], ids=[c[0] for c in CASES])
-async def test_a_publisher_without_the_right_to_publish_is_not_believed(
+async def test_a_publisher_without_the_right_is_refused(
     site: Site, witness: Witness, make: Make, kind: type[HintedError]
 ) -> None:
     async with impostor(credentials(site), answer([make(site)])) as uri:
@@ -108,9 +108,7 @@ async def test_a_publisher_without_the_right_to_publish_is_not_believed(
 
 
 @pytest.mark.attack("false-publisher")
-async def test_a_publisher_that_shows_no_grants_at_all_is_not_believed(
-    site: Site, witness: Witness
-) -> None:
+async def test_a_publisher_without_grants_is_refused(site: Site, witness: Witness) -> None:
     fields = answer([])
     del fields[FIELD]
     async with impostor(credentials(site), fields) as uri:
@@ -118,7 +116,7 @@ async def test_a_publisher_that_shows_no_grants_at_all_is_not_believed(
 
 
 @pytest.mark.attack("false-publisher")
-async def test_a_publisher_that_takes_the_name_of_another_is_not_believed(
+async def test_a_publisher_with_the_name_of_another_is_refused(
     site: Site, witness: Witness
 ) -> None:
     fields = answer(site.enroll("/robot").grants(), callerid="/robot")
@@ -128,7 +126,7 @@ async def test_a_publisher_that_takes_the_name_of_another_is_not_believed(
 
 @pytest.mark.attack("false-publisher")
 @pytest.mark.parametrize("change", [{"topic": "/other"}, {"md5sum": "0" * 32}, {"error": "go"}])
-async def test_a_publisher_that_answers_with_something_else_is_not_believed(
+async def test_a_publisher_with_a_malformed_answer_is_refused(
     site: Site, witness: Witness, change: dict[str, str]
 ) -> None:
     async with impostor(credentials(site), answer([signed(site, right=PUBLISH)], **change)) as uri:
@@ -136,9 +134,7 @@ async def test_a_publisher_that_answers_with_something_else_is_not_believed(
 
 
 @pytest.mark.attack("false-publisher")
-async def test_a_publisher_of_another_authority_is_not_believed(
-    site: Site, witness: Witness
-) -> None:
+async def test_a_publisher_of_another_authority_is_refused(site: Site, witness: Witness) -> None:
     other = Site(site.root.parent / "other", site.anchor.domain)
     fields = answer([signed(other, right=PUBLISH)])
     async with impostor(credentials(other), fields) as uri:
@@ -148,7 +144,7 @@ async def test_a_publisher_of_another_authority_is_not_believed(
 
 
 @pytest.mark.attack("false-publisher")
-async def test_a_publisher_with_the_right_is_believed(site: Site, witness: Witness) -> None:
+async def test_a_publisher_with_the_right_is_accepted(site: Site, witness: Witness) -> None:
     """The control: what the others are refused for is their flaw, not their form."""
     async with impostor(credentials(site), answer([signed(site, right=PUBLISH)])) as uri:
         both = [witness.robot.uri, uri]

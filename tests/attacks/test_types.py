@@ -131,7 +131,7 @@ def odd_grants(site: Site) -> list[bytes]:
 
 
 @pytest.mark.attack("wrong-types")
-async def test_a_node_reads_every_grant_that_is_shown(
+async def test_a_node_parses_every_presented_grant(
     site: Site, witness: Witness, caplog: pytest.LogCaptureFixture
 ) -> None:
     for grant in odd_grants(site)[::7]:
@@ -142,7 +142,7 @@ async def test_a_node_reads_every_grant_that_is_shown(
 
 
 @pytest.mark.attack("wrong-types")
-async def test_a_node_reads_every_file_among_its_grants(
+async def test_a_node_parses_every_file_among_its_grants(
     site: Site, caplog: pytest.LogCaptureFixture
 ) -> None:
     """It starts, it goes on, and it names each file that counts for nothing."""
