@@ -89,7 +89,7 @@ NAMES = [
 
 @pytest.mark.parametrize("name", NAMES, ids=ascii)
 def test_a_file_of_another_name(empty: Shell, genuine: Content, name: str) -> None:
-    refused(empty, sealed({**genuine, name: b"evil"}), "is no file of an authority")
+    refused(empty, sealed({**genuine, name: b"evil"}), "is not a file of an authority")
 
 
 @pytest.mark.parametrize("value", ["text", 5, [b"x"], {"a": b"x"}, None], ids=str)

@@ -95,7 +95,7 @@ def test_a_home_that_others_can_write(home: Path, words: tuple[str, ...]) -> Non
     ("change", "said"),
     [
         (opened(".."), "above can be written by others"),
-        (given(), "home belongs to nobody, and this is root"),
+        (given(), "home belongs to nobody, who could change what root trusts"),
         (given(".."), "above belongs to nobody"),
     ],
     ids=["open above", "another's", "another's above"],

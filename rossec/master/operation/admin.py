@@ -86,7 +86,7 @@ class AdminPort:
         command = json.loads(await reader.readuntil(b"\n"))
         action = self._commands.get(command) if isinstance(command, str) else None
         if action is None:
-            answer: Mapping[str, Any] = {"error": "there is no such command"}
+            answer: Mapping[str, Any] = {"error": "unknown command"}
         else:
             _audit.info("user %d asks for %s", user, command)
             answer = action()

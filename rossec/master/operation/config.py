@@ -38,7 +38,7 @@ class Config:
     Args:
         port: to listen on; None: that of ROS_MASTER_URI.
         log: `text` or `json`.
-        audit: keep the audit file.
+        audit: write the audit file.
         admin: open the local port of an administrator.
         announce: announce the master on the local links.
         metrics: port for Prometheus, on loopback; None: none.

@@ -43,7 +43,7 @@ class ParameterFile:
 
         Raises:
             NotWritten, OSError: it cannot be written or read; it is unchanged.
-            PathRefused: somebody else could have written it.
+            PathRefused: another user could have written it.
         """
         data = self._read()
         changes, valid = parameter_journal.decode(data)

@@ -200,7 +200,7 @@ class MasterServer:
         }
 
     def stop(self, reason: str) -> None:
-        """End, as an administrator asked."""
+        """Stop, as requested by an administrator."""
         self._effects.deliver(StopMaster(reason))
 
     async def stopped(self) -> None:
@@ -208,7 +208,7 @@ class MasterServer:
         await self._effects.stopping.wait()
 
     async def close(self) -> None:
-        """Stop listening, cut all connections, stop telling."""
+        """Stop listening, close all connections, stop sending updates."""
         await self._maintenance.close()
         await self._updates.close()
         if self._server is not None:

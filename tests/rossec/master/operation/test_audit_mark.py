@@ -36,7 +36,7 @@ def test_the_first_line_of_a_later_file(signer: KeySigner) -> None:
     assert check_beginning(first, key, BEFORE) == ""
 
 
-def test_a_line_that_is_none(signer: KeySigner) -> None:
+def test_a_first_line_without_a_signature(signer: KeySigner) -> None:
     error = refusal({"before": BEFORE, "at": 1.0, "text": "denied"})
     assert str(error) == "the beginning of the audit is missing"
     assert "--after" in error.hint
@@ -46,7 +46,7 @@ def test_a_line_that_is_none(signer: KeySigner) -> None:
     assert "is missing" in str(refusal({"before": BEFORE}, after="cd" * 32))
 
 
-def test_a_line_of_somebody_else(signer: KeySigner) -> None:
+def test_a_line_of_another_key(signer: KeySigner) -> None:
     error = refusal(mark(new_signer(), BEFORE, 1.0), thumbprint(signer.public_key))
     assert "begins with a line of another key" in str(error)
     assert "--key" in error.hint
@@ -63,7 +63,7 @@ def test_a_forged_line(signer: KeySigner, change: Entry) -> None:
     assert "is forged" in str(refusal({**mark(signer, BEFORE, 1.0), **change}))
 
 
-def test_a_line_that_lacks_something(signer: KeySigner) -> None:
+def test_an_incomplete_line(signer: KeySigner) -> None:
     first = mark(signer, BEFORE, 1.0)
     del first["key"]
     assert "is forged" in str(refusal(first))

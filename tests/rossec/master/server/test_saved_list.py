@@ -11,7 +11,7 @@ from tests.rossec.test_files import no_room
 from tests.support.site import Site
 
 
-def test_what_cannot_be_written_is_written_when_there_is_room(
+def test_a_list_that_cannot_be_saved_is_saved_later(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     site = Site(tmp_path / "site")
@@ -34,7 +34,7 @@ def test_what_cannot_be_written_is_written_when_there_is_room(
     assert len(caplog.messages) == 2
 
 
-def test_with_room_it_is_there_at_once(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_list_is_saved_at_once(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     site = Site(tmp_path / "site")
     home, data = site.enroll(MASTER), site.revoke(b"1" * 32)
     ListFile(home).save(data)
