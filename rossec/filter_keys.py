@@ -1,4 +1,4 @@
-"""The keys of a node's pseudonyms, one file each: random, made when first used, never replaced."""
+"""The keys of a node's pseudonyms, one file each: random, created on first use, never replaced."""
 
 import secrets
 from pathlib import Path
@@ -10,7 +10,7 @@ from rossec.errors import ConfigurationError
 
 
 def filter_key(directory: Path, name: str) -> bytes:
-    """The key `name`, 32 random bytes; made when it is first asked for.
+    """The key `name`, 32 random bytes; created on first use.
 
     Raises:
         FilterRefused: not a key name.

@@ -17,7 +17,7 @@ _TABLE: Final = {
         "master.audit:audit",
         "Show the master's audit: what was denied, and what was administered.",
     ),
-    "ca": ("ca.group:ca", "Run the authority: it says who is who."),
+    "ca": ("ca.group:ca", "Run the authority, which signs the identities."),
     "demo": ("demo:demo", "Show the main job: enroll, grant, filter, refuse, revoke."),
     "discover": (
         "master.discover:discover",
@@ -29,7 +29,7 @@ _TABLE: Final = {
     ),
     "explain": (
         "policy.explain:explain",
-        "Say whether NODE may use RIGHT (subscribe, publish, call, ...) on NAME, and why.",
+        "Show whether NODE may use RIGHT (subscribe, publish, call, ...) on NAME, and why.",
     ),
     "grant": ("grant.group:grant", "Sign, show and revoke grants."),
     "graph": ("ros.graph:graph", "Show the graph, as far as NODE may see it."),
@@ -39,7 +39,7 @@ _TABLE: Final = {
     "policy": ("policy.group:policy", "Write what is allowed, and check it."),
     "privacy": (
         "policy.group:privacy",
-        "Show every field of every topic: who sees it, how, why and until when.",
+        "Show every field of every topic: which node sees it, how, why and until when.",
     ),
     "run": (
         "node.run:run",

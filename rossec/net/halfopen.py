@@ -1,9 +1,9 @@
-"""How many strangers may hold a socket of this process, in all and from one source (N8, M11).
+"""How many half-open connections this process has, in total and from one source (N8, M11).
 
 A socket counts from `accept` until its peer is authenticated, or until it is closed: one whose
 handshake failed lingers, so that its peer can read the refusal, and costs a descriptor as before.
-Where there is no room, the one that lingers longest is closed first; then, where all places are
-taken, one of the source that has most, if it has more than who comes.
+At the limit, the one that lingers longest is closed first; then, if the total is reached, one of
+the source that has most, if it has more than the source of the new one.
 """
 
 import functools
@@ -25,7 +25,7 @@ class HalfOpen:
 
 
 class HalfOpenSlot:
-    """What one caller holds; made by `HalfOpenCount.admit`."""
+    """One half-open connection; made by `HalfOpenCount.admit`."""
 
     __slots__ = ("_count", "close", "source")
 
@@ -36,7 +36,7 @@ class HalfOpenSlot:
         """Closes its socket at once, to make room; None where that cannot be done."""
 
     def linger(self) -> None:
-        """Its handshake has failed, and its socket is open still: it is the first to make room."""
+        """Its handshake has failed, its socket is still open: it is evicted first."""
         self._count.lingers(self)
 
     def release(self) -> None:
@@ -44,7 +44,7 @@ class HalfOpenSlot:
         self._count.forget(self)
 
     def bind(self, sock: Any) -> None:
-        """Give the place back with `sock` at the latest, whatever becomes of who handles it."""
+        """Release the slot when `sock` is collected, at the latest."""
         finalize(sock, self._count.collected.append, self).atexit = False
 
 
@@ -54,12 +54,12 @@ class HalfOpenCount:
     def __init__(self, caps: HalfOpen) -> None:
         self._caps = caps
         self._total = 0
-        # Both in the order in which it began.
+        # Both in the order of their beginning.
         self._sources: dict[str, dict[HalfOpenSlot, None]] = {}
         self._lingering: dict[HalfOpenSlot, None] = {}
         self._lock = Lock()
         self.collected: deque[HalfOpenSlot] = deque()
-        """Whose sockets were collected as garbage: that may happen here, with the lock held."""
+        """Slots whose sockets were garbage collected: that may happen with the lock held."""
 
     def __len__(self) -> int:
         with self._lock:
@@ -104,7 +104,7 @@ class HalfOpenCount:
         return self._total >= self._caps.total or held >= self._caps.per_address
 
     def _victim(self, source: str) -> HalfOpenSlot | None:
-        """Whose socket is closed for a caller from `source`."""
+        """The slot to evict for a caller from `source`."""
         own = self._sources.get(source, {})
         own_full = len(own) >= self._caps.per_address
         for slot in self._lingering:

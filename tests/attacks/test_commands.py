@@ -1,6 +1,6 @@
 """Calls an attacker with a good identity makes at the APIs of nodes and master (see attacks.md).
 
-Only the master steers a node, nobody acts under another's name, and what was revoked stays revoked.
+Only the master controls a node, no node acts under another's name, a revocation is final.
 """
 
 from typing import Final
@@ -43,7 +43,7 @@ SLAVE_CALLS: Final[list[tuple[str, tuple[object, ...]]]] = [
 
 @pytest.mark.attack("steered-node")
 @pytest.mark.parametrize("victim", ["/robot", "/viewer"])
-async def test_only_the_master_steers_or_examines_a_node(
+async def test_only_the_master_controls_or_queries_a_node(
     site: Site, witness: Witness, victim: str
 ) -> None:
     """N1 to N4, also under the master's name and with every other trick of spelling."""

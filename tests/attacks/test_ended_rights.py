@@ -16,8 +16,8 @@ T = "std_msgs/String"
 
 
 @pytest.mark.attack("old-permission")
-async def test_d1_an_older_and_wider_grant_cannot_be_put_back(site: Site) -> None:
-    """It was revoked when a narrower one took its place; its file is still there."""
+async def test_d1_an_older_and_wider_grant_stays_revoked(site: Site) -> None:
+    """It was revoked when a narrower one replaced it; its file still exists."""
     wide = site.grant(EVE, Right.PUBLISH, "/**")
     narrow = site.grant(EVE, Right.PUBLISH, "/eve/t")
     async with caller(site, "/other") as other:
@@ -30,8 +30,8 @@ async def test_d1_an_older_and_wider_grant_cannot_be_put_back(site: Site) -> Non
 
 
 @pytest.mark.attack("old-permission")
-async def test_d1_an_older_delegation_cannot_be_put_back(site: Site) -> None:
-    """The one that was withdrawn renews nothing, whoever brings it again."""
+async def test_d1_an_older_delegation_stays_withdrawn(site: Site) -> None:
+    """A withdrawn delegation renews nothing, whatever node sends it again."""
     assert site.master is not None
     older = site.delegate()
     await site.restart_master()
@@ -49,7 +49,7 @@ async def test_d1_an_older_delegation_cannot_be_put_back(site: Site) -> None:
 async def test_d2_a_node_that_never_restarts_loses_its_right_at_once(
     site: Site, witness: Witness
 ) -> None:
-    """Its connections stay open meanwhile, and nobody asks it to do anything."""
+    """Its connections stay open meanwhile, and it gets no calls."""
     async with caller(site, EVE, {"/t": Right.SUBSCRIBE, "/p": Right.PARAM_GET}) as eve:
         await eve("registerSubscriber", "/t", T, eve.uri)
         await eve("subscribeParam", eve.uri, "/p")
@@ -66,7 +66,7 @@ async def test_d2_a_node_that_never_restarts_loses_its_right_at_once(
 
 
 @pytest.mark.attack("outlived-right")
-async def test_d6_an_identity_that_ends_takes_its_connection_along(site: Site) -> None:
+async def test_d6_a_connection_ends_with_its_identity(site: Site) -> None:
     assert site.master is not None
     short = site.enroll("/short", 4)
     client = RpcClient(await dial(site.master.uri, short.credentials()))

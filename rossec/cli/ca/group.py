@@ -10,13 +10,13 @@ from rossec.cli.shared.lazy import LazyGroup
 _CA: Final = {
     "approve": (
         "ca.requests:approve",
-        "Say yes to the request REQUEST_ID (or its beginning), and sign its identity.",
+        "Approve the request REQUEST_ID (or its beginning), and sign its identity.",
     ),
     "backup": (
         "ca.backup:backup",
         "Write the authority into the new file FILE, encrypted under its passphrase.",
     ),
-    "deny": ("ca.requests:deny", "Say no to the request REQUEST_ID (or its beginning)."),
+    "deny": ("ca.requests:deny", "Deny the request REQUEST_ID (or its beginning)."),
     "enroll": (
         "ca.enroll:enroll",
         "Enroll the node that shows CODE: scanned from a picture, or pasted (in single quotes).",
@@ -28,7 +28,7 @@ _CA: Final = {
     "init": ("ca.init:init", "Create the authority of the trust domain DOMAIN, for example home."),
     "intermediate": (
         "ca.group:intermediate",
-        "Let a host sign nodes for a season, while the root stays offline.",
+        "Let a host sign nodes for a limited time, while the root stays offline.",
     ),
     "list": ("ca.identities:list_", "List the identities that are valid now."),
     "log": ("ca.group:log", "Show everything the authority did, oldest first."),
@@ -41,7 +41,10 @@ _CA: Final = {
         "ca.identities:renew",
         "Renew the identity of NAME for the key it has; /ca is the authority's own node.",
     ),
-    "requests": ("ca.requests:requests", "Show who asks for an identity and has no answer yet."),
+    "requests": (
+        "ca.requests:requests",
+        "Show the requests for an identity that have no answer yet.",
+    ),
     "restore": ("ca.backup:restore", "Prove the backup FILE and put its authority back."),
     "revoke": (
         "ca.revocation:revoke",
@@ -52,14 +55,14 @@ _CA: Final = {
 }
 
 _INTERMEDIATE: Final = {
-    "install": ("ca.intermediate:install", "On the host: take over BUNDLE, what the root signed."),
+    "install": ("ca.intermediate:install", "On the host: install BUNDLE, which the root signed."),
     "request": (
         "ca.intermediate:request",
         "On the host: make its key and a request, to carry to the root of DOMAIN.",
     ),
     "sign": (
         "ca.intermediate:sign",
-        "At the root: sign REQUEST of a host, and say what it may do.",
+        "At the root: sign REQUEST of a host, and set what it may do.",
     ),
 }
 
@@ -75,12 +78,12 @@ _LOG: Final = {
 
 @click.group(cls=LazyGroup, table=_CA)
 def ca() -> None:
-    """Run the authority: it says who is who."""
+    """Run the authority, which signs the identities."""
 
 
 @click.group(cls=LazyGroup, table=_INTERMEDIATE)
 def intermediate() -> None:
-    """Let a host sign nodes for a season, while the root stays offline."""
+    """Let a host sign nodes for a limited time, while the root stays offline."""
 
 
 @click.group(cls=LazyGroup, table=_LOG, invoke_without_command=True)

@@ -1,4 +1,4 @@
-"""`rossec ca log`: what the authority did, whether that is all of it, and proofs for others."""
+"""`rossec ca log`: what the authority did, whether the log is complete, and proofs for others."""
 
 import base64
 from pathlib import Path
@@ -10,8 +10,8 @@ from ca.store.log_entries import LogEntry, leaf, open_head
 from rossec import files
 from rossec.authority.home import AuthorityHome
 from rossec.cli.shared import passphrase
-from rossec.cli.shared.context import Environment, moment, now, pass_environment
-from rossec.cli.shared.delivery import remind
+from rossec.cli.shared.context import Environment, format_time, now, pass_environment
+from rossec.cli.shared.delivery import remind_to_publish
 from rossec.errors import ConfigurationError
 from rossec.terminal import note, printable, say, say_json
 
@@ -25,7 +25,7 @@ def show(environment: Environment, last: int | None, *, in_json: bool) -> None:
         say_json([_as_json(entry) for entry in entries])
         return
     for entry in entries:
-        words = [str(entry.number), moment(entry.at), entry.what, entry.subject, entry.detail]
+        words = [str(entry.number), format_time(entry.at), entry.what, entry.subject, entry.detail]
         say(printable("  ".join(filter(None, words))))
 
 
@@ -50,11 +50,11 @@ def verify(environment: Environment, heads: tuple[Path, ...], in_json: bool) -> 
         return
     say(f"{size} entries, all as they were written")
     if newest.size:
-        say(f"the first {newest.size} are signed, {moment(newest.issued)}")
+        say(f"the first {newest.size} are signed, {format_time(newest.issued)}")
     else:
         say("none of them is signed: next, rossec ca log head")
     if not heads:
-        note("a head kept elsewhere shows more: this file's owner could have rewritten all of it")
+        note("a head kept elsewhere proves more: the owner of this file could rewrite all of it")
 
 
 @click.command()
@@ -68,7 +68,7 @@ def head(environment: Environment, out: Path | None, passphrase_file: Path | Non
     number = authority.store.next_number()
     authority.refresh_list(now())
     data = authority.sign_head(now())
-    remind(authority.store, number)
+    remind_to_publish(authority.store, number)
     size = open_head(data, home.own_key()).size
     if out is None:
         say(base64.b64encode(data).decode())

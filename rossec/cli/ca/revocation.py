@@ -9,19 +9,19 @@ from rossec.authority.home import AuthorityHome
 from rossec.authority.renewals import own_node_is_due, renew_own_node
 from rossec.authority.signing import OWN_NODE
 from rossec.cli.shared import options, passphrase
-from rossec.cli.shared.context import Environment, moment, now, pass_environment
+from rossec.cli.shared.context import Environment, format_time, now, pass_environment
 from rossec.cli.shared.delivery import deliver, publish_list
 from rossec.terminal import note, say
 
 
 @click.command()
-@options.master_to_tell
+@options.master_uri
 @passphrase.option
 @pass_environment
 def publish(environment: Environment, master_uri: str | None, passphrase_file: Path | None) -> None:
     """Give the newest revocation list to the master.
 
-    The passphrase is needed only where something is revoked that no signed list says yet.
+    The passphrase is needed only where something is revoked that is in no signed list yet.
     """
     home = AuthorityHome.at(environment.home)
     if count := home.count_unlisted(now()):
@@ -32,7 +32,7 @@ def publish(environment: Environment, master_uri: str | None, passphrase_file: P
 
 
 @click.command()
-@options.master_to_tell
+@options.master_uri
 @passphrase.option
 @pass_environment
 def refresh(environment: Environment, master_uri: str | None, passphrase_file: Path | None) -> None:
@@ -43,16 +43,16 @@ def refresh(environment: Environment, master_uri: str | None, passphrase_file: P
     home = AuthorityHome.at(environment.home)
     authority = home.unlock(passphrase.read(passphrase_file, environment.variables))
     if own_node_is_due(authority, now()):
-        say(f"renewed {OWN_NODE} until {moment(renew_own_node(authority, now()))}")
+        say(f"renewed {OWN_NODE} until {format_time(renew_own_node(authority, now()))}")
     listed = authority.sign_list(now())
-    say(f"list {listed.seq} holds until {moment(listed.expires)}")
+    say(f"list {listed.seq} holds until {format_time(listed.expires)}")
     publish_list(environment, master_uri)
 
 
 @click.command()
 @click.argument("name")
 @click.option("--reason", default="", help="why, for the record")
-@options.master_to_tell
+@options.master_uri
 @passphrase.option
 @pass_environment
 def revoke(

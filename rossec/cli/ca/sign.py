@@ -12,7 +12,7 @@ from rossec.authority.home import AuthorityHome, format_fingerprint
 from rossec.cli.shared import options, passphrase, signing_options
 from rossec.cli.shared.batch import Batch
 from rossec.cli.shared.context import Environment, confirm, now, pass_environment
-from rossec.cli.shared.delivery import publish_list, remind
+from rossec.cli.shared.delivery import publish_list, remind_to_publish
 from rossec.errors import ConfigurationError
 from rossec.terminal import printable, say
 
@@ -32,7 +32,7 @@ _MAX_REQUEST = 16 * 1024
 @signing_options.identity_lifetime
 @signing_options.replace_key(multiple=True)
 @signing_options.anonymous
-@options.master_to_tell
+@options.master_uri
 @click.option("--yes", is_flag=True, help="do not ask")
 @passphrase.option
 @pass_environment
@@ -57,34 +57,34 @@ def sign(
     read = [(path, _read(path)) for path in requests]
     if codes:
         _check_codes(codes, [data for _, data in read])
-    asked: list[tuple[Path, bytes, str]] = []
+    checked: list[tuple[Path, bytes, str]] = []
     for path, data in read:
-        with batch.one(path):
+        with batch.item(path):
             request = check_request(data, home.domain, wildcard=anonymous)
-            _introduce(path, request, home, vouched=bool(codes))
+            _show_request(path, request, home, code_checked=bool(codes))
             if anonymous:
-                warn_of_tail(request.name)
-            asked.append((path, data, request.name))
-    if asked:
-        confirm(f"sign {_count(len(asked))}?", yes=yes)
+                warn_of_wildcard(request.name)
+            checked.append((path, data, request.name))
+    if checked:
+        confirm(f"sign {_count(len(checked))}?", yes=yes)
         authority = home.unlock(passphrase.read(passphrase_file, environment.variables))
         revoked, number = authority.store.revoked_entries(), authority.store.next_number()
-        for path, data, name in asked:
-            with batch.one(path):
+        for path, data, name in checked:
+            with batch.item(path):
                 bundle = authority.issue(
                     data, now(), lifetime,
                     replace_key=name if name in replaced else None, wildcard=anonymous,
                 )  # fmt: skip
-                _hand_out(path, bundle, name)
+                _write_identity(path, bundle, name)
         if authority.store.revoked_entries() != revoked:
             say("the replaced key is revoked")
             publish_list(environment, master_uri)
         else:
-            remind(authority.store, number)
-    batch.end()
+            remind_to_publish(authority.store, number)
+    batch.finish()
 
 
-def _hand_out(path: Path, bundle: bytes, name: str) -> None:
+def _write_identity(path: Path, bundle: bytes, name: str) -> None:
     target = path.with_name("node.pem" if path.name == "node.csr" else f"{path.stem}.pem")
     files.replace(target, bundle, 0o644)
     say(f"signed {name}: {target}")
@@ -103,10 +103,12 @@ def _check_codes(codes: tuple[str, ...], requests: list[bytes]) -> None:
         )
 
 
-def _introduce(path: Path, request: IdentityRequest, home: AuthorityHome, *, vouched: bool) -> None:
+def _show_request(
+    path: Path, request: IdentityRequest, home: AuthorityHome, *, code_checked: bool
+) -> None:
     how = (
         "its code fits"
-        if vouched
+        if code_checked
         else "no code was checked: compare the fingerprint with the one the node shows"
     )
     say(f"{printable(spiffe_id(home.domain, request.name))} asks for an identity ({path})")
@@ -114,11 +116,11 @@ def _introduce(path: Path, request: IdentityRequest, home: AuthorityHome, *, vou
     say(f"  {how}")
 
 
-def warn_of_tail(name: str) -> None:
-    """Say what a wildcard tail means.
+def warn_of_wildcard(name: str) -> None:
+    """Print what a wildcard identity allows.
 
     Raises:
-        NameRefused: a name that cannot have one.
+        NameRefused: a name that cannot be a wildcard.
     """
     check_wildcard(name)
     say(f"  it may run as any number of nodes, under every name that begins with {name}_")

@@ -9,20 +9,20 @@ from rossec.cli.shared.lazy import LazyGroup
 _GRANT: Final = {
     "approve": (
         "grant.request:approve",
-        "Say yes to the request REQUEST_ID (or its beginning): precisely, unless said otherwise.",
+        "Approve the request REQUEST_ID (or its beginning), as it is or restricted.",
     ),
     "decide": (
         "grant.request:decide",
         "Let the policy decide the requests in REQUEST_FILES and in the inbox.",
     ),
-    "deny": ("grant.request:deny", "Say no to the request REQUEST_ID (or the beginning of it)."),
+    "deny": ("grant.request:deny", "Deny the request REQUEST_ID (or the beginning of it)."),
     "install": (
         "grant.signed_grants:install",
         "Give the grant in FILE to its node, on the node's machine.",
     ),
     "list": ("grant.signed_grants:list_", "List the grants signed here, of one NODE or of all."),
     "pending": ("grant.request:pending", "Show what nodes ask for and the policy leaves to you."),
-    "presets": ("grant.sign:presets", "Say what each preset hides, and what is still learnt."),
+    "presets": ("grant.sign:presets", "Show what each preset hides, and what it still discloses."),
     "request": ("grant.request:request", "Ask for rights as NODE, on its machine."),
     "revoke": (
         "grant.signed_grants:revoke",
@@ -30,7 +30,7 @@ _GRANT: Final = {
     ),
     "show": (
         "grant.signed_grants:show",
-        "Say in words what the grant in FILE allows; its signature is not checked.",
+        "Show what the grant in FILE allows; its signature is not checked.",
     ),
     "sign": (
         "grant.sign:sign",

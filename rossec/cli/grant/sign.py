@@ -13,9 +13,9 @@ from grants.model import Draft
 from rossec.authority.home import AuthorityHome
 from rossec.cli.grant import permission_options
 from rossec.cli.shared import passphrase
-from rossec.cli.shared.context import Duration, Environment, moment, now, pass_environment
-from rossec.cli.shared.delivery import remind
-from rossec.cli.shared.handing_over import hand_over
+from rossec.cli.shared.context import Duration, Environment, format_time, now, pass_environment
+from rossec.cli.shared.delivery import remind_to_publish
+from rossec.cli.shared.grant_delivery import deliver_grant
 from rossec.errors import ConfigurationError
 from rossec.terminal import say
 
@@ -110,14 +110,14 @@ def sign(
     )  # fmt: skip
     number = authority.store.next_number()
     data = authority.issue_grant(draft, signed)
-    say(f"grant {document.grant_id(data).hex()} for {node} until {moment(draft.expires)}")
-    hand_over(environment, node, data, out)
-    remind(authority.store, number)
+    say(f"grant {document.grant_id(data).hex()} for {node} until {format_time(draft.expires)}")
+    deliver_grant(environment, node, data, out)
+    remind_to_publish(authority.store, number)
 
 
 @click.command()
 def presets() -> None:
-    """Say what each preset hides, and what is still learnt."""
+    """Show what each preset hides, and what it still discloses."""
     for entry in PRESETS.values():
         say(entry.name)
         say(f"  hides {entry.hides}")

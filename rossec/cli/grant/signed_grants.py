@@ -7,7 +7,7 @@ import click
 from grants import document
 from rossec.authority.home import AuthorityHome
 from rossec.cli.shared import options, passphrase
-from rossec.cli.shared.context import Environment, moment, now, pass_environment
+from rossec.cli.shared.context import Environment, format_time, now, pass_environment
 from rossec.cli.shared.delivery import publish_list
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
@@ -33,11 +33,11 @@ def list_(environment: Environment, node: str | None, as_json: bool) -> None:
 @click.command()
 @click.argument("file", type=click.Path(path_type=Path, exists=True, dir_okay=False))
 def show(file: Path) -> None:
-    """Say in words what the grant in FILE allows; its signature is not checked."""
+    """Show what the grant in FILE allows; its signature is not checked."""
     content = document.peek(_read(file))
-    said = printable(f"of {content.domain} for {content.subject}")
-    say(f"grant {content.id.hex()} {said}")
-    say(f"holds from {moment(content.not_before)} until {moment(content.expires)}")
+    holder = printable(f"of {content.domain} for {content.subject}")
+    say(f"grant {content.id.hex()} {holder}")
+    say(f"holds from {format_time(content.not_before)} until {format_time(content.expires)}")
     for permission in content.permissions:
         say(printable(f"may {permission.rights.label} {permission.pattern}"))
         for line in permission.restriction.lines() if permission.restriction else []:
@@ -61,7 +61,7 @@ def install(environment: Environment, file: Path) -> None:
 @click.command()
 @click.argument("grant_id")
 @click.option("--reason", default="", help="why, for the record")
-@options.master_to_tell
+@options.master_uri
 @passphrase.option
 @pass_environment
 def revoke(
@@ -116,5 +116,5 @@ def _summary(data: bytes, revoked: frozenset[bytes]) -> dict[str, object]:
 def _line(data: bytes, revoked: frozenset[bytes]) -> str:
     content = document.peek(data)
     rights = "; ".join(f"{item.rights.label} {item.pattern}" for item in content.permissions)
-    state = "revoked" if content.id in revoked else f"until {moment(content.expires)}"
+    state = "revoked" if content.id in revoked else f"until {format_time(content.expires)}"
     return f"{content.id.hex()}  {content.subject}  {rights}  {state}"

@@ -17,7 +17,7 @@ ADMIN_SOCKET: Final = "admin.sock"
 @click.option("--json", "as_json", is_flag=True, help="a line of JSON")
 @pass_environment
 def status(environment: Environment, as_json: bool) -> None:
-    """Say how the running master is; it must have been started with --admin."""
+    """Show the status of the running master; it must have been started with --admin."""
     answer = ask(_home(environment).path / ADMIN_SOCKET, "status")
     if as_json:
         say_json(answer)
@@ -29,7 +29,7 @@ def status(environment: Environment, as_json: bool) -> None:
 @click.command()
 @pass_environment
 def stop(environment: Environment) -> None:
-    """End the running master in order; it must have been started with --admin."""
+    """Stop the running master in order; it must have been started with --admin."""
     ask(_home(environment).path / ADMIN_SOCKET, "stop")
     say("the master ends")
 

@@ -1,4 +1,4 @@
-"""`rossec master delegate`: what the authority lets the master do in its stead: renew grants."""
+"""`rossec master delegate`: let the master renew grants in place of the authority."""
 
 import asyncio
 from pathlib import Path
@@ -9,8 +9,8 @@ import click
 from grants.renewal import MAX_DELEGATION, MAX_TICKET, MIN_TICKET, open_delegation
 from rossec.authority.home import AuthorityHome
 from rossec.cli.shared import passphrase
-from rossec.cli.shared.context import Duration, Environment, moment, now, pass_environment
-from rossec.cli.shared.delivery import carry, publish_list, remind
+from rossec.cli.shared.context import Duration, Environment, format_time, now, pass_environment
+from rossec.cli.shared.delivery import deliver_statement, publish_list, remind_to_publish
 from rossec.errors import ConfigurationError
 from rossec.ros.names import MASTER
 from rossec.terminal import say
@@ -69,9 +69,12 @@ def delegate(
         store.valid_certificate(MASTER, now()).thumbprint, lifetime, ticket, now()
     )
     opened = open_delegation(data, authority.signer.public_key)
-    say(f"{MASTER} may renew grants until {moment(opened.expires)} (delegation {opened.id.hex()})")
+    until = format_time(opened.expires)
+    say(f"{MASTER} may renew grants until {until} (delegation {opened.id.hex()})")
     hint = _HINT.format(home.path / "delegations")
-    given = carry(environment, master_uri, "rossec.updateDelegation", (data,), "it", hint)
+    given = deliver_statement(
+        environment, master_uri, "rossec.updateDelegation", (data,), "it", hint
+    )
     asyncio.run(given)
     say("the master has the delegation")
-    remind(authority.store, number)
+    remind_to_publish(authority.store, number)

@@ -16,11 +16,11 @@ _MASTER: Final = {
     ),
     "status": (
         "master.admin:status",
-        "Say how the running master is; it must have been started with --admin.",
+        "Show the status of the running master; it must have been started with --admin.",
     ),
     "stop": (
         "master.admin:stop",
-        "End the running master in order; it must have been started with --admin.",
+        "Stop the running master in order; it must have been started with --admin.",
     ),
 }
 

@@ -89,15 +89,15 @@ async def _serve(
 ) -> None:
     own = settings.read((), environment.variables, default_name=MASTER)
     stop = stop_on_signals()
-    near = LocalList(environment.home)
-    newest = near.newest()
+    local_list = LocalList(environment.home)
+    newest = local_list.newest()
     server = master_of(
         home,
         host=own.address,
         port=own.master_port if config.port is None else config.port,
         newest=None if newest is None else newest[0],
         entries=None if newest is None else newest[1],
-        find_revocations=near.newest_if_changed,
+        find_revocations=local_list.newest_if_changed,
         renewer=renewer,
         now=now(),
         on_denial=DenialLog(config.complaints) if config.complaints is not None else ignore_denial,
@@ -112,7 +112,7 @@ async def _serve(
             exporter = MetricsExporter(on_loop(server.status), config.metrics)
         if config.admin:
             await admin.start()
-        _greet(server, home, exporter, as_json=as_json)
+        _print_address(server, home, exporter, as_json=as_json)
         logging.getLogger("rossec.audit").info("the master began at %s", server.uri)
         notify(READY, environment.variables)
         announcing = (_announce(server, home),) if config.announce else ()
@@ -138,7 +138,7 @@ async def _start(server: MasterServer) -> None:
         ) from error
 
 
-def _greet(
+def _print_address(
     server: MasterServer, home: NodeHome, exporter: MetricsExporter | None, *, as_json: bool
 ) -> None:
     metrics = {} if exporter is None else {"metrics": f"http://127.0.0.1:{exporter.port}/metrics"}

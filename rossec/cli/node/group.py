@@ -20,7 +20,7 @@ _NODE: Final = {
     ),
     "enroll": (
         "node.enroll:enroll",
-        "Enroll the node NAME: show its code, wait for the authority, and for your word.",
+        "Enroll the node NAME: show its code, wait for the authority, and for your confirmation.",
     ),
     "install": (
         "node.identity:install",

@@ -8,7 +8,7 @@ from ca.certificates import Identity
 from ca.enrollment import qr
 from rossec import files
 from rossec.authority.home import fingerprint, format_fingerprint
-from rossec.cli.shared.context import Environment, confirm, moment, now, pass_environment
+from rossec.cli.shared.context import Environment, confirm, format_time, now, pass_environment
 from rossec.home import NodeHome
 from rossec.terminal import say, say_json
 
@@ -76,7 +76,7 @@ def show(environment: Environment, name: str, as_json: bool) -> None:
     if as_json:
         say_json(_shown(home, identity))
         return
-    say(f"{identity.name} of {identity.domain} until {moment(identity.not_after)}")
+    say(f"{identity.name} of {identity.domain} until {format_time(identity.not_after)}")
     if identity.wildcard:
         say(f"also for anonymous nodes, {identity.name}_*")
     say(f"fingerprint {format_fingerprint(identity.thumbprint)}")

@@ -29,7 +29,7 @@ def check(environment: Environment, file: Path | None, as_json: bool) -> None:
     try:
         read = PolicyFile.read(path)
     except PolicyRefused as error:
-        _complain(mistakes_in(error), as_json=as_json)
+        _print_mistakes(mistakes_in(error), as_json=as_json)
         raise PolicyRefused(f"{path} is not a policy", "correct it, and check again") from None
     if as_json:
         say_json([])
@@ -42,18 +42,18 @@ def check(environment: Environment, file: Path | None, as_json: bool) -> None:
 @_JSON
 @pass_environment
 def lint(environment: Environment, file: Path | None, as_json: bool) -> None:
-    """Say what the policy in FILE allows unwisely, such as a hidden value that still leaks."""
+    """Warn of what the policy in FILE allows unwisely, such as a hidden value that still leaks."""
     read = PolicyFile.read(place(environment.home, file))
     found = advise(read.policy, layout_of)
     if as_json:
         say_json([vars(item) for item in found])
         return
     for item in found:
-        say(_advice(read.path, item))
+        say(_format_finding(read.path, item))
     say(f"{len(found)} remarks" if found else "nothing to remark")
 
 
-def _complain(found: tuple[Mistake, ...], *, as_json: bool) -> None:
+def _print_mistakes(found: tuple[Mistake, ...], *, as_json: bool) -> None:
     if as_json:
         say_json([vars(item) for item in found])
         return
@@ -61,5 +61,5 @@ def _complain(found: tuple[Mistake, ...], *, as_json: bool) -> None:
         fail(str(item), item.hint)
 
 
-def _advice(path: Path, item: Finding) -> str:
+def _format_finding(path: Path, item: Finding) -> str:
     return f"{path}:{item.line}: {item.message}\n  {item.hint}"

@@ -24,7 +24,7 @@ _POLICY: Final = {
     ),
     "lint": (
         "policy.check:lint",
-        "Say what the policy in FILE allows unwisely, such as a hidden value that still leaks.",
+        "Warn of what the policy in FILE allows unwisely, such as a hidden value that still leaks.",
     ),
     "review": (
         "policy.learn:review",
@@ -35,7 +35,7 @@ _POLICY: Final = {
 _PRIVACY: Final = {
     "opt-out": (
         "policy.opt_out:opt_out",
-        "Show nobody the topic NAME any more; or, when NAME is a node, show that node nothing.",
+        "Show the topic NAME to no node; or, when NAME is a node, show that node no topic.",
     ),
 }
 
@@ -62,7 +62,7 @@ def privacy(
     as_json: bool,
     policy_path: Path | None,
 ) -> None:
-    """Show every field of every topic: who sees it, how, why and until when."""
+    """Show every field of every topic: which node sees it, how, why and until when."""
     if context.invoked_subcommand is not None:
         return
     from rossec.cli.policy.privacy_report import show  # noqa: PLC0415 - imported when it runs

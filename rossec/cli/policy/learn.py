@@ -47,7 +47,7 @@ def learn(
         raise ConfigurationError("nothing to learn from", "add --from-graph or --from-log")
     seen = _read_log(log) if log is not None else []
     if node is not None:
-        seen += _certified(environment, asyncio.run(_look(environment, node)))
+        seen += _with_certified_names(environment, asyncio.run(_observe_graph(environment, node)))
     read = _existing(place(environment.home, policy_path))
     text, rules = learn_from(read.text, read.decider, seen, _day())
     if out is None:
@@ -70,7 +70,7 @@ def review(environment: Environment, log: Path, policy_path: Path | None) -> Non
     for item in _read_log(log):
         verdict = _undecided(read, item)
         if verdict:
-            read = _ask(read, item)
+            read = _ask_about(read, item)
     say(f"{len(read.policy.rules)} rules in {read.path}")
 
 
@@ -89,7 +89,7 @@ def _read_log(path: Path) -> list[Observation]:
         return from_log(files.lines(file, MAX_LINE + 2))
 
 
-async def _look(environment: Environment, node: str) -> list[Observation]:
+async def _observe_graph(environment: Environment, node: str) -> list[Observation]:
     """The graph, as `node` may see it."""
     home = NodeHome.of(environment.home, node)
     async with master_as(environment, home, master_at(environment)) as client:
@@ -99,8 +99,8 @@ async def _look(environment: Environment, node: str) -> list[Observation]:
     return [item for item in from_graph(state, types) if item.node != home.name]
 
 
-def _certified(environment: Environment, seen: list[Observation]) -> list[Observation]:
-    """What was seen, under the names rules are for: those of certificates, where they are known."""
+def _with_certified_names(environment: Environment, seen: list[Observation]) -> list[Observation]:
+    """The observations under the names in certificates, where these are known."""
     if not (environment.home / "ca" / "ca.pem").exists():
         return seen
     with contextlib.closing(AuthorityHome.at(environment.home).store()) as store:
@@ -122,23 +122,23 @@ _CHOICES = {
 }
 
 
-def _ask(read: PolicyFile, item: Observation) -> PolicyFile:
+def _ask_about(read: PolicyFile, item: Observation) -> PolicyFile:
     say(f"{item.node} wants to {item.right.label} {item.name}")
     question = ", ".join(f"[{letter}] {words}" for letter, words in _CHOICES.items())
     answer = click.prompt(question, type=click.Choice(list(_CHOICES)), default="s", err=True)
     if answer == "s":
         return read
-    rule = _answered(read, item, answer)
+    rule = _rule_of(read, item, answer)
     return read.replace(add_rules(read.text, [rule]))
 
 
-def _answered(read: PolicyFile, item: Observation, answer: str) -> NewRule:
+def _rule_of(read: PolicyFile, item: Observation, answer: str) -> NewRule:
     name = item.name.rsplit("/", 1)[0] + "/*" if answer == "g" else item.name
-    chosen = _filter(read) if answer == "c" else None
+    chosen = _prompt_for_filter(read) if answer == "c" else None
     effect = "deny" if answer == "d" else "allow"
-    wish = f"{'no' if effect == 'deny' else 'reviewed'}-{item.node[1:].replace('/', '-')}"
+    prefix = f"{'no' if effect == 'deny' else 'reviewed'}-{item.node[1:].replace('/', '-')}"
     return NewRule(
-        free_id((rule.id for rule in read.policy.rules), wish[:70]),
+        free_id((rule.id for rule in read.policy.rules), prefix[:70]),
         f"reviewed {_day()}",
         item.node,
         effect,
@@ -148,7 +148,7 @@ def _answered(read: PolicyFile, item: Observation, answer: str) -> NewRule:
     )
 
 
-def _filter(read: PolicyFile) -> str:
+def _prompt_for_filter(read: PolicyFile) -> str:
     name: str = click.prompt("through which filter of the policy?", err=True)
     if name not in read.policy.filters:
         hint = suggest(name, read.policy.filters)

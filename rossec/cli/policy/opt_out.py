@@ -17,7 +17,7 @@ from rossec.authority.signing import SigningAuthority
 from rossec.cli.shared import options, passphrase
 from rossec.cli.shared.context import Environment, now, pass_environment
 from rossec.cli.shared.delivery import publish_list
-from rossec.cli.shared.handing_over import hand_over
+from rossec.cli.shared.grant_delivery import deliver_grant
 from rossec.cli.shared.policy import read_policy
 from rossec.terminal import say
 
@@ -25,7 +25,7 @@ from rossec.terminal import say
 @click.command("opt-out")
 @click.argument("name")
 @click.option("--node", "is_node", is_flag=True, help="NAME is a node, enrolled or not")
-@options.master_to_tell
+@options.master_uri
 @options.policy
 @passphrase.option
 @pass_environment
@@ -37,7 +37,7 @@ def opt_out(
     policy_path: Path | None,
     passphrase_file: Path | None,
 ) -> None:
-    """Show nobody the topic NAME any more; or, when NAME is a node, show that node nothing.
+    """Show the topic NAME to no node; or, when NAME is a node, show that node no topic.
 
     Adds a denial to the policy and revokes what was granted. Running connections end at once.
     What else the revoked grants allowed is granted anew.
@@ -53,33 +53,35 @@ def opt_out(
     rule = _denial(name, node, [item.id for item in read.policy.rules])
     read = read.replace(add_rules(read.text, [rule]))
     say(f"rule {rule.id} in {read.path} denies it from now on")
-    # With the record locked: who decides by the policy of before has signed already, or cannot.
+    # With the record locked: a decision by the old policy is signed already, or cannot be.
     with authority.store.transaction():
-        concerned = [grant for grant in _live(authority) if _shows(grant, name, node)]
-        given = [(grant.subject, _instead(authority, grant, name, node)) for grant in concerned]
-    for subject, data in given:
+        affected = [grant for grant in _live(authority) if _shows(grant, name, node)]
+        reissued = [
+            (grant.subject, _revoke_and_reissue(authority, grant, name, node)) for grant in affected
+        ]
+    for subject, data in reissued:
         if data is not None:
             say(f"its other rights are grant {document.grant_id(data).hex()}")
-            hand_over(environment, subject, data, None)
-    if concerned:
+            deliver_grant(environment, subject, data, None)
+    if affected:
         publish_list(environment, master_uri)
 
 
-def _instead(
+def _revoke_and_reissue(
     authority: SigningAuthority, grant: Grant, name: str, node: str | None
 ) -> bytes | None:
     """Revoke `grant`; returns what gives its holder the other rights, signed, if there are any."""
     authority.revoke(grant.id, f"opted out of {name}", now())
     say(f"revoked grant {grant.id.hex()} of {grant.subject}")
-    rest = _rest(grant, name, node)
-    return None if rest is None else authority.issue_grant(rest, now())
+    remaining = _remaining(grant, name, node)
+    return None if remaining is None else authority.issue_grant(remaining, now())
 
 
 def _denial(name: str, node: str | None, taken: list[str]) -> NewRule:
     day = time.strftime("%Y-%m-%d", time.gmtime(now()))
-    wish = "opt-out" + name.replace("/", "-").replace("*", "any")[:60]
+    prefix = "opt-out" + name.replace("/", "-").replace("*", "any")[:60]
     rights = {"subscribe": ["/**" if node is not None else name]}
-    return NewRule(free_id(taken, wish), f"opted out {day}", node or "*", "deny", rights)
+    return NewRule(free_id(taken, prefix), f"opted out {day}", node or "*", "deny", rights)
 
 
 def _live(authority: SigningAuthority) -> list[Grant]:
@@ -104,16 +106,16 @@ def _permits(permission: Permission, name: str, node: str | None) -> bool:
     return seen and (node is not None or intersects(permission.pattern, name))
 
 
-def _rest(grant: Grant, name: str, node: str | None) -> Draft | None:
+def _remaining(grant: Grant, name: str, node: str | None) -> Draft | None:
     """What `grant` allows besides, as a new draft; None when that is nothing or over."""
-    kept: list[Permission] = []
+    permissions: list[Permission] = []
     for item in grant.permissions:
         rights = item.rights & ~Right.SUBSCRIBE if _permits(item, name, node) else item.rights
         if rights:
-            kept.append(replace(item, rights=rights))
-    if not kept or grant.expires <= now():
+            permissions.append(replace(item, rights=rights))
+    if not permissions or grant.expires <= now():
         return None
     return Draft(
         grant.domain, grant.subject, grant.holder, grant.not_before, grant.expires, grant.cap,
-        secrets.token_bytes(16), tuple(kept),
+        secrets.token_bytes(16), tuple(permissions),
     )  # fmt: skip

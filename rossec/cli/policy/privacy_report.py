@@ -1,4 +1,4 @@
-"""`rossec privacy`: which data is collected, who has access and why."""
+"""`rossec privacy`: which node has access to which data, and why."""
 
 from pathlib import Path
 
@@ -12,7 +12,7 @@ from grants.policy.privacy import PrivacyRow, ReceiverAccess
 from rossec import files
 from rossec.authority.home import AuthorityHome
 from rossec.authority.policyfile import layout_of
-from rossec.cli.shared.context import Environment, moment, now
+from rossec.cli.shared.context import Environment, format_time, now
 from rossec.cli.shared.policy import read_policy
 from rossec.terminal import say, say_json
 
@@ -71,7 +71,7 @@ def _access(grant: Grant, permission: Permission, decider: Decider) -> ReceiverA
         kind if restriction is None or restriction.type is None else restriction.type,
         grant.subject,
         "; ".join(rule.why for rule in verdict.rules if rule.why and verdict),
-        moment(grant.expires),
+        format_time(grant.expires),
         f"grant {grant.short_id}",
         () if restriction is None else (restriction,),
         getattr(restriction, "rate", None),

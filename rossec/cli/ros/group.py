@@ -23,7 +23,7 @@ _SERVICE: Final = {
     ),
     "info": (
         "ros.service:info",
-        "Say who provides the service NAME, where, and of which type it is.",
+        "Show which node provides the service NAME, where, and its type.",
     ),
     "list": ("ros.service:list_", "List the services that NODE may see."),
 }

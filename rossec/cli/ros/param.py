@@ -60,7 +60,7 @@ def set_(environment: Environment, name: str, value: str, node: str) -> None:
     content = parse_message(value)
     if content is None:
         raise ConfigurationError(
-            "a parameter cannot be nothing", f"rossec param delete {name} unsets it"
+            "a parameter cannot be null", f"rossec param delete {name} unsets it"
         )
     _run(environment, node, lambda params: params.set(name, content))
 
@@ -85,7 +85,7 @@ def _run(
 
 
 def _readable(value: object) -> str:
-    """A value on its line; what is in a list or mapping as JSON, which escapes what must be."""
+    """A value on one line; lists and mappings as JSON, which escapes control characters."""
     if isinstance(value, str):
         return printable(value)
     return json.dumps(_encodable(value), indent=2 if isinstance(value, dict) else None)

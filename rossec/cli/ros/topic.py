@@ -7,7 +7,7 @@ import click
 
 from rossec.cli.shared.context import Environment, pass_environment
 from rossec.cli.shared.message_text import fill, parse_message, render
-from rossec.cli.shared.running import until
+from rossec.cli.shared.running import run_until_node_ends
 from rossec.node import Node, Publisher
 from rossec.participant.message_types import Message, message_type
 from rossec.terminal import note, say
@@ -58,7 +58,7 @@ async def _echo(
 ) -> None:
     async with Node(node, environ=environment.variables) as running:
         subscriber = await running.subscriber(name, type_name)
-        await until(running, _print(subscriber, count))
+        await run_until_node_ends(running, _print(subscriber, count))
 
 
 async def _print(subscriber: Any, count: int | None) -> None:
@@ -83,7 +83,7 @@ async def _pub(
     async with Node(node, environ=environment.variables) as running:
         publisher = await running.publisher(name, type_name)
         note(f"waiting for a subscriber of {publisher.topic}")
-        await until(running, _publish(publisher, message, period, count))
+        await run_until_node_ends(running, _publish(publisher, message, period, count))
 
 
 async def _publish(

@@ -17,8 +17,8 @@ def policy(command: Callable[..., Any]) -> Callable[..., Any]:
     )(command)
 
 
-def master_to_tell(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Add `--master` to a command whose revocations are to be known at once."""
+def master_uri(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add `--master` to a command that delivers a list to the master."""
     return click.option("--master", "master_uri", help="master to tell, instead of ROS_MASTER_URI")(
         command
     )

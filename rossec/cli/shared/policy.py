@@ -7,15 +7,15 @@ from rossec.cli.shared.context import Environment
 
 
 def read_policy(environment: Environment, given: Path | None, *, signs: bool = False) -> PolicyFile:
-    """The policy a command is about.
+    """The policy a command works on.
 
     Args:
-        environment: with the home.
-        given: another file than the one in force.
-        signs: grants are signed by it, so nobody else may be able to write it.
+        environment: has ROSSEC_HOME.
+        given: a file other than the policy in force.
+        signs: grants are signed by it, so no other user may be able to write it.
 
     Raises:
-        ConfigurationError, PolicyRefused: there is none, or it has mistakes.
-        PathRefused: somebody else could have written what is, or is to be, in force.
+        ConfigurationError, PolicyRefused: it is missing or invalid.
+        PathRefused: another user can write the policy in force, or one that signs.
     """
     return PolicyFile.read(place(environment.home, given), own=signs or given is None)

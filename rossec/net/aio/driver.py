@@ -1,6 +1,6 @@
 """One `Connection` on an asyncio loop: its socket, timer and back-pressure, no decisions.
 
-The socket writes straight into the connection's receive buffer. Reading pauses while the consumer
+The socket is read straight into the connection's receive buffer. Reading pauses while the consumer
 lags, writing waits while the peer does. `rossec.net.aio.stream.SecureStream` is what users hold.
 """
 
@@ -19,7 +19,7 @@ from rossec.net.aio.receive_queue import ReceiveQueue
 from rossec.net.aio.transport import Transport
 from rossec.net.forks import forget_in_children
 
-_LINGER: Final = 5.0  # seconds to wait for the peer's end after the last flight
+_LINGER: Final = 5.0  # seconds to wait for the peer's FIN after the last flight
 
 
 def wall_clock() -> int:
@@ -28,7 +28,7 @@ def wall_clock() -> int:
 
 
 class Driver(ReceiveQueue, Generic[PeerT]):
-    """One connection on a loop; it owns `sock` and begins at once.
+    """One connection on a loop; it owns `sock` and starts at once.
 
     Args:
         connection: the core.
@@ -93,12 +93,12 @@ class Driver(ReceiveQueue, Generic[PeerT]):
             else:
                 self.flush()
                 self._end(ChannelClosed("the peer closed the connection"))
-                self.transport.finish()  # both sides have said their last word
+                self.transport.finish()  # both sides have closed
         if self._units:
             self._notify()
 
     def _handle_authenticated(self, peer: PeerT) -> None:
-        """Wake whoever waits for the peer; what it says at once travels with the last flight."""
+        """Report the peer; what is sent at once leaves with the last flight."""
         self.authenticated = True
         self._on_authenticated(self, peer)
         self._loop.call_soon(self.flush)
@@ -119,7 +119,7 @@ class Driver(ReceiveQueue, Generic[PeerT]):
             callback()
 
     def connection_lost(self) -> None:
-        """Whatever the reason, wake everyone who waits."""
+        """Wake all waiters, whatever the reason."""
         self._cancel_timer()
         if self.error is None:
             self.eof_received()
@@ -129,7 +129,7 @@ class Driver(ReceiveQueue, Generic[PeerT]):
         callbacks, self._when_closed = self._when_closed, None
         for callback in callbacks or ():
             callback()
-        del self._on_authenticated, self._on_end  # they hold whoever holds this
+        del self._on_authenticated, self._on_end  # no reference cycle with the owner
 
     # -- called by the stream
 
@@ -144,7 +144,7 @@ class Driver(ReceiveQueue, Generic[PeerT]):
 
     @property
     def writable(self) -> bool:
-        """Whether a write would not pile up."""
+        """Whether a writer need not wait."""
         return self.transport.writable
 
     def when_closed(self, callback: Callable[[], None]) -> None:
@@ -170,13 +170,13 @@ class Driver(ReceiveQueue, Generic[PeerT]):
         self.transport.write(record)
 
     def flush(self) -> None:
-        """Write whatever the core queued by itself."""
+        """Write what the core has queued."""
         data = self.connection.data_to_send()
         if data:
             self.transport.write(data)
 
     async def close(self) -> None:
-        """Close in order; wait for the peer's end, but not for long."""
+        """Close in order; wait for the peer's, but not for long."""
         if self.error is None:
             self.connection.close()
             self.flush()
@@ -185,7 +185,7 @@ class Driver(ReceiveQueue, Generic[PeerT]):
             await self._changed()
 
     def abort(self, error: ChannelError) -> None:
-        """Cut the connection; the peer sees a truncation."""
+        """Abort the connection; the peer sees a truncation."""
         self._end(error)
         self.transport.abort()
 
@@ -195,7 +195,7 @@ class Driver(ReceiveQueue, Generic[PeerT]):
         self._end(error, linger=True)
 
     def _end(self, error: ChannelError, *, linger: bool = False) -> None:
-        """The one place where a connection ends for its users."""
+        """End the connection for its users: every end passes here."""
         if self.error is not None:
             return
         self.error = error
@@ -205,7 +205,7 @@ class Driver(ReceiveQueue, Generic[PeerT]):
         self._notify()
 
     def _linger(self) -> None:
-        """End this side; wait for the peer's end, or the reset would swallow the last flight."""
+        """Send FIN; wait for the peer's, or a reset would discard the last flight."""
         if not self.transport.closed:
             self.transport.write_eof()
             self.transport.resume_reading()
@@ -217,11 +217,11 @@ class Driver(ReceiveQueue, Generic[PeerT]):
     def _arm(self) -> None:
         deadline = self.connection.deadline()
         if deadline is not None:
-            # A day at most: the host's clock may be set while we wait.
+            # A day at most: the host's clock may be set meanwhile.
             self._arm_timer(min(max(0.0, deadline - clock.time()), 86400.0))
 
     def _arm_timer(self, delay: float) -> None:
-        """One timer does: when it fires too early for anything, it is set again."""
+        """One timer for all deadlines: when it fires too early, it is set again."""
         at = self._loop.time() + delay
         if self._timer is None or at < self._timer.when():
             self._cancel_timer()

@@ -1,8 +1,8 @@
 """Listening for secure connections: sockets, half-open caps, one task per connection.
 
-A stranger costs a bounded amount: at most so many unfinished handshakes from one address and in
-total, each with one deadline. What a handler does ends with its connection: a crash is logged and
-closes that connection only.
+Unauthenticated peers cost a bounded amount: the unfinished handshakes from one address and in total
+are limited, each has one deadline. A handler ends with its connection: a crash is logged and closes
+that connection only.
 """
 
 import asyncio
@@ -54,7 +54,7 @@ class SecureServer(Generic[PeerT]):
         self._make_core = make_core
         self._half_open = half_open
         self._drivers: set[Driver[PeerT]] = set()
-        self._slots: dict[Driver[PeerT], HalfOpenSlot] = {}  # of those that are not authenticated
+        self._slots: dict[Driver[PeerT], HalfOpenSlot] = {}  # of the unauthenticated ones
         self._tasks = TaskSet()
         self._loop = asyncio.get_running_loop()
         self._listeners: list[socket.socket] = []
@@ -82,11 +82,11 @@ class SecureServer(Generic[PeerT]):
             self._add_reader(sock)
 
     def _add_reader(self, listener: socket.socket) -> None:
-        if listener.fileno() >= 0 and not self._suspended:  # nor closed meanwhile
+        if listener.fileno() >= 0 and not self._suspended:  # not closed meanwhile
             self._loop.add_reader(listener.fileno(), self._accept, listener)
 
     def _accept(self, listener: socket.socket) -> None:
-        """Accept a few, then let the connections that are open have their turn."""
+        """Accept a few, then return to the loop for the open connections."""
         for _ in range(_ACCEPTS_PER_TURN):
             try:
                 sock, where = listener.accept()
@@ -104,12 +104,12 @@ class SecureServer(Generic[PeerT]):
                 self._begin(sock, where[0], slot)
 
     def _admit(self, address: str) -> HalfOpenSlot | None:
-        """The place of one more unfinished handshake, if it is bearable; nothing was spent yet."""
+        """A slot for one more unfinished handshake, if the limits allow it."""
         slot = self._half_open.admit(address)
         if slot is not None:
             return slot
         self._refused += 1
-        if self._loop.time() >= self._report_again:  # a flood of callers is no flood of lines
+        if self._loop.time() >= self._report_again:  # at most one line in `_REPORT_EVERY` seconds
             _log.warning(
                 "too many unfinished handshakes: refused %d, last %s", self._refused, address
             )
@@ -125,11 +125,11 @@ class SecureServer(Generic[PeerT]):
             raise
         self._drivers.add(driver)
         self._slots[driver] = slot
-        slot.close = partial(driver.abort, ChannelClosed("others need its place"))
+        slot.close = partial(driver.abort, ChannelClosed("evicted: too many unfinished handshakes"))
         driver.when_closed(partial(self._release_slot, driver))
 
     def _release_slot(self, driver: Driver[PeerT]) -> None:
-        """It is authenticated, or its socket is closed."""
+        """The peer is authenticated, or the socket is closed."""
         slot = self._slots.pop(driver, None)
         if slot is not None:
             slot.release()
@@ -141,7 +141,7 @@ class SecureServer(Generic[PeerT]):
         self._tasks.spawn(self._handle(stream), name=f"rossec connection from {driver.address}")
 
     def on_end(self, driver: Driver[PeerT], error: ChannelError) -> None:
-        """Forget the connection; a failed handshake is worth a line in the log."""
+        """Forget the connection; log a failed handshake."""
         if driver not in self._drivers:
             return
         self._drivers.discard(driver)
@@ -162,15 +162,17 @@ class SecureServer(Generic[PeerT]):
         await stream.close()
 
     def suspend(self) -> None:
-        """Refuse callers as if nobody listened, but keep the port.
+        """Refuse connections as if the port were closed, but keep it bound.
 
-        Linux keeps only a port that was named when the socket was bound, not one it chose itself.
+        Linux keeps only a port that was given to bind(), not one it chose itself.
         """
         self._suspended = True
         for listener in self._listeners:
             self._loop.remove_reader(listener.fileno())
-            listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 0)  # stays ours
-            with suppress(OSError):  # it rests already
+            listener.setsockopt(
+                socket.SOL_SOCKET, socket.SO_REUSEADDR, 0
+            )  # no other socket may bind it
+            with suppress(OSError):  # suspended already
                 listener.shutdown(socket.SHUT_RDWR)
 
     def resume(self) -> None:
@@ -184,7 +186,7 @@ class SecureServer(Generic[PeerT]):
             self._add_reader(listener)
 
     async def close(self) -> None:
-        """Stop listening, cut every connection, wait until the handlers are gone."""
+        """Stop listening, abort every connection, wait until the handlers are gone."""
         for listener in self._listeners:
             self._loop.remove_reader(listener.fileno())
             listener.close()
@@ -222,11 +224,11 @@ def serve(
     """Listen on `host` (None or "": every address, IPv4 and IPv6) and `port` (0: any free one).
 
     `handler` runs once per authenticated connection, which is closed when it returns. `accept`
-    says which openings may lead on; the others hear the refusal meant for plain peers. With a
-    `HalfOpenCount` several ports share one bound, as they share this process.
+    says which openings are accepted; others get the refusal meant for plain peers. With a
+    `HalfOpenCount` several ports of a process share one limit.
 
     Raises:
-        OSError: the address is not ours or the port is taken.
+        OSError: not an address of this host, or the port is taken.
     """
 
     def make_core() -> Connection[PeerT]:

@@ -1,10 +1,9 @@
 """The kernel's answer to "who holds this TCP socket?" for one socket: NETLINK_SOCK_DIAG.
 
-The same facts as in /proc/net/tcp, whose text grows with every connection that waits for its end;
-here the kernel looks one connection up in its own table, and finds the listener that a connection
-would reach by the rules it connects by. The format is that of sock_diag(7). An IPv4 connection is
-found whichever family its sockets have. Not every kernel has it (gVisor, old containers): whoever
-asks must have the tables to fall back to.
+The same data as in /proc/net/tcp, whose text grows with every connection in TIME_WAIT; here the
+kernel looks one connection up in its own table, and finds the listener by the rules of connect().
+The format is that of sock_diag(7). An IPv4 connection is found whichever family its sockets have.
+Not every kernel has it (gVisor, old containers): callers must fall back to the tables.
 """
 
 import errno
@@ -29,7 +28,7 @@ _FOUND: Final = struct.Struct("=BB2x4s16s16s12x12xII")  # inet_diag_msg
 
 
 class SocketEntry(NamedTuple):
-    """One socket: its state, the user who made it, its number (0: nobody holds it any more)."""
+    """One socket: its state, the user who created it, its inode (0: no process holds it)."""
 
     state: int
     local: tuple[bytes, int]
@@ -42,22 +41,22 @@ def find(local: tuple[str, int], remote: tuple[str, int]) -> SocketEntry | None:
     """The socket that is bound to `local` and connected to `remote`; None: there is none.
 
     Raises:
-        OSError: the kernel cannot tell.
+        OSError: the kernel cannot answer.
     """
     ends = _packed(local), _packed(remote)
     entry = _found(*ends)
-    if entry is None or entry.state != ESTABLISHED:  # a listener is what the kernel falls back to
+    if entry is None or entry.state != ESTABLISHED:  # the kernel falls back to a listener
         return None
     return entry if (_plain(entry.local), _plain(entry.remote)) == ends else None
 
 
 def listener(local: tuple[str, int]) -> SocketEntry | None:
-    """The socket that a connection to `local` would reach; None: nobody listens there.
+    """The socket that a connection to `local` would reach; None: there is none.
 
     Raises:
-        OSError: the kernel cannot tell.
+        OSError: the kernel cannot answer.
     """
-    entry = _found(_packed(local), _packed((local[0], 0)))  # nobody is connected from port 0
+    entry = _found(_packed(local), _packed((local[0], 0)))  # no connection is from port 0
     return entry if entry is not None and entry.state == LISTEN else None
 
 
@@ -85,7 +84,7 @@ def _ask(request: bytes) -> SocketEntry:
         kernel.send(request)
         data, (sender, *_) = kernel.recvfrom(_ROOM)
         if sender != 0:  # another process, which would need to be privileged: not the kernel
-            raise OSError(errno.EPROTO, "an answer from somebody else")
+            raise OSError(errno.EPROTO, "an answer from another process")
         return parse(data)
 
 
@@ -93,7 +92,7 @@ def parse(data: bytes) -> SocketEntry:
     """The socket in an answer. Pure.
 
     Raises:
-        OSError: what the kernel refuses with, or an answer that is none.
+        OSError: the kernel's error, or an invalid answer.
     """
     if len(data) < _HEAD.size:
         raise OSError(errno.EPROTO, "an answer cut short")

@@ -77,7 +77,7 @@ class SecureSocket(Carrier[PeerT]):
         return secure
 
     def raise_unit_limit(self, limit: int | None = None) -> None:
-        """Take units of up to `limit` from now on, or of `MasterLimits.unit`: the peer was judged.
+        """Accept units of up to `limit`, or `ChannelLimits.unit`: the peer is authorized.
 
         Raises:
             ChannelClosed: there is no open connection.
@@ -85,10 +85,10 @@ class SecureSocket(Carrier[PeerT]):
         with self._core_lock:
             self._core.raise_unit_limit(limit)
 
-    # -- what a socket tells and is told
+    # -- the descriptor
 
     def fileno(self) -> int:
-        """A descriptor to wait on for reading; -1 when closed. Made when first asked for."""
+        """A descriptor to wait on for reading; -1 when closed. Made on first use."""
         with self._core_lock:
             if self._closed:
                 return -1
@@ -101,7 +101,7 @@ class SecureSocket(Carrier[PeerT]):
             return self._epoll.fileno()
 
     def _flag(self) -> None:
-        """Keep the eventfd readable exactly while decrypted bytes wait here."""
+        """Keep the eventfd readable exactly while decrypted bytes are queued."""
         wanted = len(self._units) > 0
         if wanted != self._flagged and self._epoll is not None:
             self._flagged = wanted
@@ -140,14 +140,14 @@ class SecureSocket(Carrier[PeerT]):
 
     @property
     def awaits_peer(self) -> bool:
-        """Whether the peer has yet to follow a renewal of the keys: `pump` soon."""
+        """Whether the peer has yet to follow a renewal of the keys: call `pump` soon."""
         return self._core.awaits_peer
 
     def pump(self) -> None:
-        """Take in what has arrived, without waiting: for a side that only sends.
+        """Process received bytes, without waiting: for a side that only sends.
 
-        Its peer's renewals and its close are met; units are dropped, for nobody asks for them. A
-        peer that floods is read no faster than this is called: the rest waits at its side.
+        Handles the peer's key renewals and its close; units are dropped. A peer that floods is read
+        no faster than this is called: flow control holds back the rest.
         """
         end = self._end()
         with self._reading:
@@ -157,9 +157,9 @@ class SecureSocket(Carrier[PeerT]):
                 self._units.clear()
 
     def run_timers(self) -> None:
-        """Meet the peer's renewals, and this side's, while nobody uses the connection.
+        """Handle key renewals of both sides while the connection is not used.
 
-        It never waits: where somebody reads or writes just now, it happens by itself.
+        Never waits: where a thread reads or writes just now, that thread handles them.
         """
         if self._units or self.peer is None or not self._writing.acquire(blocking=False):
             return
@@ -212,9 +212,9 @@ class SecureSocket(Carrier[PeerT]):
         self._flush(end)
 
     def try_send(self, data: bytes) -> bool:
-        """Send a small unit where this needs no waiting; False: nothing has happened.
+        """Send a small unit where this needs no waiting; False: nothing was sent.
 
-        What the kernel did not take is `unsent`, and goes before anything else.
+        What the kernel did not take is `unsent`, and is sent before anything else.
         """
         if self.peer is None or not self._writing.acquire(blocking=False):
             return False
@@ -244,20 +244,20 @@ class SecureSocket(Carrier[PeerT]):
         return self._socket
 
     def shutdown(self, how: int = socket.SHUT_RDWR) -> None:
-        """Close in order (`SHUT_RD` alone does nothing: the peer cannot be told)."""
+        """Close in order (`SHUT_RD` alone does nothing: the protocol has no message for it)."""
         if how == socket.SHUT_RD:
             return
         with self._core_lock:
             if self._core.state not in ENDED:
                 self._core.close()
-        if self._writing.acquire(timeout=0.1):  # a writer that is stuck is cut off
+        if self._writing.acquire(timeout=0.1):  # a writer that is stuck is aborted
             try:
                 self._send_last(self._core.data_to_send())
             finally:
                 self._writing.release()
         self._fail(ChannelClosed("the connection was closed"))
         with suppress(OSError):
-            self._socket.shutdown(socket.SHUT_RDWR)  # wakes whoever waits
+            self._socket.shutdown(socket.SHUT_RDWR)  # wakes waiting threads
 
     def close(self) -> None:
         """Close in order, and give the descriptors back."""

@@ -188,7 +188,7 @@ def test_at_the_command_line(shell: Shell, tmp_path: Path) -> None:
     newest.write_bytes(AuthorityHome.at(shell.root).revocation_list())
     over = ("ca", "restore", target, "--over", "home", "--forget", "6")
     done = shell.unlocked(*over, "--list", str(newest))
-    assert "1 revocations newer than the backup and were taken over" in done.out
+    assert "1 revocations newer than the backup were taken over" in done.out
     assert "was revoked after the backup" not in done.err
     again = shell.unlocked("ca", "restore", target, "--over", "home", "--forget", "3")
     assert "what was revoked after the backup is valid again" in again.err
@@ -257,7 +257,7 @@ def test_nobody_revokes_into_a_record_that_is_being_replaced(
 
     monkeypatch.setattr(backups, "_check_replacement", meanwhile)
     restore(home.path.parent, data, PASSPHRASE, NOW, over="home")
-    assert "another command is at work" in refused[0]
+    assert "another command is using it" in refused[0]
     with pytest.raises(StoreError, match="was replaced by another command"):
         other.revoke(b"k" * 32, "afterwards", NOW)
     assert b"k" * 32 in home.unlock(PASSPHRASE).revoke(b"k" * 32, "again", NOW).entries

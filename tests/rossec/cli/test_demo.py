@@ -2,18 +2,18 @@ from pathlib import Path
 
 import pytest
 
-from rossec.demo import story
-from rossec.demo.stage import Stage
+from rossec.demo import steps
+from rossec.demo.environment import DemoEnvironment
 from tests.support.commands import Shell, refused
 
 
 def test_a_kept_demo_prints_how_to_go_on(
     empty: Shell, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    async def tell(stage: Stage) -> None:
-        await stage.command("ca", "--help", quiet=True)
+    async def run_steps(demo: DemoEnvironment) -> None:
+        await demo.command("ca", "--help", quiet=True)
 
-    monkeypatch.setattr(story, "tell", tell)
+    monkeypatch.setattr(steps, "run_steps", run_steps)
     there = tmp_path / "there"
     said = empty("demo", "--keep", str(there))
     assert said.code == 0, said
@@ -28,9 +28,9 @@ def test_a_directory_that_exists_is_not_used(empty: Shell, tmp_path: Path) -> No
 def test_without_keep_nothing_is_left(empty: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
     roots: list[Path] = []
 
-    async def tell(stage: Stage) -> None:
-        roots.append(stage.root)
+    async def run_steps(demo: DemoEnvironment) -> None:
+        roots.append(demo.root)
 
-    monkeypatch.setattr(story, "tell", tell)
+    monkeypatch.setattr(steps, "run_steps", run_steps)
     assert empty("demo").code == 0
     assert not roots[0].exists()

@@ -14,7 +14,7 @@ def asked(shell: Shell, name: str = "/robot") -> str:
 
 
 def test_nobody_asks(shell: Shell) -> None:
-    assert shell("ca", "requests").out == "nobody asks for anything\n"
+    assert shell("ca", "requests").out == "no open requests\n"
     assert shell("ca", "requests", "--json").out == "[]\n"
     assert "/ca" in shell("ca", "requests", "--all").out
 
@@ -67,7 +67,7 @@ def test_no(shell: Shell) -> None:
 
 def test_what_is_no_request(shell: Shell) -> None:
     for command in ("approve", "deny"):
-        refused(shell("ca", command, "xx"), "'xx' is no request", "rossec ca requests")
+        refused(shell("ca", command, "xx"), "'xx' is not a request id", "rossec ca requests")
         refused(shell("ca", command, "ffff"), "0 requests begin", "rossec ca requests")
         refused(shell("ca", command, ""), "requests begin with", "rossec ca requests")
 

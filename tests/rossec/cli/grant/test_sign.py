@@ -74,7 +74,7 @@ def test_mistakes_show_before_anything_is_signed(
 
 def test_a_duration_has_its_form(robot: Shell) -> None:
     said = robot.unlocked("grant", "sign", "/robot", "--publish", "/p", "--for", "forever")
-    refused(said, "'forever' is no duration", code=2)
+    refused(said, "'forever' is not a duration", code=2)
 
 
 def test_nobody_unknown_gets_a_grant(shell: Shell) -> None:

@@ -55,7 +55,7 @@ def test_strangers_are_reported(empty: Shell) -> None:
     operator.join()
     assert said.code == 0
     assert said.err.count("rossec: refused 127.0.0.1: a message of 1195725856 octets") == 10
-    assert said.err.count("further callers are refused without a word") == 1
+    assert said.err.count("further refusals are not shown") == 1
 
 
 def test_stopping(empty: Shell) -> None:

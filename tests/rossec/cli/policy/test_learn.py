@@ -63,8 +63,8 @@ async def test_the_graph_of_a_running_master(site: Site) -> None:
     site.publish("/robot", "/robot/pose")
     async with site.node("/robot") as robot:
         await robot.publisher("/robot/pose", "geometry_msgs/PoseStamped")
-        seen = await module._look(Environment(site.environ), "/looker")
-        blind = await module._look(Environment(site.environ), "/robot")
+        seen = await module._observe_graph(Environment(site.environ), "/looker")
+        blind = await module._observe_graph(Environment(site.environ), "/robot")
     pose = Observation("/robot", Right.PUBLISH, "/robot/pose", "geometry_msgs/PoseStamped")
     assert seen == [pose]
     assert blind == []
@@ -74,7 +74,7 @@ def test_learn_from_the_graph(shell: Shell, file: Path, monkeypatch: pytest.Monk
     async def look(*_: object) -> list[Observation]:
         return [Observation("/robot", Right.PUBLISH, "/robot/pose", "geometry_msgs/PoseStamped")]
 
-    monkeypatch.setattr(module, "_look", look)
+    monkeypatch.setattr(module, "_observe_graph", look)
     said = shell("policy", "learn", "--from-graph", "/looker", "--policy", str(file))
     assert said.out.startswith("learned learned-robot: publish /robot/pose\n")
 
@@ -125,6 +125,6 @@ def test_anonymous_nodes_are_learnt_under_their_certified_name(
     async def look(*_: object) -> list[Observation]:
         return [Observation(f"/rviz_{number}", Right.SUBSCRIBE, "/scan") for number in (1, 2)]
 
-    monkeypatch.setattr(module, "_look", look)
+    monkeypatch.setattr(module, "_observe_graph", look)
     said = shell("policy", "learn", "--from-graph", "/looker", "--policy", str(file))
     assert said.out.splitlines()[0] == "learned learned-rviz: subscribe /scan"

@@ -8,7 +8,7 @@ from rossec.cli.shared import options
 def test_the_options_have_their_names() -> None:
     @click.command()
     @options.policy
-    @options.master_to_tell
+    @options.master_uri
     def command(policy_path: Path | None, master_uri: str | None) -> tuple[Path | None, str | None]:
         return policy_path, master_uri
 

@@ -2,7 +2,7 @@ import asyncio
 
 import pytest
 
-from rossec.cli.shared.running import until
+from rossec.cli.shared.running import run_until_node_ends
 from rossec.errors import NodeShutdown
 from tests.support.site import Site
 
@@ -14,7 +14,7 @@ async def test_the_work_ends_the_command(site: Site) -> None:
         done.append(1)
 
     async with site.node("/robot") as node:
-        await until(node, work())
+        await run_until_node_ends(node, work())
     assert done == [1]
 
 
@@ -24,7 +24,7 @@ async def test_an_error_of_the_work_is_the_commands(site: Site) -> None:
 
     async with site.node("/robot") as node:
         with pytest.raises(ValueError, match="inside"):
-            await until(node, work())
+            await run_until_node_ends(node, work())
 
 
 async def test_a_node_that_ends_cancels_the_work(
@@ -48,5 +48,5 @@ async def test_a_node_that_ends_cancels_the_work(
     async with site.node("/robot") as node:
         monkeypatch.setattr(node, "wait_ended", ended)
         with pytest.raises(NodeShutdown):
-            await until(node, work())
+            await run_until_node_ends(node, work())
     assert cancelled == [1]

@@ -130,5 +130,5 @@ class Stranger:
 
 def test_nobody_answers_for_the_kernel(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(socket, "socket", Stranger)
-    with pytest.raises(OSError, match="an answer from somebody else"):
+    with pytest.raises(OSError, match="an answer from another process"):
         sockdiag.find(("127.0.0.1", 5000), ("127.0.0.1", 6000))
