@@ -32,7 +32,7 @@ from rossec.net.aio import SecureStream, connect, serve
 SIZES = (64, 1024, 16 * 1024, 256 * 1024, 1024 * 1024, 6 * 1024 * 1024)
 VOLUME = {64: 256 * 1024, 1024: 2 << 20}  # bytes per slice; the others below
 LARGE_VOLUME = 16 << 20
-LEAST = 3  # messages per slice
+MIN_BYTES = 3  # messages per slice
 CONNECTIONS = 5  # per slice
 ROUND_TRIPS = 100
 HANDSHAKE_SLICES = 4
@@ -117,7 +117,7 @@ def _server_process(folder: Path, ports: "Queue[tuple[int, int, int]]") -> None:
 
 async def throughput(pipe: Pipe, size: int, *, paced: bool = False) -> float:
     """Seconds per message."""
-    count = max(LEAST, VOLUME.get(size, LARGE_VOLUME) // size)
+    count = max(MIN_BYTES, VOLUME.get(size, LARGE_VOLUME) // size)
     data = bytes(size)
     start = time.perf_counter()
     await pipe.send((size * count).to_bytes(8))
@@ -171,7 +171,7 @@ async def _measure(folder: Path, ports: tuple[int, int, int], seconds: float) ->
 
     known = KnownCertificates()
 
-    async def brief() -> Pipe:
+    async def request_x5t() -> Pipe:
         return Pipe(await connect("127.0.0.1", ports[2], own, verify, known=known))
 
     makers: Makers = {
@@ -180,7 +180,7 @@ async def _measure(folder: Path, ports: tuple[int, int, int], seconds: float) ->
         "rossec": rossec,
     }
     pipes = {name: await make() for name, make in makers.items()}
-    others = {"hybrid": hybrid, "x5t": brief}
+    others = {"hybrid": hybrid, "x5t": request_x5t}
     await _round(pipes, makers, others, defaultdict(list))
     samples: Samples = defaultdict(list)
     end = time.monotonic() + seconds
@@ -211,9 +211,9 @@ def _handshake_bytes(folder: Path) -> dict[str, int]:
     """What both sides send until the connection is open, openings and frames included."""
     memories = KnownCertificates(), KnownCertificates()
     return {
-        "handshake_bytes_x5chain": _one_handshake(folder, *memories, (6,), brief=False),
-        "handshake_bytes_x5t": _one_handshake(folder, *memories, (6,), brief=True),
-        "handshake_bytes_hybrid": _one_handshake(folder, None, None, (HYBRID,), brief=False),
+        "handshake_bytes_x5chain": _one_handshake(folder, *memories, (6,), request_x5t=False),
+        "handshake_bytes_x5t": _one_handshake(folder, *memories, (6,), request_x5t=True),
+        "handshake_bytes_hybrid": _one_handshake(folder, None, None, (HYBRID,), request_x5t=False),
     }
 
 
@@ -223,12 +223,12 @@ def _one_handshake(
     theirs: KnownCertificates | None,
     suites: tuple[int, ...],
     *,
-    brief: bool,
+    request_x5t: bool,
 ) -> int:
     verify, now, random = _site.anchor(folder).verify, int(time.time()), secrets.token_bytes
     client, server = _site.credentials(folder, "client"), _site.credentials(folder, "server")
     left = Connection[Identity].initiator(
-        client, verify, random=random, now=now, suites=suites, known=ours, brief=brief
+        client, verify, random=random, now=now, suites=suites, known=ours, request_x5t=request_x5t
     )
     right = Connection[Identity].responder(
         server, verify, random=random, now=now, suites=suites, known=theirs

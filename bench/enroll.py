@@ -47,8 +47,8 @@ class Desk:
 
     def fill(self, entries: int) -> None:
         """Let the log grow to `entries`."""
-        while self.store.journal.head(NOW).size < entries:
-            self.store.note("bench", "filler", "", NOW)
+        while self.store.log.head(NOW).size < entries:
+            self.store.log_event("bench", "filler", "", NOW)
 
 
 def timed(action: Callable[[], object]) -> float:
@@ -71,7 +71,7 @@ def rounds(desk: Desk, seconds: float) -> dict[str, list[float]]:
                 timed(lambda: desk.authority.issue(request, now=NOW, serial=serial))  # noqa: B023
             )
             taken["issue"].append(timed(lambda: desk.open.issue(request, NOW)))  # noqa: B023
-            taken["log"].append(timed(lambda: desk.store.note("bench", "/a", "entry", NOW)))
+            taken["log"].append(timed(lambda: desk.store.log_event("bench", "/a", "entry", NOW)))
     return taken
 
 
@@ -89,7 +89,7 @@ def log_hashing(entries: int) -> float:
 
 def audit_ms(desk: Desk) -> float:
     """Milliseconds for the whole verification of the log and the record."""
-    return timed(lambda: desk.store.journal.audit(desk.signer.public_key)) * 1e3
+    return timed(lambda: desk.store.log.audit(desk.signer.public_key)) * 1e3
 
 
 def measure(seconds: float) -> dict[str, object]:
@@ -109,7 +109,7 @@ def measure(seconds: float) -> dict[str, object]:
                 "issue_to_raw_sign": round(medians["issue"] / medians["raw"], 1),
                 "log_entry_ms": round(medians["log"] * 1e3, 3),
                 "log_entry_hashing_us": round(log_hashing(size), 1),
-                "entries": desk.store.journal.head(NOW).size,
+                "entries": desk.store.log.head(NOW).size,
                 "audit_ms": round(audit_ms(desk), 1),
             }
         desk.store.close()

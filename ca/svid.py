@@ -1,8 +1,8 @@
 """The form of rossec's certificates: X.509-SVIDs of SPIFFE with every freedom removed.
 
-Each function looks at one thing in a parsed certificate and refuses what is not of the form;
-whom to trust and what time it is, `ca.certificates` decides. `cryptography` parses lazily, so a
-malformed part may show itself at any access: each access turns its exceptions into ours.
+Each function checks one part of a parsed certificate and refuses every other form; trust and
+validity times are checked by `ca.certificates`. `cryptography` parses lazily, so a malformed part
+may be found at any access: each access converts its exceptions into ours.
 """
 
 from typing import Final, NamedTuple, NoReturn
@@ -20,14 +20,14 @@ from ca.names import check_domain
 
 SCHEME: Final = "spiffe://"
 MAX_CERTIFICATE: Final = 2048  # a leaf with the longest name has about 900 bytes
-# All that `cryptography` raises for hostile DER; some of these are no ValueError.
+# All that `cryptography` raises for malformed DER; some of these are not a ValueError.
 PARSE_ERRORS: Final = (
     ValueError, TypeError, UnsupportedAlgorithm,
     x509.InvalidVersion, x509.DuplicateExtension, x509.UnsupportedGeneralNameType,
     CryptographyDeprecationWarning,  # an error where warnings are errors
 )  # fmt: skip
-# Private, from a UUID (ITU-T X.667); the value is NULL. Never critical: whoever does not know it
-# sees an identity for one name, which is less, so ignoring it is safe (RFC 5280 section 4.2).
+# Private, from a UUID (ITU-T X.667); the value is NULL. Never critical: a verifier that does not
+# know it sees an identity for one name, which is less, so ignoring it is safe (RFC 5280, 4.2).
 WILDCARD: Final = x509.ObjectIdentifier("2.25.176961642418767879325470120852094281072")
 WILDCARD_VALUE: Final = b"\x05\x00"
 _ECDSA: Final = ec.ECDSA(hashes.SHA256())
@@ -45,7 +45,7 @@ _UNDERSTOOD: Final = frozenset(
 
 
 def parse(der: bytes) -> x509.Certificate:
-    """Parse DER; the size is judged first."""
+    """Parse DER; the size is checked first."""
     if len(der) > MAX_CERTIFICATE:
         raise CertificateRefused(
             f"a certificate of {len(der)} bytes where at most {MAX_CERTIFICATE} are allowed"
@@ -64,28 +64,28 @@ def parse(der: bytes) -> x509.Certificate:
 def ends_with_whole_octets(der: bytes, signature: bytes) -> bool:
     """Whether the BIT STRING that ends `der` claims no unused bits.
 
-    That octet is outside what is signed, and the library ignores it: without this look, one
-    signed statement would have two encodings.
+    That octet is not signed, and the library ignores it: without this check, one certificate
+    would have two encodings.
     """
     return der.endswith(b"\0" + signature)
 
 
 def subject(certificate: x509.Certificate) -> x509.Name:
-    """The subject's name."""
+    """The subject name."""
     try:
         return certificate.subject
     except PARSE_ERRORS as error:
         _malformed(error)
 
 
-class Signed(NamedTuple):
-    """What an issuer signed of a certificate, and how."""
+class CertificateSignature(NamedTuple):
+    """The signed octets (TBSCertificate) of a certificate, and the signature."""
 
     content: bytes
     signature: bytes
 
-    def by(self, key: ec.EllipticCurvePublicKey) -> bool:
-        """Whether the signature is of `key`, which is ours: its curve is known to be P-256."""
+    def verifies(self, key: ec.EllipticCurvePublicKey) -> bool:
+        """Whether `key` made the signature; the caller has checked that it is a P-256 key."""
         try:
             key.verify(self.signature, self.content, _ECDSA)
         except InvalidSignature:
@@ -93,14 +93,16 @@ class Signed(NamedTuple):
         return True
 
 
-def signed(certificate: x509.Certificate, issuer: x509.Name) -> Signed | None:
-    """What somebody of this name signed, with the one algorithm; None: somebody else did."""
+def certificate_signature(
+    certificate: x509.Certificate, issuer: x509.Name
+) -> CertificateSignature | None:
+    """The signature, if the issuer and the algorithm are the expected ones; else None."""
     try:
         if certificate.issuer != issuer:
             return None
         if certificate.signature_algorithm_oid != SignatureAlgorithmOID.ECDSA_WITH_SHA256:
             return None
-        return Signed(certificate.tbs_certificate_bytes, certificate.signature)
+        return CertificateSignature(certificate.tbs_certificate_bytes, certificate.signature)
     except PARSE_ERRORS as error:
         _malformed(error)
 
@@ -108,9 +110,9 @@ def signed(certificate: x509.Certificate, issuer: x509.Name) -> Signed | None:
 def is_signed_by(
     certificate: x509.Certificate, issuer: x509.Name, key: ec.EllipticCurvePublicKey
 ) -> bool:
-    """Issuer's name, algorithm, signature."""
-    found = signed(certificate, issuer)
-    return found is not None and found.by(key)
+    """Whether issuer name, algorithm and signature match."""
+    found = certificate_signature(certificate, issuer)
+    return found is not None and found.verifies(key)
 
 
 def key_of(certificate: x509.Certificate) -> ec.EllipticCurvePublicKey:
@@ -149,18 +151,20 @@ def extensions(certificate: x509.Certificate) -> x509.Extensions:
 
 
 def check_leaf(extensions: x509.Extensions) -> None:
-    """A node: critically no authority, key usage digital signature alone."""
+    """A node: critical basic constraints with cA false, key usage digitalSignature only."""
     match _critical(extensions, x509.BasicConstraints):
         case x509.BasicConstraints(ca=False):
             pass
         case _:
-            raise CertificateRefused("the certificate does not say, critically, that it is no CA")
+            raise CertificateRefused(
+                "the certificate has no critical basic constraints with CA false"
+            )
     if _usages(extensions) != {"digital_signature"}:
-        raise CertificateRefused("the certificate's key usage is not digital signature alone")
+        raise CertificateRefused("the certificate's key usage is not digital signature only")
 
 
 def check_authority(extensions: x509.Extensions) -> None:
-    """An authority: critically one, and allowed to sign certificates."""
+    """An authority: critical basic constraints with cA true, key usage keyCertSign."""
     match _critical(extensions, x509.BasicConstraints):
         case x509.BasicConstraints(ca=True):
             pass
@@ -173,22 +177,24 @@ def check_authority(extensions: x509.Extensions) -> None:
 
 
 def check_intermediate(extensions: x509.Extensions) -> None:
-    """An authority below the root: as `check_authority`, and with no other authority below it."""
+    """An intermediate: as `check_authority`, with path length 0."""
     check_authority(extensions)
     if path_length(extensions) != 0:
-        raise CertificateRefused("the intermediate may have other authorities below it")
+        raise CertificateRefused("the intermediate's path length is not 0")
     if _usages(extensions) != {"key_cert_sign", "crl_sign"}:
-        raise CertificateRefused("the intermediate's key usage is not signing alone")
+        raise CertificateRefused(
+            "the intermediate's key usage is not certificate and CRL signing only"
+        )
 
 
 def path_length(extensions: x509.Extensions) -> int | None:
-    """How many authorities may stand below this one; None: any number."""
+    """The path length constraint; None: there is none."""
     constraints = _critical(extensions, x509.BasicConstraints)
     return constraints.path_length if isinstance(constraints, x509.BasicConstraints) else 0
 
 
 def policies(extensions: x509.Extensions) -> frozenset[x509.ObjectIdentifier]:
-    """The policies the certificate names."""
+    """The certificate policies."""
     return frozenset(
         information.policy_identifier
         for extension in extensions
@@ -198,13 +204,13 @@ def policies(extensions: x509.Extensions) -> frozenset[x509.ObjectIdentifier]:
 
 
 def trust_domain(extensions: x509.Extensions) -> str:
-    """The domain of an authority: its one name, a SPIFFE ID without a path."""
+    """The trust domain of an authority: its only URI, a SPIFFE ID without a path."""
     uri = only_uri(extensions)
     try:
         if uri.startswith(SCHEME):
             return check_domain(uri.removeprefix(SCHEME))
     except NameRefused as error:
-        raise CertificateRefused(f"the authority's name is none: {error}") from error
+        raise CertificateRefused(f"the authority's name is invalid: {error}") from error
     raise CertificateRefused("the authority's name is not a SPIFFE trust domain")
 
 
@@ -223,7 +229,7 @@ def _critical(
 
 
 def only_uri(extensions: x509.Extensions) -> str:
-    """The one name, a URI; what it says is not judged here."""
+    """The only subject alternative name, a URI; its content is not checked here."""
     names = [
         name
         for extension in extensions
@@ -250,7 +256,7 @@ def has_wildcard(extensions: x509.Extensions) -> bool:
 
 
 def is_wildcard(der: bytes) -> bool:
-    """`has_wildcard` of a certificate in DER, which is not verified here."""
+    """`has_wildcard` for a certificate in DER, which is not verified here."""
     return has_wildcard(extensions(parse(der)))
 
 

@@ -1,8 +1,8 @@
-"""What a grant says, as the claims of a CWT (RFC 8392): written in one form, read strictly.
+"""The claims of a grant, a CWT (RFC 8392): encoded in one deterministic form, decoded strictly.
 
-Everything unknown refuses the grant: a claim, a restriction key, a filter operator, a right bit.
-RFC 8392 section 3 tells a generic verifier to *ignore* unknown claims, so a restriction in a
-claim of its own would turn into the unrestricted right; ours lie inside the entry they restrict.
+Anything unknown refuses the grant: a claim, a restriction key, a filter operator, a right bit.
+RFC 8392 section 3 has a generic verifier *ignore* unknown claims, so a restriction in a claim of
+its own would become an unrestricted right; restrictions are inside the scope entry they apply to.
 """
 
 import base64
@@ -40,9 +40,9 @@ _KEEP: Final = "keep"
 _UINT, _BYTES, _TEXT = 0x00, 0x40, 0x60  # major types
 
 
-def written(draft: Draft, issuer: bytes) -> Value:
+def from_draft(draft: Draft, issuer: bytes) -> Value:
     """The claims of `draft`, to be signed by the key with the thumbprint `issuer`."""
-    scope: list[Value] = [_entry(permission) for permission in draft.permissions]
+    scope: list[Value] = [_scope_entry(permission) for permission in draft.permissions]
     return {
         _ISS: issuer_uri(issuer),
         _SUB: draft.subject,
@@ -56,7 +56,7 @@ def written(draft: Draft, issuer: bytes) -> Value:
     }
 
 
-def _entry(permission: Permission) -> Value:
+def _scope_entry(permission: Permission) -> Value:
     entry: list[Value] = [permission.pattern, int(permission.rights)]
     if permission.restriction is not None:
         entry.append(_restriction_claims(permission.restriction))
@@ -70,7 +70,7 @@ def _restriction_claims(restriction: Restriction) -> Value:
     if restriction.conditions:
         claims[_CONDITIONS] = list(restriction.conditions)
     if restriction.filters:
-        claims[_FILTERS] = {rule.path: _treatment(rule) for rule in restriction.filters}
+        claims[_FILTERS] = {rule.path: _filter_claim(rule) for rule in restriction.filters}
     if restriction.rate is not None:
         claims[_LIMITS] = {_RATE: restriction.rate}
     if restriction.keep_when_stale:
@@ -78,27 +78,27 @@ def _restriction_claims(restriction: Restriction) -> Value:
     return claims
 
 
-def _treatment(rule: FilterRule) -> Value:
+def _filter_claim(rule: FilterRule) -> Value:
     return {rule.operator: {**dict(rule.parameters)} if rule.parameters else True}
 
 
 def read(body: bytes, grant_id: bytes) -> Grant:
-    """What the claims in `body` say, as the grant `grant_id`.
+    """Read the claims in `body` as the grant `grant_id`.
 
     Raises:
-        GrantMalformed: outside the closed schema; every refusal of the parts becomes this one.
+        GrantMalformed: outside the closed schema; errors in its parts are reported as this one.
     """
     try:
-        return _read(_closed(_claims_of(body), _CLAIMS, _CLAIMS, "claim"), grant_id)
+        return _read_grant(_closed_map(_decode_claims(body), _CLAIMS, _CLAIMS, "claim"), grant_id)
     except (FilterRefused, PatternRefused, NameRefused, EncodingError) as error:
         raise GrantMalformed(f"in a grant: {error}", error.hint) from None
 
 
-def decoded(body: bytes, decoder: Callable[[bytes], Value] = decode) -> Value:
-    """A payload that is in its one deterministic form.
+def decode_payload(body: bytes, decoder: Callable[[bytes], Value] = decode) -> Value:
+    """Decode a payload in deterministic encoding.
 
     Raises:
-        GrantMalformed: it is not.
+        GrantMalformed: not deterministically encoded CBOR.
     """
     try:
         return decoder(body)
@@ -106,20 +106,20 @@ def decoded(body: bytes, decoder: Callable[[bytes], Value] = decode) -> Value:
         raise GrantMalformed(f"not a grant: {error}") from None
 
 
-def _claims_of(body: bytes) -> Value:
+def _decode_claims(body: bytes) -> Value:
     """The claims, decoded strictly.
 
-    A grant has one form, so it is written again and compared, which costs a quarter of the
-    general check; whatever differs goes through that check, to be named.
+    A grant has one encoding, so it is encoded again and compared, which costs a quarter of the
+    general check; a body that differs goes through that check, which names the error.
     """
-    claims = decoded(body, parse)
-    return claims if _one_form(claims) == body else decoded(body)
+    claims = decode_payload(body, parse)
+    return claims if _deterministic_form(claims) == body else decode_payload(body)
 
 
-def _one_form(claims: Value) -> bytes | None:
-    """The claims in their one form; None, or something else, where they are not as usual.
+def _deterministic_form(claims: Value) -> bytes | None:
+    """The claims in deterministic encoding; None or other bytes if they are not the usual ones.
 
-    Texts are taken for ASCII: another one only gives bytes that no grant has.
+    Texts are assumed to be ASCII: other texts only result in bytes that differ from the body.
     """
     match claims:
         case {
@@ -141,8 +141,8 @@ def _one_form(claims: Value) -> bytes | None:
             return None
 
 
-def _read(claims: dict[Any, Any], grant_id: bytes) -> Grant:
-    confirmation = _closed(claims[_CNF], {_CKT}, {_CKT}, "confirmation")
+def _read_grant(claims: dict[Any, Any], grant_id: bytes) -> Grant:
+    confirmation = _closed_map(claims[_CNF], {_CKT}, {_CKT}, "confirmation")
     return Grant(
         domain=_typed(claims[_AUD], str, "aud"),
         subject=_typed(claims[_SUB], str, "sub"),
@@ -159,7 +159,7 @@ def _read(claims: dict[Any, Any], grant_id: bytes) -> Grant:
 
 @lru_cache(maxsize=256)
 def _permissions(scope: bytes) -> tuple[Permission, ...]:
-    """The rights in a scope. The same rights are given to many nodes, and presented often."""
+    """The permissions in a scope. Many grants have the same scope, and are presented often."""
     return tuple(_permission(entry) for entry in _typed(decode(scope), list, "scope"))
 
 
@@ -168,7 +168,7 @@ def read_issuer(text: str) -> bytes:
     """The thumbprint in an `iss` claim.
 
     Raises:
-        GrantMalformed: not exactly the URI of one.
+        GrantMalformed: not exactly a thumbprint URI.
     """
     encoded = text.removeprefix(_CKT_URI)
     try:
@@ -199,26 +199,26 @@ def _permission(entry: Value) -> Permission:
 
 def _rights(value: Value) -> Right:
     bits = _typed(value, int, "rights")
-    # Before the enumeration sees it: Right(-1) would be every right there is.
+    # Checked before the enumeration is used: Right(-1) would be all rights.
     if not 0 < bits <= int(ALL_RIGHTS):
         raise GrantMalformed(f"unknown or no right: {bits}")
     return Right(bits)
 
 
 def _restriction(value: Value) -> Restriction:
-    claims = _closed(value, set(), _RESTRICTIONS, "restriction")
-    conditions = _filled(claims, _CONDITIONS, list)
-    filters = _filled(claims, _FILTERS, dict)
+    claims = _closed_map(value, set(), _RESTRICTIONS, "restriction")
+    conditions = _optional(claims, _CONDITIONS, list)
+    filters = _optional(claims, _FILTERS, dict)
     kind = _typed(claims[_TYPE], str, "type") if _TYPE in claims else None
-    for treated in filters.values():
-        _typed(treated, dict, "a filter")
+    for treatment_claim in filters.values():
+        _typed(treatment_claim, dict, "a filter")
     rules = filter_rules(filters)
     if rules:
-        # The operators carry numpy, which a process that never meets a filter need not.
-        from grants.filters.operators import treatment  # noqa: PLC0415 - loaded for grants with filters only
+        # The operators use numpy, which a process without filters need not load.
+        from grants.filters.operators import treatment_for  # noqa: PLC0415 - loaded for grants with filters only
 
         for rule in rules:
-            treatment(rule)
+            treatment_for(rule)
     texts = tuple(_typed(text, str, "a condition") for text in conditions)
     if claims.get(_ON_STALE, _KEEP) != _KEEP:
         raise GrantMalformed("on_stale of a grant is not keep")
@@ -226,7 +226,7 @@ def _restriction(value: Value) -> Restriction:
 
 
 def _rate(claims: dict[Any, Any]) -> float | None:
-    limits = _filled(claims, _LIMITS, dict)
+    limits = _optional(claims, _LIMITS, dict)
     if unknown := limits.keys() - {_RATE}:
         raise GrantMalformed(f"unknown limit {min(map(str, unknown))[:40]} in a grant")
     rate: float | None = limits.get(_RATE)
@@ -235,8 +235,8 @@ def _rate(claims: dict[Any, Any]) -> float | None:
     return rate
 
 
-def _filled(claims: dict[Any, Any], key: int, kind: type[Any]) -> Any:
-    """An optional, never empty member: one meaning, one encoding."""
+def _optional(claims: dict[Any, Any], key: int, kind: type[Any]) -> Any:
+    """An optional member, never empty: one meaning, one encoding."""
     if key not in claims:
         return kind()
     value = _typed(claims[key], kind, "a restriction")
@@ -245,18 +245,18 @@ def _filled(claims: dict[Any, Any], key: int, kind: type[Any]) -> Any:
     return value
 
 
-def _closed(value: Value, needed: set[int], allowed: set[int], what: str) -> dict[Any, Any]:
+def _closed_map(value: Value, required: set[int], allowed: set[int], what: str) -> dict[Any, Any]:
     if not isinstance(value, dict):
         raise GrantMalformed(f"the {what}s of a grant are not a map")
     if unknown := value.keys() - allowed:
         raise GrantMalformed(f"unknown {what} {min(map(str, unknown))[:40]} in a grant")
-    if missing := needed - value.keys():
+    if missing := required - value.keys():
         raise GrantMalformed(f"{what} {min(missing)} is missing in a grant")
     return value
 
 
 def _typed(value: Any, kind: type[Any], what: str) -> Any:
-    # Exactly this type: in Python a truth value is an integer, in a grant it is not.
+    # Exactly this type: in Python a boolean is an integer, in a grant it is not.
     if type(value) is not kind:
         raise GrantMalformed(f"{what} of a grant is of a wrong type")
     return value

@@ -1,10 +1,10 @@
-"""The one question: may the holder of this key do this with this name, now, and how restricted?
+"""Authorization: may the holder of a key use a right on a name now, and under which restrictions?
 
-Every grant the peer presented is looked at. All restrictions of all usable permissions that cover
-the question hold together (conditions AND, all filters applied): if the first, the last or the
-widest won instead, the answer would depend on the order, or adding a grant would silently widen a
-right that somebody narrowed with care. What this cannot do: a peer shows only the grants it likes,
-so to narrow a right for good the wider grant must be revoked.
+Every grant the peer presented is evaluated. All restrictions of all usable permissions that cover
+the request apply together (conditions AND, all filters): if the first, the last or the widest won
+instead, the answer would depend on the order, or adding a grant would silently widen a right that
+was narrowed on purpose. The limit of this: a peer presents only the grants it chooses, so to narrow
+a right for good the wider grant must be revoked.
 """
 
 from collections.abc import Callable, Iterable
@@ -23,25 +23,25 @@ from grants.errors import (
     RestrictionMismatch,
 )
 from grants.model import Grant, Restriction, Right, merge
-from grants.validity import check_time, moment
+from grants.validity import check_time, format_time
 
-Check = Callable[[bytes, int], None]
+RevocationCheck = Callable[[bytes, int], None]
 
 MAX_NEAR_MISSES: Final = 5
 
-# Of several unusable grants the one that came furthest explains the refusal.
-_PROGRESS: Final = (GrantNotHeld, GrantNotYetValid, GrantExpired, GrantRevoked)
+# Of several unusable grants the one that passed most checks explains the refusal.
+_BY_PROGRESS: Final = (GrantNotHeld, GrantNotYetValid, GrantExpired, GrantRevoked)
 
 
 @dataclass(frozen=True)
 class Decision:
-    """Yes, until `expires`, under `restrictions`.
+    """Authorized until `expires`, under `restrictions`.
 
     Args:
-        grants: the usable grants that cover the question, ordered by id.
+        grants: the usable grants that cover the request, ordered by id.
         expires: the earliest end of these grants, seconds since the epoch.
-        restrictions: all that must be applied; only a `Guard` knows how.
-        keep_when_stale: every one of the permissions says so: one that does not is stricter.
+        restrictions: all that must be applied, by a `Guard`.
+        keep_when_stale: whether every one of the permissions says so.
     """
 
     right: Right
@@ -53,15 +53,15 @@ class Decision:
 
     @property
     def grant_ids(self) -> tuple[bytes, ...]:
-        """What to watch: of grants, delegations and delegates. If one is revoked, ask again."""
-        renewed = (entry for grant in self.grants for entry in grant.via)
-        return (*(grant.id for grant in self.grants), *dict.fromkeys(renewed))
+        """Ids of grants, delegations and delegates. If one is revoked, authorize again."""
+        via = (entry for grant in self.grants for entry in grant.via)
+        return (*(grant.id for grant in self.grants), *dict.fromkeys(via))
 
     def require_unrestricted(self) -> None:
-        """Return if there is nothing to apply: for callers that have no message to look at.
+        """Return if there are no restrictions: for callers that have no message to apply them to.
 
         Raises:
-            RestrictionMismatch: there is.
+            RestrictionMismatch: there are restrictions.
         """
         if self.restrictions:
             raise RestrictionMismatch(
@@ -71,8 +71,8 @@ class Decision:
             )
 
     def explain(self) -> list[str]:
-        """The decision for people, line by line."""
-        lines = [f"{self.right.label} {self.name} until {moment(self.expires)}"]
+        """The decision as text, line by line."""
+        lines = [f"{self.right.label} {self.name} until {format_time(self.expires)}"]
         lines += [f"grant {grant.short_id} to {grant.subject}" for grant in self.grants]
         lines += [line for restriction in self.restrictions for line in restriction.lines()]
         return lines if self.restrictions else [*lines, "no restrictions"]
@@ -85,21 +85,21 @@ def authorize(
     *,
     holder: bytes,
     now: int,
-    check: Check,
+    check: RevocationCheck,
 ) -> Decision:
     """Decide whether the key `holder` may use `right` on `name`.
 
     Args:
-        grants: opened grants, as presented by the peer.
+        grants: verified grants, as presented by the peer.
         right: exactly one right.
         name: an absolute name.
-        holder: thumbprint of the key the peer proved, 32 bytes.
+        holder: thumbprint of the key the peer proved to hold, 32 bytes.
         now: seconds since the epoch.
         check: called as `check(grant_id, now)`; raises when that grant is revoked or unknown.
 
     Raises:
-        GrantMissing: nothing presented covers this; `near_misses` says what does nearly.
-        GrantNotHeld, GrantNotYetValid, GrantExpired, GrantRevoked: something does, but is unusable.
+        GrantMissing: no presented grant covers this; `near_misses` lists the closest ones.
+        GrantNotHeld, GrantNotYetValid, GrantExpired, GrantRevoked: one does, but is unusable.
         NameRefused: `name` is not an absolute name.
     """
     check_name(name)
@@ -129,12 +129,12 @@ def authorize(
 
 
 def near_misses(grants: Iterable[Grant], right: Right, name: str) -> tuple[str, ...]:
-    """What the grants give instead, one line each: same name first, then same right."""
+    """Permissions that nearly match, one line each: same name first, then same right."""
     pairs = [(grant, permission) for grant in grants for permission in grant.permissions]
     same_name = [
         f"grant {grant.short_id} gives {permission.rights.label}, not {right.label}, on {name}"
         for grant, permission in pairs
-        if permission.names(name, right)
+        if permission.matches(name, right)
     ]
     same_right = [
         f"grant {grant.short_id} is for {permission.pattern}, not {name}"
@@ -149,9 +149,9 @@ def _covers(grant: Grant, right: Right, name: str) -> bool:
 
 
 def _usable(
-    covering: dict[bytes, Grant], holder: bytes, now: int, check: Check
+    covering: dict[bytes, Grant], holder: bytes, now: int, check: RevocationCheck
 ) -> tuple[Grant, ...]:
-    """The grants that hold, by id; if there is none, raise the refusal that came furthest."""
+    """The usable grants, by id; if there is none, raise the refusal after most checks."""
     usable: list[Grant] = []
     refusals: list[GrantError] = []
     for grant_id in sorted(covering):
@@ -168,14 +168,14 @@ def _usable(
 
 
 def _progress(error: GrantError) -> int:
-    return _PROGRESS.index(type(error))
+    return _BY_PROGRESS.index(type(error))
 
 
-def _check(grant: Grant, holder: bytes, now: int, check: Check) -> None:
+def _check(grant: Grant, holder: bytes, now: int, check: RevocationCheck) -> None:
     if grant.holder != holder:
         raise GrantNotHeld(
             f"grant {grant.short_id} is bound to another key",
-            f"it was given to {grant.subject}; ask for one for the present key",
+            f"it was issued to {grant.subject}; ask for one for the present key",
         )
     check_time(grant, now)
     try:

@@ -1,7 +1,7 @@
 """The signed form of a grant: a CWT (RFC 8392) in one closed COSE_Sign1 profile.
 
-What it says is in `claims`. The id leaves the signature out: ECDSA signatures are malleable, and a
-hash over one would let the holder of a revoked grant make a twin with another hash.
+Its claims are in `claims`. The id does not include the signature: ECDSA signatures are malleable,
+and a hash over one would let the holder of a revoked grant make a copy with another hash.
 """
 
 import hashlib
@@ -30,28 +30,28 @@ def sign(signer: Signer, draft: Draft) -> bytes:
         GrantMalformed: too large, or a condition or filter outside the language.
         ConditionRefused: a condition that is not in the language.
     """
-    from grants.conditions.compile import check_syntax  # noqa: PLC0415 - those who only read grants spare it
+    from grants.conditions.compile import check_syntax  # noqa: PLC0415 - not loaded to read grants
 
     issuer = thumbprint(signer.public_key)
     for permission in draft.permissions:
         if permission.restriction is not None:
             for text in permission.restriction.conditions:
                 check_syntax(text)
-    data = GRANT.sign(signer, claims.written(draft, issuer))
-    peek(data)  # what nobody would accept is not given out
+    data = GRANT.sign(signer, claims.from_draft(draft, issuer))
+    peek(data)  # no grant is issued that verifiers refuse
     return data
 
 
 def open_grant(
     data: bytes, ca_key: ec.EllipticCurvePublicKey, now: int, *, domain: str | None = None
 ) -> Grant:
-    """Verify a grant and return what it says.
+    """Verify a grant and return its content.
 
     Args:
         data: the grant as received.
         ca_key: the authority's key.
         now: seconds since the epoch.
-        domain: the trust domain it must be for, where one authority serves several.
+        domain: the trust domain it must be for, if one authority serves several.
 
     Raises:
         GrantForged: not signed by `ca_key` (for `domain`), or changed since.
@@ -64,7 +64,7 @@ def open_grant(
 
 
 def verify(data: bytes, ca_key: ec.EllipticCurvePublicKey, *, domain: str | None = None) -> Grant:
-    """As `open_grant`, without asking *when*: for `grants.renewal`, which does."""
+    """As `open_grant`, without checking the time: for `grants.renewal`, which does."""
     try:
         body = GRANT.open_body(data, ca_key)
     except SignatureError as error:
@@ -73,14 +73,14 @@ def verify(data: bytes, ca_key: ec.EllipticCurvePublicKey, *, domain: str | None
         raise GrantMalformed(f"not a grant: {error}") from None
     grant = claims.read(body, _id(body))
     if grant.issuer != _thumbprint(ca_key):
-        raise GrantForged("signed by this authority in the name of another one")
+        raise GrantForged("signed by this authority, but iss is another one")
     if domain is not None and grant.domain != domain:
         raise GrantForged(f"a grant for the trust domain {grant.domain!r}, not {domain!r}")
     return grant
 
 
 def peek(data: bytes) -> Grant:
-    """Return what a grant says *without* verifying it: to show it, or to find its authority.
+    """Return the content of a grant *without* verifying it: to show it, or to find its authority.
 
     Raises:
         GrantMalformed: outside the closed schema.
@@ -90,13 +90,13 @@ def peek(data: bytes) -> Grant:
 
 
 def grant_id(data: bytes) -> bytes:
-    """The 16 bytes that name a grant: the same for every encoding of every valid signature.
+    """The 16 bytes that identify a grant: the same for every valid signature.
 
     Raises:
         GrantMalformed: not a grant.
     """
     body = _body(data)
-    claims.decoded(body)
+    claims.decode_payload(body)
     return _id(body)
 
 
@@ -116,9 +116,9 @@ _last_key: tuple[ec.EllipticCurvePublicKey | None, bytes] = (None, b"")
 
 
 def _thumbprint(key: ec.EllipticCurvePublicKey) -> bytes:
-    global _last_key  # noqa: PLW0603 - a memo of a pure function, replaced whole
-    known, digest = _last_key
-    if known is not key:
+    global _last_key  # noqa: PLW0603 - the cache of a pure function, replaced atomically
+    cached, digest = _last_key
+    if cached is not key:
         digest = thumbprint(key)
         _last_key = (key, digest)
     return digest

@@ -1,14 +1,14 @@
 """Every way a grant, a condition, a filter or a policy can be refused.
 
-The leaves say whose fault it is: the issuer (malformed), the peer (forged, not its own, missing),
-time (expired, revoked), or the person who wrote the rule (condition, filter).
+The subclasses name the cause: the issuer (malformed), the peer (forged, not its own, missing),
+time (expired, revoked), or the author of the rule (condition, filter).
 """
 
 from ca.errors import HintedError
 
 
 class GrantError(HintedError):
-    """Root of everything `grants` refuses."""
+    """Base class of the errors of `grants`."""
 
 
 class PatternRefused(GrantError):
@@ -24,15 +24,15 @@ class GrantForged(GrantError):
 
 
 class GrantExpired(GrantError):
-    """The grant was valid once."""
+    """The grant is no longer valid."""
 
 
 class GrantNotYetValid(GrantError):
-    """The grant will be valid later."""
+    """The grant is not valid yet."""
 
 
 class GrantNotHeld(GrantError):
-    """A good grant in the wrong hands: it is bound to another key."""
+    """A valid grant that is bound to another key."""
 
 
 class GrantRevoked(GrantError):
@@ -40,9 +40,9 @@ class GrantRevoked(GrantError):
 
 
 class GrantMissing(GrantError):
-    """No presented grant covers what is asked for.
+    """No presented grant covers the request.
 
-    `near_misses` says what the presented grants cover instead, one line each.
+    `near_misses` lists what the presented grants cover instead, one line each.
     """
 
     def __init__(self, message: str, near_misses: tuple[str, ...] = ()) -> None:
@@ -51,7 +51,7 @@ class GrantMissing(GrantError):
 
 
 class YamlRefused(GrantError):
-    """Text that is not YAML, or more of it than is read here; `line` and `column` count from 1."""
+    """Text that is not YAML, or outside the subset; `line` and `column` count from 1."""
 
     def __init__(self, message: str, hint: str = "", line: int = 1, column: int = 1) -> None:
         super().__init__(message, hint)
@@ -88,7 +88,7 @@ class MessageRefused(GrantError):
 
 
 class MemoryExhausted(GrantError):
-    """More rates and hystereses than can be remembered: a further one would limit nothing."""
+    """More rates and hystereses than can be stored: another one could not be enforced."""
 
 
 class RenewalForged(GrantError):
@@ -100,7 +100,7 @@ class RenewalMalformed(GrantError):
 
 
 class RenewalForOther(GrantError):
-    """A good delegation or ticket for another grant, key, authority or domain."""
+    """A valid delegation or ticket for another grant, key, authority or domain."""
 
 
 class RenewalTooWide(GrantError):
@@ -108,8 +108,8 @@ class RenewalTooWide(GrantError):
 
 
 class RenewalNotInTime(GrantError):
-    """A delegation or ticket that does not hold yet, or no longer."""
+    """A delegation or ticket that is not valid yet, or no longer valid."""
 
 
 class RenewalAhead(GrantError):
-    """A ticket made with a newer revocation list than the verifier has: get the list first."""
+    """A ticket made with a newer revocation list than the verifier has: fetch the list first."""

@@ -1,8 +1,8 @@
-"""What stands between a publisher and one receiver: expiry, conditions, rate, filters, in order.
+"""The restrictions for one receiver: expiry, conditions, rate, filters, in this order.
 
 Built once per connection from the layout the wire proved and the decision; then called for every
-message. What it remembers (a rate, a hysteresis) is the holder's and outlives the connection
-(`grants.memory`). It fails closed: what it does not understand is not sent.
+message. Its state (a rate, hysteresis) belongs to the holder and outlives the connection
+(`grants.memory`). It fails closed: a message it cannot process is not sent.
 """
 
 from collections.abc import Callable, Hashable, Iterable
@@ -16,30 +16,30 @@ from grants.filters.codegen import Buffer
 from grants.filters.compile import Filter, compile_filter
 from grants.filters.hashing import Keys, key_names
 from grants.filters.layout import Layout
-from grants.memory import Cell, CellName, Memory, RateBucket
+from grants.memory import FieldKey, HysteresisState, Memory, RateBucket
 from grants.model import FilterRule, Restriction
-from grants.validity import moment
+from grants.validity import format_time
 
 
 class Guard:
-    """Treats serialized messages of one type for one receiver.
+    """Applies restrictions to serialized messages of one type for one receiver.
 
     Args:
-        layout: of the messages; may be None only if no restriction looks into them.
+        layout: of the messages; may be None only if no restriction reads them.
         decision: from `authorize`.
         keys: the publisher's keys for `hash`, 32 bytes each, by name (see `needed_keys`).
-        recall: finds what the holder's earlier connections have left; without it the guard
-            begins afresh, which is for trials only.
+        find_memory: finds the state of the holder's earlier connections; without it the guard
+            starts with fresh state, which is for trials only.
 
     Attributes:
-        memory: of its holder, if it needs one.
-        key: equal for guards that treat every message alike: treat once, send to all of them.
+        memory: state of the holder, if the guard needs any.
+        key: equal for guards with the same result for every message: apply once, send to all.
             Expiry is not part of it: call `check` for every receiver.
 
     Raises:
         RestrictionMismatch: a restriction is written for another message type.
         ConditionRefused, FilterRefused: a restriction does not fit the layout, or a key is missing.
-        MemoryExhausted: what it must remember has no room.
+        MemoryExhausted: there is no room for its state.
     """
 
     def __init__(
@@ -47,41 +47,41 @@ class Guard:
         layout: Layout | None,
         decision: Decision,
         keys: Keys | None = None,
-        recall: Callable[[Decision], Memory] | None = None,
+        find_memory: Callable[[Decision], Memory] | None = None,
     ) -> None:
         for restriction in decision.restrictions:
             check_type("unknown" if layout is None else layout.type_name, restriction)
         self.expires: Final = decision.expires
         self.memory: Memory | None = None
-        self._recall = Memory if recall is None else partial(recall, decision)
-        self._conditions = _conditions(layout, decision.restrictions)
-        self._filters = self._compiled(layout, decision.restrictions, keys or {})
-        self._bucket = self._limited(decision.restrictions)
+        self._find_memory = Memory if find_memory is None else partial(find_memory, decision)
+        self._conditions = _compile_conditions(layout, decision.restrictions)
+        self._filters = self._compile_filters(layout, decision.restrictions, keys or {})
+        self._bucket = self._rate_bucket(decision.restrictions)
         shape = layout.digest if layout is not None else None
         self.key: Hashable = (self.memory, shape, decision.restrictions)
 
-    def _remembering(self) -> Memory:
+    def _require_memory(self) -> Memory:
         if self.memory is None:
-            self.memory = self._recall()
+            self.memory = self._find_memory()
         return self.memory
 
-    def _cell(self, stage: int, name: CellName) -> Cell:
-        return self._remembering().cell((stage, *name))
+    def _hysteresis(self, stage: int, field: FieldKey) -> HysteresisState:
+        return self._require_memory().hysteresis((stage, *field))
 
-    def _compiled(
+    def _compile_filters(
         self, layout: Layout | None, restrictions: Iterable[Restriction], keys: Keys
     ) -> tuple[Filter, ...]:
         if layout is None:
             return ()
         return tuple(
-            compile_filter(layout, stage.values(), keys, partial(self._cell, number))
+            compile_filter(layout, stage.values(), keys, partial(self._hysteresis, number))
             for number, stage in enumerate(_stages(restrictions))
         )
 
-    def _limited(self, restrictions: Iterable[Restriction]) -> RateBucket | None:
-        """The tightest of the rates: what it lets through, the others do too."""
+    def _rate_bucket(self, restrictions: Iterable[Restriction]) -> RateBucket | None:
+        """The lowest of the rates: a message it admits is admitted by the others."""
         rates = [restriction.rate for restriction in restrictions if restriction.rate is not None]
-        return self._remembering().bucket(min(rates)) if rates else None
+        return self._require_memory().bucket(min(rates)) if rates else None
 
     def check(self, now: int) -> None:
         """Return if the right still holds at `now`.
@@ -91,57 +91,57 @@ class Guard:
         """
         if now >= self.expires:
             raise GrantExpired(
-                f"the grant expired at {moment(self.expires)}", "ask the authority to renew it"
+                f"the grant expired at {format_time(self.expires)}", "ask the authority to renew it"
             )
 
     def ready(self, now: int) -> bool:
-        """Whether the rate, if there is one, lets a message through at `now`."""
+        """Whether the rate, if there is one, admits a message at `now`."""
         if self.memory is None or self._bucket is None:
             return True
         with self.memory.lock:
             return self.memory.ready(self._bucket, now)
 
-    def treat(self, message: Buffer, now: int, mark: object = None) -> list[Buffer] | None:
-        """Return `message` in pieces as the receiver may see it, or None if it may not.
+    def apply(self, message: Buffer, now: int, message_id: object = None) -> list[Buffer] | None:
+        """Return `message` in pieces, filtered for the receiver; None if it must not be sent.
 
         Args:
-            message: without its length.
+            message: without its length prefix.
             now: seconds since the epoch.
-            mark: is the same object for the same message, on whatever connection of the holder:
-                it was judged then, and the rate counts it once. None: a message not seen before.
+            message_id: the same object for the same message on all connections of the holder, so
+                that the rate counts it once. None: a new message.
 
         Raises:
-            MessageRefused: the message does not have its type's layout, or anything unforeseen.
+            MessageRefused: the message does not have its type's layout, or an unexpected error.
         """
         try:
-            return self._treat(message, now, object() if mark is None else mark)
+            return self._apply(message, now, object() if message_id is None else message_id)
         except GrantError:
             raise
         except Exception as error:
-            # Fail closed on our own mistakes too: an exception never lets a message through.
-            raise MessageRefused(f"treating a message failed: {type(error).__name__}") from error
+            # Fail closed on programming errors too: an exception never lets a message through.
+            raise MessageRefused(f"applying restrictions failed: {type(error).__name__}") from error
 
     def __call__(self, message: Buffer, now: int) -> list[Buffer] | None:
-        """`check`, then `treat`.
+        """`check`, then `apply`.
 
         Raises:
             GrantExpired, MessageRefused: as they do.
         """
         self.check(now)
-        return self.treat(message, now)
+        return self.apply(message, now)
 
-    def _treat(self, message: Buffer, now: int, mark: object) -> list[Buffer] | None:
+    def _apply(self, message: Buffer, now: int, message_id: object) -> list[Buffer] | None:
         for condition in self._conditions:
             if condition(message, now) is not True:
                 return None
         if self.memory is None:
-            return self._filtered(message)
+            return self._filter(message)
         with self.memory.lock:
-            if self._bucket is not None and not self.memory.take(self._bucket, mark, now):
+            if self._bucket is not None and not self.memory.take(self._bucket, message_id, now):
                 return None
-            return self._filtered(message)
+            return self._filter(message)
 
-    def _filtered(self, message: Buffer) -> list[Buffer]:
+    def _filter(self, message: Buffer) -> list[Buffer]:
         pieces: list[Buffer] = [message]
         for rewrite in self._filters:
             pieces = rewrite(pieces[0] if len(pieces) == 1 else b"".join(pieces))
@@ -155,19 +155,19 @@ def check_type(name: str, restriction: Restriction) -> None:
     """Return if `restriction` may be applied to messages of the type `name`.
 
     Raises:
-        RestrictionMismatch: it is written for another.
+        RestrictionMismatch: it is for another type.
     """
     if restriction.type not in (None, name):
         raise RestrictionMismatch(
             f"the grant is restricted for messages of type {restriction.type}, these are {name}",
-            "the right does not hold for another type; ask for a grant for it",
+            "ask for a grant for this message type",
         )
 
 
-def _conditions(
+def _compile_conditions(
     layout: Layout | None, restrictions: Iterable[Restriction]
 ) -> tuple[Condition, ...]:
-    """All conditions, each once; a restriction without a type may not look into the message."""
+    """All conditions, each once; a restriction without a type may not read the message."""
     texts = {
         (text, restriction.type) for restriction in restrictions for text in restriction.conditions
     }
@@ -178,24 +178,24 @@ def _conditions(
 
 
 def needed_keys(restrictions: Iterable[Restriction]) -> frozenset[str]:
-    """The names of the filter keys a guard for `restrictions` must be given."""
+    """The names of the filter keys that a guard for `restrictions` needs."""
     return frozenset().union(*(key_names(restriction.filters) for restriction in restrictions))
 
 
 def _stages(restrictions: Iterable[Restriction]) -> list[_Stage]:
-    """As few passes as possible: rules for the same fields must come one after another.
+    """As few passes as possible: rules for the same field must be in separate passes.
 
-    Every pass can only take information away, so the order of the passes decides the form of
-    the result, never that it reveals more than a single pass would.
+    Every pass can only remove information, so the order of the passes affects the form of the
+    result, but never makes it reveal more than a single pass would.
     """
     stages: list[_Stage] = []
     for restriction in restrictions:
-        _place(stages, {rule.path: rule for rule in restriction.filters})
+        _add_to_stages(stages, {rule.path: rule for rule in restriction.filters})
     return [stage for stage in stages if stage]
 
 
-def _place(stages: list[_Stage], rules: _Stage) -> None:
-    """Into the last stage if the rules fit there, else into a new one."""
+def _add_to_stages(stages: list[_Stage], rules: _Stage) -> None:
+    """Add to the last stage if no other rule there overlaps, else to a new one."""
     if stages and all(
         stages[-1].get(path) == rule or not any(_overlap(path, other) for other in stages[-1])
         for path, rule in rules.items()
@@ -206,7 +206,7 @@ def _place(stages: list[_Stage], rules: _Stage) -> None:
 
 
 def _overlap(one: str, other: str) -> bool:
-    """Whether one path is the other or lies inside it (`a[*].b` lies inside `a`)."""
+    """Whether the paths are equal or one contains the other (`a` contains `a[*].b`)."""
     steps, others = (path.replace("[*]", ".*").split(".") for path in (one, other))
     shared = min(len(steps), len(others))
     return steps[:shared] == others[:shared]

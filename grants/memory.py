@@ -1,10 +1,10 @@
-"""What a right that is limited over time remembers: its rate, its hysteresis. Pure.
+"""State of rights that are limited over time: rates and hysteresis. Pure.
 
-It belongs to a key, a right and a name, never to a connection: whoever comes back, or comes a
-hundred times, finds what he left. A message is judged once: under the same mark it is let through
-to every connection of the key. `Memories` keeps them for as long as it lives and is bounded: only
-what has recovered and nobody uses is forgotten, which gains nobody anything, and else a newcomer
-is refused.
+It belongs to a key, a right and a name, never to a connection: a peer that reconnects, or opens a
+hundred connections, continues with the same state. A message counts once: under one message id it
+is admitted on every connection of the key. `MemoryStore` keeps the state of one process and is
+bounded: only state that equals fresh state and is not in use is evicted, so eviction gains a peer
+nothing; otherwise a new peer is refused.
 """
 
 from collections.abc import Callable
@@ -17,183 +17,182 @@ from grants.decision import Decision
 from grants.errors import MemoryExhausted
 from grants.model import Right
 
-MOST: Final = 16_384  # memories: some 700 bytes each
-_MOST_RATES: Final = 64  # of one memory; a grant has one
-_MOST_CELLS: Final = 4096  # of one memory: as many fields as a definition may have
+MAX_MEMORIES: Final = 16_384  # about 700 bytes each
+_MAX_RATES: Final = 64  # of one memory; a grant has one
+_MAX_FIELDS: Final = 4096  # of one memory: as many fields as a definition may have
 
-CellName: TypeAlias = tuple[object, ...]  # where the field is, and how it is rounded
+FieldKey: TypeAlias = tuple[object, ...]  # path of the field, and how it is rounded
 MakeLock: TypeAlias = Callable[[], AbstractContextManager[Any]]
-_Name: TypeAlias = tuple[tuple[str, ...], bytes, Right, str]
+_MemoryKey: TypeAlias = tuple[tuple[str, ...], bytes, Right, str]
 
 
-class Cell:
-    """What a field with hysteresis was last rounded to."""
+class HysteresisState:
+    """The value a field with hysteresis was last rounded to."""
 
-    __slots__ = ("held",)
+    __slots__ = ("value",)
 
     def __init__(self) -> None:
-        self.held: float | None = None
+        self.value: float | None = None
 
 
 class RateBucket:
-    """A token bucket: over any time, `rate` messages a second and `max(1, rate)` more at most."""
+    """A token bucket: `rate` messages a second, and bursts of at most `max(1, rate)`."""
 
     def __init__(self, rate: float, tokens: float) -> None:
-        self.most: Final = max(1.0, rate)
-        self.tokens = min(tokens, self.most)
-        self.passed: object = None
+        self.capacity: Final = max(1.0, rate)
+        self.tokens = min(tokens, self.capacity)
+        self.last_message: object = None
         self._rate = rate
-        self._at: int | None = None
+        self._refilled_at: int | None = None
 
     def refill(self, now: int) -> None:
-        """What came in since the last look; a clock set back brings nothing."""
-        if self._at is not None and now > self._at:
-            self.tokens = min(self.tokens + (now - self._at) * self._rate, self.most)
-        self._at = now
+        """Add the tokens since the last refill; a clock set back adds none."""
+        if self._refilled_at is not None and now > self._refilled_at:
+            self.tokens = min(self.tokens + (now - self._refilled_at) * self._rate, self.capacity)
+        self._refilled_at = now
 
-    def charge(self, mark: object) -> None:
-        """A message was let through, by this rate or by another of the same key."""
+    def charge(self, message_id: object) -> None:
+        """Take a token for a message admitted by this rate or by another of the same key."""
         if self.tokens >= 1:
-            self.passed = mark
+            self.last_message = message_id
         self.tokens = max(self.tokens - 1, 0.0)
 
 
 class Memory:
-    """Of one key, one right and one name.
+    """The state of one key, one right and one name.
 
     Args:
-        lock: to be held around `take`, `ready` and the use of a cell; one thread needs none.
+        lock: held around `take`, `ready` and the use of hysteresis state; one thread needs none.
     """
 
     def __init__(self, lock: AbstractContextManager[Any] | None = None) -> None:
         self.lock: Final = nullcontext() if lock is None else lock
         self._buckets: dict[float, RateBucket] = {}
-        self._cells: dict[CellName, Cell] = {}
+        self._hysteresis: dict[FieldKey, HysteresisState] = {}
 
     def bucket(self, rate: float) -> RateBucket:
-        """The bucket for a rate; a further one begins with no more than the others have left.
+        """The bucket for a rate; a new one starts with no more tokens than the others have.
 
         Raises:
             MemoryExhausted: there are too many.
         """
         with self.lock:
             if rate not in self._buckets:
-                _check_room(len(self._buckets), _MOST_RATES, "rates")
+                _check_limit(len(self._buckets), _MAX_RATES, "rates")
                 left = max((other.tokens for other in self._buckets.values()), default=rate + 1)
                 self._buckets[rate] = RateBucket(rate, left)
             return self._buckets[rate]
 
-    def cell(self, name: CellName) -> Cell:
-        """The cell of a field.
+    def hysteresis(self, field: FieldKey) -> HysteresisState:
+        """The hysteresis state of a field.
 
         Raises:
             MemoryExhausted: there are too many.
         """
         with self.lock:
-            if name not in self._cells:
-                _check_room(len(self._cells), _MOST_CELLS, "fields with hysteresis")
-                self._cells[name] = Cell()
-            return self._cells[name]
+            if field not in self._hysteresis:
+                _check_limit(len(self._hysteresis), _MAX_FIELDS, "fields with hysteresis")
+                self._hysteresis[field] = HysteresisState()
+            return self._hysteresis[field]
 
-    def take(self, bucket: RateBucket, mark: object, now: int) -> bool:
-        """Whether the message with this mark may pass at `now`; all rates of the key count it.
+    def take(self, bucket: RateBucket, message_id: object, now: int) -> bool:
+        """Whether the message with this id is admitted at `now`; all rates of the key count it.
 
-        So two grants with rates, shown on two connections, let through no more messages than the
-        wider of them alone.
+        So two grants with rates, presented on two connections, admit no more messages than the
+        higher of the two alone.
         """
-        if bucket.passed is mark:
+        if bucket.last_message is message_id:
             return True
         for each in self._buckets.values():
             each.refill(now)
         if bucket.tokens < 1:
             return False
         for each in self._buckets.values():
-            each.charge(mark)
+            each.charge(message_id)
         return True
 
     def ready(self, bucket: RateBucket, now: int) -> bool:
-        """Whether a new message may pass at `now`."""
+        """Whether a new message would be admitted at `now`."""
         bucket.refill(now)
         return bucket.tokens >= 1
 
-    def recovered(self, now: int) -> bool:
-        """Whether a new one would do no other: a value that a cell holds is for good."""
+    def is_fresh(self, now: int) -> bool:
+        """Whether it equals a new memory; a stored hysteresis value never expires."""
         with self.lock:
             for each in self._buckets.values():
                 each.refill(now)
-            full = all(each.tokens >= each.most for each in self._buckets.values())
-            return full and all(cell.held is None for cell in self._cells.values())
+            full = all(each.tokens >= each.capacity for each in self._buckets.values())
+            return full and all(state.value is None for state in self._hysteresis.values())
 
 
-class Memories:
-    """All of one process.
+class MemoryStore:
+    """All memories of one process.
 
     Args:
         clock: the present time, seconds since the epoch.
-        lock: makes the locks, where threads share it.
-        most: how many are kept.
+        lock: makes the locks, if threads share the store.
+        limit: the maximum number of memories.
     """
 
     def __init__(
-        self, clock: Callable[[], int], lock: MakeLock = nullcontext, most: int = MOST
+        self, clock: Callable[[], int], lock: MakeLock = nullcontext, limit: int = MAX_MEMORIES
     ) -> None:
         self._clock = clock
         self._make_lock = lock
-        self._most = most
+        self._limit = limit
         self._lock = lock()
-        self._kept: dict[_Name, Memory] = {}
-        self._alive: WeakValueDictionary[_Name, Memory] = WeakValueDictionary()
-        self._swept = -1
+        self._stored: dict[_MemoryKey, Memory] = {}
+        self._in_use: WeakValueDictionary[_MemoryKey, Memory] = WeakValueDictionary()
+        self._evicted_at = -1
 
     def find(self, scope: tuple[str, ...], decision: Decision) -> Memory:
-        """The memory of what `decision` was made about; `scope` says whose it is.
+        """The memory for the key, right and name of `decision` within `scope`.
 
         Raises:
-            MemoryExhausted: there are too many, and none of them has recovered.
+            MemoryExhausted: there are too many, and none can be evicted.
         """
-        holders = {grant.holder for grant in decision.grants}
-        (holder,) = holders  # `authorize` lets no two keys into one decision
-        name = (scope, holder, decision.right, decision.name)
+        (holder,) = {grant.holder for grant in decision.grants}  # `authorize` accepts one key only
+        key = (scope, holder, decision.right, decision.name)
         with self._lock:
-            found = self._kept.get(name)
+            found = self._stored.get(key)
             if found is None:
-                self._make_room()
-                found = self._kept[name] = self._alive[name] = Memory(self._make_lock())
+                self._evict_fresh()
+                found = self._stored[key] = self._in_use[key] = Memory(self._make_lock())
             return found
 
-    def _make_room(self) -> None:
+    def _evict_fresh(self) -> None:
         now = self._clock()
-        if len(self._kept) >= self._most and now != self._swept:
-            self._swept = now
-            for name in [name for name, item in self._kept.items() if item.recovered(now)]:
-                del self._kept[name]
-            # What a connection uses has survived that: it will use more up, which must stay.
-            self._kept.update(self._alive.items())
-        _check_room(len(self._kept), self._most, "limited rights")
+        if len(self._stored) >= self._limit and now != self._evicted_at:
+            self._evicted_at = now
+            for key in [key for key, item in self._stored.items() if item.is_fresh(now)]:
+                del self._stored[key]
+            # Memories that connections still use must stay stored: they will change again.
+            self._stored.update(self._in_use.items())
+        _check_limit(len(self._stored), self._limit, "limited rights")
 
     def __len__(self) -> int:
-        return len(self._kept)
+        return len(self._stored)
 
 
 @dataclass(frozen=True)
-class Recall:
-    """Finds the memory of a decision: of one node, and of one part of what the node does."""
+class MemoryScope:
+    """Finds the memory of a decision for one node, and for one part of its state."""
 
-    memories: Memories
+    store: MemoryStore
     scope: tuple[str, ...]
 
     def __call__(self, decision: Decision) -> Memory:
-        """As `Memories.find`."""
-        return self.memories.find(self.scope, decision)
+        """As `MemoryStore.find`."""
+        return self.store.find(self.scope, decision)
 
-    def apart(self, part: str) -> "Recall":
-        """For what must be counted apart from the rest."""
+    def child(self, part: str) -> "MemoryScope":
+        """The scope of a part that is counted separately."""
         return replace(self, scope=(*self.scope, part))
 
 
-def _check_room(count: int, most: int, what: str) -> None:
-    if count >= most:
+def _check_limit(count: int, limit: int, what: str) -> None:
+    if count >= limit:
         raise MemoryExhausted(
-            f"{most} {what} are remembered already, and none can be forgotten yet",
-            "wait until the rates of others have recovered, or restart this node",
+            f"{limit} {what} are stored already, and none can be evicted yet",
+            "wait until the rates of other peers have recovered, or restart this node",
         )

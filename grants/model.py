@@ -1,8 +1,8 @@
-"""What a grant says, as values: rights over names, and the restrictions inside them.
+"""The content of a grant as values: rights over names, and the restrictions on them.
 
-Everything here is checked when it is made, so a value that exists is well-formed: no unknown
-right, operator or parameter can be represented. Whether a restriction fits a *message type* is
-only known when the definition is at hand (`grants.guard`).
+Every value is checked when it is constructed, so a value that exists is well-formed: no unknown
+right, operator or parameter can be represented. Whether a restriction fits a *message type* can
+only be checked with its definition (`grants.guard`).
 """
 
 import re
@@ -22,7 +22,7 @@ ID_SIZE: Final = 16
 MAX_CONDITION: Final = 1000  # characters
 MAX_RATE: Final = 1_000_000
 _MAX_TIME: Final = 1 << 53
-KEPT: Final = "kept when news of revocations fails to arrive"
+KEEP_WHEN_STALE: Final = "kept while revocation data is stale"
 
 _TYPE: Final = re.compile(r"[A-Za-z][A-Za-z0-9_]*/[A-Za-z][A-Za-z0-9_]*", re.ASCII)
 _STEP: Final = r"[A-Za-z][A-Za-z0-9_]*(?:\[\*\])?"
@@ -30,7 +30,7 @@ _PATH: Final = re.compile(rf"{_STEP}(?:\.{_STEP})*", re.ASCII)
 
 
 class Right(IntFlag):
-    """What may be done with a name: the permission bits of an AIF entry (RFC 9237)."""
+    """Operations on a name: the permission bits of an AIF entry (RFC 9237)."""
 
     PUBLISH = 1
     SUBSCRIBE = 2
@@ -43,7 +43,7 @@ class Right(IntFlag):
 
     @property
     def label(self) -> str:
-        """The right in words, for people: `publish`, `param-get`, `publish, subscribe`."""
+        """The right as text: `publish`, `param-get`, `publish, subscribe`."""
         return ", ".join(str(right.name).lower().replace("_", "-") for right in self)
 
 
@@ -54,7 +54,7 @@ TREE_RIGHTS: Final = Right.PARAM_GET | Right.PARAM_SET
 
 @dataclass(frozen=True, order=True)
 class FilterRule:
-    """One field (or subtree) of a message and what happens to it.
+    """One field (or subtree) of a message and the operator applied to it.
 
     Args:
         path: field names joined by dots; `[*]` after an array of messages enters its elements.
@@ -74,12 +74,12 @@ class FilterRule:
             )
 
     def __str__(self) -> str:
-        words = [self.operator, *(f"{name} {value}" for name, value in self.parameters)]
-        return f"{self.path}: {' '.join(words)}"
+        parts = [self.operator, *(f"{name} {value}" for name, value in self.parameters)]
+        return f"{self.path}: {' '.join(parts)}"
 
 
 def filter_rules(rules: Mapping[Any, Any]) -> tuple[FilterRule, ...]:
-    """Read `{path: {operator: parameter}}`, sorted by path, from whatever a decoder made of it.
+    """Read `{path: {operator: parameter}}` from decoded data, sorted by path.
 
     The parameter is `True` for an operator without parameters, else a map of scalars:
     `{"header.frame_id": {"clear": True}, "pose.position": {"round": {"step": 0.5}}}`.
@@ -99,7 +99,7 @@ def _filter_rule(path: Any, treatment: Any) -> FilterRule:
     [(operator, parameter)] = treatment.items()
     if not isinstance(operator, str):
         raise FilterRefused(
-            f"{path}: an operator is a word, not {str(operator)[:40]}", "for example {clear: true}"
+            f"{path}: an operator is text, not {str(operator)[:40]}", "for example {clear: true}"
         )
     if parameter is True:
         return FilterRule(path, operator)
@@ -112,22 +112,22 @@ def _parameters(path: str, named: Mapping[object, object]) -> tuple[tuple[str, S
     pairs: list[tuple[str, Scalar]] = []
     for name, value in named.items():
         if not isinstance(name, str) or not isinstance(value, Scalar):
-            raise FilterRefused(f"{path}: parameter {name!r} is not a number, text or truth value")
+            raise FilterRefused(f"{path}: parameter {name!r} is not a number, text or boolean")
         pairs.append((name, value))
     return tuple(sorted(pairs))
 
 
 @dataclass(frozen=True)
 class Restriction:
-    """Under which conditions and through which filters a right holds.
+    """The conditions, filters and rate under which a right is granted.
 
     Args:
-        type: the message type it is written for; None when no condition looks into the message
-            and nothing is filtered. On any other type the right does not hold at all.
+        type: the message type it is for; None if no condition reads the message and nothing is
+            filtered. The right is not granted for any other type.
         conditions: texts in `grants.conditions.compile`; all of them must hold.
-        filters: what is done to the fields of each message.
+        filters: the operators applied to the fields of each message.
         rate: at most so many messages a second, on average.
-        keep_when_stale: a connection that stands may outlive news of revocations (`links`).
+        keep_when_stale: an established connection may stay open while revocation data is stale.
     """
 
     type: str | None = None
@@ -139,36 +139,36 @@ class Restriction:
     def __post_init__(self) -> None:
         if self.type is not None and _TYPE.fullmatch(self.type) is None:
             raise GrantMalformed(f"not a message type: {self.type[:80]!r}")
-        if not self.treats_messages and not self.keep_when_stale:
+        if not self.restricts_messages and not self.keep_when_stale:
             raise GrantMalformed("a restriction that restricts nothing")
         if self.filters and self.type is None:
-            raise GrantMalformed("filters without the message type they are written for")
+            raise GrantMalformed("filters without a message type")
         if len({rule.path for rule in self.filters}) != len(self.filters):
-            raise GrantMalformed("two filters for one field", "the order would decide: merge them")
+            raise GrantMalformed("two filters for one field", "the order would matter: merge them")
         if any(not 0 < len(text) <= MAX_CONDITION for text in self.conditions):
             raise GrantMalformed(f"a condition is empty or longer than {MAX_CONDITION} characters")
         if self.rate is not None and not 0 < self.rate <= MAX_RATE:
             raise GrantMalformed(f"a rate must be above zero and at most {MAX_RATE} a second")
 
     @property
-    def treats_messages(self) -> bool:
-        """Whether messages are looked at: for whoever has none there is nothing to apply."""
+    def restricts_messages(self) -> bool:
+        """Whether it applies to messages; a caller without messages has nothing to apply."""
         return bool(self.conditions or self.filters) or self.rate is not None
 
     def lines(self) -> list[str]:
-        """The restriction for people, one line per condition, filter and limit."""
+        """The restriction as text, one line per condition, filter and limit."""
         lines = [f"only when {text}" for text in self.conditions]
         lines += [str(rule) for rule in self.filters]
         if self.rate is not None:
             lines.append(f"at most {self.rate:g} messages a second")
-        return [*lines, KEPT] if self.keep_when_stale else lines
+        return [*lines, KEEP_WHEN_STALE] if self.keep_when_stale else lines
 
 
 @dataclass(frozen=True)
 class Permission:
-    """Rights over the names a pattern covers, with the restriction *inside* (RFC 9237 manner).
+    """Rights over the names a pattern covers, with the restriction *inside* (as in RFC 9237).
 
-    A restriction in a sibling claim would be dropped by every verifier that does not know it.
+    A restriction in a sibling claim would be ignored by a verifier that does not know it.
     """
 
     pattern: str
@@ -182,18 +182,18 @@ class Permission:
         if self.restriction is not None and self.rights & ~MESSAGE_RIGHTS:
             raise GrantMalformed(
                 f"{self.rights.label} on {self.pattern} cannot be restricted by message content",
-                "put these rights into a permission of their own",
+                "put these rights into a separate permission",
             )
 
-    def names(self, name: str, right: Right) -> bool:
-        """Whether `name` lies under the pattern; for parameters: it, or something above it."""
+    def matches(self, name: str, right: Right) -> bool:
+        """Whether the pattern covers `name`; for parameters also if it covers a parent of it."""
         return (
             covers_tree(self.pattern, name) if right & TREE_RIGHTS else covers(self.pattern, name)
         )
 
     def covers(self, right: Right, name: str) -> bool:
         """Whether this permission gives `right` on `name` (restricted or not)."""
-        return right in self.rights and self.names(name, right)
+        return right in self.rights and self.matches(name, right)
 
 
 @dataclass(frozen=True)
@@ -201,11 +201,11 @@ class Draft:
     """A grant before it is signed.
 
     Args:
-        domain: the trust domain in which it holds (`home`).
-        subject: the node it is given to, an absolute name; shown to people.
-        holder: thumbprint of the node's public key, 32 bytes; this is what counts.
-        not_before, expires, cap: seconds since the epoch; it holds while
-            `not_before <= now < expires`; no renewal may reach beyond `cap`.
+        domain: the trust domain in which it is valid (`home`).
+        subject: the node it is issued to, an absolute name; informational.
+        holder: thumbprint of the node's public key, 32 bytes; the grant is bound to it.
+        not_before, expires, cap: seconds since the epoch; it is valid while
+            `not_before <= now < expires`; no renewal extends beyond `cap`.
         serial: 16 random bytes.
         permissions: at least one.
     """
@@ -233,9 +233,9 @@ class Draft:
 
 @dataclass(frozen=True)
 class Grant(Draft):
-    """A grant as signed: `id` names it for revocation, `issuer` is the authority's thumbprint.
+    """A grant as signed: `id` identifies it for revocation, `issuer` is the authority's thumbprint.
 
-    `via` is by what it was renewed: a delegation's id and its holder's key. Both may be revoked.
+    `via` is set by renewal: the delegation's id and its holder's key. Both may be revoked.
     """
 
     id: bytes
@@ -249,18 +249,18 @@ class Grant(Draft):
 
     @property
     def short_id(self) -> str:
-        """The first 8 hexadecimal digits of the id, for people."""
+        """The first 8 hexadecimal digits of the id."""
         return self.id.hex()[:8]
 
 
 def merge(restrictions: Iterable[Restriction | None]) -> tuple[Restriction, ...]:
-    """All restrictions that apply together, each once, in one order whatever the input's.
+    """All restrictions that apply together, each once, in an order independent of the input's.
 
-    Only what is done to messages: `keep_when_stale` loosens, and is decided where all are seen.
+    Restrictions of messages only: `keep_when_stale` is less strict, and the caller combines it.
     """
     unique = {
         replace(restriction, keep_when_stale=False)
         for restriction in restrictions
-        if restriction is not None and restriction.treats_messages
+        if restriction is not None and restriction.restricts_messages
     }
     return tuple(sorted(unique, key=repr))

@@ -2,8 +2,7 @@
 
 Segments are compared whole, so `/a` never covers `/ab` (the prefix confusion of ROSRV), and a
 wildcard never stands for part of a segment. Names are absolute: relative and private (`~`)
-names must be resolved before they come here, or they are refused. Names are ASCII: a look-alike
-letter can never reach a decision.
+names must be resolved by the caller, or they are refused. Names are ASCII: homoglyphs are refused.
 """
 
 from collections.abc import Sequence
@@ -34,58 +33,58 @@ def check_pattern(text: str) -> str:
 
 
 def covers(pattern: str, name: str) -> bool:
-    """Whether `pattern` stands for `name`, whole segment by whole segment.
+    """Whether `pattern` covers `name`, segment by segment.
 
     Raises:
-        PatternRefused, NameRefused: one of them is not in its syntax.
+        PatternRefused, NameRefused: invalid pattern or name.
     """
     check_pattern(pattern)
     check_name(name)
     if "*" not in pattern:
         return pattern == name
     segments = _segments(name)
-    return len(segments) in _reach(_segments(pattern), segments)
+    return len(segments) in _match_ends(_segments(pattern), segments)
 
 
 def covers_tree(pattern: str, name: str) -> bool:
-    """Whether `pattern` stands for `name` or for something above it.
+    """Whether `pattern` covers `name` or a parent of it.
 
-    For parameters: whoever may set `/a` sets every `/a/...` with it, because the value may be a
-    tree. So a right to a key is always a right to all of its descendants, and never to a parent.
+    For parameters: setting `/a` also sets every `/a/...`, because the value may be a tree. So a
+    right to a key is always a right to all of its descendants, and never to a parent.
 
     Raises:
-        PatternRefused, NameRefused: one of them is not in its syntax.
+        PatternRefused, NameRefused: invalid pattern or name.
     """
-    parts = _parts(pattern)
+    pattern_segments = _pattern_segments(pattern)
     check_name(name)
-    return bool(_reach(parts, _segments(name)))
+    return bool(_match_ends(pattern_segments, _segments(name)))
 
 
-def covers_below(pattern: str, space: str) -> bool:
-    """Whether `covers_tree` holds for every name below `space`, a name or `/` for all.
-
-    Raises:
-        PatternRefused: `pattern` is not in its syntax.
-    """
-    below = [*_space(space), _WILDCARDS[0]]  # a segment that no pattern spells out
-    return bool(_reach(_parts(pattern), below))
-
-
-def touches(pattern: str, space: str) -> bool:
-    """Whether `covers_tree` holds for `space`, or for any name below it (`/`: for any at all).
+def covers_below(pattern: str, namespace: str) -> bool:
+    """Whether `covers_tree` is true for every name below `namespace`; `/` is the root.
 
     Raises:
-        PatternRefused: `pattern` is not in its syntax.
+        PatternRefused: invalid pattern.
     """
-    name, reached = _space(space), {0}
-    for segment in _parts(pattern):
-        if len(name) in reached:  # what is left of the pattern stands for something below
+    below = [*_namespace_segments(namespace), _WILDCARDS[0]]  # a segment that only wildcards match
+    return bool(_match_ends(_pattern_segments(pattern), below))
+
+
+def touches(pattern: str, namespace: str) -> bool:
+    """Whether `covers_tree` is true for `namespace` or any name below it; `/` is the root.
+
+    Raises:
+        PatternRefused: invalid pattern.
+    """
+    name, ends = _namespace_segments(namespace), {0}
+    for segment in _pattern_segments(pattern):
+        if len(name) in ends:  # the rest of the pattern covers names below
             return True
-        reached = _advance(reached, segment, name)
-    return bool(reached)
+        ends = _advance(ends, segment, name)
+    return bool(ends)
 
 
-def _space(text: str) -> list[str]:
+def _namespace_segments(text: str) -> list[str]:
     return [] if text == "/" else _segments(text)
 
 
@@ -94,24 +93,24 @@ def _segments(text: str) -> list[str]:
 
 
 @lru_cache(maxsize=4096)
-def _parts(pattern: str) -> tuple[str, ...]:
-    """The segments of a pattern, which is asked about thousands of names."""
+def _pattern_segments(pattern: str) -> tuple[str, ...]:
+    """The segments of a pattern, cached: a pattern is compared with thousands of names."""
     return (*_segments(check_pattern(pattern)),)
 
 
-def _reach(pattern: Sequence[str], name: list[str]) -> set[int]:
-    """How many leading segments of `name` all of `pattern` can stand for; each at least one.
+def _match_ends(pattern: Sequence[str], name: list[str]) -> set[int]:
+    """The numbers of leading segments of `name` that all of `pattern` can match.
 
-    A set of positions instead of backtracking: time is the product of the lengths, whatever
-    the pattern (a chain of `**` would be exponential in a regular expression).
+    A set of positions instead of backtracking: time is the product of the lengths for every
+    pattern (a chain of `**` would be exponential in a regular expression).
     """
-    reached = {0}
+    ends = {0}
     for segment in pattern:
-        reached = _advance(reached, segment, name)
-    return reached
+        ends = _advance(ends, segment, name)
+    return ends
 
 
-def _advance(reached: set[int], segment: str, name: list[str]) -> set[int]:
+def _advance(ends: set[int], segment: str, name: list[str]) -> set[int]:
     if segment == "**":
-        return set(range(min(reached, default=len(name)) + 1, len(name) + 1))
-    return {at + 1 for at in reached if at < len(name) and segment in ("*", name[at])}
+        return set(range(min(ends, default=len(name)) + 1, len(name) + 1))
+    return {at + 1 for at in ends if at < len(name) and segment in ("*", name[at])}

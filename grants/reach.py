@@ -1,8 +1,8 @@
-"""What some permissions reach, prepared for being asked often: the master asks for every name.
+"""An index over the names that permissions cover: the master checks every name with it.
 
-The answer is that of `Permission.covers`, permission by permission; only the work is done before.
-A name in the syntax of `ca.names` is compared whole, or with what stands before a last `**`, in C.
-Of parameters a whole namespace can be asked about, so that nobody need list what is in it.
+The answer is that of `Permission.covers` for any of the permissions; only the work is done before.
+A name in the syntax of `ca.names` is compared whole, or with the prefix before a final `**`, in C.
+For parameters a whole namespace can be checked, without a list of the names in it.
 """
 
 from bisect import bisect_left
@@ -15,104 +15,104 @@ from grants.model import TREE_RIGHTS, Permission, Right
 
 
 class Reach:
-    """For each right the exact names, the beginnings of names, and the other permissions."""
+    """For each right the exact names, the prefixes of names, and the other permissions."""
 
     __slots__ = ("_any", "_by_right")
 
     def __init__(self, permissions: Iterable[Permission]) -> None:
-        held = tuple(permissions)
-        shared: dict[Sorted, Sorted] = {}  # many rights mostly reach the same
-        found = {int(right): _sorted(held, right) for right in Right}
-        self._by_right = {right: shared.setdefault(each, each) for right, each in found.items()}
-        self._any: dict[int, Sorted] = {}
+        given = tuple(permissions)
+        shared: dict[_NameSets, _NameSets] = {}  # many rights mostly have equal sets
+        sets = {int(right): _name_sets(given, right) for right in Right}
+        self._by_right = {right: shared.setdefault(each, each) for right, each in sets.items()}
+        self._any: dict[int, _NameSets] = {}
 
     def covers(self, right: Right, name: str) -> bool:
-        """Whether some permission gives `right`, exactly one, on `name`; what is no name: no."""
-        found = self._by_right.get(int(right))
-        return found is not None and _covers(found, name)
+        """Whether some permission gives the single `right` on `name`; False for an invalid name."""
+        sets = self._by_right.get(int(right))
+        return sets is not None and _covers(sets, name)
 
     def covers_any(self, rights: Right, name: str) -> bool:
-        """Whether one of `rights`, any number of them, is given on `name`; what is no name: no."""
-        found = self._any.get(int(rights))
-        if found is None:
-            found = self._any[int(rights)] = _joined(
+        """Whether one of `rights` is given on `name`; False for an invalid name."""
+        sets = self._any.get(int(rights))
+        if sets is None:
+            sets = self._any[int(rights)] = _union(
                 self._by_right[int(right)] for right in Right if right in rights
             )
-        return _covers(found, name)
+        return _covers(sets, name)
 
-    def covers_below(self, right: Right, space: str) -> bool:
-        """Whether `right`, one of parameters, is given on every name below `space`.
+    def covers_below(self, right: Right, namespace: str) -> bool:
+        """Whether `right`, one of parameters, is given on every name below `namespace`.
 
         Args:
-            space: a name, or `/`: every name there is.
+            namespace: a name, or `/` for all names.
         """
-        found = self._of_tree(right)
-        return found is not None and (
-            _beginning(space).startswith(found[1])
-            or any(names.covers_below(permission.pattern, space) for _, permission in found[2])
+        sets = self._parameter_sets(right)
+        return sets is not None and (
+            _prefix(namespace).startswith(sets[1])
+            or any(names.covers_below(permission.pattern, namespace) for _, permission in sets[2])
         )
 
-    def touches(self, right: Right, space: str) -> bool:
-        """Whether `right`, one of parameters, is given on `space` or on any name below it.
+    def touches(self, right: Right, namespace: str) -> bool:
+        """Whether `right`, one of parameters, is given on `namespace` or on any name below it.
 
         Args:
-            space: as for `covers_below`.
+            namespace: as for `covers_below`.
         """
-        found = self._of_tree(right)
-        return found is not None and (
-            _touches(_beginning(space), found[1])
-            or any(names.touches(permission.pattern, space) for _, permission in found[2])
+        sets = self._parameter_sets(right)
+        return sets is not None and (
+            _touches(_prefix(namespace), sets[1])
+            or any(names.touches(permission.pattern, namespace) for _, permission in sets[2])
         )
 
     def patterns(self, right: Right) -> int:
-        """How many patterns are asked one by one: what a question about `right` costs."""
-        found = self._by_right.get(int(right))
-        return 0 if found is None else len(found[2])
+        """The number of patterns compared one by one: the cost of a check of `right`."""
+        sets = self._by_right.get(int(right))
+        return 0 if sets is None else len(sets[2])
 
-    def _of_tree(self, right: Right) -> "Sorted | None":
+    def _parameter_sets(self, right: Right) -> "_NameSets | None":
         return self._by_right.get(int(right)) if right & TREE_RIGHTS else None
 
 
-Sorted = tuple[frozenset[str], tuple[str, ...], tuple[tuple[Right, Permission], ...]]
+_NameSets = tuple[frozenset[str], tuple[str, ...], tuple[tuple[Right, Permission], ...]]
 
 
-def _covers(found: Sorted, name: str) -> bool:
-    exact, beginnings, others = found
-    if name in exact:  # a pattern that is a name
+def _covers(sets: _NameSets, name: str) -> bool:
+    exact, prefixes, others = sets
+    if name in exact:  # a pattern without wildcards
         return True
-    begins = name.startswith(beginnings)
-    if not begins and not others:
+    has_prefix = name.startswith(prefixes)
+    if not has_prefix and not others:
         return False
     try:
         check_name(name)
     except NameRefused:
         return False
-    return begins or any(permission.covers(right, name) for right, permission in others)
+    return has_prefix or any(permission.covers(right, name) for right, permission in others)
 
 
-def _beginning(space: str) -> str:
-    return space if space == "/" else f"{space}/"
+def _prefix(namespace: str) -> str:
+    return namespace if namespace == "/" else f"{namespace}/"
 
 
-def _touches(space: str, beginnings: tuple[str, ...]) -> bool:
-    """Whether one of the sorted `beginnings` lies at, above or below `space`; all end with `/`."""
-    if space.startswith(beginnings):
+def _touches(namespace: str, prefixes: tuple[str, ...]) -> bool:
+    """Whether one of the sorted `prefixes` is at, above or below `namespace`; all end in `/`."""
+    if namespace.startswith(prefixes):
         return True
-    at = bisect_left(beginnings, space)
-    return at < len(beginnings) and beginnings[at].startswith(space)
+    at = bisect_left(prefixes, namespace)
+    return at < len(prefixes) and prefixes[at].startswith(namespace)
 
 
-def _joined(parts: Iterable[Sorted]) -> Sorted:
-    exact, beginnings, others = set[str](), set[str](), list[tuple[Right, Permission]]()
+def _union(parts: Iterable[_NameSets]) -> _NameSets:
+    exact, prefixes, others = set[str](), set[str](), list[tuple[Right, Permission]]()
     for part in parts:
         exact |= part[0]
-        beginnings.update(part[1])
+        prefixes.update(part[1])
         others += part[2]
-    return frozenset(exact), tuple(sorted(beginnings)), tuple(others)
+    return frozenset(exact), tuple(sorted(prefixes)), tuple(others)
 
 
-def _sorted(permissions: tuple[Permission, ...], right: Right) -> Sorted:
-    exact, beginnings, others = set(), set(), []
+def _name_sets(permissions: tuple[Permission, ...], right: Right) -> _NameSets:
+    exact, prefixes, others = set(), set(), []
     for permission in permissions:
         if right not in permission.rights:
             continue
@@ -120,9 +120,9 @@ def _sorted(permissions: tuple[Permission, ...], right: Right) -> Sorted:
         if "*" in plain:
             others.append((right, permission))
         elif plain != permission.pattern:
-            beginnings.add(f"{plain}/")
+            prefixes.add(f"{plain}/")
         else:
             exact.add(plain)
             if right in TREE_RIGHTS:
-                beginnings.add(f"{plain}/")
-    return frozenset(exact), tuple(sorted(beginnings)), tuple(others)
+                prefixes.add(f"{plain}/")
+    return frozenset(exact), tuple(sorted(prefixes)), tuple(others)

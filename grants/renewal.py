@@ -1,9 +1,9 @@
-"""Renewal: a grant lives on, unchanged, as long as the master confirms it within bounds.
+"""Renewal: a grant stays valid, unchanged, as long as the master confirms it within bounds.
 
 The authority signs a *delegation* to the master's key; the master signs short *tickets* for
 grants. A ticket has no field for rights, so a renewal cannot widen any, and the grant keeps its
-bytes, its id and its place in the revocation list. What a stolen master key gives: tickets for
-grants that exist, up to their caps, until the delegation ends or is revoked.
+bytes, its id and its place in the revocation list. What a stolen master key allows: tickets for
+existing grants, up to their caps, until the delegation ends or is revoked.
 """
 
 import hashlib
@@ -30,15 +30,15 @@ from grants.errors import (
     RenewalTooWide,
 )
 from grants.model import ID_SIZE, KEY_SIZE, Grant
-from grants.validity import moment
+from grants.validity import format_time
 
 DELEGATION: Final = Profile("rossec-delegation+cwt")
 TICKET: Final = Profile("rossec-ticket+cwt")
 
 MAX_STATEMENT: Final = 1024  # bytes
-MAX_DELEGATION: Final = 90 * 86400  # seconds a delegation may hold
-MAX_TICKET: Final = 7 * 86400  # seconds any delegation may allow a ticket
-# The least the tools let a delegation allow: a node asks after two thirds, and may have to again.
+MAX_DELEGATION: Final = 90 * 86400  # maximum lifetime of a delegation, seconds
+MAX_TICKET: Final = 7 * 86400  # maximum lifetime of a ticket, seconds
+# Minimum `max_ttl` in the tools: a node renews after two thirds, and may have to retry.
 MIN_TICKET: Final = 60
 
 _MAX_TIME: Final = 1 << 53
@@ -50,18 +50,18 @@ _ID_PREFIX: Final = (
 _ISS, _AUD, _EXP, _NBF, _CTI, _CNF, _CKT = 1, 3, 4, 5, 7, 8, 5
 _SEQ, _MAX_TTL, _GRANT = -70002, -70010, -70011
 
-Check = Callable[[bytes, int], None]
+RevocationCheck = Callable[[bytes, int], None]
 
 
 @dataclass(frozen=True)
 class Delegation:
-    """Leave to renew grants of one authority in one domain, for one key.
+    """Authorizes one key to renew grants of one authority in one domain.
 
     Args:
         domain: the trust domain.
         holder: thumbprint of the key that may sign tickets, 32 bytes.
         not_before, expires: seconds since the epoch; at most 90 days apart.
-        max_ttl: seconds a ticket may hold, at most 7 days.
+        max_ttl: maximum lifetime of a ticket in seconds, at most 7 days.
         serial: 16 random bytes.
     """
 
@@ -80,12 +80,12 @@ class Delegation:
         if not 0 <= self.not_before < self.expires < _MAX_TIME:
             raise RenewalMalformed("a delegation needs not_before < expires")
         if self.expires - self.not_before > MAX_DELEGATION or not 0 < self.max_ttl <= MAX_TICKET:
-            raise RenewalMalformed("a delegation holds at most 90 days, its tickets 7")
+            raise RenewalMalformed("a delegation is valid for at most 90 days, its tickets 7")
 
 
 @dataclass(frozen=True)
 class OpenDelegation(Delegation):
-    """A delegation as signed: `id` names it for revocation."""
+    """A delegation as signed: `id` identifies it for revocation."""
 
     id: bytes
     issuer: bytes
@@ -93,7 +93,7 @@ class OpenDelegation(Delegation):
 
 @dataclass(frozen=True)
 class Ticket:
-    """A grant is good from `not_before` until `expires`, says who has revocation list `seq`."""
+    """Confirms a grant from `not_before` until `expires`, as of revocation list `seq`."""
 
     grant: bytes
     not_before: int
@@ -102,7 +102,7 @@ class Ticket:
 
     def __post_init__(self) -> None:
         if len(self.grant) != ID_SIZE or not 0 <= self.seq < _MAX_TIME:
-            raise RenewalMalformed("a ticket names a grant by 16 bytes and a list by its number")
+            raise RenewalMalformed("a ticket has a grant id of 16 bytes and the number of a list")
         if not 0 <= self.not_before < self.expires < _MAX_TIME:
             raise RenewalMalformed("a ticket needs not_before < expires")
 
@@ -137,7 +137,7 @@ def sign_ticket(signer: Signer, ticket: Ticket) -> bytes:
 
 
 def open_delegation(data: bytes, ca_key: ec.EllipticCurvePublicKey) -> OpenDelegation:
-    """Verify and read a delegation; whether it holds now is asked when it is used.
+    """Verify and read a delegation; its validity is checked when it is used.
 
     Raises:
         RenewalForged: not signed by `ca_key`, or another kind of statement.
@@ -156,7 +156,7 @@ def open_delegation(data: bytes, ca_key: ec.EllipticCurvePublicKey) -> OpenDeleg
         case _:
             raise RenewalMalformed("the delegation has missing or unknown claims")
     if opened.issuer != thumbprint(ca_key):
-        raise RenewalForOther("signed by this authority in the name of another one")
+        raise RenewalForOther("signed by this authority, but iss is another one")
     return opened
 
 
@@ -182,7 +182,7 @@ def renew(
     *,
     now: int,
     seq: int,
-    check: Check,
+    check: RevocationCheck,
 ) -> Grant:
     """The same grant, valid until the ticket ends.
 
@@ -190,7 +190,7 @@ def renew(
         grant: from `document.verify`; it may have expired.
         ticket: as received.
         delegation: from `open_delegation`.
-        key: the delegate's, proved by its identity.
+        key: the delegate's, authenticated by its identity.
         now: seconds since the epoch.
         seq: number of the newest revocation list the verifier holds.
         check: called as `check(entry, now)` for the ids of grant and delegation, and for the
@@ -201,9 +201,9 @@ def renew(
         RenewalForOther: the delegation is for another key, domain or authority, or the ticket for
             another grant.
         RenewalTooWide: beyond the grant's cap, the delegation's end or its `max_ttl`.
-        RenewalNotInTime: ticket or delegation do not hold at `now`.
+        RenewalNotInTime: ticket or delegation are not valid at `now`.
         RenewalAhead: the ticket was made with a newer revocation list.
-        GrantRevoked: the grant, the delegation or its holder is.
+        GrantRevoked: the grant, the delegation or its holder is revoked.
     """
     if delegation.holder != thumbprint(key):
         raise RenewalForOther("the delegation is for another key than this one")
@@ -212,12 +212,13 @@ def renew(
     opened = open_ticket(ticket, key)
     if opened.grant != grant.id:
         raise RenewalForOther(f"the ticket is not for grant {grant.short_id}")
-    _check_width(grant, opened, delegation)
-    for what, held in (("delegation", delegation), ("ticket", opened), ("grant", grant)):
-        _check_time(what, held, now)
+    _check_bounds(grant, opened, delegation)
+    for what, statement in (("delegation", delegation), ("ticket", opened), ("grant", grant)):
+        _check_time(what, statement, now)
     if opened.seq > seq:
         raise RenewalAhead(
-            f"the ticket knows revocation list {opened.seq}, here is {seq}", "fetch the list first"
+            f"the ticket requires revocation list {opened.seq}, this host has {seq}",
+            "fetch the list first",
         )
     via = (delegation.id, delegation.holder)
     for what, entry in zip(("grant", "delegation", "delegate"), (grant.id, *via), strict=True):
@@ -228,26 +229,30 @@ def renew(
     return replace(grant, expires=opened.expires, via=via)
 
 
-def _check_width(grant: Grant, ticket: Ticket, delegation: Delegation) -> None:
+def _check_bounds(grant: Grant, ticket: Ticket, delegation: Delegation) -> None:
     if grant.cap <= grant.expires:
         raise RenewalTooWide(f"grant {grant.short_id} is not renewable", "ask for a new grant")
     if ticket.expires > grant.cap:
-        raise RenewalTooWide(f"the ticket reaches beyond {moment(grant.cap)}, the grant's cap")
+        raise RenewalTooWide(f"the ticket extends beyond {format_time(grant.cap)}, the grant's cap")
     if ticket.expires > delegation.expires:
-        raise RenewalTooWide(f"the ticket outlives the delegation, {moment(delegation.expires)}")
+        raise RenewalTooWide(
+            f"the ticket extends beyond {format_time(delegation.expires)}, the delegation's end"
+        )
     if ticket.expires - ticket.not_before > delegation.max_ttl:
         raise RenewalTooWide(f"a ticket for more than {delegation.max_ttl} s")
 
 
-def _check_time(what: str, held: Delegation | Ticket | Grant, now: int) -> None:
-    if now < held.not_before:
+def _check_time(what: str, statement: Delegation | Ticket | Grant, now: int) -> None:
+    if now < statement.not_before:
         raise RenewalNotInTime(
-            f"the {what} holds only from {moment(held.not_before)}", "check this host's clock"
+            f"the {what} is not valid before {format_time(statement.not_before)}",
+            "check this host's clock",
         )
     # The grant's own end is what the ticket replaces.
-    if not isinstance(held, Grant) and now >= held.expires:
+    if not isinstance(statement, Grant) and now >= statement.expires:
         raise RenewalNotInTime(
-            f"the {what} expired at {moment(held.expires)}", "ask the master for a new ticket"
+            f"the {what} expired at {format_time(statement.expires)}",
+            "ask the master for a new ticket",
         )
 
 

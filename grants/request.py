@@ -1,8 +1,8 @@
-"""What a node asks for, signed with its own key: the request for a grant. Pure.
+"""The request for a grant, signed by the node with its own key. Pure.
 
-The form is that of a grant (closed COSE_Sign1, AIF scope), so the same traps are closed; the reason
-is the node's own words, and shown as such. A request gives nothing: whoever steals or repeats
-one has only asked again for the same node, and the record refuses to take one twice.
+The format is that of a grant (closed COSE_Sign1, AIF scope), so the same attacks are prevented; the
+reason is the node's text, and shown as such. A request gives no right: a replayed request only asks
+again for the same node, and the record accepts a request once only.
 """
 
 import hashlib
@@ -22,10 +22,10 @@ from grants.model import ALL_RIGHTS, Right
 from grants.names import check_pattern
 
 REQUEST: Final = Profile("rossec-request+cwt")
-MAX_WISHES: Final = 64
-MAX_WHY: Final = 500
-SKEW: Final = 300  # seconds a request may seem to come from the future
-FRESH: Final = 7 * 86400  # files are carried by people
+MAX_RIGHTS: Final = 64
+MAX_REASON: Final = 500
+MAX_CLOCK_SKEW: Final = 300  # seconds a request may be dated in the future
+MAX_AGE: Final = 7 * 86400  # request files may be carried by hand
 
 _SUB, _AUD, _IAT, _CTI, _SCOPE, _WHY = 2, 3, 6, 7, 9, -65538
 _CLAIMS: Final = {_SUB, _AUD, _IAT, _CTI, _SCOPE, _WHY}
@@ -33,8 +33,8 @@ _ID_DOMAIN: Final = b"rossec-request-id\0"
 
 
 @dataclass(frozen=True, order=True)
-class Wish:
-    """One thing a node asks for: one right on a name or pattern."""
+class RequestedRight:
+    """One right a node requests, on a name or pattern."""
 
     right: Right
     pattern: str
@@ -45,31 +45,31 @@ class Wish:
 
 @dataclass(frozen=True)
 class GrantRequest:
-    """What `node` asked of the authority of `domain` at `issued` (seconds since the epoch)."""
+    """A request of `node` to the authority of `domain` at `issued` (seconds since the epoch)."""
 
     domain: str
     node: str
     issued: int
     serial: bytes
-    wishes: tuple[Wish, ...]
+    rights: tuple[RequestedRight, ...]
     why: str
 
     def __post_init__(self) -> None:
         check_name(self.node)
-        if not 0 < len(self.wishes) <= MAX_WISHES:
-            raise GrantMalformed(f"a request names 1 to {MAX_WISHES} rights")
-        for wish in self.wishes:
-            check_pattern(wish.pattern)
-            if wish.right not in list(ALL_RIGHTS):
-                raise GrantMalformed(f"{int(wish.right)} is not one right")
-        if len(self.why) > MAX_WHY:
-            raise GrantMalformed(f"a reason has at most {MAX_WHY} characters")
+        if not 0 < len(self.rights) <= MAX_RIGHTS:
+            raise GrantMalformed(f"a request names 1 to {MAX_RIGHTS} rights")
+        for requested in self.rights:
+            check_pattern(requested.pattern)
+            if requested.right not in list(ALL_RIGHTS):
+                raise GrantMalformed(f"{int(requested.right)} is not one right")
+        if len(self.why) > MAX_REASON:
+            raise GrantMalformed(f"a reason has at most {MAX_REASON} characters")
         if len(self.serial) != 16 or not 0 <= self.issued < 1 << 53:
             raise GrantMalformed("serial must be 16 bytes, issued a time")
 
     @property
     def id(self) -> bytes:
-        """The 16 bytes that name it."""
+        """The 16 bytes that identify it."""
         return hashlib.sha256(_ID_DOMAIN + encode(_claims(self))).digest()[:16]
 
 
@@ -79,7 +79,7 @@ def sign_request(signer: Signer, request: GrantRequest) -> bytes:
 
 
 def peek_request(data: bytes) -> GrantRequest:
-    """What it says, *without* verifying: to find the key of the node it names.
+    """Return its content *without* verifying it: to find the key of the node it names.
 
     Raises:
         GrantMalformed: not a request.
@@ -97,7 +97,7 @@ def open_request(
 
     Raises:
         GrantMalformed: not a request.
-        GrantForged: not signed by `key`, for another authority, or not of these days.
+        GrantForged: not signed by `key`, for another authority, too old or dated in the future.
     """
     request = peek_request(data)
     try:
@@ -106,16 +106,16 @@ def open_request(
         raise GrantForged(f"not a request of {request.node}: {error}") from None
     if request.domain != domain:
         raise GrantForged(f"a request to the authority of {request.domain!r}, not {domain!r}")
-    if not now - FRESH <= request.issued <= now + SKEW:
+    if not now - MAX_AGE <= request.issued <= now + MAX_CLOCK_SKEW:
         raise GrantForged(
-            f"the request of {request.node} is not of these days",
-            "make it anew with `rossec grant request`, and compare the clocks",
+            f"the request of {request.node} is too old, or dated in the future",
+            "repeat `rossec grant request`, and compare the clocks",
         )
     return request
 
 
 def _claims(request: GrantRequest) -> Value:
-    scope: list[Value] = [[wish.pattern, int(wish.right)] for wish in request.wishes]
+    scope: list[Value] = [[requested.pattern, int(requested.right)] for requested in request.rights]
     return {
         _SUB: request.node,
         _AUD: request.domain,
@@ -134,7 +134,9 @@ def _read(payload: Value) -> GrantRequest:
                 node=_typed(claims[_SUB], str),
                 issued=_typed(claims[_IAT], int),
                 serial=_typed(claims[_CTI], bytes),
-                wishes=tuple(_wishes(_typed(decode(_typed(claims[_SCOPE], bytes)), list))),
+                rights=tuple(
+                    _requested_rights(_typed(decode(_typed(claims[_SCOPE], bytes)), list))
+                ),
                 why=_typed(claims[_WHY], str),
             )
         case _:
@@ -142,13 +144,13 @@ def _read(payload: Value) -> GrantRequest:
     raise GrantMalformed("not the claims of a request")
 
 
-def _wishes(entries: list[Value]) -> Iterable[Wish]:
+def _requested_rights(entries: list[Value]) -> Iterable[RequestedRight]:
     for entry in entries:
         match entry:
             case [str() as pattern, int() as bits] if 0 < bits <= int(ALL_RIGHTS):
-                yield Wish(Right(bits), pattern)
+                yield RequestedRight(Right(bits), pattern)
             case _:
-                raise GrantMalformed("a wish is not [pattern, right]")
+                raise GrantMalformed("a requested right is not [pattern, right]")
 
 
 def _typed(value: Any, kind: type[Any]) -> Any:

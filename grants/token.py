@@ -1,8 +1,8 @@
-"""What a node presents: a grant as the authority signed it, or one with the ticket that renews it.
+"""What a node presents: a grant as signed by the authority, alone or with a ticket that renews it.
 
-A renewed grant travels as the deterministic CBOR array [grant, ticket, delegation], each as signed.
-The verifier needs nothing else but the key of the delegate, which is its master's: it does not come
-with the token, so whoever presents one cannot choose who renewed it.
+A renewed grant is sent as the deterministic CBOR array [grant, ticket, delegation], each as signed.
+The verifier also needs the key of the delegate, its master. That key is not in the token, so a peer
+cannot choose who renewed its grant.
 """
 
 from collections.abc import Callable
@@ -24,7 +24,7 @@ _ARRAY_OF_3: Final = b"\x83"  # a grant begins with its tag, 0xd2
 
 
 class TokenParts(NamedTuple):
-    """A token taken apart; a grant that was not renewed has empty `ticket` and `delegation`."""
+    """The parts of a token; `ticket` and `delegation` are empty for a grant without renewal."""
 
     grant: bytes
     ticket: bytes = b""
@@ -33,12 +33,12 @@ class TokenParts(NamedTuple):
 
 @dataclass(frozen=True)
 class Verifier:
-    """What a token is judged by.
+    """Verifies tokens.
 
     Args:
         ca_key, domain: the authority, and the trust domain the grant must be for.
-        delegate: the master's key; None while it is not known: then nothing renewed holds.
-        seq: number of the newest revocation list held.
+        delegate: the master's key; None if it is not known: renewed grants are then refused.
+        seq: number of the newest revocation list of this node.
         check: called as `check(id, now)`; raises when a grant or delegation is revoked.
     """
 
@@ -49,7 +49,7 @@ class Verifier:
     check: Callable[[bytes, int], None]
 
     def open(self, token: bytes, now: int) -> Grant:
-        """Verify a token and return the grant, until the moment to which it was renewed.
+        """Verify a token and return the grant, with the expiry of its ticket if renewed.
 
         Raises:
             GrantError: as `document.open_grant`, and for a renewed one as `renewal.renew`.
@@ -59,7 +59,7 @@ class Verifier:
             return open_grant(parts.grant, self.ca_key, now, domain=self.domain)
         if self.delegate is None:
             raise RenewalForOther(
-                "a renewed grant, and the master is not known here", "connect to the master first"
+                "a renewed grant, but the master's key is not known", "connect to the master first"
             )
         grant = verify(parts.grant, self.ca_key, domain=self.domain)
         delegation = open_delegation(parts.delegation, self.ca_key)
@@ -74,10 +74,10 @@ def pack(grant: bytes, ticket: bytes, delegation: bytes) -> bytes:
 
 
 def unpack(token: bytes) -> TokenParts:
-    """Take a token apart; nothing is verified.
+    """Split a token; nothing is verified.
 
     Raises:
-        GrantMalformed: an array that is not one of a grant, a ticket and a delegation.
+        GrantMalformed: an array other than [grant, ticket, delegation].
     """
     if not token.startswith(_ARRAY_OF_3):
         return TokenParts(token)

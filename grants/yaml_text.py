@@ -1,10 +1,10 @@
-"""The one way YAML is read here: a stream of events, bounded before and while it is parsed.
+"""The only YAML reader: a stream of events, bounded before and while the text is parsed.
 
-What YAML costs lies in its structure, not in its bytes: an alias stands for a tree, a bracket for
-a level that the scanner looks at again with each token, a merge for another map. So the size is
-judged before the parser sees the text; anchors, aliases, tags that are not of the core schema,
-directives, further documents, depth and the number of events as each event comes. Nothing is built
-before an event has passed. A merge key `<<` is a word like any other. Pure.
+The cost of YAML is in its structure, not in its bytes: an alias stands for a tree, a bracket for a
+level that the scanner checks with each token, a merge for another map. So the size is checked
+before parsing; anchors, aliases, tags outside the core schema, directives, further documents,
+depth and the number of events are checked with each event. No value is built before its event was
+checked. A merge key `<<` is an ordinary key. Pure.
 """
 
 import base64
@@ -34,19 +34,19 @@ from grants.errors import YamlRefused
 _BEGINS: Final = MappingStartEvent | SequenceStartEvent
 _ENDS: Final = MappingEndEvent | SequenceEndEvent
 _QUOTED: Final = ("'", '"', "|", ">")
-_CORE: Final = "tag:yaml.org,2002:"
+_CORE_TAG: Final = "tag:yaml.org,2002:"
 _INT: Final = re.compile(r"[-+]?[0-9]{1,20}|0x[0-9a-fA-F]{1,16}|0o[0-7]{1,22}", re.ASCII)
 _FLOAT: Final = re.compile(
     r"[-+]?(?:[0-9]{1,400}\.[0-9]{0,400}|\.[0-9]{1,400}|[0-9]{1,400})(?:[eE][-+]?[0-9]{1,3})?",
     re.ASCII,
 )
-_WORDS: Final[dict[str, object]] = {
+_KEYWORDS: Final[dict[str, object]] = {
     **dict.fromkeys(("", "~", "null", "Null", "NULL")),
     **dict.fromkeys(("true", "True", "TRUE"), True),
     **dict.fromkeys(("false", "False", "FALSE"), False),
     **dict.fromkeys((".nan", ".NaN", ".NAN"), math.nan),
-    **{sign + word: float(f"{sign}inf")
-       for sign in ("", "+", "-") for word in (".inf", ".Inf", ".INF")},
+    **{sign + value: float(f"{sign}inf")
+       for sign in ("", "+", "-") for value in (".inf", ".Inf", ".INF")},
 }  # fmt: skip
 _TIME: Final = re.compile(r"[0-9]{4}-[0-9]{2}-[0-9]{2}[T ][0-9]{2}:[0-9]{2}:[0-9]{2}", re.ASCII)
 _KINDS: Final = {
@@ -65,14 +65,14 @@ class Bounds:
 
     size: int = 4 * 1024 * 1024
     depth: int = 16
-    events: int = 300_000  # some seconds of work; a rule of a policy is 30
+    events: int = 300_000  # a few seconds of work; a rule of a policy has 30
 
 
 def events(text: str, bounds: Bounds, *, tags: bool = False) -> Iterator[Any]:
-    """The events of the one document in `text`; with `tags`, scalars may have one of `load`'s.
+    """The events of the one document in `text`; with `tags`, scalars may have the tags of `load`.
 
     Raises:
-        YamlRefused: not YAML, beyond the bounds, or outside the subset; with its place.
+        YamlRefused: not YAML, beyond the bounds, or outside the subset; with its position.
     """
     if len(text) > bounds.size:
         raise YamlRefused(f"{len(text)} characters where at most {bounds.size} are allowed")
@@ -82,14 +82,20 @@ def events(text: str, bounds: Bounds, *, tags: bool = False) -> Iterator[Any]:
             documents += isinstance(event, DocumentStartEvent)
             depth += isinstance(event, _BEGINS)
             depth -= isinstance(event, _ENDS)
-            problem = _outside(event, tags=tags) or _beyond(depth, documents, number, bounds)
+            problem = _unsupported(event, tags=tags) or _over_limit(
+                depth, documents, number, bounds
+            )
             if problem:
-                raise YamlRefused(problem, "write it out, plainly", *place(event.start_mark))
+                raise YamlRefused(
+                    problem,
+                    "write it without this feature, or in a smaller file",
+                    *position(event.start_mark),
+                )
             yield event
     except MarkedYAMLError as error:
         raise YamlRefused(
             f"not YAML: {error.problem or error.context}", "check the indentation",
-            *place(error.problem_mark or error.context_mark),
+            *position(error.problem_mark or error.context_mark),
         ) from error  # fmt: skip
     except (YAMLError, RecursionError, ValueError) as error:
         raise YamlRefused(f"not YAML: {str(error).splitlines()[0]}") from error
@@ -98,12 +104,12 @@ def events(text: str, bounds: Bounds, *, tags: bool = False) -> Iterator[Any]:
 def load(text: str, bounds: Bounds | None = None) -> object:
     """The value of one document: dicts, lists, and the scalars of YAML 1.2's core schema.
 
-    A date with a time (`2026-01-02 03:04:05`) is a datetime, since XML-RPC has them; what is no
-    date stays a text. The tags `!!str`, `!!int`, `!!float`, `!!bool`, `!!null` and `!!binary` are
-    understood, each where the text is one.
+    A date with a time (`2026-01-02 03:04:05`) is a datetime, since XML-RPC has them; an
+    invalid date stays a text. The tags `!!str`, `!!int`, `!!float`, `!!bool`, `!!null` and
+    `!!binary` are accepted if the text is a value of that type.
 
     Raises:
-        YamlRefused: as for `events`; a key that is no scalar, or that stands there already.
+        YamlRefused: as for `events`; a key that is not a scalar, or a duplicate key.
     """
     stream = events(text, bounds or Bounds(), tags=True)
     found = None
@@ -113,8 +119,8 @@ def load(text: str, bounds: Bounds | None = None) -> object:
     return found
 
 
-def quoted(event: Any) -> bool:
-    """Whether a scalar is a text whatever it looks like."""
+def is_quoted(event: Any) -> bool:
+    """Whether a scalar is quoted, so always text."""
     return event.style in _QUOTED
 
 
@@ -133,29 +139,29 @@ def _mapping(stream: Iterator[Any]) -> dict[object, object]:
     found: dict[object, object] = {}
     while not isinstance(event := next(stream), MappingEndEvent):
         if not isinstance(event, ScalarEvent):
-            _refuse(event, "a key must be a word")
+            _refuse(event, "a key must be a scalar")
         key = _scalar(event)
         if key in found:
-            _refuse(event, f"{str(key)[:60]!r} stands there already", "keep one of them")
+            _refuse(event, f"duplicate key {str(key)[:60]!r}", "keep one of them")
         found[key] = _value(next(stream), stream)
     return found
 
 
 def _scalar(event: Any) -> object:
     kind, text = _tag(event), str(event.value)
-    if kind == "str" or (kind is None and quoted(event)):
+    if kind == "str" or (kind is None and is_quoted(event)):
         return text
     value = _bytes(text) if kind == "binary" else _plain(text)
     if kind == "float" and type(value) is int:
         return float(value)
     if kind is not None and type(value) is not _KINDS[kind]:
-        _refuse(event, f"{text[:60]!r} is no {kind}")
+        _refuse(event, f"{text[:60]!r} is not a valid {kind}")
     return value
 
 
 def _plain(text: str) -> object:
-    if text in _WORDS:
-        return _WORDS[text]
+    if text in _KEYWORDS:
+        return _KEYWORDS[text]
     if _INT.fullmatch(text):
         return int(text, 0) if text.startswith(("0x", "0o")) else int(text)
     if _TIME.fullmatch(text):
@@ -171,12 +177,12 @@ def _bytes(text: str) -> bytes | None:
 
 
 def _tag(event: Any) -> str | None:
-    """The core type that a scalar is tagged with."""
+    """The core schema type in the tag of a scalar."""
     tag = None if event.ctag is None else str(event.ctag)
-    return None if tag in (None, "!") else str(tag).removeprefix(_CORE)
+    return None if tag in (None, "!") else str(tag).removeprefix(_CORE_TAG)
 
 
-def _outside(event: Any, *, tags: bool) -> str:
+def _unsupported(event: Any, *, tags: bool) -> str:
     if isinstance(event, DocumentStartEvent):
         return "directives are not allowed" if event.version or event.tags else ""
     if isinstance(event, AliasEvent) or (isinstance(event, NodeEvent) and event.anchor):
@@ -189,18 +195,18 @@ def _outside(event: Any, *, tags: bool) -> str:
     return "tags are not allowed"
 
 
-def _beyond(depth: int, documents: int, number: int, bounds: Bounds) -> str:
+def _over_limit(depth: int, documents: int, number: int, bounds: Bounds) -> str:
     if depth > bounds.depth:
         return f"nested deeper than {bounds.depth}"
     if number > bounds.events:
-        return f"more than {bounds.events} words and brackets"
-    return "a second document" if documents > 1 else ""
+        return f"more than {bounds.events} YAML events"
+    return "more than one document" if documents > 1 else ""
 
 
-def place(mark: Any) -> tuple[int, int]:
+def position(mark: Any) -> tuple[int, int]:
     """Line and column of a mark, from 1."""
     return (1, 1) if mark is None else (mark.line + 1, mark.column + 1)
 
 
 def _refuse(event: Any, problem: str, hint: str = "") -> NoReturn:
-    raise YamlRefused(problem, hint, *place(event.start_mark))
+    raise YamlRefused(problem, hint, *position(event.start_mark))

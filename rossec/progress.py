@@ -1,23 +1,23 @@
-"""How long a peer may take for what it has begun: it may be slow, but must get on. Pure.
+"""How long a peer may take to complete a message: it may be slow, but must make progress. Pure.
 
-What is begun is kept until it is whole: a peer that may send much could have that held for ever.
-So it has to grow by `LEAST` bytes in each `WINDOW` seconds, and to be whole after `LONGEST`. Only
-time in which this side reads counts: between two looks never more than `STEP`, however long the
-reader was elsewhere, and whatever becomes of the clock.
+An incomplete message is kept in memory: a peer that may send much could have it held for ever. So
+it has to grow by `MIN_BYTES` in each `WINDOW` seconds, and to be complete after `MAX_SECONDS`. Only
+time in which this side reads counts: between two checks never more than `STEP`, however long the
+reader was busy, and even if the clock is set.
 """
 
 from typing import Final
 
 from rossec.errors import LimitExceeded
 
-STEP: Final = 5  # seconds after which to look again
+STEP: Final = 5  # seconds until the next check
 WINDOW: Final = 60
-LEAST: Final = 256 * 1024  # 35 kbit/s
-LONGEST: Final = 600
+MIN_BYTES: Final = 256 * 1024  # 35 kbit/s
+MAX_SECONDS: Final = 600
 
 
 class Progress:
-    """One thing that arrives in parts, and then the next one."""
+    """The progress of one message after the other."""
 
     __slots__ = ("_age", "_at", "_mark_age", "_mark_length")
 
@@ -27,15 +27,15 @@ class Progress:
 
     @property
     def deadline(self) -> int | None:
-        """When to look at the latest; None: nothing is begun."""
+        """When to check at the latest; None: no message is incomplete."""
         return None if self._at is None else self._at + STEP
 
     def done(self) -> None:
-        """It is whole; what follows is another."""
+        """The message is complete; the next bytes belong to another one."""
         self._at = None
 
-    def look(self, now: int, length: int, *, reading: bool = True) -> None:
-        """There are `length` bytes of it at `now` (seconds).
+    def check(self, now: int, length: int, *, reading: bool = True) -> None:
+        """The message has `length` bytes at `now` (seconds).
 
         Raises:
             LimitExceeded: it takes too long.
@@ -45,10 +45,11 @@ class Progress:
         elif reading:
             self._age += min(max(0, now - self._at), STEP)
         self._at = now
-        if length - self._mark_length >= LEAST:
+        if length - self._mark_length >= MIN_BYTES:
             self._mark_age, self._mark_length = self._age, length
-        if self._age - self._mark_age >= WINDOW or self._age >= LONGEST:
+        if self._age - self._mark_age >= WINDOW or self._age >= MAX_SECONDS:
             raise LimitExceeded(
                 f"a message is not whole after {self._age} seconds, with {length} bytes of it",
-                f"a message must arrive within {LONGEST} s, {LEAST // 1024} KiB of it a minute",
+                f"a message must arrive within {MAX_SECONDS} s,"
+                f" {MIN_BYTES // 1024} KiB of it a minute",
             )

@@ -26,16 +26,16 @@ from ca.enrollment.messages import (
 from ca.enrollment.qr import Code
 from ca.errors import (
     AcknowledgementRefused,
+    ConflictingOffer,
     EnrollmentExpired,
     EnrollmentMessageRefused,
     EnrollmentOver,
     EnrollmentRefused,
     RequestSwapped,
-    RivalOffer,
 )
 from ca.requests import IdentityRequest, check_request
 
-_SAID: Final[dict[Reason, tuple[type[EnrollmentRefused], str, str]]] = {
+_ABORTS: Final[dict[Reason, tuple[type[EnrollmentRefused], str, str]]] = {
     Reason.REFUSED: (
         EnrollmentOver, "the node refused the offer",
         "does it show another code by now, or is its clock wrong? `rossec node enroll` says why",
@@ -43,23 +43,23 @@ _SAID: Final[dict[Reason, tuple[type[EnrollmentRefused], str, str]]] = {
     Reason.OVER: (
         EnrollmentOver, "the node has ended the enrollment", "have it show a new code",
     ),
-    Reason.RIVAL: (
-        RivalOffer, "the node got two different offers: somebody else has its code",
+    Reason.CONFLICT: (
+        ConflictingOffer, "the node got two different offers: somebody else has its code",
         "nothing was accepted there; find out who, then have it show a new code",
     ),
 }  # fmt: skip
 
 
 class AuthorityState(Enum):
-    """Where the authority is with one node."""
+    """The state of one enrollment, at the authority."""
 
-    FETCHING = "asks for the request"
-    COMPARED = "the request fits the code"
+    FETCHING = "fetching the request"
+    COMPARED = "request verified"
     APPROVED = "approved"
-    OFFERED = "waits for the node's answer"
-    ACKNOWLEDGED = "waits for the person at the node"
+    OFFERED = "waiting for the acknowledgement"
+    ACKNOWLEDGED = "waiting for confirmation at the node"
     ENROLLED = "enrolled"
-    OVER = "over"
+    OVER = "ended"
 
 
 TABLE: Final[dict[tuple[AuthorityState, type[Message]], tuple[str, tuple[AuthorityState, ...]]]] = {
@@ -109,7 +109,7 @@ class AuthorityEnrollment:
         self._wildcard = wildcard
         self._request: IdentityRequest | None = None
         self._csr = b""
-        self._agreed = b""
+        self._transcript = b""
         self._statement = b""
         self._deadline = code.expires if code.secret else 0
 
@@ -144,7 +144,9 @@ class AuthorityEnrollment:
         message = read(data)
         entry = TABLE.get((self.state, type(message)))
         if entry is None:
-            raise EnrollmentMessageRefused(f"no {type(message).__name__} while {self.state.value}")
+            raise EnrollmentMessageRefused(
+                f"unexpected {type(message).__name__} in state {self.state.value!r}"
+            )
         method, followers = entry
         action: Callable[[Message, int], None] = getattr(self, method)
         before = self.state
@@ -181,9 +183,9 @@ class AuthorityEnrollment:
             raise EnrollmentRefused(f"a nonce has {NONCE_SIZE} octets")
         self._move(AuthorityState.APPROVED, AuthorityState.OFFERED)
         self._deadline = now + WINDOW
-        self._agreed = transcript.transcript(self._csr, chain, root, nonce)
+        self._transcript = transcript.transcript(self._csr, chain, root, nonce)
         secret = self._code.secret
-        proof = transcript.tag(secret, self._agreed) if secret else b""
+        proof = transcript.tag(secret, self._transcript) if secret else b""
         return write(Offer(tuple(chain), root, nonce, proof))
 
     @property
@@ -207,7 +209,7 @@ class AuthorityEnrollment:
 
     def _move(self, begin: AuthorityState, end: AuthorityState) -> None:
         if self.state is not begin:
-            raise EnrollmentOver(f"not while the authority {self.state.value}")
+            raise EnrollmentOver(f"not possible in state {self.state.value!r}")
         self.state = end
 
     def _compare(self, message: Delivery, _: int) -> None:
@@ -225,9 +227,9 @@ class AuthorityEnrollment:
     def _acknowledged(self, message: Acknowledgement, now: int) -> None:
         self.state = AuthorityState.OVER
         contribution = transcript.open_acknowledgement(
-            message.statement, self.request.public_key, self._agreed
+            message.statement, self.request.public_key, self._transcript
         )
-        self.digits = transcript.digits(self._agreed, contribution)
+        self.digits = transcript.digits(self._transcript, contribution)
         self._statement = message.statement
         self._deadline = now + WINDOW
         self.state = AuthorityState.ACKNOWLEDGED
@@ -239,10 +241,10 @@ class AuthorityEnrollment:
     def _done(self, message: Done, _: int) -> None:
         if self.state is AuthorityState.ACKNOWLEDGED:  # a false word takes nothing back later
             self.state = AuthorityState.OVER
-        transcript.check_done(message.statement, self.request.public_key, self._agreed)
+        transcript.check_done(message.statement, self.request.public_key, self._transcript)
         self.state = AuthorityState.ENROLLED
 
     def _aborted(self, message: Abort, _: int) -> None:
         self.state = AuthorityState.OVER
-        error, text, hint = _SAID[message.reason]
+        error, text, hint = _ABORTS[message.reason]
         raise error(text, hint)

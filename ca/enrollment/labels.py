@@ -45,15 +45,15 @@ def sheet(labels: Sequence[Label]) -> str:
 
 
 def _page(labels: Sequence[Label]) -> str:
-    drawn = "".join(_label(place, label) for place, label in enumerate(labels))
+    drawn = "".join(_label(position, label) for position, label in enumerate(labels))
     return (
         '<svg class="page" xmlns="http://www.w3.org/2000/svg" width="210mm" height="297mm" '
         f'viewBox="0 0 210 297"><rect width="210" height="297" fill="white"/>{drawn}</svg>\n'
     )
 
 
-def _label(place: int, label: Label) -> str:
-    row, column = divmod(place, COLUMNS)
+def _label(position: int, label: Label) -> str:
+    row, column = divmod(position, COLUMNS)
     left, top = _LEFT + column * _STEP, _TOP + row * _HEIGHT
     return (
         f'<svg x="{left}" y="{top}" width="{_WIDTH}" height="{_HEIGHT}">'

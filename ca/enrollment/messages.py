@@ -24,7 +24,7 @@ class Reason(IntEnum):
 
     REFUSED = 1
     OVER = 2
-    RIVAL = 3
+    CONFLICT = 3
 
 
 _REASONS: Final = frozenset(Reason)

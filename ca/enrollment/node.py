@@ -25,6 +25,7 @@ from ca.enrollment.messages import (
 )
 from ca.errors import (
     CAError,
+    ConflictingOffer,
     DigitsRefused,
     EnrollmentExpired,
     EnrollmentLocked,
@@ -32,36 +33,35 @@ from ca.errors import (
     EnrollmentOver,
     EnrollmentRefused,
     OfferRefused,
-    RivalOffer,
 )
 from ca.keys.signer import Signer
 from ca.requests import check_request
 
 MAX_BAD_TAGS: Final = 5
 MAX_BAD_DIGITS: Final = 3
-_AGAIN: Final = "start again: rossec node enroll"
+_RESTART_HINT: Final = "start again: rossec node enroll"
 
 
 class NodeState(Enum):
-    """Where the node is."""
+    """The state of one enrollment, at the node."""
 
-    SHOWING = "shows its code"
-    PENDING = "has an offer, waits for a person"
-    CONFIRMED = "confirmed, not yet written"
+    SHOWING = "waiting for an offer"
+    PENDING = "waiting for confirmation"
+    CONFIRMED = "confirmed"
     ENROLLED = "enrolled"
-    OVER = "over"
+    OVER = "ended"
 
 
 TABLE: Final[dict[tuple[NodeState, type[Message]], tuple[str, tuple[NodeState, ...]]]] = {
     (NodeState.SHOWING, Fetch): ("_deliver", (NodeState.SHOWING,)),
     (NodeState.SHOWING, Offer): (
-        "_consider",
+        "_check_first_offer",
         (NodeState.SHOWING, NodeState.PENDING, NodeState.OVER),
     ),
     (NodeState.PENDING, Fetch): ("_deliver", (NodeState.PENDING,)),
     (NodeState.PENDING, Offer): ("_compare", (NodeState.PENDING, NodeState.OVER)),
     (NodeState.CONFIRMED, Offer): ("_compare", (NodeState.CONFIRMED, NodeState.OVER)),
-    (NodeState.ENROLLED, Offer): ("_repeat", (NodeState.ENROLLED,)),
+    (NodeState.ENROLLED, Offer): ("_repeat_answers", (NodeState.ENROLLED,)),
 }
 WITHOUT_MESSAGE: Final = (
     (NodeState.PENDING, NodeState.CONFIRMED, "confirm()"),
@@ -118,7 +118,7 @@ class NodeEnrollment:
             raise EnrollmentRefused("an enrollment needs 16 octets of each random value")
         self.request = check_request(csr, domain, wildcard=wildcard)
         self.state = NodeState.SHOWING
-        self.why_over: EnrollmentRefused | None = None
+        self.end_reason: EnrollmentRefused | None = None
         self.expires = expires
         self._signer = signer
         self._csr = csr
@@ -156,7 +156,9 @@ class NodeEnrollment:
         message = read(data)
         entry = TABLE.get((self.state, type(message)))
         if entry is None:
-            raise EnrollmentMessageRefused(f"no {type(message).__name__} while {self.state.value}")
+            raise EnrollmentMessageRefused(
+                f"unexpected {type(message).__name__} in state {self.state.value!r}"
+            )
         method, followers = entry
         action: Callable[[Message, int], list[bytes]] = getattr(self, method)
         before = self.state
@@ -191,22 +193,22 @@ class NodeEnrollment:
     def stop(self, why: EnrollmentRefused) -> None:
         """Drop everything; an enrolled node stays enrolled."""
         if self.state not in {NodeState.ENROLLED, NodeState.OVER}:
-            self.state, self.why_over, self._pending = NodeState.OVER, why, None
+            self.state, self.end_reason, self._pending = NodeState.OVER, why, None
 
     def tick(self, now: int) -> None:
         """Time has passed."""
         if self.state in {NodeState.SHOWING, NodeState.PENDING} and now > self.expires:
-            self.stop(EnrollmentExpired("nobody finished the enrollment in time", _AGAIN))
+            self.stop(EnrollmentExpired("nobody finished the enrollment in time", _RESTART_HINT))
 
     def _check_not_over(self) -> None:
         if self.state is NodeState.OVER:
-            raise EnrollmentOver(f"the enrollment is over: {self.why_over}", _AGAIN)
+            raise EnrollmentOver(f"the enrollment is over: {self.end_reason}", _RESTART_HINT)
 
     def _count_bad_digits(self) -> None:
         self._bad_digits += 1
         error = DigitsRefused(
             "these are not the digits of the offer this node has",
-            "if the authority really shows them, somebody is between you: do not go on",
+            "possible attacker in between: if the authority shows these digits, do not continue",
         )
         if self._bad_digits >= MAX_BAD_DIGITS:
             self.stop(error)
@@ -215,59 +217,59 @@ class NodeEnrollment:
     def _deliver(self, _: Fetch, __: int) -> list[bytes]:
         return [write(Delivery(self._csr))]
 
-    def _consider(self, offer: Offer, now: int) -> list[bytes]:
+    def _check_first_offer(self, offer: Offer, now: int) -> list[bytes]:
         """The first valid offer; nothing is kept of one that is not."""
-        agreed = self._check_tag(offer)
+        transcript_hash = self._check_tag(offer)
         anchor = self._check_certificates(offer, now)
         self._pending = Pending(
             offer.chain,
             offer.root,
             anchor,
-            transcript.digits(agreed, self._contribution),
-            agreed,
-            transcript.acknowledge(self._signer, agreed, self._contribution),
+            transcript.digits(transcript_hash, self._contribution),
+            transcript_hash,
+            transcript.sign_acknowledgement(self._signer, transcript_hash, self._contribution),
         )
         self.state, self.expires = NodeState.PENDING, now + WINDOW
         return [self._acknowledged()]
 
     def _compare(self, offer: Offer, now: int) -> list[bytes]:
         """The offer again, because the answer was lost; or a rival's."""
-        if self._is_ours(offer):
+        if self._is_pending_offer(offer):
             return [self._acknowledged()]
         self._check_tag(offer)
         self._check_certificates(offer, now)
-        error = RivalOffer(
+        error = ConflictingOffer(
             "two different offers were made to this node: somebody else has its code",
-            f"nothing was accepted; find out who, then {_AGAIN}",
+            f"nothing was accepted; find out who, then {_RESTART_HINT}",
         )
         self.stop(error)
         raise error
 
-    def _repeat(self, offer: Offer, _: int) -> list[bytes]:
-        if not self._is_ours(offer):
-            raise EnrollmentOver("the node is enrolled already", _AGAIN)
+    def _repeat_answers(self, offer: Offer, _: int) -> list[bytes]:
+        if not self._is_pending_offer(offer):
+            raise EnrollmentOver("the node is enrolled already", _RESTART_HINT)
         return [self._acknowledged(), self._done()]
 
-    def _agreed(self, offer: Offer) -> bytes:
+    def _transcript(self, offer: Offer) -> bytes:
         return transcript.transcript(self._csr, offer.chain, offer.root, offer.nonce)
 
-    def _is_ours(self, offer: Offer) -> bool:
-        return self._agreed(offer) == self.pending.transcript
+    def _is_pending_offer(self, offer: Offer) -> bool:
+        return self._transcript(offer) == self.pending.transcript
 
     def _acknowledged(self) -> bytes:
         return write(Acknowledgement(self.pending.acknowledgement))
 
     def _done(self) -> bytes:
-        return write(Done(transcript.finish(self._signer, self.pending.transcript)))
+        return write(Done(transcript.sign_done(self._signer, self.pending.transcript)))
 
     def _check_tag(self, offer: Offer) -> bytes:
-        agreed = self._agreed(offer)
+        transcript_hash = self._transcript(offer)
         if not self._secret:
             if offer.tag:
                 raise OfferRefused("an offer for a screen code, where a label is enough")
-        elif not transcript.is_tag(self._secret, agreed, offer.tag):
+        elif not transcript.verify_tag(self._secret, transcript_hash, offer.tag):
             self._count_bad_tag()
-        return agreed
+        return transcript_hash
 
     def _count_bad_tag(self) -> None:
         if (
@@ -275,7 +277,9 @@ class NodeEnrollment:
         ):  # an offer that waits for a person is not to be disturbed
             self._bad_tags += 1
         if self._bad_tags >= MAX_BAD_TAGS:
-            error = EnrollmentLocked(f"{MAX_BAD_TAGS} offers without the code's secret", _AGAIN)
+            error = EnrollmentLocked(
+                f"{MAX_BAD_TAGS} offers without the code's secret", _RESTART_HINT
+            )
             self.stop(error)
             raise error
         raise OfferRefused("an offer by somebody who has not seen the code")

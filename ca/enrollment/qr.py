@@ -1,10 +1,10 @@
 """The text in a node's QR code, and its rendering.
 
-A code vouches for a request that travels over an untrusted network: it holds the request's
+A code authenticates a request that is sent over an untrusted network: it holds the request's
 SHA-256. A *label code* holds nothing else and may be printed. A *screen code* adds a one-time
-secret, its end, and the address the request can be fetched from. The text is `ROSSEC:` + base45
+secret, its expiry, and the address the request can be fetched from. The text is `ROSSEC:` + base45
 (RFC 9285) of fixed binary, so that it stays in the QR alphanumeric mode; it is never a URL, which
-a phone's camera would follow by itself.
+a phone's camera app would open.
 """
 
 from dataclasses import dataclass, field
@@ -28,7 +28,7 @@ _SCREEN_MINIMUM: Final = 1 + _DIGEST_SIZE + SECRET_SIZE + 4
 _MAX_ADDRESS: Final = 64
 _ALPHABET: Final = "0123456789ABCDEFGHIJKLMNOPQRSTUVWXYZ $%*+-./:"
 _HINT: Final = "scan or paste the whole text the node shows, beginning with ROSSEC:"
-# Black on white whatever the terminal's own colours: an inverted code is unreadable to scanners.
+# Black on white in every terminal theme: scanners cannot read an inverted code.
 _COLOURS: Final = "\x1b[38;5;16;48;5;231m"
 _RESET: Final = "\x1b[0m"
 _HALF_BLOCKS: Final = {(0, 0): " ", (1, 0): "\u2580", (0, 1): "\u2584", (1, 1): "\u2588"}
@@ -38,7 +38,7 @@ _PRINTED_BORDER: Final = 4
 
 @dataclass(frozen=True)
 class Code:
-    """What a code says. A label code has neither secret nor end nor address."""
+    """The content of a code. A label code has no secret, expiry or address."""
 
     digest: bytes
     secret: bytes = field(default=b"", repr=False)
@@ -46,28 +46,28 @@ class Code:
     address: str = ""
 
     def matches(self, request: bytes) -> bool:
-        """Whether `request` (a CSR, DER) is the one the code was made for."""
+        """Whether the code was made for `request` (a CSR, DER)."""
         return compare_digest(self.digest, sha256(request).digest())
 
     def check_time(self, now: int) -> None:
-        """Return if the code may still be used; a label code has no end.
+        """Return if the code has not expired; a label code does not expire.
 
         Raises:
-            CodeExpired: a screen code after its last second.
+            CodeExpired: a screen code after its expiry.
         """
         if self.secret and now > self.expires:
             raise CodeExpired(
-                f"the code ended {now - self.expires} s ago", "have the node show a new one"
+                f"the code expired {now - self.expires} s ago", "have the node show a new one"
             )
 
 
 def label_code(request: bytes) -> str:
-    """Text of a code that only vouches for `request`."""
+    """Text of a code that only authenticates `request`."""
     return _text(bytes([_LABEL]) + sha256(request).digest())
 
 
 def screen_code(request: bytes, secret: bytes, expires: int, address: str) -> str:
-    """Text of a code that also carries a one-time `secret`, its end and where to fetch the request.
+    """Text of a code that also carries a one-time `secret`, its expiry and the node's address.
 
     Raises:
         CodeRefused: a secret of another length than 16 bytes, or an address that does not fit.
@@ -78,21 +78,23 @@ def screen_code(request: bytes, secret: bytes, expires: int, address: str) -> st
             "give a shorter one: rossec node enroll --address 192.168.1.7",
         )
     if not 0 <= expires < 1 << 32:
-        raise CodeRefused("the end of a screen code is out of range")
-    where = address.encode()
-    return _text(bytes([_SCREEN]) + sha256(request).digest() + secret + expires.to_bytes(4) + where)
+        raise CodeRefused("the expiry of a screen code is out of range")
+    encoded_address = address.encode()
+    return _text(
+        bytes([_SCREEN]) + sha256(request).digest() + secret + expires.to_bytes(4) + encoded_address
+    )
 
 
 def parse(text: str) -> Code:
-    """Read the text of a code as it was scanned or pasted; surrounding blanks are forgiven.
+    """Parse the text of a code as scanned or pasted; surrounding whitespace is ignored.
 
     Raises:
-        CodeRefused: not a rossec code, cut short, or of a version from the future.
+        CodeRefused: not a rossec code, truncated, or of an unknown version.
     """
     stripped = text.strip()
     if len(stripped) > MAX_TEXT or not stripped.startswith(PREFIX):
         raise CodeRefused("this is not the text of a rossec code", _HINT)
-    data = unbase45(stripped.removeprefix(PREFIX))
+    data = decode_base45(stripped.removeprefix(PREFIX))
     if len(data) == 1 + _DIGEST_SIZE and data[0] == _LABEL:
         return Code(data[1:])
     if len(data) > _SCREEN_MINIMUM and data[0] == _SCREEN:
@@ -105,7 +107,7 @@ def parse(text: str) -> Code:
 
 
 def terminal(text: str) -> str:
-    """The code as half blocks with explicit colours: two modules a line, 19 lines for a label."""
+    """The code as half blocks with explicit colours: two modules per line, 19 lines for a label."""
     rows = [
         list(row)
         for row in segno.make_qr(text, error="l", boost_error=False).matrix_iter(border=_BORDER)
@@ -138,7 +140,7 @@ def inline_svg(text: str) -> str:
     return element
 
 
-def base45(data: bytes) -> str:
+def encode_base45(data: bytes) -> str:
     """Encode `data` (RFC 9285): two bytes become three characters, a last single one two."""
     out = []
     for start in range(0, len(data), 2):
@@ -150,11 +152,11 @@ def base45(data: bytes) -> str:
     return "".join(out)
 
 
-def unbase45(text: str) -> bytes:
+def decode_base45(text: str) -> bytes:
     """Decode base45 strictly.
 
     Raises:
-        CodeRefused: a foreign character, a stray one at the end, or a value out of range.
+        CodeRefused: an invalid character, an incomplete group, or a value out of range.
     """
     out = bytearray()
     for start in range(0, len(text), 3):
@@ -162,24 +164,24 @@ def unbase45(text: str) -> bytes:
         value = sum(digit * 45**place for place, digit in enumerate(digits))
         size = len(digits) - 1
         if min(digits) < 0 or size == 0 or value >= 1 << (8 * size):
-            raise CodeRefused("the text holds characters no rossec code has", _HINT)
+            raise CodeRefused("the text has characters that a rossec code cannot have", _HINT)
         out += value.to_bytes(size)
     return bytes(out)
 
 
 def _printed(text: str) -> segno.QRCode:
-    """Level M: paper gets dirty; a screen does not (docs/spec/enrollment.md)."""
+    """Error correction level M, as paper gets dirty (docs/spec/enrollment.md)."""
     return segno.make_qr(text, error="m", boost_error=False)
 
 
 def _text(data: bytes) -> str:
-    return PREFIX + base45(data)
+    return PREFIX + encode_base45(data)
 
 
 def _screen(data: bytes) -> Code:
     digest, rest = data[1 : 1 + _DIGEST_SIZE], data[1 + _DIGEST_SIZE :]
-    where = rest[SECRET_SIZE + 4 :]
-    if not where.isascii() or len(where) > _MAX_ADDRESS:
-        raise CodeRefused("the address in the code is none", _HINT)
+    encoded_address = rest[SECRET_SIZE + 4 :]
+    if not encoded_address.isascii() or len(encoded_address) > _MAX_ADDRESS:
+        raise CodeRefused("the address in the code is invalid", _HINT)
     expires = int.from_bytes(rest[SECRET_SIZE : SECRET_SIZE + 4])
-    return Code(digest, rest[:SECRET_SIZE], expires, where.decode())
+    return Code(digest, rest[:SECRET_SIZE], expires, encoded_address.decode())

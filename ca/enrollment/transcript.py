@@ -1,10 +1,10 @@
-"""What both sides sign, prove and compare: one hash over everything that was agreed on.
+"""The transcript hash of an enrollment, and the statements, tag and digits computed from it.
 
-The transcript binds request, certificates, trust anchor and a fresh nonce, under a context of its
-own: nothing signed here can be replayed at a later enrollment, nor taken for another statement, and
-nobody can choose octets that a node signs. The six digits also depend on `contribution`, random
-octets the node reveals only *after* the offer is fixed: otherwise whoever poses as the authority
-would try a million nonces until the digits agree.
+The transcript binds request, certificates, trust anchor and a fresh nonce, under its own context:
+nothing signed here can be replayed in a later enrollment or taken for another statement, and no
+peer can choose the octets that a node signs. The six digits also depend on `contribution`, random
+octets the node reveals only *after* the offer is fixed: otherwise an attacker posing as the
+authority could try a million nonces until the digits match.
 """
 
 import hmac
@@ -29,64 +29,66 @@ _MAX_STATEMENT: Final = 512
 
 
 def transcript(csr: bytes, chain: Sequence[bytes], root: bytes, nonce: bytes) -> bytes:
-    """The hash of one enrollment, 32 octets."""
+    """The transcript hash of one enrollment, 32 octets."""
     certificates = [_digest(certificate) for certificate in chain]
     return _digest(encode([_CONTEXT, _digest(csr), [*certificates], _digest(root), nonce]))
 
 
-def tag(secret: bytes, agreed: bytes) -> bytes:
-    """Proof of whoever offers `agreed` (a transcript) that it has seen the code."""
-    return hmac.digest(secret, encode([_OFFER, agreed]), "sha256")
+def tag(secret: bytes, transcript_hash: bytes) -> bytes:
+    """The MAC of an offer: it proves that the sender has read the code."""
+    return hmac.digest(secret, encode([_OFFER, transcript_hash]), "sha256")
 
 
-def is_tag(secret: bytes, agreed: bytes, given: bytes) -> bool:
-    """Whether `given` is the proof."""
-    return hmac.compare_digest(tag(secret, agreed), given)
+def verify_tag(secret: bytes, transcript_hash: bytes, given: bytes) -> bool:
+    """Whether `given` is the tag of the offer."""
+    return hmac.compare_digest(tag(secret, transcript_hash), given)
 
 
-def digits(agreed: bytes, contribution: bytes) -> str:
+def digits(transcript_hash: bytes, contribution: bytes) -> str:
     """The six digits both sides show."""
-    number = int.from_bytes(_digest(encode([_DIGITS, agreed, contribution]))[:8])
+    number = int.from_bytes(_digest(encode([_DIGITS, transcript_hash, contribution]))[:8])
     return f"{number % 1_000_000:06}"
 
 
-def grouped(six: str) -> str:
-    """The digits for people: `123 456`."""
+def group_digits(six: str) -> str:
+    """The digits in two groups: `123 456`."""
     return f"{six[:3]} {six[3:]}"
 
 
-def acknowledge(signer: Signer, agreed: bytes, contribution: bytes) -> bytes:
-    """The node's signed answer to an offer."""
-    return _ACKNOWLEDGEMENT.sign(signer, [agreed, contribution])
+def sign_acknowledgement(signer: Signer, transcript_hash: bytes, contribution: bytes) -> bytes:
+    """The node's signed acknowledgement of an offer."""
+    return _ACKNOWLEDGEMENT.sign(signer, [transcript_hash, contribution])
 
 
-def open_acknowledgement(data: bytes, key: ec.EllipticCurvePublicKey, agreed: bytes) -> bytes:
-    """The contribution in a node's answer to the offer `agreed`.
+def open_acknowledgement(
+    data: bytes, key: ec.EllipticCurvePublicKey, transcript_hash: bytes
+) -> bytes:
+    """The contribution in a node's acknowledgement of the offer with this transcript hash.
 
     Raises:
         AcknowledgementRefused: another key signed it, or it is about another offer.
     """
     match _open(_ACKNOWLEDGEMENT, data, key):
-        case [bytes() as about, bytes() as contribution] if (
-            about == agreed and len(contribution) == NONCE_SIZE
+        case [bytes() as acknowledged, bytes() as contribution] if (
+            acknowledged == transcript_hash and len(contribution) == NONCE_SIZE
         ):
             return contribution
         case _:
             raise _replayed()
 
 
-def finish(signer: Signer, agreed: bytes) -> bytes:
-    """The node's signed word that it is enrolled."""
-    return _DONE.sign(signer, [agreed])
+def sign_done(signer: Signer, transcript_hash: bytes) -> bytes:
+    """The node's signed statement that it is enrolled."""
+    return _DONE.sign(signer, [transcript_hash])
 
 
-def check_done(data: bytes, key: ec.EllipticCurvePublicKey, agreed: bytes) -> None:
-    """Return if the node says that it is enrolled with `agreed`.
+def check_done(data: bytes, key: ec.EllipticCurvePublicKey, transcript_hash: bytes) -> None:
+    """Return if `data` is the node's statement that it is enrolled with this transcript.
 
     Raises:
         AcknowledgementRefused: another key signed it, or it is about another offer.
     """
-    if _open(_DONE, data, key) != [agreed]:
+    if _open(_DONE, data, key) != [transcript_hash]:
         raise _replayed()
 
 
@@ -95,14 +97,15 @@ def _open(profile: Profile, data: bytes, key: ec.EllipticCurvePublicKey) -> obje
         return profile.open(data, key, limit=_MAX_STATEMENT)
     except (SignatureError, EncodingError) as error:
         raise AcknowledgementRefused(
-            f"the answer is not signed by the node: {error}", "somebody is between you: start again"
+            f"the answer is not signed by the node: {error}",
+            "possible attacker in between: start again",
         ) from error
 
 
 def _replayed() -> AcknowledgementRefused:
     return AcknowledgementRefused(
-        "the node's answer is about another offer than this one",
-        "somebody replayed it or made an offer too: do not confirm at the node, start again",
+        "the node's answer is for another offer",
+        "it was replayed, or there was a second offer: do not confirm at the node, start again",
     )
 
 

@@ -18,10 +18,10 @@ from ca.keys import ownership
 from ca.store import schema
 from ca.store.faults import fault
 
-_PATIENCE: Final = 30.0  # seconds for other commands, which take the lock for milliseconds
+_BUSY_TIMEOUT: Final = 30.0  # seconds for other commands, which take the lock for milliseconds
 # How a transaction begins, is kept and is undone: a whole one, and one inside another.
-_WHOLE: Final = ("BEGIN IMMEDIATE", "COMMIT", ("ROLLBACK",))
-_PART: Final = ("SAVEPOINT part", "RELEASE part", ("ROLLBACK TO part", "RELEASE part"))
+_TRANSACTION: Final = ("BEGIN IMMEDIATE", "COMMIT", ("ROLLBACK",))
+_SAVEPOINT: Final = ("SAVEPOINT part", "RELEASE part", ("ROLLBACK TO part", "RELEASE part"))
 
 
 class Database:
@@ -49,7 +49,7 @@ class Database:
             _configure(database.connection)
         except sqlite3.Error as error:
             raise fault(path, error) from error
-        with database.changing() as db:
+        with database.transaction() as db:
             schema.create(db)
         return database
 
@@ -60,14 +60,14 @@ class Database:
         Raises:
             StoreError: no file, not a record of rossec, damaged, or of a newer version; or it
                 cannot be used now.
-            PlaceRefused: another user owns it, or could have written it.
+            PathRefused: another user owns it, or could have written it.
         """
         _check_file(path)
         database = cls(_connect(path), path)
         try:
             _check_kind(database.connection, path)
             _configure(database.connection)
-            database._bring_up()
+            database._migrate()
         except (sqlite3.Error, StoreError) as error:
             database.close()
             if isinstance(error, StoreError):
@@ -105,10 +105,10 @@ class Database:
         """Return if the file is whole, and nothing in it runs or answers but what rossec made.
 
         Raises:
-            StoreError: see `ca.store.schema.check_alone`; or the file is damaged.
+            StoreError: see `ca.store.schema.check_no_foreign_objects`; or the file is damaged.
         """
         try:
-            schema.check_alone(self.connection)
+            schema.check_no_foreign_objects(self.connection)
             found = self.connection.execute("PRAGMA quick_check").fetchall()
         except sqlite3.Error as error:
             raise fault(self._path, error) from error
@@ -116,7 +116,7 @@ class Database:
             raise StoreError(f"{self._path} is damaged: {found[0][0]}", "restore another backup")
 
     @contextmanager
-    def changing(self) -> Iterator[sqlite3.Connection]:
+    def transaction(self) -> Iterator[sqlite3.Connection]:
         """One transaction, alone: all of it, durably, or nothing.
 
         Inside another one it is a part of that: undone alone if it fails, kept when that is.
@@ -125,10 +125,10 @@ class Database:
             StoreError: an entry is refused, the file cannot be written, or it was replaced.
         """
         try:
-            begin, keep, undo = _PART if self.connection.in_transaction else _WHOLE
+            begin, keep, undo = _SAVEPOINT if self.connection.in_transaction else _TRANSACTION
             self.connection.execute(begin)
             try:
-                self._check_in_place()
+                self._check_not_replaced()
                 yield self.connection
                 self.connection.execute(keep)
             except BaseException:
@@ -140,7 +140,7 @@ class Database:
             raise fault(self._path, error) from error
 
     @contextmanager
-    def reading(self) -> Iterator[None]:
+    def read_transaction(self) -> Iterator[None]:
         """What is read inside is of one moment, whatever others write meanwhile."""
         if self.connection.in_transaction:
             yield
@@ -151,7 +151,7 @@ class Database:
         finally:
             self.connection.execute("ROLLBACK")
 
-    def _check_in_place(self) -> None:
+    def _check_not_replaced(self) -> None:
         """A record that was moved aside while this command waited must not take anything in."""
         try:
             found = self._path.stat()
@@ -163,9 +163,9 @@ class Database:
                 "run the command again: it then works on what is there now",
             )
 
-    def _bring_up(self) -> None:
+    def _migrate(self) -> None:
         if schema.version(self.connection) != schema.VERSION:
-            with self.changing() as db:
+            with self.transaction() as db:
                 schema.migrate(db)
         schema.check(self.connection)
 
@@ -179,13 +179,16 @@ def _check_file(path: Path) -> None:
             f"it tells who may see what: chmod 600 {path}",
         )
     with suppress(FileNotFoundError):  # SQLite will say so
-        ownership.check_own(path)
+        ownership.check_trusted(path)
 
 
 def _connect(path: Path) -> sqlite3.Connection:
     try:
         return sqlite3.connect(
-            f"{path.absolute().as_uri()}?mode=rw", timeout=_PATIENCE, isolation_level=None, uri=True
+            f"{path.absolute().as_uri()}?mode=rw",
+            timeout=_BUSY_TIMEOUT,
+            isolation_level=None,
+            uri=True,
         )
     except sqlite3.Error as error:
         raise fault(path, error) from error

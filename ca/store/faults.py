@@ -13,11 +13,11 @@ from typing import Final
 
 from ca.errors import RecordUnusable, StoreError
 
-_ROOM: Final = "make room and run the command again; do not restore a backup"
-_LEAST: Final = 128 * 1024  # bytes that SQLite needs beside a record to open it
+_FULL_HINT: Final = "make room and run the command again; do not restore a backup"
+_MIN_FREE: Final = 128 * 1024  # bytes that SQLite needs beside a record to open it
 _DAMAGED: Final = frozenset({sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB})
 _FAULTS: Final[dict[int, tuple[str, str]]] = {
-    sqlite3.SQLITE_FULL: ("the disk is full, nothing was changed", _ROOM),
+    sqlite3.SQLITE_FULL: ("the disk is full, nothing was changed", _FULL_HINT),
     sqlite3.SQLITE_BUSY: (
         "another command is at work on it, nothing was changed",
         "run the command again when that one has ended",
@@ -51,5 +51,5 @@ def fault(path: Path, error: sqlite3.Error) -> StoreError:
 def _is_full(directory: Path) -> bool:
     with suppress(OSError):
         found = os.statvfs(directory)
-        return found.f_bavail * found.f_frsize < _LEAST
+        return found.f_bavail * found.f_frsize < _MIN_FREE
     return False

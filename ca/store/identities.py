@@ -11,14 +11,14 @@ from collections.abc import Callable
 
 from ca.errors import KeyChanged, NameCovered, RenewalRefused, StoreError
 from ca.store.database import Database
-from ca.store.log import record
+from ca.store.log import append_entry
 from ca.store.log_entries import digest_of
 from ca.store.rows import INTERMEDIATE, CertificateRow
 
 _COLUMNS = "serial, name, thumbprint, der, not_before, not_after"
 
 
-class IdentityBook:
+class IdentityTable:
     """The certificates of one record."""
 
     def __init__(self, database: Database) -> None:
@@ -28,13 +28,13 @@ class IdentityBook:
         """Every identity signed, oldest first."""
         return self._find("ORDER BY rowid")
 
-    def of(self, name: str) -> list[CertificateRow]:
+    def by_name(self, name: str) -> list[CertificateRow]:
         """Every identity of `name`, oldest first."""
         return self._find("WHERE name = ? ORDER BY rowid", name)
 
-    def alive(self, name: str, now: int) -> list[CertificateRow]:
+    def valid(self, name: str, now: int) -> list[CertificateRow]:
         """Those with which `name` can still prove itself: no key of the chain is revoked."""
-        return self.in_force(self.unrevoked(name, now))
+        return self.with_valid_issuer(self.unrevoked(name, now))
 
     def unrevoked(self, name: str, now: int) -> list[CertificateRow]:
         """Those not expired whose own key is not revoked: more than these no revocation can end."""
@@ -44,7 +44,7 @@ class IdentityBook:
             name, now,
         )  # fmt: skip
 
-    def in_force(self, rows: list[CertificateRow]) -> list[CertificateRow]:
+    def with_valid_issuer(self, rows: list[CertificateRow]) -> list[CertificateRow]:
         """Those of `rows` that no revoked intermediate signed."""
         ended = self._find(
             "WHERE substr(name, 1, ?) = ? AND thumbprint IN (SELECT entry FROM revocation)",
@@ -52,12 +52,12 @@ class IdentityBook:
         )  # fmt: skip
         return [row for row in rows if _signer(row, ended) is None]
 
-    def signer(self, row: CertificateRow) -> CertificateRow | None:
+    def issuer(self, row: CertificateRow) -> CertificateRow | None:
         """The intermediate of this record that signed `row`, newest first; None: the authority."""
         clause = "WHERE substr(name, 1, ?) = ? ORDER BY rowid DESC"
         return _signer(row, self._find(clause, len(INTERMEDIATE), INTERMEDIATE))
 
-    def certified(self, name: str, now: int) -> str:
+    def certified_name(self, name: str, now: int) -> str:
         """The name under which grants, rules and revocations are for the node called `name`.
 
         Its own, unless it is an anonymous one: then that of the living identity that covers it.
@@ -83,7 +83,7 @@ class IdentityBook:
                     f"choose another name, or revoke {known.name} first",
                 )
 
-    def answer(self, request: bytes) -> CertificateRow | None:
+    def issued_for(self, request: bytes) -> CertificateRow | None:
         """The certificate that was issued for the request with this digest."""
         found = self._find("WHERE serial = (SELECT serial FROM answer WHERE request = ?)", request)
         return found[0] if found else None
@@ -96,7 +96,7 @@ class IdentityBook:
         db.execute("INSERT INTO certificate VALUES (?, ?, ?, ?, ?, ?, ?)", (*values, now))
         if request is not None:
             db.execute("INSERT INTO answer VALUES (?, ?, ?)", (request, values[0], now))
-        record(db, now, "certificate", row.name, row.thumbprint.hex(), digest_of(values))
+        append_entry(db, now, "certificate", row.name, row.thumbprint.hex(), digest_of(values))
 
     def check_key(
         self,
@@ -120,7 +120,7 @@ class IdentityBook:
                 f"the key of {replace_key} was to be replaced, but {name} asks",
                 "give the name exactly, once for each request",
             )
-        known = [row.thumbprint for row in self.alive(name, now)]
+        known = [row.thumbprint for row in self.valid(name, now)]
         if renews is not None:
             self.check_not_revoked(name, renews)
             _check_newest(name, known, renews)
@@ -148,7 +148,7 @@ class IdentityBook:
             " AND not_after >= ? AND thumbprint NOT IN (SELECT entry FROM revocation)",
             name, name, name, now,
         )  # fmt: skip
-        return self.in_force(found)
+        return self.with_valid_issuer(found)
 
     def _find(self, clause: str, *values: object) -> list[CertificateRow]:
         rows = self._database.rows(f"SELECT {_COLUMNS} FROM certificate {clause}", *values)  # noqa: S608  (constants)

@@ -42,7 +42,7 @@ TRANSITIONS: Final[dict[RequestState, frozenset[RequestState]]] = {
 OPEN: Final = frozenset(state for state, following in TRANSITIONS.items() if following)
 # Seconds after its last change. A day is a person's evening and morning; an answer is kept for a
 # week, so that who asked can still be told.
-KEEP: Final[dict[RequestState, int]] = {
+RETENTION: Final[dict[RequestState, int]] = {
     RequestState.PENDING: DAY,
     RequestState.APPROVED: DAY,
     RequestState.DENIED: 7 * DAY,
@@ -76,9 +76,9 @@ class RequestRow(NamedTuple):
     wildcard: bool = False
 
     @property
-    def until(self) -> int:
+    def expires(self) -> int:
         """The last second at which it may be used; after it, it is collected."""
-        return self.changed + KEEP[self.state]
+        return self.changed + RETENTION[self.state]
 
 
 def advance(row: RequestRow, state: RequestState, now: int, reason: str = "") -> RequestRow:
@@ -91,7 +91,7 @@ def advance(row: RequestRow, state: RequestState, now: int, reason: str = "") ->
         raise RequestClosed(
             f"the request of {row.name} is {row.state} and cannot be {state}", _HINTS[row.state]
         )
-    if now > row.until:
+    if now > row.expires:
         raise RequestClosed(
             f"the request of {row.name} was {row.state} for too long and is void",
             "have the node make a new request",

@@ -23,14 +23,14 @@ from ca.store.log_entries import (
     digest_of,
     leaf,
     open_head,
-    split,
+    split_peaks,
 )
 
 COLLECTED = "collected"
 _HINT = "somebody changed the record: restore a backup, and find out who"
 
 
-class Journal:
+class AuthorityLog:
     """The log of one record."""
 
     def __init__(self, database: Database) -> None:
@@ -47,11 +47,11 @@ class Journal:
         """The state of the log now, to be signed."""
         rows = self._database.rows("SELECT number, peaks FROM log ORDER BY number DESC LIMIT 1")
         size, peaks = (rows[0][0] + 1, rows[0][1]) if rows else (0, b"")
-        return Head(size, root_of(split(peaks)), now)
+        return Head(size, root_of(split_peaks(peaks)), now)
 
     def add_head(self, data: bytes, now: int) -> None:
         """Keep a signed head."""
-        with self._database.changing() as db:
+        with self._database.transaction() as db:
             db.execute("INSERT INTO head VALUES (?, ?) ON CONFLICT DO NOTHING", (data, now))
 
     def heads(self) -> list[bytes]:
@@ -71,13 +71,13 @@ class Journal:
         Raises:
             LogDamaged: the first thing found that is not what was written.
         """
-        with self._database.reading():  # another command may be writing
+        with self._database.read_transaction():  # another command may be writing
             return self._audit(key, more)
 
     def _audit(self, key: ec.EllipticCurvePublicKey, more: tuple[bytes, ...]) -> Head:
-        tree = check_entries(self._recorded())
+        tree = check_entries(self._stored_entries())
         entries = self.entries()
-        for what in schema.RECORDED:
+        for what in schema.LOGGED_TABLES:
             self._check_rows(what, [entry for entry in entries if entry.what == what])
         self._check_requests(entries)
         newest = Head(0, root_of(()), 0)
@@ -87,7 +87,7 @@ class Journal:
             newest = max(newest, head, key=lambda each: each.size)
         return newest
 
-    def _recorded(self) -> list[tuple[LogEntry, bytes]]:
+    def _stored_entries(self) -> list[tuple[LogEntry, bytes]]:
         rows = self._database.rows(
             "SELECT number, at, what, subject, detail, digest, peaks FROM log ORDER BY number"
         )
@@ -95,7 +95,7 @@ class Journal:
 
     def _check_rows(self, what: str, entries: list[LogEntry]) -> None:
         """The rows of a table are those the log announced, in the same order."""
-        table, columns = schema.RECORDED[what]
+        table, columns = schema.LOGGED_TABLES[what]
         rows = self._database.rows(f"SELECT {columns} FROM {table} ORDER BY rowid")  # noqa: S608  (constants)
         for row, entry in zip_longest(rows, entries):
             if entry is None:
@@ -132,7 +132,7 @@ def _replay(entries: list[LogEntry]) -> dict[bytes, RequestState]:
 _STATES = frozenset(RequestState)
 
 
-def record(
+def append_entry(
     db: sqlite3.Connection, now: int, what: str, subject: str, detail: str, digest: bytes
 ) -> None:
     """Add an entry, inside the transaction of the change it tells of."""

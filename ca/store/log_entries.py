@@ -59,12 +59,12 @@ def digest_of(row: Sequence[int | str | bytes]) -> bytes:
     return hashlib.sha256(encode(list(row))).digest()
 
 
-def grow(peaks: bytes, entry: LogEntry) -> bytes:
+def extend_peaks(peaks: bytes, entry: LogEntry) -> bytes:
     """The peaks, joined, after `entry`; those before it are `peaks`."""
-    return b"".join(merkle.extend(split(peaks), entry.number, leaf(entry)))
+    return b"".join(merkle.extend(split_peaks(peaks), entry.number, leaf(entry)))
 
 
-def split(peaks: bytes) -> tuple[bytes, ...]:
+def split_peaks(peaks: bytes) -> tuple[bytes, ...]:
     """The single peaks of those joined in `peaks`."""
     return tuple(peaks[start : start + HASH_SIZE] for start in range(0, len(peaks), HASH_SIZE))
 
@@ -79,7 +79,7 @@ def check_entries(rows: Iterable[tuple[LogEntry, bytes]]) -> merkle.Tree:
     for position, (entry, recorded) in enumerate(rows):
         if entry.number != position:
             raise LogDamaged(f"log entry {position} is missing", _HINT)
-        peaks = grow(peaks, entry)
+        peaks = extend_peaks(peaks, entry)
         if peaks != recorded:
             raise LogDamaged(f"log entry {position} is not what was written", _HINT)
         tree.append(leaf(entry))

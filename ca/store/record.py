@@ -13,10 +13,10 @@ from typing import Any, Self
 
 from ca.errors import RequestClosed, StoreError
 from ca.store.database import Database
-from ca.store.identities import IdentityBook
-from ca.store.log import Journal, record
+from ca.store.identities import IdentityTable
+from ca.store.log import AuthorityLog, append_entry
 from ca.store.log_entries import digest_of
-from ca.store.requests import RequestBook
+from ca.store.requests import RequestTable
 from ca.store.rows import CertificateRow, GrantRow, RevocationRow
 
 __all__ = ["CertificateRow", "GrantRow", "RevocationRow", "Store"]
@@ -30,9 +30,9 @@ class Store:
 
     def __init__(self, database: Database) -> None:
         self.database = database
-        self.identities = IdentityBook(database)
-        self.requests = RequestBook(database, self.identities)
-        self.journal = Journal(database)
+        self.identities = IdentityTable(database)
+        self.requests = RequestTable(database, self.identities)
+        self.log = AuthorityLog(database)
 
     @classmethod
     def create(cls, path: Path) -> Self:
@@ -64,17 +64,17 @@ class Store:
         """
         self.database.check()
 
-    def changing(self) -> AbstractContextManager[sqlite3.Connection]:
+    def transaction(self) -> AbstractContextManager[sqlite3.Connection]:
         """Several steps as one: all or none of them, and no other command in between.
 
         Raises:
             StoreError: as `ca.store.database.Database.changing`.
         """
-        return self.database.changing()
+        return self.database.transaction()
 
-    def reading(self) -> AbstractContextManager[None]:
+    def read_transaction(self) -> AbstractContextManager[None]:
         """What is read inside is of one moment."""
-        return self.database.reading()
+        return self.database.read_transaction()
 
     def snapshot(self) -> bytes:
         """The whole record at this moment, as the content of a file."""
@@ -102,55 +102,55 @@ class Store:
             RequestClosed: the request is not approved, or has its certificate already.
             StoreError: the key is revoked, or the serial is taken.
         """
-        with self.database.changing() as db:
+        with self.database.transaction() as db:
             self.identities.check_names(row.name, row.thumbprint, now, row.covers)
             self.identities.check_key(
                 row.name, row.thumbprint, now, replace_key=replace_key, renews=renews
             )
-            if request is not None and self.identities.answer(request) is not None:
+            if request is not None and self.identities.issued_for(request) is not None:
                 raise RequestClosed(
                     f"this request of {row.name} has its certificate already",
                     f"see: rossec ca show {row.name}",
                 )
             if request is not None and renews is None:
-                self.requests.settle(db, request, now)
+                self.requests.mark_issued(db, request, now)
             self.identities.add(db, row, now, request)
             if replace_key is not None:
-                for key in sorted(self.live_keys(row.name, now) - {row.thumbprint}):
+                for key in sorted(self.unrevoked_keys(row.name, now) - {row.thumbprint}):
                     _revoke(db, key, f"{row.name} has a new key", now)
 
     def certificates(self) -> list[CertificateRow]:
         """Every identity signed, oldest first."""
         return self.identities.all()
 
-    def live_keys(self, name: str, now: int) -> frozenset[bytes]:
+    def unrevoked_keys(self, name: str, now: int) -> frozenset[bytes]:
         """Thumbprints of the keys of `name` that are not revoked: those that a revocation ends.
 
         Also keys that only a revoked intermediate vouches for: they may be certified anew.
         """
         return frozenset(row.thumbprint for row in self.identities.unrevoked(name, now))
 
-    def certified(self, name: str, now: int) -> str:
+    def certified_name(self, name: str, now: int) -> str:
         """The name under which grants, rules and revocations are for the node called `name`.
 
         Its own, unless it is an anonymous one: then that of the living identity that covers it.
         """
-        return self.identities.certified(name, now)
+        return self.identities.certified_name(name, now)
 
-    def live_certificate(self, name: str, now: int) -> CertificateRow:
+    def valid_certificate(self, name: str, now: int) -> CertificateRow:
         """The newest identity of `name` that is still valid and not revoked.
 
         Raises:
             StoreError: there is none.
         """
-        alive = self.identities.alive(name, now)
+        alive = self.identities.valid(name, now)
         if not alive:
             if self.identities.unrevoked(name, now):
                 raise StoreError(
                     f"the intermediate that signed the identity of {name} is revoked",
                     f"enroll it anew: rossec node request {name}, then rossec ca sign",
                 )
-            certified = self.certified(name, now)
+            certified = self.certified_name(name, now)
             raise StoreError(
                 f"{name} has no valid identity here",
                 f"first enroll it: rossec node request {name}, then rossec ca sign;"
@@ -166,9 +166,9 @@ class Store:
         Raises:
             StoreError: the id is taken.
         """
-        with self.database.changing() as db:
+        with self.database.transaction() as db:
             db.execute("INSERT INTO grant_ VALUES (?, ?, ?, ?, ?, ?)", (*row, now))
-            record(db, now, "grant", row.name, row.id.hex(), digest_of(row))
+            append_entry(db, now, "grant", row.name, row.id.hex(), digest_of(row))
 
     def grants(self) -> list[GrantRow]:
         """Every grant signed, oldest first."""
@@ -186,7 +186,7 @@ class Store:
 
     def revoke(self, entry: bytes, reason: str, now: int) -> None:
         """Record that a grant id or key thumbprint is revoked; twice is once."""
-        with self.database.changing() as db:
+        with self.database.transaction() as db:
             _revoke(db, entry, reason, now)
 
     def revocations(self) -> list[RevocationRow]:
@@ -209,19 +209,21 @@ class Store:
         Raises:
             StoreError: its number is taken.
         """
-        with self.database.changing() as db:
+        with self.database.transaction() as db:
             db.execute("INSERT INTO list VALUES (?, ?, ?, ?)", (*number, data, now))
-            record(db, now, "list", f"{number[0]}.{number[1]}", "", digest_of((*number, data)))
+            append_entry(
+                db, now, "list", f"{number[0]}.{number[1]}", "", digest_of((*number, data))
+            )
 
     def newest_list(self) -> bytes | None:
         """The signed revocation list with the highest number, if there is one."""
         found = self._newest("data")
         return None if found is None else bytes(found[0])
 
-    def note(self, what: str, subject: str, detail: str, now: int) -> None:
+    def log_event(self, what: str, subject: str, detail: str, now: int) -> None:
         """Write into the log what changes nothing else in the record, such as a restoration."""
-        with self.database.changing() as db:
-            record(db, now, what, subject, detail, b"")
+        with self.database.transaction() as db:
+            append_entry(db, now, what, subject, detail, b"")
 
     def _newest(self, columns: str) -> tuple[Any, ...] | None:
         rows = self.database.rows(
@@ -235,4 +237,4 @@ def _revoke(db: sqlite3.Connection, entry: bytes, reason: str, now: int) -> None
         "INSERT INTO revocation VALUES (?, ?, ?) ON CONFLICT DO NOTHING", (entry, reason, now)
     )
     if done.rowcount:
-        record(db, now, "revocation", entry.hex(), reason, digest_of((entry, reason)))
+        append_entry(db, now, "revocation", entry.hex(), reason, digest_of((entry, reason)))

@@ -11,22 +11,22 @@ from ca.errors import NameContested, RequestClosed, StoreError
 from ca.names import covers
 from ca.requests import IdentityRequest
 from ca.store.database import Database
-from ca.store.identities import IdentityBook
-from ca.store.lifecycle import KEEP, MAX_OPEN, OPEN, RequestRow, RequestState, advance
-from ca.store.log import COLLECTED, record
+from ca.store.identities import IdentityTable
+from ca.store.lifecycle import MAX_OPEN, OPEN, RETENTION, RequestRow, RequestState, advance
+from ca.store.log import COLLECTED, append_entry
 
 _COLUMNS = (
     "digest, name, thumbprint, der, source, arrived, state, reason, changed, replaces, wildcard"
 )
 
 _OPEN = ", ".join(f"'{state}'" for state in sorted(OPEN))
-_KEPT = " ".join(f"WHEN '{state}' THEN {kept}" for state, kept in KEEP.items())
+_RETENTION = " ".join(f"WHEN '{state}' THEN {kept}" for state, kept in RETENTION.items())
 
 
-class RequestBook:
+class RequestTable:
     """The requests of one record."""
 
-    def __init__(self, database: Database, identities: IdentityBook) -> None:
+    def __init__(self, database: Database, identities: IdentityTable) -> None:
         self._database = database
         self._identities = identities
 
@@ -40,7 +40,7 @@ class RequestBook:
                 request itself is forgotten.
         """
         self.collect(now)
-        with self._database.changing() as db:
+        with self._database.transaction() as db:
             held = self._find(request.digest)
             if held is not None:
                 return held
@@ -50,7 +50,7 @@ class RequestBook:
                 RequestState.PENDING, "", now,
             )  # fmt: skip
             db.execute("INSERT INTO csr VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)", row)
-            record(db, now, RequestState.PENDING, row.name, source, row.digest)
+            append_entry(db, now, RequestState.PENDING, row.name, source, row.digest)
         return row
 
     def all(self) -> list[RequestRow]:
@@ -88,7 +88,7 @@ class RequestBook:
             NameCovered: no two keys may go by one name.
             KeyChanged, NameContested: the name has another key, or somebody else asks for it.
         """
-        with self._database.changing():
+        with self._database.transaction():
             row = self.get(digest)
             self._check_name(row, now, replace_key, wildcard=wildcard)
             said = row._replace(replaces=replace_key is not None, wildcard=wildcard)
@@ -100,21 +100,21 @@ class RequestBook:
         Raises:
             RequestClosed: it was issued, or denied before.
         """
-        with self._database.changing():
+        with self._database.transaction():
             return self._advance(self.get(digest), RequestState.DENIED, now, reason)
 
     def collect(self, now: int) -> list[RequestRow]:
         """Forget every request whose time is over; returns what was forgotten."""
-        if not self._over(now):  # who only looks takes no lock
+        if not self._expired(now):  # who only looks takes no lock
             return []
-        with self._database.changing() as db:
-            over = self._over(now)
+        with self._database.transaction() as db:
+            over = self._expired(now)
             for row in over:
                 db.execute("DELETE FROM csr WHERE digest = ?", (row.digest,))
-                record(db, now, COLLECTED, row.name, row.state, row.digest)
+                append_entry(db, now, COLLECTED, row.name, row.state, row.digest)
         return over
 
-    def settle(self, db: sqlite3.Connection, digest: bytes, now: int) -> None:
+    def mark_issued(self, db: sqlite3.Connection, digest: bytes, now: int) -> None:
         """Mark as issued, inside the transaction that records the certificate.
 
         Raises:
@@ -123,10 +123,10 @@ class RequestBook:
         held = self._find(digest)
         if held is None:
             raise RequestClosed("the request is not recorded", "first: rossec ca approve")
-        _move(db, advance(held, RequestState.ISSUED, now))
+        _update(db, advance(held, RequestState.ISSUED, now))
 
-    def _over(self, now: int) -> list[RequestRow]:
-        return self._rows(f"WHERE changed + CASE state {_KEPT} END < ?", now)
+    def _expired(self, now: int) -> list[RequestRow]:
+        return self._rows(f"WHERE changed + CASE state {_RETENTION} END < ?", now)
 
     def _check_name(
         self, row: RequestRow, now: int, replace_key: str | None, *, wildcard: bool
@@ -144,7 +144,7 @@ class RequestBook:
         self._identities.check_key(row.name, row.thumbprint, now, replace_key=replace_key)
 
     def _check_new(self, request: IdentityRequest) -> None:
-        if self._identities.answer(request.digest) is not None:
+        if self._identities.issued_for(request.digest) is not None:
             raise RequestClosed(
                 f"this request of {request.name} has its certificate already",
                 f"see: rossec ca show {request.name}; for another: rossec ca renew {request.name}",
@@ -157,8 +157,8 @@ class RequestBook:
 
     def _advance(self, row: RequestRow, state: RequestState, now: int, reason: str) -> RequestRow:
         moved = advance(row, state, now, reason)
-        with self._database.changing() as db:
-            _move(db, moved)
+        with self._database.transaction() as db:
+            _update(db, moved)
         return moved
 
     def _find(self, digest: bytes) -> RequestRow | None:
@@ -177,7 +177,7 @@ class RequestBook:
         ]
 
 
-def _move(db: sqlite3.Connection, row: RequestRow) -> None:
+def _update(db: sqlite3.Connection, row: RequestRow) -> None:
     """The triggers of the record refuse a way that is not in the table, whoever was faster."""
     db.execute(
         "UPDATE csr SET state = ?, reason = ?, changed = ?, replaces = ?, wildcard = ?"
@@ -185,7 +185,7 @@ def _move(db: sqlite3.Connection, row: RequestRow) -> None:
         (row.state, row.reason, row.changed, row.replaces, row.wildcard, row.digest),
     )
     said = [row.reason, *["replaces the key"] * row.replaces, *["anonymous nodes"] * row.wildcard]
-    record(db, row.changed, row.state, row.name, "; ".join(filter(None, said)), row.digest)
+    append_entry(db, row.changed, row.state, row.name, "; ".join(filter(None, said)), row.digest)
 
 
 def _short(row: RequestRow) -> str:

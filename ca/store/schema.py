@@ -12,22 +12,22 @@ from typing import Final
 
 from ca.errors import LogDamaged, StoreError
 from ca.store.lifecycle import TRANSITIONS, RequestState
-from ca.store.log_entries import LogEntry, digest_of, grow
+from ca.store.log_entries import LogEntry, digest_of, extend_peaks
 
 APPLICATION_ID: Final = 0x524F5343  # "ROSC"
 VERSION: Final = 2
-_OWN: Final = "restore a backup of your own, and find out who made this one"
+_RESTORE_HINT: Final = "restore a backup of your own, and find out who made this one"
 APPEND_ONLY: Final = ("certificate", "grant_", "revocation", "list", "head", "log")
-_OURS: Final = (*APPEND_ONLY, "answer", "csr")
+_TABLES: Final = (*APPEND_ONLY, "answer", "csr")
 # What the log says of a table, and the columns its digest is over, in this order.
-RECORDED: Final = {
+LOGGED_TABLES: Final = {
     "certificate": ("certificate", "serial, name, thumbprint, der, not_before, not_after"),
     "grant": ("grant_", "id, name, data, not_before, expires"),
     "revocation": ("revocation", "entry, reason"),
     "list": ("list", "epoch, seq, data"),
 }
 
-_KEPT: Final = (  # unchanged since version 1
+_VERSION_1: Final = (  # unchanged since version 1
     """CREATE TABLE certificate (
         serial BLOB PRIMARY KEY, name TEXT NOT NULL, thumbprint BLOB NOT NULL, der BLOB NOT NULL,
         not_before INTEGER NOT NULL, not_after INTEGER NOT NULL, at INTEGER NOT NULL
@@ -44,7 +44,7 @@ _KEPT: Final = (  # unchanged since version 1
         PRIMARY KEY (epoch, seq)
     ) STRICT""",
 )
-_SINCE_2: Final = (
+_VERSION_2: Final = (
     """CREATE TABLE log (
         number INTEGER PRIMARY KEY, at INTEGER NOT NULL, what TEXT NOT NULL, subject TEXT NOT NULL,
         detail TEXT NOT NULL, digest BLOB NOT NULL, peaks BLOB NOT NULL
@@ -69,12 +69,12 @@ _NEW_REQUEST: Final = f"""
 CREATE TRIGGER csr_begins BEFORE INSERT ON csr WHEN NEW.state <> '{RequestState.PENDING}'
 BEGIN SELECT RAISE(ABORT, 'a request begins pending'); END;
 """
-_REQUEST_FIXED: Final = """
+_REQUEST_IMMUTABLE: Final = """
 CREATE TRIGGER csr_fixed
 BEFORE UPDATE OF digest, name, thumbprint, der, source, arrived ON csr
 BEGIN SELECT RAISE(ABORT, 'a request does not change'); END;
 """
-_REQUEST_MOVES: Final = """
+_REQUEST_TRANSITIONS: Final = """
 CREATE TRIGGER csr_moves BEFORE UPDATE OF state, reason, changed, replaces, wildcard ON csr
 WHEN (OLD.state || '>' || NEW.state) NOT IN ({allowed})
 BEGIN SELECT RAISE(ABORT, 'a request does not go this way'); END;
@@ -84,13 +84,13 @@ _SET: Final = re.compile(r"in \(([^()]*)\)")
 
 def create(db: sqlite3.Connection) -> None:
     """Make the tables of a new record."""
-    for statement in (*_KEPT, *_SINCE_2, *_triggers((*APPEND_ONLY, "answer"))):
+    for statement in (*_VERSION_1, *_VERSION_2, *_triggers((*APPEND_ONLY, "answer"))):
         db.execute(statement)
     db.execute(f"PRAGMA application_id = {APPLICATION_ID}")
     db.execute(f"PRAGMA user_version = {VERSION}")
 
 
-def check_alone(db: sqlite3.Connection) -> None:
+def check_no_foreign_objects(db: sqlite3.Connection) -> None:
     """Return if nothing runs or answers in this file but what is made here.
 
     A trigger could let an entry vanish that it was told to keep, a view or a virtual table could
@@ -102,35 +102,37 @@ def check_alone(db: sqlite3.Connection) -> None:
     """
     ours = sqlite3.connect(":memory:")
     create(ours)
-    wanted, found = _made(ours), _made(db)
+    wanted, found = _objects(ours), _objects(db)
     ours.close()
     for name, made in found.items():
         if name in wanted and wanted[name] == made:
             continue
-        if name in wanted or not _is_beside(*made):
-            raise StoreError(f"the record holds a {made[0]} that is not rossec's: {name!a}", _OWN)
+        if name in wanted or not _is_extra_table(*made):
+            raise StoreError(
+                f"the record holds a {made[0]} that is not rossec's: {name!a}", _RESTORE_HINT
+            )
     if missing := wanted.keys() - found.keys():
-        raise StoreError(f"the record lacks {min(missing)}", _OWN)
+        raise StoreError(f"the record lacks {min(missing)}", _RESTORE_HINT)
 
 
-def _is_beside(kind: str, table: str, text: str) -> bool:
+def _is_extra_table(kind: str, table: str, text: str) -> bool:
     """Whether it is a plain table beside ours, or what keeps that append-only."""
     if kind == "trigger":
         body = text.split()[3:]  # a table that was renamed left its trigger the old name
-        return table not in _OURS and body in [
-            _plain(_NO_CHANGE.format(table=table, verb=verb)).split()[3:]
+        return table not in _TABLES and body in [
+            _canonical(_NO_CHANGE.format(table=table, verb=verb)).split()[3:]
             for verb in ("UPDATE", "DELETE")
         ]
     return kind == "table" and text.startswith("create table ")
 
 
-def _made(db: sqlite3.Connection) -> dict[str, tuple[str, str, str]]:
+def _objects(db: sqlite3.Connection) -> dict[str, tuple[str, str, str]]:
     """What is in a file: kind, table and text of each by its name, but for SQLite's own indexes."""
     rows = db.execute("SELECT name, type, tbl_name, sql FROM sqlite_master WHERE sql IS NOT NULL")
-    return {name: (kind, table, _plain(text)) for name, kind, table, text in rows}
+    return {name: (kind, table, _canonical(text)) for name, kind, table, text in rows}
 
 
-def _plain(text: str) -> str:
+def _canonical(text: str) -> str:
     """A statement without what does not matter: blanks, case, quotes, IF NOT EXISTS, its end.
 
     Nor does the order of a set: until 0.1.0 that of `csr_moves` was another in each process.
@@ -153,7 +155,7 @@ def check(db: sqlite3.Connection) -> None:
     """
     rows = db.execute("SELECT name, sql FROM sqlite_master WHERE type = 'table'")
     found = {name: _normal(sql) for name, sql in rows}
-    for statement in (*_KEPT, *_SINCE_2):
+    for statement in (*_VERSION_1, *_VERSION_2):
         kind, name = statement.split()[1:3]
         if kind == "TABLE" and found.get(name) != _normal(statement):
             raise StoreError(
@@ -175,9 +177,9 @@ def migrate(db: sqlite3.Connection) -> None:
     if db.execute("SELECT 1 FROM sqlite_master WHERE name = 'request'").fetchone():
         # What the inbox for grants called its table in version 1; see rossec.authority.requests.
         db.execute("ALTER TABLE request RENAME TO grant_request")
-    for statement in (*_SINCE_2, *_triggers(("log", "head", "answer"))):
+    for statement in (*_VERSION_2, *_triggers(("log", "head", "answer"))):
         db.execute(statement)
-    rows = {what: _rows_of(db, what) for what in RECORDED}
+    rows = {what: _rows_of(db, what) for what in LOGGED_TABLES}
     for number, (at, what, subject, detail) in enumerate(old):
         row = next(rows.get(what, iter(())), None)
         if row is None:
@@ -198,12 +200,12 @@ def append(
     last = db.execute("SELECT number, peaks FROM log ORDER BY number DESC LIMIT 1").fetchone()
     number, peaks = (0, b"") if last is None else (last[0] + 1, last[1])
     entry = LogEntry(number, at, what, subject, detail, digest)
-    db.execute("INSERT INTO log VALUES (?, ?, ?, ?, ?, ?, ?)", (*entry, grow(peaks, entry)))
+    db.execute("INSERT INTO log VALUES (?, ?, ?, ?, ?, ?, ?)", (*entry, extend_peaks(peaks, entry)))
 
 
 def _rows_of(db: sqlite3.Connection, what: str) -> Iterator[tuple[int | str | bytes, ...]]:
     """The rows the log calls `what`, oldest first."""
-    table, columns = RECORDED[what]
+    table, columns = LOGGED_TABLES[what]
     return iter(db.execute(f"SELECT {columns} FROM {table} ORDER BY rowid").fetchall())  # noqa: S608  (constants)
 
 
@@ -214,4 +216,4 @@ def _triggers(tables: tuple[str, ...]) -> Iterator[str]:
     ways = ", ".join(
         f"'{old}>{new}'" for old, following in TRANSITIONS.items() for new in sorted(following)
     )
-    yield from (_NEW_REQUEST, _REQUEST_FIXED, _REQUEST_MOVES.format(allowed=ways))
+    yield from (_NEW_REQUEST, _REQUEST_IMMUTABLE, _REQUEST_TRANSITIONS.format(allowed=ways))

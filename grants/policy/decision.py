@@ -11,7 +11,7 @@ from typing import Final
 
 from ca.names import check_name
 from grants.errors import PolicyRefused
-from grants.model import KEPT, Restriction, Right, merge
+from grants.model import KEEP_WHEN_STALE, Restriction, Right, merge
 from grants.names import check_pattern
 from grants.policy.index import Hit, Index, hits
 from grants.policy.model import DAY, HOUR, MINUTE, Clause, Effect, Policy, PolicyRule, Subject
@@ -161,7 +161,7 @@ def restriction_lines(verdict: Verdict) -> list[str]:
     if verdict.rate is not None:
         lines.append(f"at most {verdict.rate:g} messages a second")
     if verdict.keep_when_stale:
-        lines.append(KEPT)
+        lines.append(KEEP_WHEN_STALE)
     renewed = f", renewed until {span(verdict.renew_until)}" if verdict.renew_until else ""
     return [*dict.fromkeys(lines), f"valid {span(verdict.lifetime)}{renewed}"]
 

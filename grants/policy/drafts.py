@@ -11,25 +11,28 @@ from grants.errors import PolicyRefused
 from grants.model import Draft, Permission, Restriction, Right
 from grants.policy.decision import Decider, Verdict
 from grants.policy.model import Clause, Effect, Subject
-from grants.request import Wish
+from grants.request import RequestedRight
 
 
 @dataclass(frozen=True)
 class Plan:
-    """The wishes of one node, sorted by what the policy says."""
+    """The rights a node requests, sorted by what the policy says."""
 
     allowed: tuple[Verdict, ...]
     asked: tuple[Verdict, ...]
     denied: tuple[Verdict, ...]
 
 
-def plan(decider: Decider, subject: Subject, wishes: Iterable[Wish]) -> Plan:
+def plan(decider: Decider, subject: Subject, rights: Iterable[RequestedRight]) -> Plan:
     """Decide every wish by itself.
 
     Raises:
         PatternRefused, PolicyRefused: as `Decider.decide`.
     """
-    verdicts = [decider.decide(subject, wish.right, wish.pattern) for wish in sorted(set(wishes))]
+    verdicts = [
+        decider.decide(subject, requested.right, requested.pattern)
+        for requested in sorted(set(rights))
+    ]
     by = {effect: tuple(v for v in verdicts if v.effect is effect) for effect in Effect}
     return Plan(by[Effect.ALLOW], by[Effect.PROMPT], by[Effect.DENY])
 

@@ -12,10 +12,10 @@ from grants.conditions.compile import check_syntax, compile_condition
 from grants.errors import ConditionRefused, FilterRefused, GrantError
 from grants.filters.compile import compile_filter
 from grants.filters.layout import Array, Layout, Struct, Type
-from grants.filters.operators import OPERATORS, treatment
+from grants.filters.operators import OPERATORS, treatment_for
 from grants.filters.presets import preset
 from grants.model import FilterRule, Scalar
-from grants.policy.mistakes import Mistakes, SourcePosition, nearest
+from grants.policy.mistakes import Mistakes, SourcePosition, suggest
 from grants.policy.source import Part, YamlMapping, YamlScalar, YamlSequence
 
 _SHORT: Final = {
@@ -61,7 +61,7 @@ def _read_field(key: YamlScalar, part: Part, mistakes: Mistakes) -> FieldRule | 
         return None
     [(operator, (place, value))] = part.entries.items()
     if operator not in OPERATORS:
-        hint = nearest(operator, OPERATORS)
+        hint = suggest(operator, OPERATORS)
         mistakes.add(place, f"{path}: unknown operator {operator[:60]!r}", hint)
         return None
     parameters = _parameters(operator, value)
@@ -70,7 +70,7 @@ def _read_field(key: YamlScalar, part: Part, mistakes: Mistakes) -> FieldRule | 
         return None
     try:
         rule = FilterRule(path, operator, tuple(sorted(parameters.items())))
-        treatment(rule)
+        treatment_for(rule)
     except GrantError as error:
         mistakes.add(place, str(error), error.hint or _example(operator))
         return None
@@ -181,6 +181,6 @@ def nearest_field(layout: Layout, path: str) -> str:
         members = dict(kind.fields)
         name = step.removesuffix("[*]")
         if name not in members:
-            return nearest(name, members)
+            return suggest(name, members)
         kind = members[name]
     return ""

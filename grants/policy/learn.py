@@ -21,13 +21,13 @@ from grants.policy.model import Subject
 from grants.policy.rules import RIGHTS
 
 MAX_LINE: Final = 4096
-MAX_SEEN: Final = 100_000
+MAX_OBSERVATIONS: Final = 100_000
 _FIELDS: Final = {"at", "node", "right", "name", "type"}
 _NO_TYPE: Final = ("", "*")
 
 
 @dataclass(frozen=True, order=True)
-class Seen:
+class Observation:
     """A node used a right on a name."""
 
     node: str
@@ -36,7 +36,7 @@ class Seen:
     type: str = ""
 
 
-def from_graph(state: object, types: object = ()) -> list[Seen]:
+def from_graph(state: object, types: object = ()) -> list[Observation]:
     """What `getSystemState` and `getTopicTypes` answered.
 
     Raises:
@@ -55,18 +55,18 @@ def from_graph(state: object, types: object = ()) -> list[Seen]:
         raise PolicyRefused("not the state of a ROS graph", "is this a master?") from error
 
 
-def from_log(lines: Iterable[str]) -> list[Seen]:
+def from_log(lines: Iterable[str]) -> list[Observation]:
     """What a complain log says.
 
     Raises:
         PolicyRefused: a line that is none, by its number.
     """
-    found: set[Seen] = set()
+    found: set[Observation] = set()
     for number, line in enumerate(lines, 1):
         if line.strip():
             found.add(_line(number, line))
-        if len(found) > MAX_SEEN:
-            raise PolicyRefused(f"more than {MAX_SEEN} different lines", "split the log")
+        if len(found) > MAX_OBSERVATIONS:
+            raise PolicyRefused(f"more than {MAX_OBSERVATIONS} different lines", "split the log")
     return sorted(found)
 
 
@@ -76,21 +76,23 @@ def log_line(at: int, node: str, right: Right, name: str, type_name: str = "") -
     return json.dumps({**row, "type": type_name} if type_name else row)
 
 
-def learn(text: str, decider: Decider, seen: Sequence[Seen], day: str) -> tuple[str, list[NewRule]]:
+def learn(
+    text: str, decider: Decider, seen: Sequence[Observation], day: str
+) -> tuple[str, list[NewRule]]:
     """`text`, the policy of `decider`, with what it does not decide yet; and the rules added.
 
     Args:
         day: when it was seen, for the reason.
     """
     new = [item for item in seen if not _decided(decider, item)]
-    by_node: dict[str, list[Seen]] = {}
+    by_node: dict[str, list[Observation]] = {}
     for item in new:
         by_node.setdefault(item.node, []).append(item)
     rules = [_rule(node, items, day) for node, items in by_node.items()]
     return add_rules(text, rules) if rules else text, rules
 
 
-def _rule(node: str, seen: Sequence[Seen], day: str) -> NewRule:
+def _rule(node: str, seen: Sequence[Observation], day: str) -> NewRule:
     rights: dict[str, list[str]] = {}
     for item in seen:
         rights.setdefault(item.right.label, []).append(item.name)
@@ -99,7 +101,7 @@ def _rule(node: str, seen: Sequence[Seen], day: str) -> NewRule:
     return NewRule(name[:80], f"seen running {day}; review me", node, "allow", rights, types)
 
 
-def _decided(decider: Decider, seen: Seen) -> bool:
+def _decided(decider: Decider, seen: Observation) -> bool:
     """Whether a rule speaks about it; any key, since what was seen shows none."""
     keys = {who.key for rule in decider.policy.rules for who in rule.who if who.key is not None}
     return any(
@@ -108,7 +110,7 @@ def _decided(decider: Decider, seen: Seen) -> bool:
     )
 
 
-def _line(number: int, line: str) -> Seen:
+def _line(number: int, line: str) -> Observation:
     try:
         row = _row(line)
         return _seen(row["node"], RIGHTS[row["right"]], row["name"], row.get("type", ""))
@@ -128,11 +130,11 @@ def _row(line: str) -> dict[str, Any]:
     return row
 
 
-def _seen(node: object, right: Right, name: object, kind: object) -> Seen:
+def _seen(node: object, right: Right, name: object, kind: object) -> Observation:
     if not (isinstance(node, str) and isinstance(name, str) and isinstance(kind, str)):
         raise TypeError("a name is no text")
     try:
-        return Seen(check_name(node), right, check_name(name), kind)
+        return Observation(check_name(node), right, check_name(name), kind)
     except Exception as error:
         raise ValueError(str(error)) from error
 

@@ -11,10 +11,10 @@ from typing import Final
 
 from grants.errors import GrantError
 from grants.filters.layout import Layout
-from grants.filters.operators import OPERATORS, treatment
+from grants.filters.operators import OPERATORS, treatment_for
 from grants.model import FilterRule, Right
 from grants.policy.decision import Decider
-from grants.policy.model import Clause, Effect, Policy, PolicyRule, Subject, Who
+from grants.policy.model import Clause, Effect, Policy, PolicyRule, Subject, SubjectPattern
 from grants.policy.privacy import leaves, treats
 
 LayoutOf = Callable[[str], Layout]
@@ -88,7 +88,7 @@ def _kept(rule: PolicyRule) -> Iterator[Finding]:
         )
 
 
-def _owns(who: Who, pattern: str) -> bool:
+def _owns(who: SubjectPattern, pattern: str) -> bool:
     """Whether the names lie below the node's own: `/heating/**` of `/heating`."""
     return who.node is not None and pattern.startswith(f"{who.node.removesuffix('/**')}/")
 
@@ -127,7 +127,7 @@ def _beside(decider: Decider, rule: PolicyRule, clause: Clause) -> Iterator[Find
     same = [topic for topic, kind in policy.types.items() if kind == clause.type]
     for who in rule.who:
         for topic in sorted({*related, *same, *_RELATED_NAMES} - {clause.pattern}):
-            verdict = decider.decide(someone(who), Right.SUBSCRIBE, topic)
+            verdict = decider.decide(sample_subject(who), Right.SUBSCRIBE, topic)
             if verdict and not any(item.filters for item in verdict.restrictions):
                 message = f"rule {rule.id}: {who.label} sees {clause.pattern} coarsely, but {topic}"
                 yield Finding(rule.line, f"{message} exactly", f"filter {topic} as well")
@@ -148,14 +148,14 @@ def _borders(rule: PolicyRule, clause: Clause, moving: list[FilterRule]) -> Iter
 def _knows_hysteresis() -> bool:
     rule = FilterRule("x", "round", (("hysteresis", 0.1), ("step", 1.0)))
     try:
-        treatment(rule)
+        treatment_for(rule)
     except GrantError:
         return False
     return "round" in OPERATORS
 
 
 def _unused(policy: Policy) -> Iterator[Finding]:
-    used = {who.label for rule in policy.rules for who in (*rule.who, *rule.spared)}
+    used = {who.label for rule in policy.rules for who in (*rule.who, *rule.exceptions)}
     for name in policy.identities.keys() - used:
         yield Finding(0, f"identity {name} is used by no rule", "take it out, or use it")
     filtered = {
@@ -169,7 +169,7 @@ def _unused(policy: Policy) -> Iterator[Finding]:
             yield Finding(0, f"filter {name} is used by no rule", "take it out, or use it")
 
 
-def someone(who: Who) -> Subject:
+def sample_subject(who: SubjectPattern) -> Subject:
     """Somebody a rule is for, to try out decisions with."""
     node = (who.node or "/x").replace("**", "x").replace("*", "x")
     return Subject(node, who.key or bytes(32))

@@ -75,7 +75,7 @@ class Mistakes:
         raise PolicyRefused(f"{ordered[0]}{rest}", ordered[0].hint, ordered)
 
 
-def nearest(word: str, known: Iterable[str]) -> str:
+def suggest(word: str, known: Iterable[str]) -> str:
     """A hint: the known word that was probably meant, or a choice of them."""
     words = sorted(set(known))
     close = difflib.get_close_matches(word, words, 1, 0.6)

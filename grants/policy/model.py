@@ -35,7 +35,7 @@ class Subject:
 
 
 @dataclass(frozen=True)
-class Who:
+class SubjectPattern:
     """Whom a rule is for: a name or name pattern, and perhaps one pinned key.
 
     Args:
@@ -90,10 +90,10 @@ class PolicyRule:
 
     id: str
     effect: Effect
-    who: tuple[Who, ...]
+    who: tuple[SubjectPattern, ...]
     clauses: tuple[Clause, ...]
     why: str = ""
-    spared: tuple[Who, ...] = ()
+    exceptions: tuple[SubjectPattern, ...] = ()
     lifetime: int = LIFETIME
     renew_until: int = 0
     own_lifetime: bool = False
@@ -102,7 +102,7 @@ class PolicyRule:
 
     def is_for(self, subject: Subject) -> bool:
         """Whether the rule speaks about `subject`; a denial does so on the weaker evidence."""
-        if any(who.admits(subject) for who in self.spared):
+        if any(who.admits(subject) for who in self.exceptions):
             return False
         if self.effect is Effect.DENY:
             return any(who.suspects(subject) for who in self.who)
@@ -111,8 +111,10 @@ class PolicyRule:
     @property
     def people(self) -> str:
         """Whom it is for, in the policy's words."""
-        spared = ", ".join(who.label for who in self.spared)
-        return ", ".join(who.label for who in self.who) + (f" except {spared}" if spared else "")
+        exceptions = ", ".join(who.label for who in self.exceptions)
+        return ", ".join(who.label for who in self.who) + (
+            f" except {exceptions}" if exceptions else ""
+        )
 
     @property
     def reason(self) -> str:
@@ -137,7 +139,7 @@ class Policy:
 
     robot: str
     defaults: Defaults
-    identities: Mapping[str, Who]
+    identities: Mapping[str, SubjectPattern]
     types: Mapping[str, str]
     rules: tuple[PolicyRule, ...]
     file: str = "policy.yaml"

@@ -41,20 +41,20 @@ def includes(outer: str, inner: str, *, tree: bool = False) -> bool:
 
 
 @lru_cache(maxsize=4096)
-def meets(one: str, other: str) -> bool:
+def intersects(one: str, other: str) -> bool:
     """Whether some name lies under both."""
     return _walk(segments(one), segments(other), lambda a, b: a and b)
 
 
 @lru_cache(maxsize=4096)
-def meets_tree(pattern: str, name: str) -> bool:
+def intersects_tree(pattern: str, name: str) -> bool:
     """Whether some key lies under `pattern` or below it, and also under `name` or below it."""
     return _walk(segments(pattern), segments(name), lambda a, b: a or b)
 
 
 def concerns(pattern: str, right: Right, asked: str) -> bool:
     """Whether a rule about `pattern` touches any of what is `asked`: enough for a denial."""
-    return meets_tree(pattern, asked) if right & TREE_RIGHTS else meets(pattern, asked)
+    return intersects_tree(pattern, asked) if right & TREE_RIGHTS else intersects(pattern, asked)
 
 
 def gives(pattern: str, right: Right, asked: str) -> bool:

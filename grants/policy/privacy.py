@@ -13,7 +13,7 @@ from typing import Final
 from grants.filters.layout import Array, Layout, Struct, Type
 from grants.model import FilterRule, Restriction, Right
 from grants.policy.decision import Decider, span
-from grants.policy.model import Effect, Subject, Who
+from grants.policy.model import Effect, Subject, SubjectPattern
 
 AS_IT_IS: Final = "as it is"
 WHOLE: Final = "(everything)"
@@ -63,7 +63,7 @@ def from_policy(decider: Decider) -> list[ReceiverAccess]:
     return list(found.values())
 
 
-def _access(decider: Decider, who: Who, pattern: str) -> ReceiverAccess | None:
+def _access(decider: Decider, who: SubjectPattern, pattern: str) -> ReceiverAccess | None:
     node = (who.node or "/x").replace("**", "x").replace("*", "x")
     verdict = decider.decide(Subject(node, who.key or bytes(32)), Right.SUBSCRIBE, pattern)
     if not verdict:

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from grants.policy.model import Policy, PolicyRule, Subject
 
 
-def prospects(policy: Policy, subject: Subject) -> list[str]:
+def projected_grants(policy: Policy, subject: Subject) -> list[str]:
     """What `subject` gets, may get or never gets, a line each, in the order of the rules."""
     return [line for rule in policy.rules if rule.is_for(subject) for line in _lines(rule)]
 

@@ -11,7 +11,7 @@ from ca.errors import HintedError
 from grants.filters.layout import Layout, parse
 from grants.policy import readers
 from grants.policy.fields import FieldRule, read_fields
-from grants.policy.mistakes import Mistake, Mistakes, nearest
+from grants.policy.mistakes import Mistake, Mistakes, suggest
 from grants.policy.model import (
     EVERYONE,
     LIFETIME,
@@ -20,7 +20,7 @@ from grants.policy.model import (
     Effect,
     Policy,
     PolicyRule,
-    Who,
+    SubjectPattern,
 )
 from grants.policy.rules import RuleReader
 from grants.policy.source import Part, YamlMapping, YamlScalar, read_source
@@ -116,16 +116,16 @@ class _Reader:
             own_lifetime=lifetime is not None,
         )
 
-    def _identities(self, part: Part | None) -> dict[str, Who]:
+    def _identities(self, part: Part | None) -> dict[str, SubjectPattern]:
         table = readers.table(part, "identities", self._mistakes)
-        found: dict[str, Who] = {}
+        found: dict[str, SubjectPattern] = {}
         for name, (key, value) in table.entries.items() if table is not None else ():
             who = self._identity(name, key, value)
             # Kept even if faulty, so that its users are not reported as well.
-            found[name] = who or Who(name)
+            found[name] = who or SubjectPattern(name)
         return found
 
-    def _identity(self, name: str, key: YamlScalar, part: Part) -> Who | None:
+    def _identity(self, name: str, key: YamlScalar, part: Part) -> SubjectPattern | None:
         if name == EVERYONE or name.startswith("/"):
             self._mistakes.add(key, f"{name[:60]!r} cannot be the name of an identity")
         table = readers.table(part, f"identity {name}", self._mistakes)
@@ -136,7 +136,7 @@ class _Reader:
         pinned = readers.key(table.get("key"), self._mistakes)
         if table.get("node") is None and table.get("key") is None:
             self._mistakes.add(table, f"identity {name} is nobody", "add node: /name, or key: ...")
-        return Who(name, node, pinned)
+        return SubjectPattern(name, node, pinned)
 
     def _types(self, part: Part | None) -> tuple[dict[str, Layout], dict[str, str]]:
         """Layouts by type name, and type names by topic pattern."""
@@ -156,7 +156,7 @@ class _Reader:
         try:
             layouts[name] = parse(name, self._definition(name))
         except HintedError as error:
-            hint = nearest(name, self._known_types) if self._known_types else error.hint
+            hint = suggest(name, self._known_types) if self._known_types else error.hint
             self._mistakes.add(place, str(error), hint)
 
     def _filters(self, part: Part | None) -> dict[str, tuple[FieldRule, ...]]:

@@ -11,7 +11,7 @@ from typing import Final, Literal, TypeAlias
 from grants.errors import GrantError
 from grants.model import MAX_RATE
 from grants.names import check_pattern
-from grants.policy.mistakes import Mistakes, nearest
+from grants.policy.mistakes import Mistakes, suggest
 from grants.policy.source import Part, YamlMapping, YamlScalar, YamlSequence
 
 NEVER: Final = "never"
@@ -41,7 +41,7 @@ def closed(
     """Note every key that is not known, and every needed one that is missing."""
     for name, (key, _) in part.entries.items():
         if name not in known:
-            mistakes.add(key, f"unknown key {name[:60]!r} in {what}", nearest(name, known))
+            mistakes.add(key, f"unknown key {name[:60]!r} in {what}", suggest(name, known))
     for name in needed:
         if name not in part.entries:
             mistakes.add(part, f"{what} has no {name!r}", f"add {name}: ...")
@@ -128,7 +128,7 @@ def choice(part: Part | None, what: str, known: Collection[str], mistakes: Mista
     value = str(part.value) if isinstance(part, YamlScalar) else ""
     if value in known:
         return value
-    mistakes.add(part, f"unknown {what}{_shown(value)}", nearest(value, known))
+    mistakes.add(part, f"unknown {what}{_shown(value)}", suggest(value, known))
     return None
 
 

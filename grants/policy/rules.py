@@ -22,8 +22,16 @@ from grants.policy.fields import (
     read_fields,
     read_when,
 )
-from grants.policy.mistakes import Mistakes, SourcePosition, nearest
-from grants.policy.model import EVERYONE, Clause, Defaults, Effect, PolicyRule, Who, type_of
+from grants.policy.mistakes import Mistakes, SourcePosition, suggest
+from grants.policy.model import (
+    EVERYONE,
+    Clause,
+    Defaults,
+    Effect,
+    PolicyRule,
+    SubjectPattern,
+    type_of,
+)
 from grants.policy.source import Part, YamlMapping
 
 _ID: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,79}", re.ASCII)
@@ -52,7 +60,7 @@ class RuleReader:
         self,
         mistakes: Mistakes,
         defaults: Defaults,
-        identities: Mapping[str, Who],
+        identities: Mapping[str, SubjectPattern],
         types: Mapping[str, str],
         layouts: Mapping[str, Layout],
         filters: Mapping[str, _Fields],
@@ -85,7 +93,7 @@ class RuleReader:
             id=name,
             effect=effect,
             who=self._people(table.get("who")),
-            spared=self._people(table.get("except")),
+            exceptions=self._people(table.get("except")),
             why=readers.text(table.get("why"), "why", self._mistakes) or "",
             clauses=self._clauses(table, rights, name),
             lifetime=self._defaults.lifetime if lifetime is None else lifetime,
@@ -110,22 +118,22 @@ class RuleReader:
         rights = table.get(effect.value)
         return effect, readers.table(rights, f"{effect.value} of rule {name}", self._mistakes)
 
-    def _people(self, part: Part | None) -> tuple[Who, ...]:
+    def _people(self, part: Part | None) -> tuple[SubjectPattern, ...]:
         people = (self._person(item) for item in readers.words(part))
         return tuple(who for who in people if who is not None)
 
-    def _person(self, part: Part) -> Who | None:
+    def _person(self, part: Part) -> SubjectPattern | None:
         label = readers.text(part, "who", self._mistakes)
         if label is None:
             return None
         if label == EVERYONE:
-            return Who(label, "/**")
+            return SubjectPattern(label, "/**")
         if label.startswith("/"):
             node = readers.pattern(part, "who", self._mistakes)
-            return Who(label, node) if node is not None else None
+            return SubjectPattern(label, node) if node is not None else None
         if label not in self._identities:
             message = f"unknown identity {label[:60]!r}"
-            self._mistakes.add(part, message, nearest(label, self._identities))
+            self._mistakes.add(part, message, suggest(label, self._identities))
             return None
         return self._identities[label]
 
@@ -151,12 +159,12 @@ class RuleReader:
     def _named(self, rights: YamlMapping, name: str) -> list[tuple[Right, str, SourcePosition]]:
         """Every right and pattern the rule names."""
         if not rights.entries:
-            self._mistakes.add(rights, f"rule {name} names no right", nearest("", RIGHTS))
+            self._mistakes.add(rights, f"rule {name} names no right", suggest("", RIGHTS))
         found: list[tuple[Right, str, SourcePosition]] = []
         for label, (key, value) in rights.entries.items():
             if label not in RIGHTS:
                 message = f"unknown right {label[:60]!r} in rule {name}"
-                self._mistakes.add(key, message, nearest(label, RIGHTS))
+                self._mistakes.add(key, message, suggest(label, RIGHTS))
                 continue
             items = readers.words(value)
             if not items:
@@ -238,7 +246,7 @@ class RuleReader:
         for topic, (key, value) in table.entries.items():
             if topic not in topics:
                 message = f"rule {name} does not let subscribe {topic[:80]!r}"
-                self._mistakes.add(key, message, nearest(topic, topics))
+                self._mistakes.add(key, message, suggest(topic, topics))
                 continue
             inner = readers.table(value, f"filter of {topic}", self._mistakes)
             if inner is not None:

@@ -22,7 +22,7 @@ from ruamel.yaml.events import (
 from grants.errors import YamlRefused
 from grants.model import Scalar
 from grants.policy.mistakes import Mistakes
-from grants.yaml_text import Bounds, events, place, quoted
+from grants.yaml_text import Bounds, events, is_quoted, position
 
 BOUNDS: Final = Bounds()  # 10,000 rules of 400 characters and 30 words
 MAX_SIZE: Final = BOUNDS.size
@@ -101,7 +101,7 @@ class _Builder:
     def _part(self, event: Any) -> Part:
         if isinstance(event, ScalarEvent):
             return _word(event)
-        line, column = place(event.start_mark)
+        line, column = position(event.start_mark)
         if isinstance(event, SequenceStartEvent):
             items = []
             while not isinstance(after := next(self._events), SequenceEndEvent):
@@ -115,7 +115,7 @@ class _Builder:
             key = self._part(event)
             value = self._part(next(self._events))
             if not isinstance(key, YamlScalar):
-                self._mistakes.add(key, "a key must be a word")
+                self._mistakes.add(key, "a key must be a scalar")
                 continue
             name = str(key.value)
             if name in entries:
@@ -128,8 +128,8 @@ class _Builder:
 
 
 def _word(event: Any) -> YamlScalar:
-    value: Scalar = event.value if quoted(event) else _plain(event.value)
-    return YamlScalar(value, *place(event.start_mark))
+    value: Scalar = event.value if is_quoted(event) else _plain(event.value)
+    return YamlScalar(value, *position(event.start_mark))
 
 
 def _plain(text: str) -> Scalar:

@@ -1,4 +1,4 @@
-"""Where requests are decided: by the policy, or by a person where the policy wants one asked.
+"""Where requests are decided: by the policy, or by a person where the policy wants one stored.
 
 A shell around the authority, its policy and its inbox. Only `sign` needs the key. A person who
 does not answer in time has said no; so does the desk when a node asks for too much at once. Two
@@ -26,24 +26,24 @@ from rossec.authority.policyfile import PolicyFile
 from rossec.authority.requests import GrantRequestStore, StoredRequest
 from rossec.authority.signing import SigningAuthority
 
-MAX_ASKED: Final = 16  # prompts one node may have waiting
+MAX_PENDING: Final = 16  # prompts one node may have waiting
 GRANTED, DENIED, LATE, TOO_MANY = "granted", "denied", "no answer", "too many"
 
-Change = Callable[[Verdict], Verdict]
+VerdictChange = Callable[[Verdict], Verdict]
 
 
 @dataclass(frozen=True)
 class PendingApproval:
     """A wish that waits for a person, or only for the key: see `verdict`."""
 
-    asked: StoredRequest
+    stored: StoredRequest
     verdict: Verdict
 
 
 class ApprovalQueue:
     """The authority's desk at `now`, deciding by `policy`.
 
-    `denied` counts what the last `questions` answered with a no by itself.
+    `denied` counts what the last `approvals` answered with a no by itself.
     """
 
     def __init__(self, home: AuthorityHome, policy: PolicyFile, now: int) -> None:
@@ -52,39 +52,39 @@ class ApprovalQueue:
         self._decider = policy.decider
         self._now = now
         self._store = home.store()
-        self._inbox = GrantRequestStore(self._store.database)
-        self.denied = 0
+        self._requests = GrantRequestStore(self._store.database)
+        self.denied_automatically = 0
 
     def close(self) -> None:
         """Close the record."""
         self._store.close()
 
-    def take(self, data: bytes) -> GrantRequest:
+    def add_request(self, data: bytes) -> GrantRequest:
         """Record one request, verified with the key its node was enrolled with.
 
         Raises:
             HintedError: not a request of an enrolled node, or known already.
         """
         named = peek_request(data).node
-        row = self._store.live_certificate(named, self._now)
+        row = self._store.valid_certificate(named, self._now)
         key = x509.load_der_x509_certificate(row.der).public_key()
         assert isinstance(key, ec.EllipticCurvePublicKey)  # noqa: S101 - we signed it
         request = open_request(data, key, domain=self._home.domain, now=self._now)
-        self._inbox.add(request, data, self._now)
+        self._requests.add(request, data, self._now)
         return request
 
-    def collect(self) -> list[str]:
+    def read_inbox(self) -> list[str]:
         """Take what lies in the inbox directory; returns what was wrong, a line each.
 
         Raises:
             RecordUnusable: what could not be recorded stays in the inbox.
         """
         trouble: list[str] = []
-        with self._store.changing():  # another desk takes what this one has not
-            paths = requests.waiting(self._home.path)
+        with self._store.transaction():  # another desk takes what this one has not
+            paths = requests.inbox_files(self._home.path)
             for path in paths:
                 try:
-                    self.take(requests.read(path))
+                    self.add_request(requests.read_request(path))
                 except RecordUnusable:
                     raise
                 except HintedError as error:
@@ -93,40 +93,40 @@ class ApprovalQueue:
             path.unlink(missing_ok=True)
         return trouble
 
-    def questions(self) -> list[PendingApproval]:
+    def pending(self) -> list[PendingApproval]:
         """What is not answered; what the policy denies, or nobody answered, is answered here."""
-        with self._store.changing():
-            return self._questions()
+        with self._store.transaction():
+            return self._pending()
 
-    def _questions(self) -> list[PendingApproval]:
-        open_: list[PendingApproval] = []
+    def _pending(self) -> list[PendingApproval]:
+        approvals: list[PendingApproval] = []
         waiting: dict[str, int] = {}
-        unanswered = self._inbox.unanswered()
-        for asked in unanswered:
+        unanswered = self._requests.unanswered()
+        for stored in unanswered:
             try:
-                verdict = self._verdict(asked)
+                verdict = self._verdict(stored)
             except HintedError as error:  # its identity has expired since
-                self._inbox.answer(asked, DENIED, str(error), self._now)
+                self._requests.answer(stored, DENIED, str(error), self._now)
                 continue
             if verdict.effect is Effect.DENY:
-                self._inbox.answer(asked, DENIED, _by(verdict), self._now)
+                self._requests.answer(stored, DENIED, _denial_reason(verdict), self._now)
                 continue
-            if verdict.effect is Effect.PROMPT and (why := self._refusal(asked, waiting)):
-                self._inbox.answer(asked, DENIED, why, self._now)
+            if verdict.effect is Effect.PROMPT and (why := self._automatic_denial(stored, waiting)):
+                self._requests.answer(stored, DENIED, why, self._now)
                 continue
-            open_.append(PendingApproval(asked, verdict))
-        self.denied = len(unanswered) - len(open_)
-        return open_
+            approvals.append(PendingApproval(stored, verdict))
+        self.denied_automatically = len(unanswered) - len(approvals)
+        return approvals
 
-    def deny(self, question: PendingApproval, reason: str) -> None:
+    def deny(self, approval: PendingApproval, reason: str) -> None:
         """A person said no."""
-        self._inbox.answer(question.asked, DENIED, reason, self._now)
+        self._requests.answer(approval.stored, DENIED, reason, self._now)
 
     def sign(
         self,
         authority: SigningAuthority,
-        questions: Iterable[PendingApproval],
-        change: Change,
+        approvals: Iterable[PendingApproval],
+        change: VerdictChange,
         reason: str,
     ) -> list[tuple[Draft, bytes]]:
         """Sign what was decided, as `change` makes it; returns the grants with what they say.
@@ -136,8 +136,8 @@ class ApprovalQueue:
             StoreError: one was answered meanwhile, or its key revoked; nothing is signed then.
             ConfigurationError: the policy is another one by now; nothing is signed then.
         """
-        chosen = list(questions)
-        verdicts = [change(approve(question.verdict)) for question in chosen]
+        chosen = list(approvals)
+        verdicts = [change(approve(approval.verdict)) for approval in chosen]
         made = drafts(
             verdicts,
             domain=authority.domain,
@@ -145,30 +145,30 @@ class ApprovalQueue:
             serial=lambda: secrets.token_bytes(16),
         )
         answers = GrantRequestStore(authority.store.database)
-        with authority.store.changing():
+        with authority.store.transaction():
             self._policy.check_unchanged()
-            for question in chosen:
-                answers.answer(question.asked, GRANTED, reason, self._now)
-            return [(draft, authority.grant(draft, self._now)) for draft in made]
+            for approval in chosen:
+                answers.answer(approval.stored, GRANTED, reason, self._now)
+            return [(draft, authority.issue_grant(draft, self._now)) for draft in made]
 
-    def _verdict(self, asked: StoredRequest) -> Verdict:
-        row = self._store.live_certificate(asked.request.node, self._now)
+    def _verdict(self, stored: StoredRequest) -> Verdict:
+        row = self._store.valid_certificate(stored.request.node, self._now)
         subject = Subject(row.name, row.thumbprint)
-        return self._decider.decide(subject, asked.wish.right, asked.wish.pattern)
+        return self._decider.decide(subject, stored.requested.right, stored.requested.pattern)
 
-    def _refusal(self, asked: StoredRequest, waiting: dict[str, int]) -> str:
-        if self._now > asked.at + self._decider.policy.defaults.prompt_timeout:
+    def _automatic_denial(self, stored: StoredRequest, waiting: dict[str, int]) -> str:
+        if self._now > stored.at + self._decider.policy.defaults.prompt_timeout:
             return LATE
-        node = asked.request.node
+        node = stored.request.node
         waiting[node] = waiting.get(node, 0) + 1
-        return TOO_MANY if waiting[node] > MAX_ASKED else ""
+        return TOO_MANY if waiting[node] > MAX_PENDING else ""
 
 
-def _by(verdict: Verdict) -> str:
+def _denial_reason(verdict: Verdict) -> str:
     return f"rule {verdict.rules[0].id}" if verdict.rules else "by default"
 
 
-def today(now: int) -> int:
+def seconds_left_today(now: int) -> int:
     """Seconds left of this day, where this machine is."""
     local = time.localtime(now)
     return max(60, 86400 - (local.tm_hour * 3600 + local.tm_min * 60 + local.tm_sec))

@@ -1,6 +1,6 @@
 """Back an authority up into one file, and restore it where that loses nothing by accident.
 
-A shell. Restoring proves the backup first, beside its place: the key opens and fits its
+A shell. Restoring proves the backup first, beside its target: the key opens and fits its
 certificate, the log verifies. An authority that is there already is replaced only if the operator
 names its trust domain, and newer entries are given up only if the operator says how many. What was
 signed after the backup is unknown to it, so a new epoch of revocation lists begins, and a signed
@@ -19,7 +19,7 @@ from typing import Final
 from ca.certificates import TrustAnchor
 from ca.errors import BackupRefused, HintedError, LogDamaged, PassphraseRefused
 from ca.revocation.state import open_list
-from ca.revocation.tree import Listing, is_tree, open_tree
+from ca.revocation.tree import TreeEntries, is_tree, open_tree
 from ca.store import backup
 from ca.store.log_entries import LogEntry
 from rossec import files
@@ -27,7 +27,7 @@ from rossec.authority.home import AuthorityHome
 from rossec.authority.signing import SigningAuthority
 
 _SKIPPED: Final = ("ca.db", "ca.db-wal", "ca.db-shm")  # the record goes in as a snapshot
-_OTHER: Final = "take another backup, and find out who made this one"
+_HINT: Final = "take another backup, and find out who made this one"
 _PUBLIC: Final = ".pem"
 
 
@@ -37,7 +37,7 @@ class Restored:
 
     home: AuthorityHome
     entries: int
-    revived: int  # revocations brought back from a list
+    restored_revocations: int  # revocations brought back from a list
 
 
 def back_up(home: AuthorityHome, passphrase: str) -> bytes:
@@ -85,29 +85,29 @@ def restore(
         PassphraseRefused: the passphrase is wrong.
         LogDamaged: the backup's own log does not verify.
     """
-    place = home / "ca"
-    begun = place.with_name(f".ca.{secrets.token_hex(8)}")
+    target = home / "ca"
+    staging = target.with_name(f".ca.{secrets.token_hex(8)}")
     try:
-        _write(begun, backup.unseal(data, passphrase))
-        authority = _prove(AuthorityHome(begun), secret or passphrase)
-        size = authority.store.journal.head(now).size
-        newest = _listed(newest_list, entries, authority)
-        with _alone(place):
-            if place.exists():
-                _check_over(AuthorityHome(place), authority, over, forget)
-            revived = _bring_up_to_date(authority, newest, size, now)
+        _write(staging, backup.unseal(data, passphrase))
+        authority = _open_verified(AuthorityHome(staging), secret or passphrase)
+        size = authority.store.log.head(now).size
+        newest = _revoked_by(newest_list, entries, authority)
+        with _locked(target):
+            if target.exists():
+                _check_replacement(AuthorityHome(target), authority, over, forget)
+            revived = _start_new_epoch(authority, newest, size, now)
             authority.store.close()
-            if place.exists():
-                aside = (place.with_name(f"ca.replaced.{number}") for number in count(now))
-                place.rename(next(path for path in aside if not path.exists()))
-            files.settle(begun, place)
+            if target.exists():
+                aside = (target.with_name(f"ca.replaced.{number}") for number in count(now))
+                target.rename(next(path for path in aside if not path.exists()))
+            files.commit_directory(staging, target)
     except BaseException:
-        shutil.rmtree(begun, ignore_errors=True)
+        shutil.rmtree(staging, ignore_errors=True)
         raise
-    return Restored(AuthorityHome(place), size, revived)
+    return Restored(AuthorityHome(target), size, revived)
 
 
-def _prove(begun: AuthorityHome, secret: str) -> SigningAuthority:
+def _open_verified(staging: AuthorityHome, secret: str) -> SigningAuthority:
     """The authority in a backup, if key, certificate and record are whole and of one another.
 
     Raises:
@@ -115,8 +115,8 @@ def _prove(begun: AuthorityHome, secret: str) -> SigningAuthority:
         PassphraseRefused, LogDamaged: as `restore`.
     """
     try:
-        authority = begun.unlock(secret)
-        authority.store.journal.audit(authority.signer.public_key)
+        authority = staging.unlock(secret)
+        authority.store.log.audit(authority.signer.public_key)
         authority.store.check()
         newest = authority.store.newest_list()
         if newest is not None and authority.authority.is_root:
@@ -125,17 +125,17 @@ def _prove(begun: AuthorityHome, secret: str) -> SigningAuthority:
     except (PassphraseRefused, LogDamaged):
         raise
     except (HintedError, ValueError) as error:  # also: not one certificate where one belongs
-        raise BackupRefused(f"what is in the backup is no authority: {error}", _OTHER) from error
+        raise BackupRefused(f"what is in the backup is no authority: {error}", _HINT) from error
     return authority
 
 
 @contextlib.contextmanager
-def _alone(place: Path) -> Iterator[None]:
-    """Nobody signs or revokes at `place` from its comparison with the backup until it has moved."""
+def _locked(target: Path) -> Iterator[None]:
+    """Lock the record at `target` from its comparison with the backup until it is moved away."""
     with contextlib.ExitStack() as stack:
         with contextlib.suppress(HintedError):  # no whole authority: `_read` says so
-            store = stack.enter_context(contextlib.closing(AuthorityHome(place).store()))
-            stack.enter_context(store.changing())
+            store = stack.enter_context(contextlib.closing(AuthorityHome(target).store()))
+            stack.enter_context(store.transaction())
         yield
 
 
@@ -146,7 +146,7 @@ def _write(directory: Path, content: dict[str, bytes]) -> None:
         files.create(path, data, 0o644 if name.endswith(_PUBLIC) else 0o600)
 
 
-def _check_over(
+def _check_replacement(
     there: AuthorityHome, found: SigningAuthority, over: str | None, forget: int
 ) -> None:
     """The one that is there gives way to the backup only knowingly."""
@@ -161,7 +161,7 @@ def _check_over(
             f"the authority in {there.path} is another one than that of the backup",
             "restore it into another ROSSEC_HOME",
         )
-    backed = found.store.journal.entries()
+    backed = found.store.log.entries()
     shared = sum(1 for ours, theirs in zip(held, backed, strict=False) if ours == theirs)
     lost = len(held) - shared
     if lost != forget:
@@ -175,7 +175,7 @@ def _read(there: AuthorityHome) -> tuple[TrustAnchor, list[LogEntry]]:
     """Who is there, and what it did."""
     try:
         with contextlib.closing(there.store()) as store:
-            return there.anchor(), store.journal.entries()
+            return there.anchor(), store.log.entries()
     except HintedError as error:
         raise BackupRefused(
             f"what is in {there.path} is no whole authority: {error}",
@@ -183,7 +183,7 @@ def _read(there: AuthorityHome) -> tuple[TrustAnchor, list[LogEntry]]:
         ) from error
 
 
-def _listed(
+def _revoked_by(
     data: bytes | None, entries: bytes | None, authority: SigningAuthority
 ) -> frozenset[bytes]:
     """What a signed statement revokes; none: nothing."""
@@ -197,20 +197,20 @@ def _listed(
             "the newest revocations are a tree, which does not say what is in it",
             "name its entries too, with --entries: the master keeps them as revocations.entries",
         )
-    listing = Listing.read(entries)
+    listing = TreeEntries.read(entries)
     listing.check(open_tree(data, key))
     return listing.entries
 
 
-def _bring_up_to_date(
+def _start_new_epoch(
     authority: SigningAuthority, newest: frozenset[bytes], entries: int, now: int
 ) -> int:
     """A new epoch, and what was revoked since; an intermediate has neither."""
-    authority.store.note("restored", "record", f"from {entries} entries", now)
+    authority.store.log_event("restored", "record", f"from {entries} entries", now)
     if not authority.authority.is_root:
         return 0
     missing = newest - authority.store.revoked_entries()
-    with authority.store.changing():
+    with authority.store.transaction():
         for entry in sorted(missing):
             authority.store.revoke(entry, "from a list newer than the backup", now)
         authority.sign_list(now, new_epoch=True)

@@ -15,7 +15,7 @@ from ca.keys import key_files
 from ca.keys.hsm import KeyUri, TokenSigner
 from ca.keys.signer import KeySigner, Signer
 from ca.names import check_domain
-from ca.revocation.tree import MAX_LISTING, Listing, is_tree, open_tree
+from ca.revocation.tree import MAX_TREE_ENTRIES_SIZE, TreeEntries, is_tree, open_tree
 from ca.store.record import Store
 from rossec import files
 from rossec.authority import list_contents
@@ -73,16 +73,16 @@ class AuthorityHome:
         signer = KeySigner(key) if uri is None else TokenSigner.create(uri, passphrase)
         root = create_root(signer, domain, now=now, serial=secrets.randbits(127) + 1)
         # Beside its place: an interrupted beginning is no authority, and is not in the way of one.
-        begun = path.with_name(f".{path.name}.{secrets.token_hex(8)}")
+        staging = path.with_name(f".{path.name}.{secrets.token_hex(8)}")
         try:
-            _build(begun, signer, root, now)
+            _build(staging, signer, root, now)
             if uri is None:
-                key_files.write_private(begun / "ca.key", key, passphrase)
+                key_files.write_private(staging / "ca.key", key, passphrase)
             else:
-                files.create(begun / KEY_URI, f"{uri}\n".encode())
-            files.settle(begun, path)
+                files.create(staging / KEY_URI, f"{uri}\n".encode())
+            files.commit_directory(staging, path)
         except BaseException:
-            shutil.rmtree(begun, ignore_errors=True)
+            shutil.rmtree(staging, ignore_errors=True)
             raise
         return cls(path)
 
@@ -153,7 +153,7 @@ class AuthorityHome:
             raise ConfigurationError("no revocation list was signed yet", "next: rossec ca refresh")
         return data
 
-    def entries(self) -> bytes:
+    def tree_entries(self) -> bytes:
         """The entries of the newest tree.
 
         Raises:
@@ -164,18 +164,18 @@ class AuthorityHome:
             raise ConfigurationError("the newest revocations are no tree", "see: rossec ca publish")
         tree = open_tree(data, self.anchor().public_key)
         with contextlib.suppress(RevocationRefused):
-            return list_contents.entries_of(self.store(), tree).encoded()
+            return list_contents.tree_entries(self.store(), tree).encoded()
         # Of an older version, which kept them beside the record and could lose one of the two.
         missing = ConfigurationError("the entries of the tree are missing", "rossec ca refresh")
-        kept = files.read_own(self.path / ENTRIES, MAX_LISTING, missing)
-        Listing.read(kept).check(tree)
+        kept = files.read_own(self.path / ENTRIES, MAX_TREE_ENTRIES_SIZE, missing)
+        TreeEntries.read(kept).check(tree)
         return kept
 
-    def unlisted(self, now: int) -> int:
+    def count_unlisted(self, now: int) -> int:
         """How many revocations are recorded and in no signed list; an intermediate has none."""
         if self.is_intermediate:
             return 0
-        return len(list_contents.missing(self.store(), self.anchor().public_key, now))
+        return len(list_contents.missing_entries(self.store(), self.anchor().public_key, now))
 
 
 def _build(path: Path, signer: Signer, root: bytes, now: int) -> None:
@@ -192,10 +192,10 @@ def _build(path: Path, signer: Signer, root: bytes, now: int) -> None:
 
 def fingerprint(anchor: TrustAnchor) -> str:
     """What two people compare to be sure of an authority."""
-    return grouped(anchor.thumbprint)
+    return format_fingerprint(anchor.thumbprint)
 
 
-def grouped(thumbprint: bytes) -> str:
+def format_fingerprint(thumbprint: bytes) -> str:
     """The fingerprint of a key, for reading aloud: half its thumbprint, in fours.
 
     128 bits: enough, as a forger needs a second key with the same half, not just any two.

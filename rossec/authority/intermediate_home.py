@@ -63,7 +63,7 @@ def install(home: Path, bundle: bytes, passphrase: str, now: int) -> Intermediat
     files.replace(path / "intermediate.pem", to_pem(der), 0o644)
     files.replace(path / "ca.pem", to_pem(root), 0o644)
     with contextlib.closing(Store.open(path / "ca.db")) as store:
-        store.note("installed", "intermediate", found.thumbprint.hex(), now)
+        store.log_event("installed", "intermediate", found.thumbprint.hex(), now)
     return found
 
 

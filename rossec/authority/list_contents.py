@@ -11,14 +11,14 @@ from cryptography.hazmat.primitives.asymmetric import ec
 
 from ca.errors import RevocationRefused
 from ca.revocation.state import RevocationList, open_statement
-from ca.revocation.tree import Listing, RevocationTree
+from ca.revocation.tree import RevocationTree, TreeEntries
 from ca.store.record import Store
 from grants import document
 
 SKEW: Final = 60  # seconds another host's clock may be behind
 
 
-def due(store: Store, now: int) -> frozenset[bytes]:
+def required_entries(store: Store, now: int) -> frozenset[bytes]:
     """What a list that is signed at `now` has to hold.
 
     Grants that no renewal can bring back need not be on it any longer. A node that relies on a list
@@ -30,7 +30,7 @@ def due(store: Store, now: int) -> frozenset[bytes]:
     return store.revoked_entries() - frozenset(ended)
 
 
-def missing(store: Store, key: ec.EllipticCurvePublicKey, now: int) -> frozenset[bytes]:
+def missing_entries(store: Store, key: ec.EllipticCurvePublicKey, now: int) -> frozenset[bytes]:
     """What the newest signed list lacks; everything, where that cannot be told.
 
     `key` is the authority's.
@@ -38,30 +38,32 @@ def missing(store: Store, key: ec.EllipticCurvePublicKey, now: int) -> frozenset
     Raises:
         RevocationRefused: the list in the record is none of the authority's.
     """
-    with store.reading():
+    with store.read_transaction():
         data = store.newest_list()
         statement = None if data is None else open_statement(data, key)
-        return due(store, now) - _listed(store, statement)
+        return required_entries(store, now) - _listed_entries(store, statement)
 
 
-def entries_of(store: Store, tree: RevocationTree) -> Listing:
+def tree_entries(store: Store, tree: RevocationTree) -> TreeEntries:
     """The entries of a tree in the record, as they were when it was signed.
 
     Raises:
         RevocationRefused: the record holds others, and does not say which they were.
     """
-    listing = Listing(due(store, tree.issued))
+    listing = TreeEntries(required_entries(store, tree.issued))
     listing.check(tree)
     return listing
 
 
-def _listed(store: Store, statement: RevocationList | RevocationTree | None) -> frozenset[bytes]:
+def _listed_entries(
+    store: Store, statement: RevocationList | RevocationTree | None
+) -> frozenset[bytes]:
     match statement:
         case RevocationList(entries=entries):
             return entries
         case RevocationTree():
             try:
-                return entries_of(store, statement).entries
+                return tree_entries(store, statement).entries
             except RevocationRefused:
                 return frozenset()
         case _:

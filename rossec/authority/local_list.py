@@ -35,11 +35,11 @@ class LocalList:
             return None
         stamp = self._stamp()  # before it is read: what is written meanwhile is news again
         data = authority.revocation_list()
-        found = data, authority.entries() if is_tree(data) else b""
+        found = data, authority.tree_entries() if is_tree(data) else b""
         self._seen = stamp  # and what could not be read is read again
         return found
 
-    def news(self) -> tuple[bytes, bytes] | None:
+    def newest_if_changed(self) -> tuple[bytes, bytes] | None:
         """As `newest`, if the record was written since it was last looked at."""
         return self.newest() if self._stamp() != self._seen else None
 

@@ -34,7 +34,7 @@ class PolicyFile:
 
         Raises:
             ConfigurationError: there is no such file, or it is no text.
-            PlaceRefused: somebody else could have written it.
+            PathRefused: somebody else could have written it.
             PolicyRefused: with all its mistakes.
         """
         missing = ConfigurationError(
@@ -57,7 +57,7 @@ class PolicyFile:
             ConfigurationError: somebody else has changed the file; it is not touched.
         """
         policy = parse_policy(text, str(self.path))
-        with files.alone(self.path.parent):
+        with files.locked_directory(self.path.parent):
             if self.path.exists():  # else it is a new one
                 self.check_unchanged()
             files.replace(self.path.resolve(), text.encode(), 0o644)  # behind a link

@@ -23,7 +23,7 @@ from rossec.authority.signing import OWN_NODE, SigningAuthority, certificate_row
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
 
-SEASON: Final = 90 * DAY
+INTERMEDIATE_LIFETIME: Final = 90 * DAY
 
 
 def renew(
@@ -42,8 +42,8 @@ def renew(
         RenewalRefused: not in order, not due, or the identity was renewed by another key before.
         CertificateRefused, RequestRefused, Revoked: as `ca.renewal.open_renewal`.
     """
-    with authority.store.changing():
-        return _renew(authority, data, now, check or _recorded(authority), lifetime)
+    with authority.store.transaction():
+        return _renew(authority, data, now, check or _check_in_record(authority), lifetime)
 
 
 def _renew(
@@ -54,9 +54,9 @@ def _renew(
     lifetime: int,
 ) -> bytes:
     renewal = open_renewal(data, authority.authority.anchor, now, check)
-    answered = authority.store.identities.answer(renewal.request.digest)
+    answered = authority.store.identities.issued_for(renewal.request.digest)
     if answered is not None:
-        return authority.again(answered, now, wildcard=renewal.identity.wildcard)
+        return authority.issued_bundle(answered, now, wildcard=renewal.identity.wildcard)
     der = authority.authority.renew(renewal, now=now, serial=_serial(), lifetime=lifetime)
     authority.store.add_certificate(
         certificate_row(authority.verify(der, now)),
@@ -78,10 +78,10 @@ def renew_by_name(
         StoreError: the name has no valid identity.
     """
     authority.refresh_list(now)
-    with authority.store.changing():
-        held = authority.store.live_certificate(name, now)
+    with authority.store.transaction():
+        held = authority.store.valid_certificate(name, now)
         identity = _identity(authority, held, now)
-        der = authority.authority.certify_again(
+        der = authority.authority.reissue(
             identity, identity.public_key, now=now, serial=_serial(), lifetime=lifetime
         )
         row = certificate_row(authority.verify(der, now))
@@ -91,13 +91,13 @@ def renew_by_name(
 
 def _identity(authority: SigningAuthority, row: CertificateRow, now: int) -> Identity:
     """The identity of a row; it is verified through the intermediate that signed it, if one did."""
-    signer = authority.store.identities.signer(row)
+    signer = authority.store.identities.issuer(row)
     if signer is None:
         return authority.verify(row.der, now)
     return authority.authority.anchor.verify([row.der, signer.der], now)
 
 
-def renew_own(authority: SigningAuthority, now: int) -> int:
+def renew_own_node(authority: SigningAuthority, now: int) -> int:
     """Renew the authority's own node, also one that has expired; returns until when it is good."""
     own = NodeHome(authority.path / "node", OWN_NODE)
     key = KeySigner(key_files.load_private(own.path / "node.key"))
@@ -105,14 +105,19 @@ def renew_own(authority: SigningAuthority, now: int) -> int:
     return own.install(authority.issue(request, now, OWN_LIFETIME), now).not_after
 
 
-def own_is_due(authority: SigningAuthority, now: int) -> bool:
+def own_node_is_due(authority: SigningAuthority, now: int) -> bool:
     """Whether two thirds of the own node's life are over; an intermediate's host has none."""
-    certificates = authority.store.identities.of(OWN_NODE)
+    certificates = authority.store.identities.by_name(OWN_NODE)
     return bool(certificates) and now >= _renew_at(certificates[-1])
 
 
 def sign_intermediate(
-    authority: SigningAuthority, csr: bytes, now: int, *, may_enroll: bool, lifetime: int = SEASON
+    authority: SigningAuthority,
+    csr: bytes,
+    now: int,
+    *,
+    may_enroll: bool,
+    lifetime: int = INTERMEDIATE_LIFETIME,
 ) -> tuple[str, bytes]:
     """Sign and record an intermediate; returns the name it is revoked by, and its bundle (PEM).
 
@@ -131,7 +136,7 @@ def sign_intermediate(
     return name, authority.bundle(der)
 
 
-def adopt(
+def import_identity(
     authority: SigningAuthority, bundle: bytes, now: int, replaced: Collection[str] = ()
 ) -> tuple[Identity, bool]:
     """Record an identity that an intermediate of this root signed; whether it was not known yet.
@@ -150,16 +155,16 @@ def adopt(
             f"{identity.name} is not taken over here", "only a root imports, and never its own node"
         )
     store, row = authority.store, certificate_row(identity)
-    with store.changing():
+    with store.transaction():
         _check_issuers(store, identity)
         if any(
             known.thumbprint == row.thumbprint and known.not_after >= row.not_after
-            for known in store.identities.alive(row.name, now)
+            for known in store.identities.valid(row.name, now)
         ):
             return identity, False
         replace_key = row.name if row.name in replaced else None
         store.add_certificate(row, now, replace_key=replace_key)
-        store.note("imported", row.name, f"{row.serial:x}", now)
+        store.log_event("imported", row.name, f"{row.serial:x}", now)
         authority.refresh_list(now)
     return identity, True
 
@@ -180,7 +185,7 @@ def _renew_at(row: CertificateRow) -> int:
     return renew_at(row.not_before, row.not_after)
 
 
-def _recorded(authority: SigningAuthority) -> Callable[[bytes, int], None]:
+def _check_in_record(authority: SigningAuthority) -> Callable[[bytes, int], None]:
     revoked = authority.store.revoked_entries()
 
     def check(entry: bytes, now: int) -> None:  # noqa: ARG001  (the record is always of now)

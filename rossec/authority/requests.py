@@ -1,4 +1,4 @@
-"""Requests for grants in the authority's record: what was asked, and what was answered.
+"""Requests for grants in the authority's record: what was stored, and what was answered.
 
 A shell. Two more tables in the record, append-only like the rest: an answer is a new row, given
 once. Requests arrive as files: carried by anybody, or laid into the inbox by a node of the same
@@ -13,7 +13,7 @@ from typing import Final, NamedTuple, Self
 
 from ca.errors import RecordUnusable, StoreError
 from ca.store.database import Database
-from grants.request import GrantRequest, Wish, peek_request
+from grants.request import GrantRequest, RequestedRight, peek_request
 from rossec import files
 from rossec.errors import ConfigurationError
 
@@ -38,11 +38,11 @@ _SCHEMA: Final = (
 
 
 class StoredRequest(NamedTuple):
-    """One wish that is in the record and not answered."""
+    """One requested that is in the record and not answered."""
 
     request: GrantRequest
     at: int
-    wish: Wish
+    requested: RequestedRight
 
     @property
     def short_id(self) -> str:
@@ -56,12 +56,12 @@ class GrantRequestStore:
     def __init__(self, database: Database) -> None:
         """In the record that `database` is, so that an answer can be one step with its grants."""
         self._database = database
-        with self._changing() as db:
+        with self._transaction() as db:
             for statement in _SCHEMA:
                 db.execute(statement)
 
     @classmethod
-    def of(cls, authority: Path) -> Self:
+    def open(cls, authority: Path) -> Self:
         """The inbox of the authority in this directory."""
         return cls(Database.open(authority / "ca.db"))
 
@@ -75,37 +75,37 @@ class GrantRequestStore:
         Raises:
             StoreError: it is there already.
         """
-        with self._changing() as db:
+        with self._transaction() as db:
             row = (request.id, request.node, data, now)
             db.execute("INSERT INTO grant_request VALUES (?, ?, ?, ?)", row)
 
-    def answer(self, asked: StoredRequest, answer: str, reason: str, now: int) -> None:
-        """Record the answer to one wish.
+    def answer(self, stored: StoredRequest, answer: str, reason: str, now: int) -> None:
+        """Record the answer to one requested.
 
         Raises:
             StoreError: it was answered already.
         """
-        with self._changing() as db:
-            wish = asked.wish
-            row = (asked.request.id, int(wish.right), wish.pattern, answer, reason, now)
+        with self._transaction() as db:
+            requested = stored.requested
+            row = (stored.request.id, int(requested.right), requested.pattern, answer, reason, now)
             db.execute("INSERT INTO decision VALUES (?, ?, ?, ?, ?, ?)", row)
 
     def unanswered(self) -> list[StoredRequest]:
-        """Every wish without an answer, oldest first."""
+        """Every requested without an answer, oldest first."""
         answered = set(self._database.rows("SELECT request, right, pattern FROM decision"))
         rows = self._database.rows("SELECT data, at FROM grant_request ORDER BY rowid")
         requests = [(peek_request(data), at) for data, at in rows]
         return [
-            StoredRequest(request, at, wish)
+            StoredRequest(request, at, requested)
             for request, at in requests
-            for wish in request.wishes
-            if (request.id, int(wish.right), wish.pattern) not in answered
+            for requested in request.rights
+            if (request.id, int(requested.right), requested.pattern) not in answered
         ]
 
     @contextmanager
-    def _changing(self) -> Iterator[sqlite3.Connection]:
+    def _transaction(self) -> Iterator[sqlite3.Connection]:
         try:
-            with self._database.changing() as db:
+            with self._database.transaction() as db:
                 yield db
         except RecordUnusable:
             raise
@@ -115,7 +115,7 @@ class GrantRequestStore:
             ) from error
 
 
-def lay(authority: Path, request: GrantRequest, data: bytes) -> Path:
+def put_in_inbox(authority: Path, request: GrantRequest, data: bytes) -> Path:
     """Put a request where the authority of the same ROSSEC_HOME looks."""
     files.make_private_directory(authority / "inbox")
     path = authority / "inbox" / f"{request.id.hex()}.request"
@@ -123,11 +123,11 @@ def lay(authority: Path, request: GrantRequest, data: bytes) -> Path:
     return path
 
 
-def waiting(authority: Path) -> list[Path]:
+def inbox_files(authority: Path) -> list[Path]:
     """The files in the inbox, oldest name first; at most `MAX_INBOX`."""
     return sorted((authority / "inbox").glob("*.request"))[:MAX_INBOX]
 
 
-def read(path: Path) -> bytes:
+def read_request(path: Path) -> bytes:
     """A request file, bounded."""
     return files.read(path, MAX_FILE, ConfigurationError(f"there is no {path}"))

@@ -16,7 +16,7 @@ from ca.errors import ForeignCertificate, RequestClosed
 from ca.keys.signer import Signer
 from ca.names import check_name
 from ca.revocation.state import MAX_ENTRIES, RevocationList, open_statement, sign_list
-from ca.revocation.tree import Listing, RevocationTree, sign_tree
+from ca.revocation.tree import RevocationTree, TreeEntries, sign_tree
 from ca.store.lifecycle import RequestRow, RequestState
 from ca.store.log_entries import sign_head
 from ca.store.record import CertificateRow, GrantRow, Store
@@ -78,18 +78,18 @@ class SigningAuthority:
         if replace_key is not None:
             self._check_root()
         self.refresh_list(now)
-        answered = self.store.identities.answer(asked.digest)
+        answered = self.store.identities.issued_for(asked.digest)
         if answered is not None:
             self.store.identities.check_not_revoked(asked.name, asked.thumbprint)
-            return self.again(answered, now, wildcard=wildcard)
+            return self.issued_bundle(answered, now, wildcard=wildcard)
         row = self.store.requests.add(asked, request, source, now)
         if row.state is RequestState.PENDING:
             row = self.store.requests.approve(
                 row.digest, now, replace_key=replace_key, wildcard=wildcard
             )
-        return self.answer(row, now, lifetime)
+        return self.issue_approved(row, now, lifetime)
 
-    def answer(self, row: RequestRow, now: int, lifetime: int = LIFETIME) -> bytes:
+    def issue_approved(self, row: RequestRow, now: int, lifetime: int = LIFETIME) -> bytes:
         """Sign and record the identity an approved request asks for; returns the node's bundle.
 
         Raises:
@@ -101,7 +101,7 @@ class SigningAuthority:
         )
         identity = self.verify(der, now)
         replace_key = row.name if row.replaces else None
-        with self.store.changing():
+        with self.store.transaction():
             self.store.add_certificate(
                 certificate_row(identity), now, request=row.digest, replace_key=replace_key
             )
@@ -119,16 +119,16 @@ class SigningAuthority:
         """What a node installs: its leaf, the intermediate if there is one, the root (PEM)."""
         return to_pem(der, *self.authority.chain, self.authority.anchor.certificate)
 
-    def again(self, row: CertificateRow, now: int, *, wildcard: bool) -> bytes:
+    def issued_bundle(self, row: CertificateRow, now: int, *, wildcard: bool) -> bytes:
         """Hand out once more what was issued for a request: the first answer may be lost."""
-        if row not in self.store.identities.alive(row.name, now) or row.wildcard is not wildcard:
+        if row not in self.store.identities.valid(row.name, now) or row.wildcard is not wildcard:
             raise RequestClosed(
                 f"this request of {row.name} was answered, and that is not valid or meant any more",
                 "have the node make a new request",
             )
         return self.bundle(row.der)
 
-    def grant(self, draft: Draft, now: int) -> bytes:
+    def issue_grant(self, draft: Draft, now: int) -> bytes:
         """Sign and record a grant.
 
         Raises:
@@ -140,13 +140,13 @@ class SigningAuthority:
         row = GrantRow(
             document.grant_id(data), draft.subject, data, draft.not_before, draft.expires
         )
-        with self.store.changing():
+        with self.store.transaction():
             self.store.identities.check_not_revoked(draft.subject, draft.holder)
             self.refresh_list(now)
             self.store.add_grant(row, now)
         return data
 
-    def delegate(self, holder: bytes, lifetime: int, max_ttl: int, now: int) -> bytes:
+    def issue_delegation(self, holder: bytes, lifetime: int, max_ttl: int, now: int) -> bytes:
         """Let the master with the key `holder` renew grants; recorded before it is handed out.
 
         Raises:
@@ -163,7 +163,7 @@ class SigningAuthority:
         files.create(self.path / _DELEGATIONS / f"{name}.cose", data)
         return data
 
-    def withdraw(self, reason: str, now: int) -> tuple[RevocationList, int]:
+    def revoke_delegations(self, reason: str, now: int) -> tuple[RevocationList, int]:
         """Revoke every delegation that has not expired; returns the list, and how many.
 
         Raises:
@@ -175,7 +175,7 @@ class SigningAuthority:
             for path in sorted((self.path / _DELEGATIONS).glob("*.cose"))
         ]
         living = frozenset(item.id for item in found if now < item.expires)
-        with self.store.changing():
+        with self.store.transaction():
             living -= self.store.revoked_entries()
             if not living:
                 raise ConfigurationError("no delegation is in force", "see: rossec master delegate")
@@ -198,13 +198,13 @@ class SigningAuthority:
                 "a stolen authority must be made anew, in another ROSSEC_HOME",
             )
         sought = name if name.startswith(INTERMEDIATE) else check_name(name)
-        with self.store.changing():
-            found = self.store.live_keys(sought, now)
+        with self.store.transaction():
+            found = self.store.unrevoked_keys(sought, now)
             if found:
                 self._check_root()
                 return self._revoke(found, reason, now), len(found)
             self.refresh_list(now)
-        certified = self.store.certified(name, now)
+        certified = self.store.certified_name(name, now)
         raise ConfigurationError(
             f"{name} has no living identity to revoke",
             "see: rossec ca show; to deliver the list again: rossec ca publish"
@@ -214,16 +214,16 @@ class SigningAuthority:
 
     def _revoke(self, entries: frozenset[bytes], reason: str, now: int) -> RevocationList:
         """Record what is revoked and sign the list that says so: both, or neither."""
-        with self.store.changing():
+        with self.store.transaction():
             for entry in sorted(entries):
                 self.store.revoke(entry, reason, now)
             return self.sign_list(now)
 
-    def _signed(self, listed: RevocationList) -> bytes:
+    def _sign_list_or_tree(self, listed: RevocationList) -> bytes:
         """The list, or where it has grown too long a tree of it."""
         if len(listed.entries) <= MAX_ENTRIES:
             return sign_list(self.signer, listed)
-        size, root = Listing(listed.entries).size_and_root
+        size, root = TreeEntries(listed.entries).size_and_root
         tree = RevocationTree(listed.epoch, listed.seq, listed.issued, listed.expires, size, root)
         return sign_tree(self.signer, tree)
 
@@ -234,11 +234,11 @@ class SigningAuthority:
         """
         if not self.authority.is_root:
             return
-        with self.store.changing():
+        with self.store.transaction():
             held = self.store.newest_list()
             issued = 0 if held is None else open_statement(held, self.signer.public_key).issued
             late = now - issued > _LIST_REFRESH
-            if late or list_contents.missing(self.store, self.signer.public_key, now):
+            if late or list_contents.missing_entries(self.store, self.signer.public_key, now):
                 self.sign_list(now)
 
     def sign_list(self, now: int, *, new_epoch: bool = False) -> RevocationList:
@@ -251,13 +251,13 @@ class SigningAuthority:
             ConfigurationError: this is an intermediate.
         """
         self._check_root()
-        with self.store.changing():
+        with self.store.transaction():
             epoch, seq = self.store.next_number()
             if new_epoch:
                 epoch, seq = max(epoch + 1, now), 1
-            entries = list_contents.due(self.store, now)
+            entries = list_contents.required_entries(self.store, now)
             listed = RevocationList(epoch, seq, now, now + _LIST_LIFETIME, entries)
-            self.store.save_list(listed.number, self._signed(listed), now)
+            self.store.save_list(listed.number, self._sign_list_or_tree(listed), now)
             self.sign_head(now)
         return listed
 
@@ -269,9 +269,9 @@ class SigningAuthority:
 
     def sign_head(self, now: int) -> bytes:
         """Sign the state of the log: whoever keeps it can tell whether the past was rewritten."""
-        with self.store.changing():
-            head = sign_head(self.signer, self.store.journal.head(now))
-            self.store.journal.add_head(head, now)
+        with self.store.transaction():
+            head = sign_head(self.signer, self.store.log.head(now))
+            self.store.log.add_head(head, now)
         return head
 
 

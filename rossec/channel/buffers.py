@@ -2,19 +2,19 @@
 
 Bytes are moved only when an incomplete frame has reached the end of the buffer. It grows when a
 frame's header, already checked against the limits, says that the frame will not fit. An idle
-connection has none: an empty buffer is given back, but not one for large frames in the middle of
-many.
+connection has none: an empty buffer is freed, but not one for large frames while many of them
+arrive.
 """
 
 from typing import Final
 
 SMALL: Final = 2 * 1024
-"""Before authentication; a stranger costs no more than this until its frames are plausible."""
+"""Before authentication; an unknown peer costs no more until its frames are plausible."""
 OPEN: Final = 8 * 1024
 """After it: several small records fit."""
 
 
-_GIVE_BACK: Final = 64 * 1024  # what is larger costs too much to get again
+_GIVE_BACK: Final = 64 * 1024  # larger buffers are kept: allocating them again costs too much
 _NOTHING: Final = bytearray()
 _NO_VIEW: Final = memoryview(_NOTHING)
 
@@ -48,12 +48,12 @@ class ReceiveBuffer:
             self.reserve(len(self) + 1)
         return self._view[self._end :]
 
-    def trust(self) -> None:
-        """Take in more at a time from now on: the peer is authenticated."""
+    def enlarge(self) -> None:
+        """Read more at a time from now on: the peer is authenticated."""
         self._least = OPEN
 
     def filled(self, count: int) -> None:
-        """Say that `count` bytes were written at the start of the free tail."""
+        """Note that `count` bytes were written at the start of the free tail."""
         self._end += count
 
     def unread(self) -> memoryview:

@@ -1,9 +1,9 @@
 """One secure connection without its socket: bytes and `now` in, events and bytes out.
 
-`states.TABLE` is its life. The first flaw of any kind ends it: nothing is delivered or sent after
-that, except one last flight that tells a peer which is not authenticated yet that it was refused,
-in one generic text (no oracle). Verified units of the same call are dropped with the connection.
-A caller writes every byte it is handed, in order and at once, or drops the connection.
+`states.TABLE` is its state machine. Any error ends it: nothing is delivered or sent afterwards,
+except one last flight that tells a peer not authenticated yet that it was refused, in one generic
+text (no oracle). Verified units of the same call are dropped with the connection. The caller writes
+all bytes it is given, in order and at once, or drops the connection.
 """
 
 from collections.abc import Collection
@@ -30,12 +30,12 @@ from rossec.channel.records import (
     frame,
 )
 from rossec.channel.states import (
-    DEAD,
+    ENDED,
     FRAMED,
     HANDSHAKING,
     PREAMBLE,
     TABLE,
-    UNPROVEN,
+    UNAUTHENTICATED,
     Authenticated,
     Closed,
     ConnectionState,
@@ -74,21 +74,27 @@ class Connection(Outbound[PeerT]):
         suites: tuple[int, ...] = PRODUCTION,
         limits: ChannelLimits = _DEFAULTS,
         known: KnownCertificates | None = None,
-        brief: bool = False,
+        request_x5t: bool = False,
         own_dials: OwnDials | None = None,
     ) -> Self:
         """The side that connected; its first flight is ready to send.
 
-        With `known` certificates are remembered, and `brief` asks the responder to name its own by
-        a hash: for a place where one was met before. `OwnCredentialUnknown` and
-        `PeerCredentialUnknown` mean: forget the introductions, and begin again without `brief`.
-        With `own_dials`, which this node's listeners share, it means to reach itself, and nobody
-        else will do.
+        With `known` certificates are cached, and `request_x5t` asks the responder to send a hash of
+        its own: for an address where a known peer was reached before. `OwnCredentialUnknown` and
+        `PeerCredentialUnknown` mean: forget the introductions, and retry without `request_x5t`.
+        With `own_dials`, which this node's listeners share, it means to reach itself, and no other
+        peer is accepted.
         """
-        party = EdhocConfig(
-            credentials, verify, random, suites, known=known, brief=brief, own_dials=own_dials
+        config = EdhocConfig(
+            credentials,
+            verify,
+            random,
+            suites,
+            known=known,
+            request_x5t=request_x5t,
+            own_dials=own_dials,
         )
-        negotiation, message_1 = Negotiation.begin(party)
+        negotiation, message_1 = Negotiation.begin(config)
         preamble = Preamble(opening, None)
         connection = cls(preamble, negotiation, now, limits)
         connection._out += [preamble.take(), message_1]
@@ -108,30 +114,30 @@ class Connection(Outbound[PeerT]):
         known: KnownCertificates | None = None,
         own_dials: OwnDials | None = None,
     ) -> Self:
-        """The side that was connected to; `accept` says which openings may lead on.
+        """The side that was connected to; `accept` says which openings are accepted.
 
-        With `own_dials` this node may call itself, where it noted that it means to.
+        With `own_dials` this node may connect to itself, for dials noted there.
         """
-        party = EdhocConfig(credentials, verify, random, suites, known=known, own_dials=own_dials)
+        config = EdhocConfig(credentials, verify, random, suites, known=known, own_dials=own_dials)
         preamble = Preamble(WireProtocol.TCPROS, accept)
-        return cls(preamble, Negotiation(Responder(party)), now, limits)
+        return cls(preamble, Negotiation(Responder(config)), now, limits)
 
     # -- receiving
 
     def get_buffer(self) -> memoryview:
         """Where the next bytes from the socket go; valid until the next call of any method."""
-        return self._inbox.free()
+        return self._buffer.free()
 
     def receive_data(self, data: Bytes, now: int) -> list[Event[PeerT]]:
         """Take bytes from the peer. `get_buffer` and `buffer_updated` save the copy.
 
         Raises:
-            ChannelError: the connection is at its end; `data_to_send` may hold a last flight.
+            ChannelError: the connection has ended; `data_to_send` may hold a last flight.
         """
         events: list[Event[PeerT]] = []
         rest = memoryview(data)
         while len(rest) > 0:
-            room = self._inbox.free()
+            room = self._buffer.free()
             count = min(len(room), len(rest))
             room[:count] = rest[:count]
             rest = rest[count:]
@@ -145,15 +151,15 @@ class Connection(Outbound[PeerT]):
             ChannelError: as for `receive_data`.
         """
         self._now = now
-        self._inbox.filled(count)
+        self._buffer.filled(count)
         events = self._events = []
         try:
-            self._run()
+            self._process_frames()
         except ChannelError as error:
             self._last_flight(_UNKNOWN if isinstance(error, PeerCredentialUnknown) else _REFUSED)
             raise
         except BaseException:
-            self._die()  # a bug is a flaw like any other
+            self._terminate()  # a bug ends the connection as well
             raise
         return events
 
@@ -164,66 +170,67 @@ class Connection(Outbound[PeerT]):
             ConnectionTruncated: without its authenticated close.
             HandshakeFailed: before the handshake was done.
         """
-        if self.state in DEAD:
+        if self.state in ENDED:
             self.state = ConnectionState.CLOSED
             return
         opened = self.state is ConnectionState.OPEN
-        self._die()
+        self._terminate()
         if opened:
             raise ConnectionTruncated(
                 "the connection ended without the peer's close",
-                "data may be missing: the peer crashed, or somebody cut the connection",
+                "data may be missing: the peer crashed, or something reset the connection",
             )
         raise HandshakeFailed(
             "the peer ended the connection during the handshake",
             HINT_SILENT,
         )
 
-    def _run(self) -> None:
+    def _process_frames(self) -> None:
         if self.state in PREAMBLE:
-            self._introduce()
-        inbox = self._inbox
+            self._feed_preamble()
+        buffer = self._buffer
         while self.state in FRAMED:
-            view = inbox.unread()
+            view = buffer.unread()
             head = view[:HEADER].tobytes()
             if len(head) < HEADER:
                 return
-            row, length = self._row(head)
+            row, length = self._parse_header(head)
             size = HEADER + length
             if len(view) < size:
-                inbox.reserve(size, _OPEN_BUFFER if size < _OPEN_BUFFER else _FULL_BUFFER)
+                buffer.reserve(size, _OPEN_BUFFER if size < _OPEN_BUFFER else _FULL_BUFFER)
                 return
-            self._take(row, head, view[HEADER:size])
-            inbox.consume(size)
-        if self.state in DEAD:
-            inbox.consume(len(inbox))
+            self._handle_frame(row, head, view[HEADER:size])
+            buffer.consume(size)
+        if self.state in ENDED:
+            buffer.consume(len(buffer))
 
-    def _introduce(self) -> None:
+    def _feed_preamble(self) -> None:
         try:
-            self.state = self._preamble.feed(self._inbox, self.state)
+            self.state = self._preamble.feed(self._buffer, self.state)
         finally:
             self._out.append(self._preamble.take())
 
-    def _row(self, head: bytes) -> tuple[Row, int]:
+    def _parse_header(self, head: bytes) -> tuple[Row, int]:
         row = _ROWS[self.state].get(head[0] >> 4)
         if row is None:
             raise ProtocolViolation(f"frame of type {head[0] >> 4} in state: {self.state.value}")
         epoch = 0 if self._session is None else self._session.receive_epoch
         return row, check_header(head, epoch)
 
-    def _take(self, row: Row, head: bytes, body: memoryview) -> None:
+    def _handle_frame(self, row: Row, head: bytes, body: memoryview) -> None:
         name, following = row
         if self.state in HANDSHAKING:
-            state = self._advance(getattr(self._negotiation, name)(bytes(body), self._now))
+            state = self._apply_step(getattr(self._negotiation, name)(bytes(body), self._now))
         else:
             state = getattr(self, name)(head, body)
-        assert state in following  # noqa: S101 - the table is the truth, and tests run with it
+        if state not in following:
+            raise RuntimeError(f"{name} led to state {state}, which the state table does not allow")
         self.state = state
 
-    def _advance(self, step: NegotiationStep[PeerT]) -> ConnectionState:
+    def _apply_step(self, step: NegotiationStep[PeerT]) -> ConnectionState:
         if step.peer is not None:
             self._peer = step.peer
-            self._inbox.trust()
+            self._buffer.enlarge()
             self._session = self._negotiation.session(self._limits, self._now)
             self._events.append(Authenticated(step.peer))
         if step.reply:
@@ -255,11 +262,11 @@ class Connection(Outbound[PeerT]):
         return ConnectionState.CLOSED
 
     def _last_flight(self, refusal: bytes) -> None:
-        """Die; tell a peer that is still unproven, unless it told us first."""
-        tell = self.state in UNPROVEN and not self._negotiation.told
-        out = self._out if self.state in UNPROVEN | PREAMBLE else []
-        self._die()
-        self._out = [*out, refusal] if tell else out
+        """End; send an error to a peer not authenticated yet, unless it sent one first."""
+        answer = self.state in UNAUTHENTICATED and not self._negotiation.peer_sent_error
+        out = self._out if self.state in UNAUTHENTICATED | PREAMBLE else []
+        self._terminate()
+        self._out = [*out, refusal] if answer else out
 
 
 _ROWS: Final = {

@@ -1,10 +1,10 @@
-"""The first bytes of a connection, valid for a plain ROS peer, and what to tell such a peer.
+"""The first bytes of a connection, valid for a plain ROS peer, and the answer to such a peer.
 
 The initiator's opening is a TCPROS connection header with the one field `rossec=1`, or an HTTP
 request that asks to upgrade; neither holds anything private. A plain peer answers either readably
-instead of hanging on a bogus length. The other way round, a plain caller gets the refusal in its
-own protocol. No state of the channel is here: functions from a prefix of the stream to a verdict,
-which is `None` while the prefix is too short.
+instead of waiting for a bogus length. Conversely, a plain caller gets the refusal in its own
+protocol. No channel state: functions from a prefix of the stream to a verdict, which is `None`
+while the prefix is too short.
 """
 
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ from rossec.errors import PlainPeer, ProtocolViolation
 
 MAX_OPENING: Final = 4 * 1024
 MAX_DRAIN: Final = 1024 * 1024
-"""How much of a plain caller's request is read, and thrown away, so that it hears the answer."""
+"""How much of a plain caller's request is read and discarded, so that it receives the answer."""
 
 _VERSION: Final = b"rossec=1"
 _FIELD: Final = len(_VERSION).to_bytes(4, "little") + _VERSION
@@ -37,7 +37,7 @@ _HINT_PLAIN: Final = "the peer is a plain ROS node: give it an identity, or use 
 
 
 class WireProtocol(Enum):
-    """In which protocol the connection introduces itself."""
+    """The protocol in which the connection opens."""
 
     TCPROS = "tcpros"
     HTTP = "http"
@@ -47,41 +47,41 @@ class WireProtocol(Enum):
 class Accepted:
     """The peer speaks rossec: drop `consumed` bytes, send `reply`, begin the handshake."""
 
-    flavour: WireProtocol
+    protocol: WireProtocol
     consumed: int
     reply: bytes
 
 
 @dataclass(frozen=True)
 class PlainCaller:
-    """The peer is a plain one: drop `drain` bytes, send `refusal(flavour)`, close."""
+    """The peer is a plain one: drop `drain` bytes, send `refusal(protocol)`, close."""
 
-    flavour: WireProtocol
+    protocol: WireProtocol
     drain: int
 
 
 Verdict: TypeAlias = Accepted | PlainCaller | None
 
 
-def first_bytes(flavour: WireProtocol) -> bytes:
+def first_bytes(protocol: WireProtocol) -> bytes:
     """What the initiator sends before message_1, in the same flight."""
-    return _TCPROS if flavour is WireProtocol.TCPROS else _REQUEST
+    return _TCPROS if protocol is WireProtocol.TCPROS else _REQUEST
 
 
-def judge_caller(data: bytes) -> Verdict:
-    """Judge what a caller sent so far (at least its first bytes, at most `MAX_OPENING` matter).
+def classify_caller(data: bytes) -> Verdict:
+    """Classify what a caller sent so far (at least its first bytes, at most `MAX_OPENING` matter).
 
     Raises:
-        ProtocolViolation: neither ROS nor rossec; nobody to answer to.
+        ProtocolViolation: neither ROS nor rossec; no answer is possible.
     """
     if len(data) < 4:
         return None
     if data[:4] in _METHODS:
-        return _judge_http(data)
-    return _judge_tcpros(data)
+        return _classify_http(data)
+    return _classify_tcpros(data)
 
 
-def _judge_tcpros(data: bytes) -> Verdict:
+def _classify_tcpros(data: bytes) -> Verdict:
     length = int.from_bytes(data[:4], "little")
     if length == len(_FIELD):
         if len(data) < len(_TCPROS):
@@ -94,7 +94,7 @@ def _judge_tcpros(data: bytes) -> Verdict:
     return PlainCaller(WireProtocol.TCPROS, 4 + length)
 
 
-def _judge_http(data: bytes) -> Verdict:
+def _classify_http(data: bytes) -> Verdict:
     end = data.find(b"\r\n\r\n", 0, MAX_OPENING)
     if end < 0:
         if len(data) >= MAX_OPENING:
@@ -119,16 +119,16 @@ def _http_fields(lines: list[bytes]) -> dict[bytes, bytes]:
 
 
 def _body_length(fields: dict[bytes, bytes]) -> int:
-    """How much body to drain; an absurd or chunked length is not worth an exact answer (M10)."""
+    """How much body to drain; for an absurd or chunked length none (M10)."""
     text = fields.get(b"content-length", b"0")
     if not text.isdigit() or len(text) > 9:
         return 0
     return min(int(text), MAX_DRAIN)
 
 
-def refusal(flavour: WireProtocol) -> bytes:
-    """What a plain caller is told, in its own protocol; names nothing of this node."""
-    return tcpros_refusal(REFUSAL) if flavour is WireProtocol.TCPROS else http_refusal(REFUSAL)
+def refusal(protocol: WireProtocol) -> bytes:
+    """The answer to a plain caller, in its own protocol; reveals nothing of this node."""
+    return tcpros_refusal(REFUSAL) if protocol is WireProtocol.TCPROS else http_refusal(REFUSAL)
 
 
 def tcpros_refusal(text: str) -> bytes:
@@ -155,10 +155,10 @@ def http_refusal(text: str) -> bytes:
     return head.encode() + body
 
 
-def judge_answer(data: bytes, flavour: WireProtocol) -> int | None:
-    """Judge what the peer answered to `first_bytes`: how many bytes precede its first frame.
+def classify_answer(data: bytes, protocol: WireProtocol) -> int | None:
+    """Classify the answer to `first_bytes`: how many bytes precede the first frame.
 
-    A TCPROS answer has no preamble. A frame of the handshake cannot be taken for a TCPROS header:
+    A TCPROS answer has no preamble. A handshake frame cannot be mistaken for a TCPROS header:
     the low half of its length is never zero, while that half of a header's (little endian) is.
 
     Raises:
@@ -167,19 +167,19 @@ def judge_answer(data: bytes, flavour: WireProtocol) -> int | None:
     if len(data) < 4:
         return None
     if data[:4] == b"HTTP":
-        return _judge_http_answer(data, flavour)
+        return _classify_http_answer(data, protocol)
     if data[2:4] == b"\0\0":
         return _plain_tcpros_answer(data)
-    if flavour is WireProtocol.HTTP:
+    if protocol is WireProtocol.HTTP:
         raise PlainPeer("the peer does not answer in HTTP", _HINT_PLAIN)
     return 0
 
 
-def _judge_http_answer(data: bytes, flavour: WireProtocol) -> int | None:
+def _classify_http_answer(data: bytes, protocol: WireProtocol) -> int | None:
     end = data.find(b"\r\n\r\n", 0, MAX_OPENING)
     if end < 0 and len(data) < MAX_OPENING:
         return None
-    if flavour is WireProtocol.HTTP and data[: len(_SWITCH)] == _SWITCH:
+    if protocol is WireProtocol.HTTP and data[: len(_SWITCH)] == _SWITCH:
         return len(_SWITCH)
     status = printable(data.split(b"\r\n", 1)[0].decode("latin-1"))
     raise PlainPeer(f"the peer is a plain HTTP server and says: {status}", _HINT_PLAIN)

@@ -1,7 +1,7 @@
 """The half of a connection that sends: units to records, the close, renewal and deadlines.
 
 `Connection` adds the half that receives. What is sealed must be written in order and at once, for
-its counter is used up: whatever was queued meanwhile goes first.
+its counter is used: records queued meanwhile go first.
 """
 
 from collections.abc import Iterator, Sequence
@@ -13,7 +13,7 @@ from rossec.channel.negotiation import Negotiation, Preamble
 from rossec.channel.opening import WireProtocol
 from rossec.channel.records import Bytes, ChannelLimits
 from rossec.channel.session import Session
-from rossec.channel.states import DEAD, SENDING, ConnectionState, Event
+from rossec.channel.states import ENDED, SENDING, ConnectionState, Event
 from rossec.errors import (
     ChannelClosed,
     ChannelError,
@@ -37,8 +37,8 @@ class Outbound(Generic[PeerT]):
         self._negotiation = negotiation
         self._limits = limits
         self._now = now
-        self._give_up_at = now + limits.handshake_seconds
-        self._inbox = ReceiveBuffer(SMALL)
+        self._handshake_deadline = now + limits.handshake_seconds
+        self._buffer = ReceiveBuffer(SMALL)
         self._out: list[Bytes] = []
         self._events: list[Event[PeerT]] = []
         self._peer: PeerT | None = None
@@ -47,9 +47,9 @@ class Outbound(Generic[PeerT]):
         self.state = ConnectionState.OPENING
 
     @property
-    def flavour(self) -> WireProtocol:
-        """How the connection introduced itself."""
-        return self._preamble.flavour
+    def protocol(self) -> WireProtocol:
+        """The protocol in which the connection opened."""
+        return self._preamble.protocol
 
     @property
     def unit_limit(self) -> int:
@@ -58,16 +58,16 @@ class Outbound(Generic[PeerT]):
 
     @property
     def has_unfinished_unit(self) -> bool:
-        """Whether the peer has begun a unit: `deadline` says when to ask whether it gets on."""
+        """Whether a unit is incomplete: `deadline` says when to check its progress."""
         return self._session is not None and self._session.deadline is not None
 
-    def welcome(self, limit: int | None = None) -> None:
-        """Take units of up to `limit` from now on, or of `ChannelLimits.unit`: the peer was judged.
+    def raise_unit_limit(self, limit: int | None = None) -> None:
+        """Accept units of up to `limit`, or `ChannelLimits.unit`: the peer is authorized.
 
         Raises:
             ChannelClosed: there is no open connection.
         """
-        self._open_session().welcome(limit)
+        self._open_session().raise_unit_limit(limit)
 
     def _open_session(self) -> Session:
         if self._session is None:
@@ -99,9 +99,9 @@ class Outbound(Generic[PeerT]):
         self._sendable().check_unit(pieces)
 
     def seal_small(self, unit: Bytes) -> Bytes | None:
-        """Seal a unit in one record: the short way, where nothing else has to be done.
+        """Seal a unit in one record: the fast path.
 
-        None means that something has: use `seal_unit`.
+        None: it does not apply, use `seal_unit`.
         """
         small = 0 < len(unit) <= min(_ONE_RECORD, self._limits.unit)
         if (
@@ -120,12 +120,12 @@ class Outbound(Generic[PeerT]):
         self._sealing = True
         try:
             for record in self._sendable().seal_unit(pieces, reuse=reuse):
-                # Whatever was sealed meanwhile has the smaller counter: it goes first.
+                # A record sealed meanwhile has the smaller counter: it goes first.
                 yield b"".join((self.data_to_send(), record)) if self._out else record
                 self._sendable()
-            self._sealing = False  # and stays set when a unit is given up half-way
+            self._sealing = False  # it stays set when a unit is abandoned
         except LimitExceeded:
-            self._die()
+            self._terminate()
             raise
 
     def _sendable(self) -> Session:
@@ -150,7 +150,7 @@ class Outbound(Generic[PeerT]):
     @property
     def awaits_peer(self) -> bool:
         """Whether the peer has yet to follow a renewal of the keys."""
-        return self._session is not None and self._session.ahead
+        return self._session is not None and self._session.awaits_peer
 
     def data_to_send(self) -> Bytes:
         """Return, once, everything queued for the peer."""
@@ -160,12 +160,12 @@ class Outbound(Generic[PeerT]):
         return out[0] if len(out) == 1 else b"".join(out)
 
     def put_back(self, rest: Bytes) -> None:
-        """What could not be written yet goes first."""
+        """Put what could not be written yet in front of the queue."""
         if rest:
             self._out.insert(0, rest)
 
     def close(self) -> None:
-        """Queue the authenticated close; what the peer still sends is thrown away."""
+        """Queue the authenticated close; what the peer still sends is discarded."""
         if self.state in SENDING:
             self._out.append(self._sendable().close_record())
             self._session = None
@@ -175,50 +175,50 @@ class Outbound(Generic[PeerT]):
 
     def abandon(self) -> None:
         """Forget keys and counters at once; nothing is sent (a forked process must not)."""
-        self._die()
+        self._terminate()
 
     # -- time and ends
 
     def deadline(self) -> int | None:
         """When `tick` has to be called at the latest."""
-        if self.state in DEAD:
+        if self.state in ENDED:
             return None
         if self.state is not ConnectionState.OPEN or self._session is None or self._peer is None:
-            return self._give_up_at
+            return self._handshake_deadline
         unit = self._session.deadline
         last = min(self._session.renew_at, self._peer.not_after)
         return last if unit is None else min(last, unit)
 
     def tick(self, now: int, *, reading: bool = True) -> None:
-        """Act on the time: renew keys, or end a connection that has outlived its right.
+        """Handle timeouts: renew keys, or end a connection whose time is over.
 
-        While the shell is not `reading`, the peer cannot finish a unit, and is not blamed for it.
+        While the shell is not `reading`, the peer cannot complete a unit: no time-out for it.
 
         Raises:
-            HandshakeTimeout, IdentityExpired, LimitExceeded: the connection is at its end.
+            HandshakeTimeout, IdentityExpired, LimitExceeded: the connection has ended.
         """
         self._now = now
         deadline = self.deadline()
         if deadline is None or now < deadline:
             return
         try:
-            self._act(now, reading=reading)
+            self._handle_timeout(now, reading=reading)
         except ChannelError:
-            self._die()
+            self._terminate()
             raise
 
-    def _act(self, now: int, *, reading: bool) -> None:
+    def _handle_timeout(self, now: int, *, reading: bool) -> None:
         if self.state is not ConnectionState.OPEN or self._session is None or self._peer is None:
             raise HandshakeTimeout(
                 "the peer did not finish the handshake in time",
                 HINT_SILENT,
             )
         if now >= self._peer.not_after:
-            raise IdentityExpired("the peer's certificate ran out", "renew it")
-        self._session.look(now, reading=reading)
+            raise IdentityExpired("the peer's certificate has expired", "renew it")
+        self._session.check_progress(now, reading=reading)
         self._out.append(self._session.renew(now))
 
-    def _die(self) -> None:
+    def _terminate(self) -> None:
         self.state = ConnectionState.CLOSED
         self._session = None
         self._negotiation.forget()

@@ -4,7 +4,7 @@ A frame is a 4-byte header, big endian: type (4 bits), epoch mod 16 (4 bits), le
 (24 bits). A record is a frame whose body is sealed; its header is the associated data, its nonce
 is IV xor a 64-bit counter, one counter per direction and epoch. TCP delivers in order, so there is
 no window: whatever is replayed, reordered or left out fails the tag. When to send which record, and
-what to do about a failure, is the connection's business.
+what to do about a failure, is decided by the connection.
 """
 
 from collections import deque
@@ -29,7 +29,7 @@ MAX_PLAINTEXT: Final = 256 * 1024  # the measured optimum, and the bound on what
 _JOIN_BELOW: Final = 16 * 1024
 _INTO_FROM: Final = 4 * 1024  # from here on encrypting in place beats one more copy
 _KEEP: Final = 16 * 1024 * 1024  # memory of larger units is given back at once
-_ITS_OWN: Final = 2  # references: the buffer's, and the argument of the question
+_ITS_OWN: Final = 2  # references: the buffer's, and the argument of `getrefcount`
 
 _RECORD_AEADS: Final = (AESGCM, ChaCha20Poly1305)
 
@@ -62,14 +62,14 @@ _LENGTHS: Final[dict[int, tuple[int, int]]] = {
 class ChannelLimits:
     """Where the channel stops or renews its keys; the defaults are the notes' (AEAD limits).
 
-    `greeting` is how long a unit of a peer may be until it is made welcome, if not as any `unit`.
+    `preauth_limit`: how long a unit may be before the peer is authorized; None: as `unit`.
     """
 
     records: int = 1 << 23
     octets: int = 1 << 36
     seconds: int = 3600
     unit: int = 256 * 1024 * 1024
-    greeting: int | None = None
+    preauth_limit: int | None = None
     handshake_seconds: int = 5
 
 
@@ -185,7 +185,7 @@ class Epochs:
         self._waiting: Direction | None = None
 
     def __getattr__(self, name: str) -> Direction:
-        """Derive the first keys when they are asked for: the peer has its message meanwhile."""
+        """Derive the first keys on first use: the peer already has its message by then."""
         if name not in {"sender", "receiver"}:
             raise AttributeError(name)
         self.sender, self.receiver = self._derive(0)
@@ -234,7 +234,7 @@ class UnitAssembly:
 
     `BytesIO` because it gives a writable view to decrypt into, and then the very same memory as
     `bytes`, without a copy. It grows only as authenticated bytes arrive. Memory that the reader of
-    a unit has let go of is used again: new pages cost about as much as decrypting into them.
+    a unit has released is reused: new pages cost about as much as decrypting into them.
     """
 
     __slots__ = ("_buffer", "_handed_out", "_last", "_room", "length", "limit")
@@ -244,7 +244,7 @@ class UnitAssembly:
         self._buffer = BytesIO()
         self._handed_out: deque[BytesIO] = deque(maxlen=2)  # the next unit comes before one is read
         self._room = 0
-        self._last = 0  # a peer that sent so much once, verified, will do so again
+        self._last = 0  # size of the last unit: the next one is likely to be as large
         self.length = 0
 
     def add(self, direction: Direction, head: bytes, body: memoryview) -> None:
@@ -289,7 +289,7 @@ class UnitAssembly:
     def _begin(self) -> None:
         self._buffer, self._room = BytesIO(), 0
         # Only whether it pays depends on the count: a `BytesIO` never writes into bytes that
-        # somebody holds, it moves to a copy of its own first.
+        # are referenced elsewhere, it moves to a copy of its own first.
         if self._handed_out and getrefcount(self._handed_out[0].getvalue()) == _ITS_OWN:
             self._buffer = self._handed_out.popleft()
             self._room = self._buffer.seek(0, SEEK_END)

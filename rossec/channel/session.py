@@ -1,8 +1,8 @@
 """The open half of a connection: units to records and back, and when keys are renewed.
 
 A direction renews its keys after so many records, bytes or seconds, and stops hard at twice that.
-The two directions are never more than one epoch apart: whoever receives REKEY follows at once,
-even if it has nothing to say, so that a one-way flow can be renewed again.
+The two directions are never more than one epoch apart: the receiver of REKEY follows at once, even
+if it has no data, so that a one-way flow can be renewed again.
 """
 
 from collections.abc import Iterator, Sequence
@@ -34,8 +34,10 @@ class Session:
     def __init__(self, epochs: Epochs, limits: ChannelLimits, now: int) -> None:
         self._epochs = epochs
         self._limits = limits
-        self._unit = UnitAssembly(limits.unit if limits.greeting is None else limits.greeting)
-        self._unfinished = Progress()
+        self._unit = UnitAssembly(
+            limits.unit if limits.preauth_limit is None else limits.preauth_limit
+        )
+        self._progress = Progress()
         self._scratch: bytearray | None = None
         self.renew_at = now + limits.seconds
 
@@ -45,28 +47,28 @@ class Session:
         return self._epochs.receiver.epoch
 
     @property
-    def ahead(self) -> bool:
+    def awaits_peer(self) -> bool:
         """Whether this direction was renewed, and the peer has not followed yet."""
         return self._epochs.sender.epoch > self._epochs.receiver.epoch
 
-    def welcome(self, limit: int | None) -> None:
-        """Take units of up to `limit` from now on, never more than `ChannelLimits.unit`."""
+    def raise_unit_limit(self, limit: int | None) -> None:
+        """Accept units of up to `limit` from now on, never more than `ChannelLimits.unit`."""
         most = self._limits.unit
         self._unit.limit = most if limit is None else min(limit, most)
 
     @property
     def deadline(self) -> int | None:
-        """When `look` is due; None: no unit is begun."""
-        return self._unfinished.deadline
+        """When `check_progress` is due; None: no unit is incomplete."""
+        return self._progress.deadline
 
-    def look(self, now: int, *, reading: bool) -> None:
-        """Ask whether the unit that was begun gets on; time counts while this side is `reading`.
+    def check_progress(self, now: int, *, reading: bool) -> None:
+        """Check that an incomplete unit grows; time counts only while this side is `reading`.
 
         Raises:
             LimitExceeded: it does not.
         """
         if self._unit.length > 0:
-            self._unfinished.look(now, self._unit.length, reading=reading)
+            self._progress.check(now, self._unit.length, reading=reading)
 
     def check_unit(self, pieces: Sequence[Bytes]) -> None:
         """Refuse a unit that the peer would not take; nothing has happened to the connection.
@@ -130,7 +132,7 @@ class Session:
         limits, sender = self._limits, self._epochs.sender
         if sender.records < limits.records and sender.octets < limits.octets:
             return False
-        if not self.ahead:
+        if not self.awaits_peer:
             return True
         if _beyond(sender, limits):
             raise LimitExceeded("the peer does not follow the renewal of the keys")
@@ -155,19 +157,19 @@ class Session:
             return b""
         self.renew_at = now + self._limits.seconds
         sender = self._epochs.sender
-        if self.ahead:
+        if self.awaits_peer:
             raise LimitExceeded("the peer does not follow the renewal of the keys")
         return self._rekey() if sender.records > 0 else b""
 
     def data(self, head: bytes, body: memoryview, now: int) -> None:
         """Take a record that does not end its unit."""
         self._unit.add(self._receiver(), head, body)
-        self._unfinished.look(now, self._unit.length)
+        self._progress.check(now, self._unit.length)
 
     def data_end(self, head: bytes, body: memoryview) -> bytes:
         """Take the last record of a unit and return the unit."""
         if self._unit.length > 0:
-            self._unfinished.done()
+            self._progress.done()
         return self._unit.finish(self._receiver(), head, body)
 
     def _receiver(self) -> Direction:

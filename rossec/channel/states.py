@@ -1,4 +1,4 @@
-"""The life of a connection as one table, and the events it hands out.
+"""The state machine of a connection as one table, and the events it returns.
 
 `TABLE` says what a frame does in a state (a method of `Negotiation`, later of `Connection`) and
 which states may follow. A frame that is not in the table ends the connection. The diagram in
@@ -14,7 +14,7 @@ from rossec.channel.records import Frame
 
 
 class ConnectionState(Enum):
-    """Where a connection is in its life."""
+    """The state of a connection."""
 
     OPENING = "opening"
     DRAINING = "draining"
@@ -47,7 +47,7 @@ TABLE: Final[dict[tuple[ConnectionState, Frame], Row]] = {
     (ConnectionState.OPEN, Frame.REKEY): ("_on_rekey", (ConnectionState.OPEN,)),
     (ConnectionState.OPEN, Frame.CLOSE): ("_on_close", (ConnectionState.CLOSED,)),
 }
-"""Errors are unauthenticated, so none is listened to once the handshake is done."""
+"""Errors are unauthenticated, so they are not accepted once the handshake is done."""
 
 WITHOUT_FRAME: Final = (
     (ConnectionState.OPENING, ConnectionState.DRAINING, "plain caller"),
@@ -58,23 +58,23 @@ WITHOUT_FRAME: Final = (
     (ConnectionState.OPEN, ConnectionState.CLOSING, "close()"),
     (ConnectionState.CLOSING, ConnectionState.CLOSED, "end of TCP"),
 )
-"""What moves a connection besides frames; and from every state, any flaw leads to CLOSED."""
+"""Transitions without a frame; and from every state, any error leads to CLOSED."""
 
 PREAMBLE: Final = frozenset({ConnectionState.OPENING, ConnectionState.DRAINING})
-UNPROVEN: Final = frozenset(
+UNAUTHENTICATED: Final = frozenset(
     {ConnectionState.WAIT_1, ConnectionState.WAIT_2, ConnectionState.WAIT_3}
 )
-HANDSHAKING: Final = UNPROVEN | {ConnectionState.WAIT_4}
+HANDSHAKING: Final = UNAUTHENTICATED | {ConnectionState.WAIT_4}
 FRAMED: Final = HANDSHAKING | {ConnectionState.OPEN}
 SENDING: Final = frozenset({ConnectionState.WAIT_4, ConnectionState.OPEN})
-DEAD: Final = frozenset({ConnectionState.CLOSING, ConnectionState.CLOSED})
+ENDED: Final = frozenset({ConnectionState.CLOSING, ConnectionState.CLOSED})
 
 
 @dataclass(frozen=True, slots=True)
 class Authenticated(Generic[PeerT]):
     """The peer proved that it holds the certified key; from here on this side may send.
 
-    For an initiator the responder's acceptance is still to come: until then it can be refused.
+    An initiator may still be refused until the responder's message_4 arrives.
     """
 
     identity: PeerT

@@ -1,8 +1,8 @@
 """The post-quantum policy as an operator writes it: ROSSEC_POST_QUANTUM, or an option that wins.
 
-`off` speaks the classical suite alone, `prefer` the hybrid one with whoever knows it, `require` the
-hybrid one or nothing. A word that is none of these refuses the program's start: somebody who meant
-`require` must not get less.
+`off` means the classical suite alone, `prefer` the hybrid one with peers that support it, `require`
+the hybrid one alone. Any other value refuses the program's start: a misspelt `require` must not
+result in less.
 """
 
 from collections.abc import Mapping

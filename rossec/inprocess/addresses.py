@@ -21,12 +21,12 @@ def parse_rosrpc(uri: str) -> tuple[str, int]:
     """Host and port of a service's URI.
 
     Raises:
-        ConfigurationError: it is none.
+        ConfigurationError: invalid.
     """
     authority = uri.removeprefix(ROSRPC).partition("/")[0]
     host, _, port = authority.rpartition(":")
     if not uri.startswith(ROSRPC) or not host or not port.isdecimal():
         raise ConfigurationError(
-            f"{uri!r} is no URI of a service", "it looks like rosrpc://host:port"
+            f"{uri!r} is not the URI of a service", "it has the form rosrpc://host:port"
         )
     return host.removeprefix("[").removesuffix("]"), int(port)

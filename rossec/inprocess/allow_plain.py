@@ -1,8 +1,7 @@
 """What may stay plain while a fleet migrates: named topics and services, nothing else. Pure.
 
 An entry is a name (`/chatter`), for any peer, or a name and an address, for one
-(`/chatter@192.168.1.7`). A plain connection is neither encrypted nor checked, whoever is at its
-other end.
+(`/chatter@192.168.1.7`). A plain connection is neither encrypted nor authenticated.
 """
 
 import ipaddress
@@ -19,7 +18,7 @@ class PlainPeers:
     """The entries of `allow_plain`.
 
     Raises:
-        ConfigurationError: one of them is no such thing.
+        ConfigurationError: an entry is invalid.
     """
 
     def __init__(self, entries: Iterable[str] = ()) -> None:
@@ -30,7 +29,7 @@ class PlainPeers:
         return bool(self._allowed)
 
     def allows(self, name: str, address: str) -> bool:
-        """Whether `name` may be used in clear with the peer at `address`."""
+        """Whether `name` may be used unencrypted with the peer at `address`."""
         return (name, None) in self._allowed or (name, _canonical(address)) in self._allowed
 
 

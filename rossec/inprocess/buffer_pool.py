@@ -1,4 +1,4 @@
-"""Memory of large messages, used again when nobody holds their bytes any more.
+"""Reuses the memory of large messages once their bytes are no longer referenced.
 
 New pages for a message cost the publisher about as much as encrypting it.
 """
@@ -9,27 +9,27 @@ from io import BytesIO
 from sys import getrefcount
 from typing import Final
 
-_ITS_OWN: Final = 2  # references: the buffer's, and the argument of the question
+_UNUSED: Final = 2  # references: the buffer's, and the argument of `getrefcount`
 
 
 class BufferPool:
     """The last `count` buffers whose bytes were handed out; threads share it."""
 
     def __init__(self, count: int) -> None:
-        self._kept: deque[BytesIO] = deque(maxlen=count)
+        self._buffers: deque[BytesIO] = deque(maxlen=count)
 
     def exchange(self, buffer: BytesIO) -> BytesIO:
         """Keep `buffer`, and return one to write to from its start.
 
-        Only whether it pays depends on the count of references: a `BytesIO` never writes into
-        bytes that somebody holds, it moves to a copy of its own first.
+        The count of references affects speed only: a `BytesIO` never writes into bytes that are
+        referenced elsewhere, it copies them first.
         """
-        self._kept.append(buffer)
-        with suppress(IndexError):  # another thread took the last
-            for _ in range(len(self._kept)):
-                oldest = self._kept.popleft()
-                if getrefcount(oldest.getvalue()) == _ITS_OWN:
+        self._buffers.append(buffer)
+        with suppress(IndexError):  # another thread took the last buffer
+            for _ in range(len(self._buffers)):
+                oldest = self._buffers.popleft()
+                if getrefcount(oldest.getvalue()) == _UNUSED:
                     oldest.seek(0)
                     return oldest
-                self._kept.append(oldest)
+                self._buffers.append(oldest)
         return BytesIO()

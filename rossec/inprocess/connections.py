@@ -1,7 +1,7 @@
-"""TCPROS in rospy: connection headers of both sides, and whom they let in.
+"""TCPROS in rospy: connection headers of both sides, and the admission of peers.
 
-The header hooks serve services as well: which right a side proves, and which it wants to see of
-the other, follows from rospy's protocol class.
+The header hooks serve services as well: rospy's protocol class determines which right
+each side has to prove.
 """
 
 from functools import partial
@@ -20,7 +20,12 @@ from grants.guard import Guard
 from grants.model import Right
 from rossec.errors import ConnectionHeaderRefused, PlainPeer
 from rossec.inprocess import headers
-from rossec.inprocess.genpy_types import described, installed, longest, room
+from rossec.inprocess.genpy_types import (
+    definition_of,
+    installed_definition,
+    max_message_size,
+    max_unit_size,
+)
 from rossec.inprocess.identity import LocalIdentity, now
 from rossec.inprocess.live_connections import LiveConnection, PlainConnection
 from rossec.inprocess.plain_stream import plain_fields
@@ -28,8 +33,13 @@ from rossec.inprocess.process import SecuredProcess
 from rossec.inprocess.service_filter import ClientFilter, ServerFilter
 from rossec.inprocess.sockets import RosSocket
 from rossec.participant.access import FIELD
-from rossec.participant.definitions import Definition, as_received, from_header, told
-from rossec.participant.limit_memory import recall
+from rossec.participant.definitions import (
+    Definition,
+    definition_fields,
+    from_header,
+    receiver_definition,
+)
+from rossec.participant.limit_memory import memory_scope
 from rossec.participant.message_types import MessageType
 from rossec.participant.service_guard import ServiceGuard
 from rossec.participant.service_handshake import admit_caller, admit_provider, requested_service
@@ -43,7 +53,7 @@ from rossec.participant.topic_handshake import (
 )
 from rossec.ros import header
 
-_PROVES: Final[dict[type, Right]] = {
+_RIGHTS: Final[dict[type, Right]] = {
     TCPROSSub: Right.SUBSCRIBE,
     TCPROSPub: Right.PUBLISH,
     TCPROSServiceClient: Right.CALL,
@@ -53,14 +63,14 @@ _HINT_PLAIN: Final = "secure it, or name what it offers in allow_plain while you
 
 
 class Connections:
-    """The hooks of one process. Their arguments are those of the functions they stand for."""
+    """The hooks of one process. Their arguments are those of the functions they replace."""
 
     def __init__(self, process: SecuredProcess) -> None:
         self._process = process
 
     @property
-    def _member(self) -> LocalIdentity:
-        return self._process.member
+    def _local_identity(self) -> LocalIdentity:
+        return self._process.local_identity
 
     # -- headers
 
@@ -73,21 +83,21 @@ class Connections:
             data = header.encode(self._fields(protocol, sock))
             sock.send_unit(data)
         except HintedError as error:
-            raise self._refused(protocol, error, sock) from error
+            raise self._init_error(protocol, error, sock) from error
         transport.stat_bytes += len(data)
 
     def _fields(self, protocol: Any, sock: RosSocket) -> dict[str, str | bytes]:
         if sock.is_plain:
             self._check_plain(protocol.resolved_name, sock)
             return dict(protocol.get_header_fields())
-        self._member.access.check_peer(sock.peer, now())
-        right = _PROVES[type(protocol)]
-        proof = self._member.access.present(right, protocol.resolved_name, now())
-        return {**protocol.get_header_fields(), "callerid": self._member.name, FIELD: proof}
+        self._local_identity.access.check_peer(sock.peer, now())
+        right = _RIGHTS[type(protocol)]
+        proof = self._local_identity.access.present(right, protocol.resolved_name, now())
+        return {**protocol.get_header_fields(), "callerid": self._local_identity.name, FIELD: proof}
 
     def _check_plain(self, name: str, sock: RosSocket) -> None:
-        """Before a byte is said in clear."""
-        if not self._process.may_be_plain(name, sock.getpeername()[0]):
+        """Checked before the first plain byte is sent."""
+        if not self._process.allows_plain(name, sock.getpeername()[0]):
             raise PlainPeer("the peer is a plain ROS node", _HINT_PLAIN)
 
     def read_header(self, transport: Any) -> None:
@@ -97,40 +107,42 @@ class Connections:
             return
         try:
             fields = headers.receive(sock)
-            link = None if sock.is_plain else self._admit_server(protocol, fields, sock)
+            connection = None if sock.is_plain else self._admit_server(protocol, fields, sock)
         except HintedError as error:
-            raise self._refused(protocol, error, sock) from error
+            raise self._init_error(protocol, error, sock) from error
         transport._validate_header(headers.for_rospy(fields))  # noqa: SLF001 - rospy's own
-        if link is not None:
-            self._process.watch(sock, link)
-        self._process.reporter.forget(_what(protocol))
+        if connection is not None:
+            self._process.add_connection(sock, connection)
+        self._process.reporter.forget(_description(protocol))
 
     def _admit_server(
         self, protocol: Any, fields: dict[str, bytes], sock: RosSocket
     ) -> LiveConnection:
-        access, peer, name = self._member.access, sock.peer, protocol.resolved_name
+        access, peer, name = self._local_identity.access, sock.peer, protocol.resolved_name
         if isinstance(protocol, TCPROSServiceClient):
             decision = admit_provider(fields, peer, name, access, now())
             if decision.restrictions:
                 guard = self._service_guard(protocol.service_class, decision)
-                sock.exchange = ClientFilter(guard, now)
-            sock.welcome(room(protocol.service_class._response_class))  # noqa: SLF001 - rospy's
+                sock.service_filter = ClientFilter(guard, now)
+            sock.raise_unit_limit(max_unit_size(protocol.service_class._response_class))  # noqa: SLF001 - rospy's
             return LiveConnection(sock, decision)
-        own = described(protocol.recv_data_class)
-        expected = ExpectedTopic(name, own.name, own.md5sum)
+        subscribed = definition_of(protocol.recv_data_class)
+        expected = ExpectedTopic(name, subscribed.name, subscribed.md5sum)
         decision = admit_publisher(fields, peer, expected, access, now())
-        kind = as_received(own, from_header(fields), decision, installed)
-        fields |= told(kind, decision)
-        sock.welcome(room(protocol.recv_data_class))
+        kind = receiver_definition(subscribed, from_header(fields), decision, installed_definition)
+        fields |= definition_fields(kind, decision)
+        sock.raise_unit_limit(max_unit_size(protocol.recv_data_class))
         return LiveConnection(sock, decision, self._guard_for(kind, decision))
 
     def _guard_for(self, kind: Definition, decision: Decision) -> Guard | None:
-        member = self._member
-        return guard_for(kind, decision, member.home.filter_key, recall(member.name))
+        local_identity = self._local_identity
+        return guard_for(
+            kind, decision, local_identity.home.filter_key, memory_scope(local_identity.name)
+        )
 
-    def _refused(self, protocol: Any, error: HintedError, sock: RosSocket) -> TransportInitError:
-        if not sock.left:
-            self._process.reporter.warn(_what(protocol), error)
+    def _init_error(self, protocol: Any, error: HintedError, sock: RosSocket) -> TransportInitError:
+        if not sock.closed_locally:
+            self._process.reporter.warn(_description(protocol), error)
         return TransportInitError(f"rossec: {error}")
 
     # -- callers
@@ -143,10 +155,10 @@ class Connections:
                 return
             peer = sock.handshake()
             caller = peer.name
-            self._process.links.admit(sock, peer, sock.abort)
-            self._member.access.check_peer(peer, now())
+            self._process.connections.admit(sock, peer, sock.abort)
+            self._local_identity.access.check_peer(peer, now())
             fields = headers.receive(sock)
-            self._introduce(server, sock, where, fields)
+            self._admit_caller(server, sock, where, fields)
         except HintedError as error:
             self._process.reporter.warn(f"refused {caller}", error)
             if sock.is_plain or sock.stream.peer is not None:
@@ -156,50 +168,54 @@ class Connections:
             self._process.reporter.warn(f"lost {caller}", error)
             sock.close()
         except BaseException:
-            sock.close()  # a guard that crashes lets nobody through
+            sock.close()  # a check that crashes admits no peer
             raise
 
     def _serve_plain(self, server: Any, sock: RosSocket, where: Any) -> bool:
-        """Serve a plain caller of what `allow_plain` names; others go on into the channel."""
+        """Serve a plain caller of what `allow_plain` names; others continue with the handshake."""
         fields = plain_fields(sock.peek())
         kind = "service" if "service" in fields else "topic"
         name = fields.get(kind, b"").decode(errors="replace")
-        if not name or not self._process.may_be_plain(name, where[0]):
+        if not name or not self._process.allows_plain(name, where[0]):
             return False
-        sock.go_plain()
-        self._process.links.admit_plain(sock, where[0])
+        sock.switch_to_plain()
+        self._process.connections.admit_plain(sock, where[0])
         headers.receive(sock)
-        sock.link = PlainConnection()
+        sock.connection = PlainConnection()
         handler = getattr(server, f"{kind}_connection_handler")
         refusal = handler(sock, where, headers.for_rospy(fields))
         if refusal:
             raise ConnectionHeaderRefused(f"no such {kind}, or of another type")
         return True
 
-    def _introduce(
+    def _admit_caller(
         self, server: Any, sock: RosSocket, where: Any, fields: dict[str, bytes]
     ) -> None:
-        access = self._member.access
+        access = self._local_identity.access
         if "service" in fields:
             decision = admit_caller(fields, sock.peer, access, now())
-            sock.link = LiveConnection(sock, decision)
-            sock.exchange = self._server_exchange(requested_service(fields), sock, sock.link)
+            sock.connection = LiveConnection(sock, decision)
+            sock.service_filter = self._server_filter(
+                requested_service(fields), sock, sock.connection
+            )
             handler = server.service_connection_handler
         else:
             decision = admit_subscriber(fields, sock.peer, access, now())
-            sock.link = LiveConnection(
-                sock, decision, self._guard(requested_topic(fields), decision)
+            sock.connection = LiveConnection(
+                sock, decision, self._topic_guard(requested_topic(fields), decision)
             )
             handler = server.topic_connection_handler
-        self._process.watch(sock, sock.link)
+        self._process.add_connection(sock, sock.connection)
         refusal = handler(sock, where, headers.for_rospy(fields))
         if refusal:
             raise ConnectionHeaderRefused(
                 str(refusal), "both sides need the same version of the package"
             )
 
-    def _server_exchange(self, service: str, sock: RosSocket, link: LiveConnection) -> ServerFilter:
-        """What the calls of this caller pass through.
+    def _server_filter(
+        self, service: str, sock: RosSocket, connection: LiveConnection
+    ) -> ServerFilter:
+        """The filter for the calls of this caller.
 
         Raises:
             ConnectionHeaderRefused: the service is not provided here.
@@ -207,18 +223,20 @@ class Connections:
         """
         provided = rospy.impl.registration.get_service_manager().get_service(service)
         if provided is None:
-            raise ConnectionHeaderRefused(f"{self._member.name} does not provide {service}")
+            raise ConnectionHeaderRefused(f"{self._local_identity.name} does not provide {service}")
         guard = None
-        if link.decision.restrictions:
-            guard = self._service_guard(provided.service_class, link.decision)
+        if connection.decision.restrictions:
+            guard = self._service_guard(provided.service_class, connection.decision)
 
         def refused(error: HintedError) -> None:
             self._process.reporter.warn(f"{service}: refused {sock.peer.name}", error)
 
-        asked = provided.service_class._request_class  # noqa: SLF001 - rospy's
-        sock.welcome(room(asked))
-        termination_reason = partial(self._member.termination_reason, link)
-        return ServerFilter(termination_reason, guard, refused, now, longest(asked))
+        request_class = provided.service_class._request_class  # noqa: SLF001 - rospy's
+        sock.raise_unit_limit(max_unit_size(request_class))
+        termination_reason = partial(self._local_identity.termination_reason, connection)
+        return ServerFilter(
+            termination_reason, guard, refused, now, max_message_size(request_class)
+        )
 
     def _service_guard(self, kind: Any, decision: Decision) -> ServiceGuard:
         request, response = (
@@ -228,11 +246,13 @@ class Connections:
         both = ServiceType(kind._type, request, response)  # noqa: SLF001 - rospy's
         if both.md5sum != kind._md5sum:  # noqa: SLF001 - rospy's
             raise DefinitionRefused(f"the definition of {kind._type} is not that of its messages")  # noqa: SLF001 - rospy's
-        member = self._member
-        return ServiceGuard(both, decision, member.home.filter_key, recall(member.name))
+        local_identity = self._local_identity
+        return ServiceGuard(
+            both, decision, local_identity.home.filter_key, memory_scope(local_identity.name)
+        )
 
-    def _guard(self, topic: str, decision: Decision) -> Guard | None:
-        """What `decision` means for the messages of this topic; None: they pass as they are.
+    def _topic_guard(self, topic: str, decision: Decision) -> Guard | None:
+        """Applies the restrictions of `decision` to the topic's messages; None: there are none.
 
         Raises:
             ConnectionHeaderRefused: the topic is not published here.
@@ -240,9 +260,9 @@ class Connections:
         """
         published = get_topic_manager().get_publisher_impl(topic)
         if published is None or published.closed:
-            raise ConnectionHeaderRefused(f"{self._member.name} does not publish {topic}")
-        return self._guard_for(described(published.data_class), decision)
+            raise ConnectionHeaderRefused(f"{self._local_identity.name} does not publish {topic}")
+        return self._guard_for(definition_of(published.data_class), decision)
 
 
-def _what(protocol: Any) -> str:
-    return f"cannot {_PROVES[type(protocol)].label} {protocol.resolved_name}"
+def _description(protocol: Any) -> str:
+    return f"cannot {_RIGHTS[type(protocol)].label} {protocol.resolved_name}"

@@ -1,4 +1,4 @@
-"""Makes the secure connections of one process, both ways; `sockets` dresses them for rospy."""
+"""Makes the secure connections of one process, both ways; `sockets` adapts them to rospy."""
 
 import secrets
 import socket
@@ -25,25 +25,26 @@ class Connector:
 
     def __init__(
         self,
-        member: LocalIdentity,
+        local_identity: LocalIdentity,
         half_open: HalfOpen = HalfOpen(),  # noqa: B008 - frozen
-        own: OwnAddresses | None = None,
+        own_addresses: OwnAddresses | None = None,
     ) -> None:
-        self._member = member
-        self._own = OwnAddresses() if own is None else own
-        self._count = HalfOpenCount(half_open)
-        self._places: WeakKeyDictionary[socket.socket, HalfOpenSlot] = WeakKeyDictionary()
+        self._local_identity = local_identity
+        self._own_addresses = OwnAddresses() if own_addresses is None else own_addresses
+        self._half_open = HalfOpenCount(half_open)
+        self._slots: WeakKeyDictionary[socket.socket, HalfOpenSlot] = WeakKeyDictionary()
 
-    def call(self, sock: socket.socket, opening: WireProtocol, place: Address) -> Stream:
-        """Introduce this node over a socket connected to `place`; returns once it is answered.
+    def initiate(self, sock: socket.socket, protocol: WireProtocol, address: Address) -> Stream:
+        """Handshake as the initiator over a socket that is connected to `address`.
 
         Raises:
             ChannelError: the handshake failed; the socket is closed.
         """
         core = Connection.initiator(
-            self._member.credentials, self._member.anchor.verify,
-            random=secrets.token_bytes, now=now(), opening=opening, limits=DIALLED[opening],
-            suites=self._member.suites, own_dials=self._own.dials_for(place),
+            self._local_identity.credentials, self._local_identity.anchor.verify,
+            random=secrets.token_bytes, now=now(), opening=protocol, limits=DIALLED[protocol],
+            suites=self._local_identity.suites,
+            own_dials=self._own_addresses.own_dials_for(address),
         )  # fmt: skip
         stream = SecureSocket(sock, core)
         try:
@@ -56,34 +57,37 @@ class Connector:
         return stream
 
     def admit(self, sock: socket.socket, address: str) -> bool:
-        """Whether one more stranger is bearable: counted until it is proven, or `sock` is gone."""
-        place = self._count.admit(address)
-        if place is not None:
-            place.bind(sock)
-            self._places[sock] = place
-        return place is not None
+        """Whether one more half-open connection is within the limits.
 
-    def settle(self, sock: socket.socket) -> None:
-        """A caller that was admitted needs no handshake, or is gone."""
-        place = self._places.pop(sock, None)
-        if place is not None:
-            place.settle()
+        It counts until the peer is authenticated, or `sock` is closed.
+        """
+        slot = self._half_open.admit(address)
+        if slot is not None:
+            slot.bind(sock)
+            self._slots[sock] = slot
+        return slot is not None
 
-    def answer(self, sock: socket.socket, flavour: WireProtocol) -> Stream:
-        """Answer a caller that was admitted; its handshake is still to come.
+    def release(self, sock: socket.socket) -> None:
+        """Stop counting an admitted caller: it needs no handshake, or is gone."""
+        slot = self._slots.pop(sock, None)
+        if slot is not None:
+            slot.release()
+
+    def respond(self, sock: socket.socket, protocol: WireProtocol) -> Stream:
+        """The responder's side for a caller that was admitted; the handshake is still to come.
 
         Raises:
             OSError: it is gone already.
         """
         try:
             core = Connection.responder(
-                self._member.credentials, self._member.anchor.verify,
-                random=secrets.token_bytes, now=now(), accept={flavour}, limits=ACCEPTED[flavour],
-                suites=self._member.suites, own_dials=self._own.dials,
+                self._local_identity.credentials, self._local_identity.anchor.verify,
+                random=secrets.token_bytes, now=now(), accept={protocol}, limits=ACCEPTED[protocol],
+                suites=self._local_identity.suites, own_dials=self._own_addresses.dials,
             )  # fmt: skip
             sock.settimeout(None)  # rospy sets a default for all sockets of the process
-            return SecureSocket(sock, core, partial(self.settle, sock))
+            return SecureSocket(sock, core, partial(self.release, sock))
         except BaseException:
             sock.close()
-            self.settle(sock)
+            self.release(sock)
             raise

@@ -1,4 +1,4 @@
-"""Message types as the classes of this process have them: by these its program reads."""
+"""The message types this process reads with, as its genpy classes define them."""
 
 from typing import Any
 
@@ -9,25 +9,25 @@ from rossec.net.bounds import message_limit, unit_limit
 from rossec.participant.definitions import Definition, size_of
 
 
-def described(kind: Any) -> Definition:
-    """What the message class `kind` says of itself."""
+def definition_of(kind: Any) -> Definition:
+    """Name, checksum and definition of the message class `kind`."""
     return Definition(kind._type, kind._md5sum, kind._full_text)  # noqa: SLF001 - genpy's
 
 
-def installed(name: str) -> Definition | None:
-    """What the class says by which a program would read the type `name`; None: there is none."""
+def installed_definition(name: str) -> Definition | None:
+    """The definition of the installed class for the type `name`; None: there is none."""
     try:
         kind = genpy.message.get_message_class(name)
-    except Exception:  # noqa: BLE001 - an import may fail in any way; then nothing is known
+    except Exception:  # noqa: BLE001 - an import may fail in any way; then it is not installed
         return None
-    return None if kind is None else described(kind)
+    return None if kind is None else definition_of(kind)
 
 
-def longest(kind: Any) -> int:
-    """How long a message of the class `kind` may be, in bytes."""
-    return message_limit(size_of(described(kind)), ChannelLimits.unit)
+def max_message_size(kind: Any) -> int:
+    """The most bytes a message of the class `kind` may have."""
+    return message_limit(size_of(definition_of(kind)), ChannelLimits.unit)
 
 
-def room(kind: Any) -> int:
-    """How long a unit with such messages may be."""
-    return unit_limit(size_of(described(kind)), ChannelLimits.unit)
+def max_unit_size(kind: Any) -> int:
+    """The most bytes a unit with such messages may have."""
+    return unit_limit(size_of(definition_of(kind)), ChannelLimits.unit)

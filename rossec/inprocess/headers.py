@@ -1,6 +1,6 @@
 """Connection headers over a blocking secure socket: read whole, within a deadline and a limit.
 
-The field that holds the grants is binary and ours; rospy, which wants text, never sees it.
+The field that holds grants is binary; rospy, which expects text, does not get it.
 """
 
 import struct
@@ -49,12 +49,12 @@ def _exactly(sock: RosSocket, size: int, end: float) -> bytes:
 
 
 def for_rospy(fields: Mapping[str, bytes]) -> dict[str, str]:
-    """The fields as text, without what is only ours."""
+    """The fields as text, without the one that holds grants."""
     return {key: value.decode(errors="replace") for key, value in fields.items() if key != FIELD}
 
 
 def refuse(sock: RosSocket, error: HintedError) -> None:
-    """Tell an authenticated peer why; it may be gone."""
+    """Send an authenticated peer the reason; it may be gone."""
     sock.settimeout(DEADLINE)
     with suppress(HintedError, OSError):
         sock.send_unit(header.error_header(f"rossec: {printable(error)}"))

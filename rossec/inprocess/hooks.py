@@ -1,8 +1,8 @@
-"""What is replaced in rospy and rosgraph, exactly; nothing else is touched.
+"""The hooks: exactly what is replaced in rospy and rosgraph.
 
 A hook names a module, an attribute path and the parameters its stock function must have: a rospy
-in which one of them differs is refused before anything is replaced. `check` looks again when the
-node starts, so that nothing can have been put back (attack F12).
+in which one of them differs is refused before anything is replaced. `check` repeats the check when
+the node starts, in case something was put back (attack F12).
 """
 
 import inspect
@@ -63,7 +63,7 @@ def rospy_version() -> str:
     """The version of the rospy that is imported.
 
     Raises:
-        ConfigurationError: unknown, or none that rossec was tried with.
+        ConfigurationError: unknown, or not a version that rossec was tested with.
     """
     try:
         found = version("rospy")
@@ -71,44 +71,112 @@ def rospy_version() -> str:
         found = ""
     if not found.startswith(tuple(f"{known}." for known in VERSIONS)):
         raise ConfigurationError(
-            f"rospy {found or 'of unknown version'} is none that rossec knows",
-            f"rossec knows {VERSIONS[0]} to {VERSIONS[-1]}; for others use `rossec run`",
+            f"rospy {found or 'of unknown version'} is not supported",
+            f"rossec supports {VERSIONS[0]} to {VERSIONS[-1]}; for others use `rossec run`",
         )
     return found
 
 
 def check_in_time() -> None:
-    """Refuse a program that has opened connections already: they would stay plain.
+    """Check that the program has opened no connection yet: it would stay plain.
 
     Raises:
-        ConfigurationError: it has.
+        ConfigurationError: it has opened one.
     """
     base, core = rospy.impl.tcpros_base, rospy.core
-    if core.is_initialized() or rospy.client._init_node_args:  # noqa: SLF001 - rospy has no question for it
+    if core.is_initialized() or rospy.client._init_node_args:  # noqa: SLF001 - rospy has no function for it
         raise ConfigurationError("rossec.secure() comes after rospy.init_node()", _LATE)
     if base._tcpros_server is not None or core._xmlrpc_cache:  # noqa: SLF001 - rospy's
         raise ConfigurationError("rospy has connected already, without rossec", _LATE)
     topics = rospy.impl.registration.get_topic_manager()
     if topics.get_topics():
-        raise ConfigurationError("a topic was made before rossec.secure()", _LATE)
+        raise ConfigurationError("a topic was created before rossec.secure()", _LATE)
 
 
 def hooks(process: SecuredProcess, start_node: StartNode) -> list[Hook]:
     """Every hook, in the order in which they are set."""
-    base, pubsub = rospy.impl.tcpros_base, rospy.impl.tcpros_pubsub
-    service, transport = rospy.impl.tcpros_service, rospy.impl.tcpros_base.TCPROSTransport
-    api = rosgraph.xmlrpc.ThreadingXMLRPCServer
-    connections, server = Connections(process), XmlRpcServer(process)
-    client = XmlRpcClient(process)
-    proxy = client.proxy_class()
+    return [
+        *_connection_hooks(process),
+        *_topic_hooks(process),
+        *_xmlrpc_client_hooks(process),
+        *_wait_hooks(process),
+        *_node_hooks(process),
+        Hook(
+            rospy.impl.init, "start_node", start_node,
+            ("environ", "resolved_name", "master_uri", "port", "tcpros_port"),
+        ),
+    ]  # fmt: skip
+
+
+def _connection_hooks(process: SecuredProcess) -> list[Hook]:
+    """TCPROS connections of topics and services, both sides."""
+    transport = rospy.impl.tcpros_base.TCPROSTransport
+    connections = Connections(process)
 
     def make(family: int = socket.AF_INET, kind: int = socket.SOCK_STREAM) -> RosSocket:
         return RosSocket(process, socket.socket(family, kind))
 
-    def set_uri(node: Any, uri: str) -> None:
-        node.uri = bracketed(uri)
-        host, port = parse_uri(node.uri)
-        process.listens(port, host)
+    def accepted(tcpros: Any, sock: RosSocket, where: Any) -> None:
+        arguments = (tcpros, sock, where)
+        try:
+            threading.Thread(target=connections.serve, args=arguments, daemon=True).start()
+        except RuntimeError:  # out of threads: only this caller is dropped
+            sock.close()
+
+    server = rospy.impl.tcpros_base.TCPROSServer
+    probes = ModuleProxy(socket, socket=_probes(process))
+    return [
+        Hook(rospy.impl.tcpros_base, "socket", ModuleProxy(socket, socket=make)),
+        Hook(rospy.impl.tcpros_service, "socket", probes),
+        Hook(server, "_tcp_server_callback", accepted, ("self", "sock", "client_addr")),
+        Hook(transport, "write_header", _as_function(connections.write_header), ("self",)),
+        Hook(transport, "read_header", _as_function(connections.read_header), ("self",)),
+        Hook(transport, "write_data", write_data, ("self", "data")),
+    ]
+
+
+def _topic_hooks(process: SecuredProcess) -> list[Hook]:
+    """Sending and receiving messages."""
+    pubsub, queued = rospy.impl.tcpros_pubsub, ("self", "connection", "queue_size")
+    return [
+        Hook(
+            pubsub, "robust_connect_subscriber", SubscriptionLoop(process).run,
+            ("conn", "dest_addr", "dest_port", "pub_uri", "receive_cb", "resolved_topic_name"),
+        ),
+        Hook(
+            rospy.topics._PublisherImpl, "publish", publish,  # noqa: SLF001 - rospy's
+            ("self", "message", "connection_override"),
+        ),
+        Hook(rospy.topics, "QueuedConnection", SendQueue, queued),
+        Hook(pubsub, "QueuedConnection", SendQueue, queued),
+    ]  # fmt: skip
+
+
+def _xmlrpc_client_hooks(process: SecuredProcess) -> list[Hook]:
+    """Calls of the master API and of the slave APIs of other nodes."""
+    client = XmlRpcClient(process)
+    proxy = client.proxy_class()
+    return [
+        Hook(rospy.core, "xmlrpcclient", ModuleProxy(xmlrpc.client, ServerProxy=proxy)),
+        Hook(rospy.core, "_LockedServerProxy", proxy, ("self", "args", "kwargs")),
+        Hook(rospy.impl.tcpros_pubsub, "ServerProxy", proxy),
+        Hook(rosgraph.masterapi, "ServerProxy", proxy),
+        Hook(rosgraph.impl.graph, "ServerProxy", proxy),
+        Hook(
+            xmlrpc.client.ServerProxy, REQUEST, _as_function(client.request),
+            ("self", "methodname", "params"),
+        ),
+    ]  # fmt: skip
+
+
+def _wait_hooks(process: SecuredProcess) -> list[Hook]:
+    """`wait_for_service`, and the URIs of services."""
+    service = rospy.impl.tcpros_service
+    stock_wait = service.wait_for_service
+
+    def wait_for_service(service: Any, timeout: Any = None) -> None:
+        process.require_name()  # rospy's loop would catch the error and never end
+        stock_wait(service, timeout)
 
     def parse_service_uri(uri: str) -> tuple[str, int]:
         try:
@@ -116,58 +184,28 @@ def hooks(process: SecuredProcess, start_node: StartNode) -> list[Hook]:
         except ConfigurationError as error:
             raise ParameterInvalid(str(error)) from error
 
-    stock_wait = service.wait_for_service
-
-    def wait_for_service(service: Any, timeout: Any = None) -> None:
-        process.require_name()  # rospy's loop would swallow why, and go on for ever
-        stock_wait(service, timeout)
-
-    def accepted(tcpros: Any, sock: RosSocket, where: Any) -> None:
-        arguments = (tcpros, sock, where)
-        try:
-            threading.Thread(target=connections.serve, args=arguments, daemon=True).start()
-        except RuntimeError:  # out of threads: this caller is dropped, the next may be served
-            sock.close()
-
     return [
-        Hook(base, "socket", ModuleProxy(socket, socket=make)),
-        Hook(service, "socket", ModuleProxy(socket, socket=_probes(process))),
-        Hook(
-            base.TCPROSServer, "_tcp_server_callback", accepted, ("self", "sock", "client_addr")
-        ),
-        Hook(transport, "write_header", _plain(connections.write_header), ("self",)),
-        Hook(transport, "read_header", _plain(connections.read_header), ("self",)),
-        Hook(transport, "write_data", write_data, ("self", "data")),
-        Hook(
-            pubsub, "robust_connect_subscriber", SubscriptionLoop(process).follow,
-            ("conn", "dest_addr", "dest_port", "pub_uri", "receive_cb", "resolved_topic_name"),
-        ),
-        Hook(
-            rospy.topics._PublisherImpl, "publish", publish,  # noqa: SLF001 - rospy's
-            ("self", "message", "connection_override"),
-        ),
-        Hook(rospy.topics, "QueuedConnection", SendQueue, ("self", "connection", "queue_size")),
-        Hook(pubsub, "QueuedConnection", SendQueue, ("self", "connection", "queue_size")),
-        Hook(rospy.core, "xmlrpcclient", ModuleProxy(xmlrpc.client, ServerProxy=proxy)),
-        Hook(rospy.core, "_LockedServerProxy", proxy, ("self", "args", "kwargs")),
-        Hook(pubsub, "ServerProxy", proxy),
-        Hook(rosgraph.masterapi, "ServerProxy", proxy),
-        Hook(rosgraph.impl.graph, "ServerProxy", proxy),
         Hook(service, "wait_for_service", wait_for_service, ("service", "timeout")),
         Hook(rospy, "wait_for_service", wait_for_service, ("service", "timeout")),
-        Hook(
-            xmlrpc.client.ServerProxy, REQUEST, _plain(client.request),
-            ("self", "methodname", "params"),
-        ),
-        Hook(api, "verify_request", _plain(server.verify_request), _CALLER),
-        Hook(api, "finish_request", _plain(server.finish_request), _CALLER),
-        Hook(rosgraph.xmlrpc.XmlRpcNode, "set_uri", set_uri, ("self", "uri")),
         Hook(rospy.core, "parse_rosrpc_uri", parse_service_uri, ("uri",)),
-        Hook(
-            rospy.impl.init, "start_node", start_node,
-            ("environ", "resolved_name", "master_uri", "port", "tcpros_port"),
-        ),
-    ]  # fmt: skip
+    ]
+
+
+def _node_hooks(process: SecuredProcess) -> list[Hook]:
+    """This node's slave API and its URI."""
+    api = rosgraph.xmlrpc.ThreadingXMLRPCServer
+    server = XmlRpcServer(process)
+
+    def set_uri(node: Any, uri: str) -> None:
+        node.uri = bracketed(uri)
+        host, port = parse_uri(node.uri)
+        process.listens(port, host)
+
+    return [
+        Hook(api, "verify_request", _as_function(server.verify_request), _CALLER),
+        Hook(api, "finish_request", _as_function(server.finish_request), _CALLER),
+        Hook(rosgraph.xmlrpc.XmlRpcNode, "set_uri", set_uri, ("self", "uri")),
+    ]
 
 
 def install(table: list[Hook]) -> None:
@@ -180,16 +218,16 @@ def install(table: list[Hook]) -> None:
         found = getattr(hook.owner, hook.name, None)
         if found is None or (hook.parameters is not None and _parameters(found) != hook.parameters):
             raise ConfigurationError(
-                f"{_path(hook)} of this rospy is not what rossec knows",
-                f"rossec knows rospy {VERSIONS[0]} to {VERSIONS[-1]}; for others use `rossec run`",
+                f"{_path(hook)} of this rospy is not supported",
+                f"rossec supports {VERSIONS[0]} to {VERSIONS[-1]}; for others use `rossec run`",
             )
     for hook in table:
         setattr(hook.owner, hook.name, hook.new)
     check(table)
 
 
-def set_tools(process: SecuredProcess) -> None:
-    """Hook what the program has imported of ROS's tools: they connect to nodes themselves."""
+def hook_tools(process: SecuredProcess) -> None:
+    """Hook the ROS tools that the program imported: they connect to nodes themselves."""
     rosnode, rosservice = sys.modules.get("rosnode"), sys.modules.get("rosservice")
     table = []
     if rosnode is not None:
@@ -207,10 +245,10 @@ def _probes(process: SecuredProcess) -> Callable[..., ServiceProbe]:
 
 
 def check(table: list[Hook]) -> None:
-    """Refuse to go on when a hook is not in its place.
+    """Check that every hook is in place.
 
     Raises:
-        ConfigurationError: something else took it.
+        ConfigurationError: one was replaced.
     """
     for hook in table:
         if inspect.getattr_static(hook.owner, hook.name, None) is not hook.new:
@@ -230,8 +268,8 @@ def _path(hook: Hook) -> str:
     return f"{getattr(owner, '__module__', '')} {owner.__name__}.{hook.name}".strip()
 
 
-def _plain(method: Callable[..., Any]) -> Callable[..., Any]:
-    """A function, to which Python gives its instance; to a bound method it would not."""
+def _as_function(method: Callable[..., Any]) -> Callable[..., Any]:
+    """`method` as a function, which becomes a method of the class it is set on."""
 
     def function(*arguments: Any) -> Any:
         return method(*arguments)

@@ -1,13 +1,13 @@
-"""The node this process is: its identity, its grants, what it knows of revocations; for threads.
+"""The node that this process is: its identity, grants and revocation data; thread-safe.
 
-One lock makes a list and its confirmation one step: between the two nothing would be fresh, and
-every peer that asks in that moment would be refused.
+One lock makes a list and its confirmation one step: between the two no revocation data would be
+fresh, and every peer that is checked would be refused.
 """
 
+from collections.abc import Callable
 from threading import RLock
 
-from ca.certificates import Identity, TrustAnchor
-from ca.revocation.state import Revocations
+from ca.certificates import Identity
 from grants.decision import Decision
 from grants.model import Right
 from rossec import clock
@@ -18,48 +18,79 @@ from rossec.participant.connections import AuthorizedPeer, termination_reason
 from rossec.saved_revocations import saved_revocations
 
 
-class SharedAccess(Access):
-    """`Access`, one thread at a time."""
+class LockedAccess:
+    """What this process uses of `Access`, one thread at a time.
 
-    def __init__(self, anchor: TrustAnchor, revocations: Revocations) -> None:
-        super().__init__(anchor, revocations)
+    Not a subclass: a method that is added to `Access` cannot be called here without the lock.
+    """
+
+    def __init__(self, access: Access) -> None:
+        self._access = access
         self.lock = RLock()
 
-    def hold(self, data: bytes) -> None:
-        """As of `Access`."""
+    @property
+    def epoch(self) -> int:
+        """See `Access.epoch`."""
         with self.lock:
-            super().hold(data)
+            return self._access.epoch
+
+    def hold(self, data: bytes) -> None:
+        """See `Access.hold`."""
+        with self.lock:
+            self._access.hold(data)
 
     def hold_renewed(self, token: bytes, now: int) -> None:
-        """As of `Access`."""
+        """See `Access.hold_renewed`."""
         with self.lock:
-            super().hold_renewed(token, now)
+            self._access.hold_renewed(token, now)
 
-    def holdings(self) -> list[HeldGrant]:
-        """As of `Access`."""
+    def held_grants(self) -> list[HeldGrant]:
+        """See `Access.held_grants`."""
         with self.lock:
-            return super().holdings()
+            return self._access.held_grants()
+
+    def update_revocations(
+        self,
+        revocations: bytes,
+        timestamp: bytes,
+        master: Identity,
+        now: int,
+        persist: Callable[[bytes], None],
+    ) -> None:
+        """See `Access.update_revocations`."""
+        with self.lock:
+            self._access.update_revocations(revocations, timestamp, master, now, persist)
+
+    def current(self, now: int) -> list[bytes]:
+        """See `Access.current`."""
+        with self.lock:
+            return self._access.current(now)
 
     def present(self, right: Right, name: str, now: int) -> bytes:
-        """As of `Access`."""
+        """See `Access.present`."""
         with self.lock:
-            return super().present(right, name, now)
+            return self._access.present(right, name, now)
+
+    def holds(self, right: Right, name: str, now: int) -> bool:
+        """See `Access.holds`."""
+        with self.lock:
+            return self._access.holds(right, name, now)
 
     def check_peer(self, peer: Identity, now: int) -> None:
-        """As of `Access`."""
+        """See `Access.check_peer`."""
         with self.lock:
-            super().check_peer(peer, now)
+            self._access.check_peer(peer, now)
 
     def authorize(
         self, peer: Identity, presented: bytes | None, right: Right, name: str, now: int
     ) -> Decision:
-        """As of `Access`."""
+        """See `Access.authorize`."""
         with self.lock:
-            return super().authorize(peer, presented, right, name, now)
+            return self._access.authorize(peer, presented, right, name, now)
 
 
 class LocalIdentity:
-    """One enrolled node, as which this process speaks.
+    """The enrolled node that this process is.
 
     Args:
         home: its directory.
@@ -68,7 +99,7 @@ class LocalIdentity:
 
     Raises:
         ConfigurationError: no identity, or another node's.
-        CertificateRefused, KeyRefused: an identity or a key that does not hold.
+        CertificateRefused, KeyRefused: the identity or the key is invalid.
     """
 
     def __init__(self, home: NodeHome, name: str, suites: tuple[int, ...] = PRODUCTION) -> None:
@@ -79,38 +110,40 @@ class LocalIdentity:
         self.credentials = home.credentials()
         self.identity = home.identity(now())
         self.revocations = saved_revocations(home, self.anchor, now())
-        self.access = SharedAccess(self.anchor, self.revocations)
+        self.access = LockedAccess(Access(self.anchor, self.revocations))
 
     def take_revocations(self, data: bytes, timestamp: bytes, master: Identity) -> None:
-        """Take over a list (empty: the one held) and the master's word that it is the newest.
+        """Take a list (empty: the one held) and the master's confirmation that it is the newest.
 
         Raises:
-            CAError: either does not hold. A list that does counts nevertheless.
+            CAError: either is invalid. A valid list is taken nevertheless.
         """
         with self.access.lock:
-            self.access.take_news(data, timestamp, master, now(), self.home.save_revocations)
+            self.access.update_revocations(
+                data, timestamp, master, now(), self.home.save_revocations
+            )
 
-    def doubt(self) -> None:
-        """Rely on what the master said no longer: the clock it was heard by went back."""
+    def expire_confirmation(self) -> None:
+        """Treat the master's confirmation as expired: the clock it was received by went back."""
         with self.access.lock:
-            self.revocations.doubt(now() - 1)
+            self.revocations.expire_confirmation(now() - 1)
 
     @property
-    def wanted(self) -> list[bytes]:
+    def unproved(self) -> list[bytes]:
         """Entries of a tree of revocations that wait for a proof."""
         with self.access.lock:
-            return self.revocations.wanted
+            return self.revocations.unproved
 
-    def prove(self, entry: bytes, proof: bytes) -> None:
-        """As of `Revocations`."""
+    def add_proof(self, entry: bytes, proof: bytes) -> None:
+        """See `Revocations.add_proof`."""
         with self.access.lock:
-            self.revocations.prove(entry, proof)
+            self.revocations.add_proof(entry, proof)
 
     def refresh_identity(self) -> bool:
-        """Speak with the certificate that is in the directory now; whether it is another one.
+        """Use the certificate that is in the directory now; returns whether it is another one.
 
         Raises:
-            HintedError: it does not hold; the one before stays.
+            HintedError: it is invalid; the one before stays.
         """
         credentials = self.home.credentials()
         if credentials.chain == self.credentials.chain:
@@ -118,13 +151,13 @@ class LocalIdentity:
         self.identity, self.credentials = self.home.identity(now()), credentials
         return True
 
-    def termination_reason(self, link: AuthorizedPeer) -> str | None:
+    def termination_reason(self, connection: AuthorizedPeer) -> str | None:
         """Why a live connection must end now, if it must."""
         with self.access.lock:
-            return termination_reason(link, self.revocations, now())
+            return termination_reason(connection, self.revocations, now())
 
     def is_revoked(self, peer: Identity) -> bool:
-        """Whether the key of `peer`, or one that vouches for it, is on the list."""
+        """Whether the key of `peer`, or one in its chain, is on the list."""
         with self.access.lock:
             return not self.revocations.entries.isdisjoint(peer.keys)
 

@@ -1,4 +1,4 @@
-"""The live connections of this process, so that those can be cut which must end."""
+"""The live connections of this process, so that they can be closed when a right ends."""
 
 from collections import Counter
 from collections.abc import Callable
@@ -15,7 +15,7 @@ PEER_CONNECTIONS: Final = 64  # of one identity: one for each topic and service 
 
 
 class LiveConnection:
-    """A connection admitted by `decision`; `guard` treats its messages, if anything does."""
+    """A connection admitted by `decision`; `guard`, if any, filters its messages."""
 
     def __init__(
         self, stream: AuthenticatedPeer, decision: Decision, guard: Guard | None = None
@@ -27,44 +27,44 @@ class LiveConnection:
 
 
 class PlainConnection:
-    """A connection that `allow_plain` names: nothing of it is judged, and it does not end."""
+    """A connection that `allow_plain` names: not authorized, and without an expiry."""
 
     guard = None
     ends = float("inf")
 
 
 class LiveConnections:
-    """All links, and how many connections each peer holds; threads share it."""
+    """All live connections, and how many each peer has; thread-safe."""
 
     def __init__(self) -> None:
         self._lock = Lock()
-        self._cuts: dict[LiveConnection, Callable[[], None]] = {}
-        self._held: Counter[bytes | str] = Counter()
-        self._holders: dict[object, bytes | str] = {}
+        self._aborts: dict[LiveConnection, Callable[[], None]] = {}
+        self._counts: Counter[bytes | str] = Counter()
+        self._counted: dict[object, bytes | str] = {}
         self._peers: dict[object, tuple[Identity, Callable[[], None]]] = {}
 
-    def add(self, link: LiveConnection, cut: Callable[[], None]) -> None:
-        """Watch over `link`; `cut` ends it at once, from any thread."""
+    def add(self, connection: LiveConnection, abort: Callable[[], None]) -> None:
+        """Add `connection`; `abort` ends it at once, from any thread."""
         with self._lock:
-            self._cuts[link] = cut
+            self._aborts[connection] = abort
 
-    def discard(self, link: LiveConnection) -> None:
+    def discard(self, connection: LiveConnection) -> None:
         """The connection is gone."""
         with self._lock:
-            self._cuts.pop(link, None)
+            self._aborts.pop(connection, None)
 
-    def admit(self, key: object, peer: Identity, cut: Callable[[], None]) -> None:
-        """Count a connection that `peer` made; `forget` it when it is over.
+    def admit(self, key: object, peer: Identity, abort: Callable[[], None]) -> None:
+        """Count a connection that `peer` made; call `forget` when it is closed.
 
         Raises:
             LimitExceeded: it has too many already (attack N8).
         """
         with self._lock:
             self._count(key, peer.thumbprint, peer.name)
-            self._peers[key] = peer, cut
+            self._peers[key] = peer, abort
 
     def admit_plain(self, key: object, address: str) -> None:
-        """Count a connection that is plain: all we know of such a peer is its address.
+        """Count a plain connection, by its address: such a peer has no identity.
 
         Raises:
             LimitExceeded: it has too many already.
@@ -73,55 +73,55 @@ class LiveConnections:
             self._count(key, address, address)
 
     def _count(self, key: object, holder: bytes | str, name: str) -> None:
-        if self._held[holder] >= PEER_CONNECTIONS:
+        if self._counts[holder] >= PEER_CONNECTIONS:
             raise LimitExceeded(f"{name} has {PEER_CONNECTIONS} connections already")
-        self._held[holder] += 1
-        self._holders[key] = holder
+        self._counts[holder] += 1
+        self._counted[key] = holder
 
     def forget(self, key: object) -> None:
-        """A counted connection is over; others are not counted and change nothing."""
+        """Stop counting a connection; one that is not counted is ignored."""
         with self._lock:
             self._peers.pop(key, None)
-            holder = self._holders.pop(key, None)
+            holder = self._counted.pop(key, None)
             if holder is not None:
-                self._held[holder] -= 1
-                if self._held[holder] <= 0:
-                    del self._held[holder]
+                self._counts[holder] -= 1
+                if self._counts[holder] <= 0:
+                    del self._counts[holder]
 
-    def must_end(
-        self, why: Callable[[LiveConnection], str | None]
+    def close_ended(
+        self, end_reason: Callable[[LiveConnection], str | None]
     ) -> list[tuple[LiveConnection, str]]:
-        """Cut every link for which `why` has a reason, and forget it; returns them."""
+        """Close every connection for which `end_reason` has a reason; returns them."""
         with self._lock:
-            links = list(self._cuts.items())
+            connections = list(self._aborts.items())
         ended = []
-        for link, cut in links:
-            reason = why(link)
+        for connection, abort in connections:
+            reason = end_reason(connection)
             if reason is not None:
-                self.discard(link)
-                cut()
-                ended.append((link, reason))
+                self.discard(connection)
+                abort()
+                ended.append((connection, reason))
         return ended
 
-    def cut_peers(self, revoked: Callable[[Identity], bool]) -> None:
-        """Cut every connection that a revoked peer made, whatever it is used for."""
+    def close_revoked(self, revoked: Callable[[Identity], bool]) -> None:
+        """Close every connection that a revoked peer made, whatever it is used for."""
         with self._lock:
             peers = list(self._peers.values())
-        for peer, cut in peers:
+        for peer, abort in peers:
             if revoked(peer):
-                cut()
+                abort()
 
     def streams(self) -> list[AuthenticatedPeer]:
-        """The connections of all links."""
+        """The streams of all connections."""
         with self._lock:
-            return [link.stream for link in self._cuts]
+            return [connection.stream for connection in self._aborts]
 
     def __len__(self) -> int:
         with self._lock:
-            return len(self._cuts)
+            return len(self._aborts)
 
     @property
-    def soonest(self) -> int | None:
-        """When the first link expires."""
+    def next_expiry(self) -> int | None:
+        """When the first connection expires."""
         with self._lock:
-            return min((link.ends for link in self._cuts), default=None)
+            return min((connection.ends for connection in self._aborts), default=None)

@@ -1,11 +1,11 @@
-"""A module as rospy sees it, with some of its names replaced."""
+"""A module in which some names are replaced, for rospy."""
 
 from types import ModuleType
 from typing import Any
 
 
 class ModuleProxy:
-    """Stands for a module; some of its names mean something else."""
+    """Behaves as a module; some of its names are replaced."""
 
     def __init__(self, module: ModuleType, **replaced: object) -> None:
         self._module = module

@@ -1,7 +1,7 @@
-"""What `rossec.secure` is told: by its arguments, else the environment, else a file. Pure.
+"""The options of `rossec.secure`: its arguments, else the environment, else a file. Pure.
 
-The file is TOML, with a table `[rospy]`: `$ROSSEC_CONFIG`, or `rossec.toml` in ROSSEC_HOME. A key
-or a value that cannot be meant is refused: a slip of the pen must not open anything (F13).
+The file is TOML, with a table `[rospy]`: `$ROSSEC_CONFIG`, or `rossec.toml` in ROSSEC_HOME. An
+unknown key or an invalid value is refused: a misspelling must not open anything (F13).
 """
 
 import tomllib
@@ -12,8 +12,8 @@ from typing import Final
 
 from ca.errors import NameRefused
 from ca.names import check_name
+from rossec.environment import rossec_home
 from rossec.errors import ConfigurationError
-from rossec.home import rossec_home
 
 _DOTS: Final = 2000  # tomllib takes square time and memory for the dots of one key
 _KEYS: Final = frozenset({"node", "allow_plain"})
@@ -25,8 +25,8 @@ class Options:
 
     Attributes:
         home: ROSSEC_HOME.
-        node: the name of the node, absolute or as it is given to `rospy.init_node`; None: what that
-            says.
+        node: the name of the node, absolute or as given to `rospy.init_node`; None: as given
+            there.
         allow_plain: what may stay plain while a fleet migrates (`rossec.inprocess.allow_plain`).
     """
 
@@ -51,7 +51,7 @@ def read(
     """The options from the arguments, the environment and the file's text.
 
     Raises:
-        ConfigurationError: one of them says something that cannot be meant.
+        ConfigurationError: one of them is invalid.
     """
     table = _table(text) if text is not None else {}
     name = _first(node, environ.get("ROSSEC_NODE"), table.get("node"))
@@ -69,11 +69,11 @@ def _table(text: str) -> Mapping[str, object]:
     try:
         table = tomllib.loads(text).get("rospy", {})
     except (ValueError, RecursionError) as error:  # TOMLDecodeError, and what `int` refuses
-        raise ConfigurationError(f"the options' file is no TOML: {error}") from error
+        raise ConfigurationError(f"the options' file is not TOML: {error}") from error
     if not isinstance(table, dict) or not table.keys() <= _KEYS:
         raise ConfigurationError(
             "the table [rospy] of the options' file holds something unknown",
-            f"it knows {', '.join(sorted(_KEYS))}",
+            f"known keys: {', '.join(sorted(_KEYS))}",
         )
     return table
 
@@ -93,7 +93,9 @@ def _checked_name(name: object) -> str | None:
     try:
         check_name(text if "/" in text else f"/{text}")
     except NameRefused as error:
-        raise ConfigurationError(f"{name!r} is no name of a node: {error}", error.hint) from error
+        raise ConfigurationError(
+            f"{name!r} is not the name of a node: {error}", error.hint
+        ) from error
     return text
 
 
@@ -101,5 +103,5 @@ def _checked_list(values: object) -> tuple[str, ...]:
     if isinstance(values, str) or not isinstance(values, Sequence):
         raise ConfigurationError("allow_plain is a list of names", 'allow_plain=["/topic"]')
     if not all(isinstance(value, str) and value for value in values):
-        raise ConfigurationError("allow_plain holds something that is no text")
+        raise ConfigurationError("allow_plain holds something that is not text")
     return tuple(values)

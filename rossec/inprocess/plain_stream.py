@@ -1,7 +1,7 @@
-"""A plain connection, where `allow_plain` names it, in the shape of a secure one.
+"""A plain connection that `allow_plain` names, with the interface of a secure one.
 
-Also here: looking at what a caller sends first without taking it, so that one who is not named goes
-on into the channel, which refuses it.
+Also here: reading what a caller sends first without consuming it, so that a caller that is not
+named continues with the handshake, which refuses it.
 """
 
 import socket
@@ -9,7 +9,7 @@ import struct
 import time
 from typing import Any, Final
 
-from rossec.channel.opening import MAX_DRAIN, PlainCaller, judge_caller
+from rossec.channel.opening import MAX_DRAIN, PlainCaller, classify_caller
 from rossec.errors import HeaderRefused, ProtocolViolation
 from rossec.ros import header
 
@@ -19,7 +19,7 @@ _DEADLINE: Final = 5.0
 
 
 class PlainStream:
-    """What is used of a `SecureSocket`; there is no peer that anybody vouches for."""
+    """What is used of a `SecureSocket`; the peer is not authenticated."""
 
     peer = None
     awaits_peer = False
@@ -29,11 +29,11 @@ class PlainStream:
         self._socket = sock
 
     def recv(self, size: int) -> bytes:
-        """As of sockets."""
+        """As `socket.socket`."""
         return self._socket.recv(size)
 
     def recv_into(self, buffer: bytearray | memoryview, size: int = 0) -> int:
-        """As of sockets."""
+        """As `socket.socket`."""
         return self._socket.recv_into(buffer, size)
 
     def receive_unit(self) -> bytes:
@@ -41,7 +41,7 @@ class PlainStream:
         return self._socket.recv(_READ)
 
     def pump(self) -> None:
-        """Nothing to take in."""
+        """Nothing to receive."""
 
     def sendall(self, *pieces: bytes | bytearray | memoryview) -> None:
         """Send the pieces."""
@@ -49,25 +49,25 @@ class PlainStream:
             self._socket.sendall(piece)
 
     def settimeout(self, value: float | None) -> None:
-        """As of sockets."""
+        """As `socket.socket`."""
         self._socket.settimeout(value)
 
     def gettimeout(self) -> float | None:
-        """As of sockets."""
+        """As `socket.socket`."""
         return self._socket.gettimeout()
 
     def shutdown(self, how: int = socket.SHUT_RDWR) -> None:
-        """As of sockets."""
+        """As `socket.socket`."""
         self._socket.shutdown(how)
 
     def close(self) -> None:
-        """As of sockets."""
+        """As `socket.socket`."""
         self._socket.close()
 
 
 def peek(sock: socket.socket) -> bytes:
-    """The first bytes of a plain caller, left where they are: a whole connection header, or the
-    beginning of an HTTP request; empty for any other caller, and for one that says nothing in time.
+    """The first bytes of a plain caller, not consumed: a whole connection header, or the beginning
+    of an HTTP request; empty for any other caller, and for one that sends nothing in time.
     """
     try:
         return _first(sock)
@@ -79,20 +79,20 @@ def peek(sock: socket.socket) -> bytes:
 
 def _first(sock: socket.socket) -> bytes:
     end = time.monotonic() + _DEADLINE
-    first = _look(sock, _PREFIX, end)
+    first = _peek_bytes(sock, _PREFIX, end)
     try:
-        verdict = judge_caller(first + b"\0" * 60)
+        verdict = classify_caller(first + b"\0" * 60)
     except ProtocolViolation:
         return b""
     if first in (b"POST", b"GET "):
         return first
     if not isinstance(verdict, PlainCaller) or verdict.drain > MAX_DRAIN:
         return b""
-    return _look(sock, min(verdict.drain, _PREFIX + header.HEADER_LIMIT), end)
+    return _peek_bytes(sock, min(verdict.drain, _PREFIX + header.HEADER_LIMIT), end)
 
 
 def plain_fields(data: bytes) -> dict[str, bytes]:
-    """The fields of a plain caller's connection header; none where it is not one."""
+    """The fields of a plain caller's connection header; empty if it is invalid."""
     if len(data) < _PREFIX or struct.unpack_from("<I", data)[0] != len(data) - _PREFIX:
         return {}
     try:
@@ -101,15 +101,15 @@ def plain_fields(data: bytes) -> dict[str, bytes]:
         return {}
 
 
-def _look(sock: socket.socket, size: int, end: float) -> bytes:
+def _peek_bytes(sock: socket.socket, size: int, end: float) -> bytes:
     """`size` bytes, or those that came in time."""
     data: Any = b""
     while len(data) < size and (left := end - time.monotonic()) > 0:
         sock.settimeout(left)
-        seen = sock.recv(size, socket.MSG_PEEK)
-        if len(seen) == len(data):
-            if not seen:
+        peeked = sock.recv(size, socket.MSG_PEEK)
+        if len(peeked) == len(data):
+            if not peeked:
                 break
-            time.sleep(0.005)  # the kernel has no wait for more than there is
-        data = seen
+            time.sleep(0.005)  # the kernel cannot wait for more than has arrived
+        data = peeked
     return bytes(data)

@@ -1,8 +1,7 @@
-"""What the hooks of one process share: who it is, its connections, its guardian.
+"""What the hooks of one process share: its identity, connections and background loop.
 
-Until the node has a name there is no identity, and nothing can be connected: every hook that needs
-one says so. Whoever asks before `rospy.init_node` begins with the name it will have, if that is
-known.
+Until the node has a name there is no identity, and no connection can be made: every hook that needs
+one raises. A call before `rospy.init_node` uses the name the node will have, if that is known.
 """
 
 import errno
@@ -22,7 +21,7 @@ from rossec.inprocess.registrations import Registrations
 from rossec.inprocess.reporting import Reporter
 from rossec.inprocess.sockets import RosSocket
 from rossec.participant.own_addresses import OwnAddresses
-from rossec.participant.revocation_watch import WENT_BACK
+from rossec.participant.revocation_watch import CLOCK_SET_BACK
 
 _NAMELESS: Final = (
     "call rospy.init_node first, or give the name it will have:"
@@ -36,129 +35,132 @@ class SecuredProcess:
     def __init__(self, reporter: Reporter, plain: PlainPeers = PlainPeers()) -> None:  # noqa: B008 - constant
         self.reporter = reporter
         self.plain = plain
-        self.links = LiveConnections()
+        self.connections = LiveConnections()
         self._setbacks = clock.Setbacks()
-        self.own = OwnAddresses()
-        self.rights = 0
-        """Grows whenever there is a new grant or list: what was refused may be tried again."""
+        self.own_addresses = OwnAddresses()
+        self.rights_version = 0
+        """Incremented for each new grant or list: what was refused may be tried again."""
         self._begun: tuple[LocalIdentity, Connector, Registrations, BackgroundLoop] | None = None
-        self._beginning = RLock()
-        self.introduce: Callable[[], None] = lambda: None
-        """Begins, if the name that the node will have is known."""
+        self._begin_lock = RLock()
+        self.begin_early: Callable[[], None] = lambda: None
+        """Calls `begin` if the name that the node will have is known."""
 
-    def begin(self, member: LocalIdentity, master: tuple[str, int]) -> None:
-        """Speak as `member` from now on, with the master there."""
-        doors, registrations = (
-            Connector(member, own=self.own),
-            Registrations(member.name, clock.counter()),
+    def begin(self, local_identity: LocalIdentity, master: tuple[str, int]) -> None:
+        """Use `local_identity` and the master at that address from now on."""
+        connector, registrations = (
+            Connector(local_identity, own_addresses=self.own_addresses),
+            Registrations(local_identity.name, clock.counter()),
         )
-        guardian = BackgroundLoop(self, member, registrations, master)
-        self._begun = member, doors, registrations, guardian
-        guardian.start()
+        background_loop = BackgroundLoop(self, local_identity, registrations, master)
+        self._begun = local_identity, connector, registrations, background_loop
+        background_loop.start()
 
     @property
     def has_begun(self) -> bool:
         """Whether the node has a name and an identity."""
         return self._begun is not None
 
-    def _all(self) -> tuple[LocalIdentity, Connector, Registrations, BackgroundLoop]:
+    def _require_begun(self) -> tuple[LocalIdentity, Connector, Registrations, BackgroundLoop]:
         if self._begun is None:
-            with self._beginning:
+            with self._begin_lock:
                 if self._begun is None:
-                    self.introduce()
+                    self.begin_early()
         if self._begun is None:
-            raise _shown(ConfigurationError("this program has no name yet", _NAMELESS))
+            raise _with_hint(ConfigurationError("this program has no name yet", _NAMELESS))
         return self._begun
 
     def require_name(self) -> None:
         """Return once the node has begun; raises `ConfigurationError` while it has no name."""
-        self._all()
+        self._require_begun()
 
     @property
-    def member(self) -> LocalIdentity:
-        """The node. Raises `ConfigurationError` while it has no name; so do the other three."""
-        return self._all()[0]
+    def local_identity(self) -> LocalIdentity:
+        """The node. Raises `ConfigurationError` while it has no name; so do the next three."""
+        return self._require_begun()[0]
 
     @property
-    def doors(self) -> Connector:
-        """Makes its connections."""
-        return self._all()[1]
+    def connector(self) -> Connector:
+        """Makes the connections of this process."""
+        return self._require_begun()[1]
 
     @property
     def registrations(self) -> Registrations:
-        """What it registered."""
-        return self._all()[2]
+        """What this node registered with the master."""
+        return self._require_begun()[2]
 
     @property
-    def guardian(self) -> BackgroundLoop:
-        """Its standing with the master."""
-        return self._all()[3]
+    def background_loop(self) -> BackgroundLoop:
+        """Holds the session with the master."""
+        return self._require_begun()[3]
 
     # -- connections
 
     def listens(self, port: int, host: str | None = None) -> None:
-        """This node accepts callers there; rospy tells every one of them the same host."""
-        self.own.listens(self.own.host if host is None else host, port)
+        """This node accepts callers there; rospy announces the same host for all its ports."""
+        self.own_addresses.add_ports(self.own_addresses.host if host is None else host, port)
 
-    def watch(self, sock: RosSocket, link: LiveConnection) -> None:
-        """An admitted connection: end it when its right does."""
-        sock.link = link
-        self.links.add(link, sock.abort)
+    def add_connection(self, sock: RosSocket, connection: LiveConnection) -> None:
+        """Add an admitted connection: it is closed when its right ends."""
+        sock.connection = connection
+        self.connections.add(connection, sock.abort)
 
-    def gone(self, sock: RosSocket) -> None:
-        """A connection is over."""
-        self.links.forget(sock)
-        if isinstance(sock.link, LiveConnection):
-            self.links.discard(sock.link)
+    def connection_closed(self, sock: RosSocket) -> None:
+        """A connection is closed."""
+        self.connections.forget(sock)
+        if isinstance(sock.connection, LiveConnection):
+            self.connections.discard(sock.connection)
 
-    def may_be_plain(self, name: str, address: str) -> bool:
-        """Whether `allow_plain` names this; if so it is said, loudly."""
+    def allows_plain(self, name: str, address: str) -> bool:
+        """Whether `allow_plain` names this; if so, a warning is logged."""
         allowed = self.plain.allows(name, address)
         if allowed:
             self.reporter.warn(f"PLAIN: {name} with {address}, neither encrypted nor checked")
         return allowed
 
-    def failed(self, address: tuple[str, int], error: ChannelError) -> Exception:
-        """Tell the developer; what rospy is to be told."""
+    def connect_error(self, address: tuple[str, int], error: ChannelError) -> Exception:
+        """Log that a connection failed; returns the exception for rospy."""
         self.reporter.warn(f"cannot connect to {address[0]} port {address[1]}", error)
-        if isinstance(error, PlainPeer):  # it will not change
+        if isinstance(error, PlainPeer):  # rospy does not try again
             return ConnectionError(f"rossec: {error}")
         return ConnectionAbortedError(errno.ECONNABORTED, f"rossec: {error}")  # rospy tries again
 
-    # -- what the guardian tells
+    # -- called by the background loop
 
     def take_revocations(self, data: bytes, timestamp: bytes, master: Identity) -> None:
-        """Take over a list and its confirmation, then cut what they end.
+        """Take a list and its confirmation, then close the connections they end.
 
         Raises:
-            CAError: either does not hold. What the list revokes is cut nevertheless.
+            CAError: either is invalid. What a valid list revokes is closed nevertheless.
         """
-        before = self.member.revocations.data
+        before = self.local_identity.revocations.data
         try:
-            self.member.take_revocations(data, timestamp, master)
+            self.local_identity.take_revocations(data, timestamp, master)
         finally:
-            self.cut()
-            if self.member.revocations.data != before:
-                self.rights += 1
+            self.close_ended_connections()
+            if self.local_identity.revocations.data != before:
+                self.rights_version += 1
 
-    def cut(self) -> None:
-        """End every connection whose right has ended."""
-        member = self.member
+    def close_ended_connections(self) -> None:
+        """Close every connection whose right has ended."""
+        local_identity = self.local_identity
         if self._setbacks.any_new():
-            self.reporter.warn(WENT_BACK)
-            member.doubt()
-        for link, reason in self.links.must_end(member.termination_reason):
-            self.reporter.warn(f"cut {link.stream.peer.name} ({link.decision.name}): {reason}")
-        self.links.cut_peers(member.is_revoked)
+            self.reporter.warn(CLOCK_SET_BACK)
+            local_identity.expire_confirmation()
+        for connection, reason in self.connections.close_ended(local_identity.termination_reason):
+            self.reporter.warn(
+                f"closed the connection with {connection.stream.peer.name}"
+                f" ({connection.decision.name}): {reason}"
+            )
+        self.connections.close_revoked(local_identity.is_revoked)
 
-    def tend(self) -> None:
-        """Keep the keys of idle connections renewed: rospy reads and writes only what it needs."""
-        for stream in self.links.streams():
+    def run_timers(self) -> None:
+        """Renew the keys of idle connections, which rospy neither reads nor writes."""
+        for stream in self.connections.streams():
             if isinstance(stream, RosSocket):
-                stream.tend()
+                stream.run_timers()
 
 
-def _shown(error: ConfigurationError) -> ConfigurationError:
-    """With its hint in a traceback: this one is for whoever wrote the program."""
+def _with_hint(error: ConfigurationError) -> ConfigurationError:
+    """With the hint in the traceback, which the programmer sees."""
     error.add_note(f"hint: {error.hint}")
     return error

@@ -1,8 +1,8 @@
-"""Publishing from rospy: one serialization, one treated copy per treatment.
+"""Publishing from rospy: one serialization, one filtered copy per distinct filter.
 
 `publish` does what `rospy.topics._PublisherImpl.publish` does, and between serializing and sending
-asks each connection's guard. A connection without a link has no right, and gets nothing. What a
-latching topic shows a newcomer is what it published, not what has become of the message since.
+applies each connection's guard. A connection that was not authorized gets nothing. A new subscriber
+of a latching topic gets the message as it was published, not as the program changed it since.
 """
 
 import logging
@@ -20,20 +20,20 @@ from grants.guard import Guard
 from rossec.inprocess.buffer_pool import BufferPool
 from rossec.inprocess.identity import now
 from rossec.inprocess.live_connections import LiveConnection, PlainConnection
-from rossec.inprocess.send_queue import ALONE, LENGTH, Pieces
+from rossec.inprocess.send_queue import LENGTH, SEPARATE_UNIT, Pieces
 from rossec.net import withheld_log
 from rossec.participant.latch import Latch, Sample
 
-_KEEP: Final = 16 * 1024 * 1024  # memory of larger messages is given back at once
-_spare: Final = BufferPool(4)
-_LATCH: Final = "rossec_latch"  # the attribute of a topic of rospy's
+_POOLED: Final = 16 * 1024 * 1024  # the memory of larger messages is freed at once
+_buffer_pool: Final = BufferPool(4)
+_LATCH: Final = "rossec_latch"  # an attribute set on rospy's topics
 
 Samples = Callable[[Guard], Iterable[Sample[bytes]]]  # what to try for a guard, until one passes
 _log = logging.getLogger("rossec.rospy")
 
 
 def publish(topic: Any, message: Any, connection_override: Any = None) -> bool | None:
-    """As `_PublisherImpl.publish`, the arguments the same."""
+    """As `_PublisherImpl.publish`, with the same arguments."""
     if topic.closed:
         if not is_shutdown():
             raise ROSException("publish() to a closed topic")
@@ -50,12 +50,12 @@ def publish(topic: Any, message: Any, connection_override: Any = None) -> bool |
             return None
         raise ROSException("topic was closed during publish()") from None
     if connection_override is None:
-        dead = _offer(topic, sample, topic.connections)
+        dead = _send(topic, sample, topic.connections)
     else:
-        dead = _offer(topic, sample, [connection_override], latch)
-    for connection in dead:
+        dead = _send(topic, sample, [connection_override], latch)
+    for transport in dead:
         with suppress(Exception):  # as rospy: a dead connection is dropped
-            connection.close()
+            transport.close()
     return None
 
 
@@ -66,10 +66,10 @@ def _latch(topic: Any) -> Latch[bytes]:
     return latch
 
 
-def _latched(topic: Any, message: Any, newcomer: Any) -> Latch[bytes]:
-    """What the topic shows newcomers; nothing as yet if it does not know `message`."""
+def _latched(topic: Any, message: Any, new_subscriber: Any) -> Latch[bytes]:
+    """The topic's latch; it is empty if `message` is new to it."""
     latch = _latch(topic)
-    if newcomer is None or message is not topic.latch:
+    if new_subscriber is None or message is not topic.latch:
         latch.newest = None
     topic.latch = message
     return latch
@@ -84,8 +84,8 @@ def _sample(topic: Any, message: Any, latch: Latch[bytes] | None) -> Sample[byte
 
 
 def _serialized(topic: Any, message: Any) -> bytes:
-    if topic.buff.tell() > 0:  # its bytes were handed out; a closed one says so
-        topic.buff = _spare.exchange(topic.buff)
+    if topic.buff.tell() > 0:  # its bytes were handed out; a closed one raises
+        topic.buff = _buffer_pool.exchange(topic.buff)
     buffer = topic.buff
     size = 0
     topic.seq += 1
@@ -97,53 +97,55 @@ def _serialized(topic: Any, message: Any) -> bytes:
         topic.message_data_sent += size
         return data
     finally:
-        if not ALONE < size <= _KEEP and not buffer.closed:
+        if not SEPARATE_UNIT < size <= _POOLED and not buffer.closed:
             buffer.seek(0)
             buffer.truncate(0)
 
 
-def _offer(
+def _send(
     topic: Any,
     sample: Sample[bytes],
-    connections: Iterable[Any],
-    newcomer: Latch[bytes] | None = None,
+    transports: Iterable[Any],
+    new_subscriber: Latch[bytes] | None = None,
 ) -> list[Any]:
-    """Give each connection what it may see, a newcomer what the latch shows; returns the dead."""
-    samples: Samples = (lambda _: (sample,)) if newcomer is None else newcomer.shown
-    treated: dict[Hashable, Pieces | None] = {}
+    """Send each subscriber what it may see, a new one what is latched; returns failed ones."""
+    samples: Samples = (
+        (lambda _: (sample,)) if new_subscriber is None else new_subscriber.candidates
+    )
+    filtered: dict[Hashable, Pieces | None] = {}
     moment = now()
     dead = []
-    for connection in connections:
+    for transport in transports:
         try:
-            link: LiveConnection | PlainConnection | None = connection.socket.link
-            if link is None or moment >= link.ends:
+            connection: LiveConnection | PlainConnection | None = transport.socket.connection
+            if connection is None or moment >= connection.ends:
                 continue
             pieces: Pieces | None = sample.data
-            if link.guard is not None:
-                key = link.guard.key
-                if key not in treated:
-                    treated[key] = _treat(topic, link, samples, moment)
-                pieces = treated[key]
+            if connection.guard is not None:
+                key = connection.guard.key
+                if key not in filtered:
+                    filtered[key] = _filter(topic, connection, samples, moment)
+                pieces = filtered[key]
             if pieces is not None and not is_shutdown():
-                connection.write_data(pieces)
-        except Exception:  # noqa: BLE001 - as rospy: whatever fails, the others get theirs
-            dead.append(connection)
+                transport.write_data(pieces)
+        except Exception:  # noqa: BLE001 - as rospy: one that fails does not affect the others
+            dead.append(transport)
     return dead
 
 
-def _treat(topic: Any, link: LiveConnection, samples: Samples, moment: int) -> Pieces | None:
-    guard = link.guard
-    assert guard is not None  # noqa: S101 - asked by the caller
+def _filter(topic: Any, connection: LiveConnection, samples: Samples, moment: int) -> Pieces | None:
+    guard = connection.guard
+    assert guard is not None  # noqa: S101 - checked by the caller
     for sample in samples(guard):
         try:
-            pieces = guard.treat(memoryview(sample.data)[LENGTH.size :], moment, sample.mark)
+            pieces = guard.apply(memoryview(sample.data)[LENGTH.size :], moment, sample.mark)
         except GrantError as error:
             name = topic.resolved_name
-            withheld_log.warn(_log, withheld_log.SENT, name, link.stream.peer.name, error)
+            withheld_log.warn(_log, withheld_log.SENT, name, connection.stream.peer.name, error)
             continue
         if pieces is not None:
             if topic.is_latch:
-                _latch(topic).passed(guard, sample)
+                _latch(topic).record(guard, sample)
             return _packed(pieces)
     return None
 
@@ -151,4 +153,4 @@ def _treat(topic: Any, link: LiveConnection, samples: Samples, moment: int) -> P
 def _packed(pieces: Sequence[Buffer]) -> Pieces:
     size = sum(map(len, pieces))
     whole = (LENGTH.pack(size), *pieces)
-    return whole if size > ALONE else b"".join(whole)  # once, not for each connection
+    return whole if size > SEPARATE_UNIT else b"".join(whole)  # once, not for each connection

@@ -1,9 +1,9 @@
-"""What rospy registered with the master: to do it again after a restart, or when a grant comes.
+"""What rospy registered with the master, to repeat it after a restart or with a new grant.
 
 Pure. rospy registers once and never again; a master that was restarted would not know the node.
-What the master refused for want of a right is kept as well, and tried when there is a new grant.
-Also here: which publishers the master named last, for a subscriber that lost one, and which nodes.
-Threads share it: what is looked through is a copy, made in one step.
+A registration that the master refused is stored as well, and repeated when there is a new grant.
+Also here: the publishers and nodes that the master named last.
+Thread-safe: iterations are over a copy, which is made in one step.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -24,11 +24,11 @@ _DO: Final = frozenset(_UNDO.values())
 REGISTRATIONS: Final[Mapping[str, object]] = {
     "registerPublisher": [], "registerSubscriber": [], "registerService": 1,
 }  # fmt: skip
-"""What is registered for the program, with what the master answers where there is nobody else."""
+"""Registrations, each with the value a master without other nodes answers."""
 REFUSED: Final = "rossec: "
-_NODES: Final = 1024  # of those that were looked up
+_NODES: Final = 1024  # that were looked up
 
-# What rospy asks for by itself. Without a right to it the program goes on, and is not bothered.
+# What rospy registers by itself. A refusal is no warning: the program works without.
 _OWN_TOPICS: Final = ("/rosout",)
 _OWN_SERVICES: Final = ("/get_loggers", "/set_logger_level")
 _OWN_PARAMETERS: Final = (
@@ -43,13 +43,13 @@ class Registrations:
 
     def __init__(self, name: str, now: Callable[[], float]) -> None:
         self._name = name
-        self._named = PublisherGrace(now)
+        self._publishers = PublisherGrace(now)
         self._calls: dict[tuple[str, object], tuple[object, ...]] = {}
         self._refused: set[tuple[str, object]] = set()
         self._nodes: dict[tuple[str, int], None] = {}
 
-    def note(self, method: str, params: Sequence[object], answer: object) -> None:
-        """What the master answered to a call of the program."""
+    def record(self, method: str, params: Sequence[object], answer: object) -> None:
+        """Record a call of the program and the master's answer."""
         done = _UNDO.get(method)
         if done is not None:
             key = _key(done, params)
@@ -57,7 +57,7 @@ class Registrations:
             self._refused.discard(key)
         match method, answer:
             case "lookupNode", [1, _, str(uri)]:
-                self._node_is_at(uri)
+                self._add_node(uri)
             case _:
                 pass
         if method not in _DO:
@@ -68,7 +68,7 @@ class Registrations:
                 self._calls[key] = tuple(params)
                 self._refused.discard(key)
                 if method == "registerSubscriber":
-                    self.publishers_are(str(params[1]), value)
+                    self.set_publishers(str(params[1]), value)
             case [_, str(status), _] if status.startswith(REFUSED):
                 self._calls[key] = tuple(params)
                 self._refused.add(key)
@@ -80,24 +80,24 @@ class Registrations:
         return [(method, params) for (method, _), params in self._calls.copy().items()]
 
     def refused(self) -> list[Call]:
-        """Those the master refused for want of a right."""
+        """Those the master refused: the node has no right."""
         calls = self._calls.copy().items()
         return [(key[0], params) for key, params in calls if key in self._refused]
 
     def session_opened(self) -> None:
-        """The master may have been started again, and name fewer publishers than there are."""
-        self._named.session_opened()
+        """The master may have been restarted, and may name fewer publishers than there are."""
+        self._publishers.session_opened()
 
-    def publishers_are(self, topic: str, uris: object) -> None:
-        """The master names the publishers of a topic."""
+    def set_publishers(self, topic: str, uris: object) -> None:
+        """Store the publishers of a topic that the master names."""
         if isinstance(uris, Iterable):
-            self._named.are(topic, [uri for uri in uris if isinstance(uri, str)])
+            self._publishers.update(topic, [uri for uri in uris if isinstance(uri, str)])
 
     def is_publisher(self, topic: str, uri: str) -> bool:
-        """Whether the master still names `uri`, or may yet name it again."""
-        return uri in self._named.to_follow(topic)
+        """Whether the master still names `uri`, or may name it again."""
+        return uri in self._publishers.to_follow(topic)
 
-    def _node_is_at(self, uri: str) -> None:
+    def _add_node(self, uri: str) -> None:
         with suppress(ConfigurationError):
             self._nodes[parse_uri(uri)] = None
         if len(self._nodes) > _NODES:

@@ -1,6 +1,6 @@
-"""What the developer is told: one warning for each cause, not for each retry.
+"""Warnings for the developer: one for each cause, not for each retry.
 
-Lines are few in ten seconds, and few of those about one: nobody silences what is said of others.
+Lines are limited per ten seconds, and per subject: no peer can suppress the lines about others.
 Written by a thread of its own: `rospy.logwarn` publishes on /rosout and asks the master for a
 parameter, so it must never be called by the thread that speaks to the master, nor with a lock held.
 """
@@ -19,9 +19,9 @@ from rossec.net.forks import forget_in_children
 from rossec.ros.text import printable
 
 _REMEMBERED: Final = 512
-_BURST: Final = 30  # lines within PERIOD; strangers must not be able to fill a disk
+_BURST: Final = 30  # lines within PERIOD; unauthenticated peers must not fill a disk
 _SHARE: Final = 10  # of them about one peer, topic or address
-_FIRST: Final = 60  # beyond the burst, the first line about each
+_FIRST: Final = 60  # beyond the burst: only the first line about each subject
 _PERIOD: Final = 10.0
 
 
@@ -30,32 +30,32 @@ class Reporter:
 
     def __init__(self, write: Callable[[str], None]) -> None:
         self._write = write
-        self._said: OrderedDict[str, None] = OrderedDict()
-        self._since, self._about, self._left_out = 0.0, Counter[str](), False
+        self._reported: OrderedDict[str, None] = OrderedDict()
+        self._since, self._counts, self._suppressed = 0.0, Counter[str](), False
         self.abandon()
         forget_in_children(self)
 
     def abandon(self) -> None:
-        """In a forked child: the thread is the parent's; another is started when it is needed."""
+        """In a forked child: the thread is the parent's; a new one is started when needed."""
         self._lock = Lock()
         self._queue: queue.SimpleQueue[str | None] = queue.SimpleQueue()
         self._thread: Thread | None = None
 
     def warn(self, what: str, why: Exception | None = None) -> None:
-        """Say `what`, because of `why`, with its hint, unless it was said before.
+        """Log `what`, the error `why` and its hint, unless that line was logged before.
 
-        What it is about stands before the first colon of `what`.
+        The subject of the line is the text before the first colon of `what`.
         """
         text = what if why is None else f"{what}: {why}"
         hint = why.hint if isinstance(why, HintedError) else ""
         line = f"rossec: {printable(text)}" + (f" (hint: {printable(hint)})" if hint else "")
         with self._lock:
-            if line in self._said:
+            if line in self._reported:
                 return
-            self._said[line] = None
-            if len(self._said) > _REMEMBERED:
-                self._said.popitem(last=False)
-            if self._has_room(what.partition(":")[0]):
+            self._reported[line] = None
+            if len(self._reported) > _REMEMBERED:
+                self._reported.popitem(last=False)
+            if self._within_limits(what.partition(":")[0]):
                 self._put(line)
 
     def _put(self, line: str) -> None:
@@ -64,25 +64,25 @@ class Reporter:
             self._thread.start()
         self._queue.put(line)
 
-    def _has_room(self, about: str) -> bool:
-        """Whether one more line is no flood; the first that is too many says so."""
+    def _within_limits(self, subject: str) -> bool:
+        """Whether a line is within the limits; logs once that lines are suppressed."""
         moment = time.monotonic()
         if moment - self._since > _PERIOD:
-            self._since, self._about, self._left_out = moment, Counter(), False
-        most = _BURST if self._about[about] else _FIRST
-        if self._about[about] < _SHARE and self._about.total() < most:
-            self._about[about] += 1
+            self._since, self._counts, self._suppressed = moment, Counter(), False
+        most = _BURST if self._counts[subject] else _FIRST
+        if self._counts[subject] < _SHARE and self._counts.total() < most:
+            self._counts[subject] += 1
             return True
-        if not self._left_out:
-            self._put("rossec: more different warnings than are written; some are left out")
-        self._left_out = True
+        if not self._suppressed:
+            self._put("rossec: too many different warnings; some are suppressed")
+        self._suppressed = True
         return False
 
     def forget(self, what: str) -> None:
-        """`what` has gone well since: if it fails again, that is news."""
+        """`what` has succeeded since: if it fails again, it is logged again."""
         with self._lock:
-            for line in [line for line in self._said if line.startswith(f"rossec: {what}")]:
-                del self._said[line]
+            for line in [line for line in self._reported if line.startswith(f"rossec: {what}")]:
+                del self._reported[line]
 
     def close(self) -> None:
         """Write what is queued, then stop."""
@@ -95,7 +95,7 @@ class Reporter:
     def _run(self) -> None:
         lines = self._queue
         while (line := lines.get()) is not None:
-            with suppress(Exception):  # whatever a handler of the program's does, the next is said
+            with suppress(Exception):  # a handler of the program may raise
                 self._write(line)
 
 
@@ -107,5 +107,5 @@ class LogBridge(logging.Handler):
         self._reporter = reporter
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Say it once."""
+        """Log it once."""
         self._reporter.warn(record.getMessage())

@@ -1,8 +1,8 @@
-"""`rossec.ask`: the running program requests a right, and waits for it or goes on.
+"""`rossec.ask`: the running program requests a right, and waits for it or continues.
 
-The request is signed with the node's key. It lands in the inbox of an authority in the same
-ROSSEC_HOME; with the authority elsewhere, in the node's directory `requests/`, to be carried there.
-When the grant arrives, what the master had refused for want of it is registered by itself.
+The request is signed with the node's key. It is stored in the `inbox/` of an authority in the
+same ROSSEC_HOME; if the authority is elsewhere, in the node's directory `requests/`, to be copied
+there. When the grant arrives, registrations that the master had refused are repeated.
 """
 
 import secrets
@@ -11,14 +11,14 @@ from pathlib import Path
 from typing import Final
 
 from grants.model import Right
-from grants.request import GrantRequest, Wish, sign_request
+from grants.request import GrantRequest, RequestedRight, sign_request
 from rossec import files
 from rossec.authority import requests
 from rossec.errors import ConfigurationError
 from rossec.inprocess.identity import LocalIdentity, now
 from rossec.inprocess.secure import secured
 
-_LOOK: Final = 0.1  # seconds
+_POLL_INTERVAL: Final = 0.1  # seconds
 
 
 def ask(right: str, name: str, *, why: str, wait: float = 0.0) -> bool:
@@ -28,19 +28,19 @@ def ask(right: str, name: str, *, why: str, wait: float = 0.0) -> bool:
         right: `subscribe`, `publish`, `call`, `provide`, `param-get` or `param-set`.
         name: an absolute name or pattern.
         why: the reason, for the person or the policy that decides.
-        wait: how long to wait for the answer; 0: go on.
+        wait: how long to wait for the answer; 0: do not wait.
 
     Raises:
-        ConfigurationError: not secured, without a name yet, or no such right.
-        GrantError: not a pattern, or a reason that is too long.
+        ConfigurationError: not secured, without a name yet, or an unknown right.
+        GrantError: an invalid pattern, or a reason that is too long.
     """
-    member = secured().member
+    local_identity = secured().local_identity
     wanted = _right(right)
-    if not member.access.holds(wanted, name, now()):
-        _send(member, wanted, name, why)
+    if not local_identity.access.holds(wanted, name, now()):
+        _send(local_identity, wanted, name, why)
     end = time.monotonic() + wait
-    while not (held := member.access.holds(wanted, name, now())) and time.monotonic() < end:
-        time.sleep(_LOOK)
+    while not (held := local_identity.access.holds(wanted, name, now())) and time.monotonic() < end:
+        time.sleep(_POLL_INTERVAL)
     return held
 
 
@@ -52,20 +52,21 @@ def _right(label: str) -> Right:
         raise ConfigurationError(f"there is no right {label!r}", f"rights are {known}") from None
 
 
-def _send(member: LocalIdentity, right: Right, name: str, why: str) -> None:
+def _send(local_identity: LocalIdentity, right: Right, name: str, why: str) -> None:
     request = GrantRequest(
-        member.identity.domain, member.identity.name, now(), secrets.token_bytes(16),
-        (Wish(right, name),), why,
+        local_identity.identity.domain, local_identity.identity.name, now(),
+        secrets.token_bytes(16),
+        (RequestedRight(right, name),), why,
     )  # fmt: skip
-    data = sign_request(member.credentials.signer, request)
-    authority = _authority_of(member)
+    data = sign_request(local_identity.credentials.signer, request)
+    authority = _authority_of(local_identity)
     if (authority / "ca.pem").exists():
-        requests.lay(authority, request, data)
+        requests.put_in_inbox(authority, request, data)
         return
-    folder = member.home.path / "requests"
+    folder = local_identity.home.path / "requests"
     files.make_private_directory(folder)
     files.replace(folder / f"{request.id.hex()}.request", data)
 
 
-def _authority_of(member: LocalIdentity) -> Path:
-    return member.home.path.parent.parent / "ca"
+def _authority_of(local_identity: LocalIdentity) -> Path:
+    return local_identity.home.path.parent.parent / "ca"

@@ -1,10 +1,9 @@
-"""`rossec.secure()`: from its call on, nothing that rospy opens is plain.
+"""`rossec.secure()`: every connection that rospy opens afterwards is secured.
 
-It stops the program when it cannot: called too late, without an identity, with a rospy it does not
-know, or a second time with other options (modules of one program may each call it). What catches
-the stop, as a notebook does, can start no node afterwards. The node's identity is found when its
-name is known: from the options; else when it is first needed, if `__name:=` says what
-`rospy.init_node` will make of it; else in that.
+It ends the program if it fails: called too late, without an identity, with an unsupported rospy, or
+again with other options (modules of one program may each call it). A process that survives this, as
+a notebook does, can start no node. The node's identity is loaded when its name is known: from the
+options; else when it is first needed, if `__name:=` gives the name; else in `rospy.init_node`.
 """
 
 import importlib
@@ -32,7 +31,7 @@ _MAX_FILE = 64 * 1024
 
 
 class _Secured:
-    """The one secured process: what `secure` made."""
+    """What `secure` made; one for a process."""
 
     def __init__(self, options: Options) -> None:
         self.options = options
@@ -46,19 +45,19 @@ class _Secured:
         self.table = self.hooks.hooks(self.process, self.start_node)
 
     def install(self) -> None:
-        """Set the hooks, and speak as the node if its name is known."""
+        """Set the hooks, and begin if the node's name is known."""
         name = None if self.options.node is None else self._early_name()
         if name is not None:
-            member = self._member(name)
+            local_identity = self._load_identity(name)
             self.hooks.install(self.table)
-            self._begin(member)
+            self._begin(local_identity)
         else:
             _require_some_identity(self.options)
             self.hooks.install(self.table)
-            self.process.introduce = self._introduce
+            self.process.begin_early = self._begin_early
         logging.getLogger("rossec").addHandler(LogBridge(self.reporter))
         for entry in self.options.allow_plain:
-            self.reporter.warn(f"PLAIN: allow_plain leaves {entry} open to anybody")
+            self.reporter.warn(f"PLAIN: allow_plain leaves {entry} open to every peer")
 
     def start_node(
         self,
@@ -68,28 +67,30 @@ class _Secured:
         port: int = 0,
         tcpros_port: int = 0,
     ) -> Any:
-        """`rospy.impl.init.start_node`: now the name is known for certain."""
+        """`rospy.impl.init.start_node`: here the name is final."""
         try:
             self.hooks.check(self.table)
-            self.hooks.set_tools(self.process)
+            self.hooks.hook_tools(self.process)
             if not self.process.has_begun:
-                self._begin(self._member(resolved_name))
-            elif resolved_name != self.process.member.name:
+                self._begin(self._load_identity(resolved_name))
+            elif resolved_name != self.process.local_identity.name:
                 raise ConfigurationError(
-                    f"this program is secured as {self.process.member.name},"
-                    f" and rospy.init_node calls it {resolved_name}",
-                    "give both the same name, or leave it to rospy.init_node",
+                    f"this program is secured as {self.process.local_identity.name},"
+                    f" but rospy.init_node names it {resolved_name}",
+                    "give both the same name, or only rospy.init_node",
                 )
         except HintedError as error:
             _refuse_start(error)
-        guardian, core = self.process.guardian, self._rospy.core
-        guardian.on_publishers = self._publishers_changed
-        guardian.on_crash = lambda: self._rospy.signal_shutdown("rossec: the guardian failed")
-        core.add_shutdown_hook(lambda _: guardian.stop())
+        background_loop, core = self.process.background_loop, self._rospy.core
+        background_loop.on_publishers = self._publishers_changed
+        background_loop.on_crash = lambda: self._rospy.signal_shutdown(
+            "rossec: the background loop failed"
+        )
+        core.add_shutdown_hook(lambda _: background_loop.stop())
         return self._stock_start(environ, resolved_name, master_uri, port, tcpros_port)
 
     def _early_name(self) -> str | None:
-        """What `rospy.init_node` will call the node, by the same rules; None: it alone knows."""
+        """The name that `rospy.init_node` will resolve; None: unknown until then."""
         given, names = self.options.node, self._rospy.names
         if given is not None and given.startswith("/"):
             return given
@@ -99,20 +100,20 @@ class _Secured:
         graph: Any = importlib.import_module("rosgraph.names")
         return str(graph.resolve_name(base, names.get_caller_id()))
 
-    def _introduce(self) -> None:
-        """Something is asked before `rospy.init_node`, as stock rospy allows."""
+    def _begin_early(self) -> None:
+        """rospy is used before `rospy.init_node`, as stock rospy allows."""
         name = self._early_name()
         if name is not None:
-            self._begin(self._member(name))
+            self._begin(self._load_identity(name))
 
-    def _member(self, name: str) -> LocalIdentity:
+    def _load_identity(self, name: str) -> LocalIdentity:
         home = NodeHome.find(self.options.home, name)
         return LocalIdentity(home, name, post_quantum(os.environ))
 
-    def _begin(self, member: LocalIdentity) -> None:
-        self.hooks.set_tools(self.process)
+    def _begin(self, local_identity: LocalIdentity) -> None:
+        self.hooks.hook_tools(self.process)
         uri = importlib.import_module("rosgraph").get_master_uri()
-        self.process.begin(member, parse_uri(uri, "ROS_MASTER_URI"))
+        self.process.begin(local_identity, parse_uri(uri, "ROS_MASTER_URI"))
 
     def _publishers_changed(self, topic: str, uris: list[str]) -> None:
         registration = self._rospy.impl.registration
@@ -132,24 +133,24 @@ def secure(node: str | None = None, *, allow_plain: Sequence[str] | None = None)
             or absolute.
         allow_plain: what may stay plain while a fleet migrates: topics, services, addresses.
 
-    Stops the program, with a hint, when it cannot be secured.
+    Ends the program, with a hint, if it cannot be secured.
     """
     global _secured  # noqa: PLW0603 - a process is secured once
     try:
         if _secured is not None:
-            _require_the_same(_secured.options, _options(node, allow_plain))
+            _require_same_options(_secured.options, _options(node, allow_plain))
             return
-        _bar.lift()
+        _start_block.remove()
         made = _Secured(_options(node, allow_plain))
         made.install()
     except HintedError as error:
         if _secured is None:
-            _bar.lower(error)
+            _start_block.set(error)
         stop(error)
     _secured = made
 
 
-def _require_the_same(first: Options, now: Options) -> None:
+def _require_same_options(first: Options, now: Options) -> None:
     if first != now:
         raise ConfigurationError(
             "rossec.secure() was called already, with other options",
@@ -157,37 +158,37 @@ def _require_the_same(first: Options, now: Options) -> None:
         )
 
 
-class _Bar:
-    """No node starts in a process whose `secure` failed: a notebook, a shell or a thread outlives
-    the SystemExit that said so.
+class _StartBlock:
+    """Starts no node in a process whose `secure` failed: a notebook, a shell or a thread survives
+    the SystemExit.
     """
 
     _stock: Callable[..., Any] | None = None
 
-    def lower(self, error: HintedError) -> None:
-        """From now on `rospy.init_node` says why, and stops."""
+    def set(self, error: HintedError) -> None:
+        """From now on `rospy.init_node` reports `error` and exits."""
         try:
             init: Any = importlib.import_module("rospy.impl.init")
         except ImportError:
-            return  # nothing to bar
+            return  # no rospy, no node
         self._stock = init.start_node
         init.start_node = lambda *_, **__: _refuse_start(error)
 
-    def lift(self) -> None:
-        """Another attempt is made."""
+    def remove(self) -> None:
+        """Before another attempt."""
         if self._stock is not None:
             init: Any = importlib.import_module("rospy.impl.init")
             init.start_node, self._stock = self._stock, None
 
 
-_bar: Final = _Bar()
+_start_block: Final = _StartBlock()
 
 
 def secured() -> SecuredProcess:
     """The secured process.
 
     Raises:
-        ConfigurationError: it is not.
+        ConfigurationError: `secure` was not called.
     """
     if _secured is None:
         raise ConfigurationError("this program is not secured", "call rossec.secure() first")
@@ -195,7 +196,7 @@ def secured() -> SecuredProcess:
 
 
 def stop(error: HintedError) -> NoReturn:
-    """Say why on the terminal, and end the program: it must not run unsecured."""
+    """Report `error` on the terminal and end the program: it must not run unsecured."""
     sys.stderr.write(f"rossec: error: {printable(error)}\n")
     if error.hint:
         sys.stderr.write(f"rossec: hint: {printable(error.hint)}\n")
@@ -204,7 +205,7 @@ def stop(error: HintedError) -> NoReturn:
 
 
 def _refuse_start(error: HintedError) -> NoReturn:
-    # rospy would take the next `init_node` for a repetition, and do nothing.
+    # Else rospy would take the next `init_node` for a repetition, and do nothing.
     client: Any = importlib.import_module("rospy.client")
     client._init_node_args = None  # noqa: SLF001 - rospy's
     stop(error)
@@ -228,8 +229,8 @@ def _hooks_module() -> Any:
         return importlib.import_module("rossec.inprocess.hooks")
     except ModuleNotFoundError as error:
         raise ConfigurationError(
-            f"there is no rospy here: {error}",
-            "install ROS, or use rossec.node, which needs none",
+            f"rospy is not installed: {error}",
+            "install ROS, or use rossec.node, which does not need it",
         ) from error
 
 

@@ -1,6 +1,6 @@
-"""Sending over rospy's connections: what waits goes out as one unit.
+"""Sending over rospy's connections: queued messages are sent as one unit.
 
-`SendQueue` stands for rospy's `QueuedConnection`; `write_data` is for connections without a queue.
+`SendQueue` replaces rospy's `QueuedConnection`; `write_data` is for connections without a queue.
 """
 
 import struct
@@ -20,10 +20,10 @@ from rossec.channel.records import Bytes
 from rossec.inprocess.sockets import RosSocket
 
 LENGTH: Final = struct.Struct("<I")
-ALONE: Final = 128 * 1024  # a message from here on is a unit of its own
-_BATCH: Final = 256 * 1024  # beyond this a unit only adds latency
+SEPARATE_UNIT: Final = 128 * 1024  # a longer message is sent as a separate unit
+_BATCH: Final = 256 * 1024  # a longer unit only adds latency
 _SMALL: Final = 16 * 1024  # the kernel has room for it, or is full
-_PAUSE: Final = 0.001  # seconds; messages that follow faster are worth a batch
+_PAUSE: Final = 0.001  # seconds; messages at shorter intervals are batched
 
 Pieces = bytes | tuple[Bytes, ...]
 """A message with its length in front, whole or in parts."""
@@ -32,10 +32,10 @@ Pieces = bytes | tuple[Bytes, ...]
 class SendQueue:
     """A connection with a queue: `write_data` never waits; a full queue drops the oldest.
 
-    The sender takes all that waits and sends it as one unit. It is woken, and given its turn, only
-    when it has nothing to do: a publisher that is faster than the wire makes larger batches. A
-    small message after a pause goes out in the publisher's thread, where that cannot wait: two
-    threads taking turns cost more time than the encryption.
+    The sending thread takes all queued messages and sends them as one unit. It is notified only
+    when idle: a publisher that is faster than the network makes larger batches. A small message
+    after a pause is sent in the publisher's thread if that does not block: switching threads costs
+    more time than the encryption.
     """
 
     def __init__(self, connection: Any, queue_size: int) -> None:
@@ -46,12 +46,12 @@ class SendQueue:
         self._last = 0.0
         self._error: Exception | None = None
         self._connection.set_cleanup_callback(self._closed)
-        self._thread = Thread(target=self._run, name="rossec outbox")
+        self._thread = Thread(target=self._run, name="rossec send queue")
         self._thread.start()
 
     @property
     def socket(self) -> Any:
-        """The connection's; asked for with each message."""
+        """The connection's socket; rospy reads it for each message."""
         return self._connection.socket
 
     def __getattr__(self, name: str) -> Any:
@@ -77,26 +77,26 @@ class SendQueue:
             with self._filled:
                 self._idle = False
                 self._filled.notify()
-        if idle or _size(data) > ALONE:  # while a large one waits, its memory is not used again
-            time.sleep(0)  # as rospy: the sender's turn
+        if idle or _size(data) > SEPARATE_UNIT:  # its memory cannot be reused yet
+            time.sleep(0)  # as rospy: lets the sending thread run
         return True
 
     def _send_now(self, data: Pieces) -> bool:
-        """Whether `data` was sent past the queue: nobody waits, and nothing is before it."""
+        """Whether `data` was sent directly: the queue is empty, and sending does not block."""
         if not isinstance(data, bytes) or len(data) > _SMALL:
             return False
         try:
             return self._send_in_turn(data)
         except (HintedError, OSError) as error:
-            # Without the lock: closing takes rospy's lock of the topic, whose holder may wait here.
+            # Without the lock: closing takes rospy's topic lock, whose holder may wait here.
             raise _ended(self._connection, error) from error
 
     def _send_in_turn(self, data: bytes) -> bool:
-        with self._filled:  # the sender is asleep meanwhile
+        with self._filled:  # the sending thread waits meanwhile
             if not self._idle or self._queue or not write_now(self._connection, data):
                 return False
             if self._connection.socket.unsent:
-                self._queue.append(())  # a message of nothing: sending it sends the rest
+                self._queue.append(())  # an empty message: sending it sends the rest
                 self._idle = False
                 self._filled.notify()
         return True
@@ -120,7 +120,9 @@ class SendQueue:
 
     def _wait(self) -> None:
         """Until there is something to send, or the connection ends; the lock is held."""
-        self._idle = True  # before each look: who queues after the look must find it set
+        self._idle = (
+            True  # set before the queue is checked, for a message that is queued just after
+        )
         while not self._queue and not self._connection.done:
             self._filled.wait()
             self._idle = True
@@ -151,7 +153,7 @@ def write(transport: Any, messages: list[Pieces]) -> None:
     """Send messages as one unit over a transport of rospy's.
 
     Raises:
-        TransportTerminated: the connection is at its end; it is closed.
+        TransportTerminated: the connection has ended; the transport is closed.
     """
     sock = _socket(transport)
     try:
@@ -162,17 +164,17 @@ def write(transport: Any, messages: list[Pieces]) -> None:
 
 
 def write_now(transport: Any, message: bytes) -> bool:
-    """Send a small message where that needs no waiting (`RosSocket.send_now`).
+    """Send a small message if that does not block (`RosSocket.try_send`).
 
     Raises:
         TransportTerminated: the connection was closed.
-        HintedError, OSError: it is at its end, and to be closed.
+        HintedError, OSError: it has ended, and must be closed.
     """
     sock = _socket(transport)
-    if not sock.send_now(message):
+    if not sock.try_send(message):
         return False
     transport.stat_bytes += len(message)
-    transport.stat_num_msg += not sock.unsent  # else it counts with the rest
+    transport.stat_num_msg += not sock.unsent  # else it is counted with the rest
     return True
 
 
@@ -189,12 +191,12 @@ def _ended(transport: Any, error: Exception) -> TransportTerminated:
 
 
 def _send(sock: RosSocket, messages: list[Pieces]) -> int:
-    """Send messages; a large one without its length, which goes before it.
+    """Send messages; a large one is a unit without its length, which is sent before it.
 
-    It is a unit of its own then, and its receiver need not copy it.
+    Its receiver need not copy it then.
     """
     match messages:
-        case [bytes() as message] if len(message) > ALONE:
+        case [bytes() as message] if len(message) > SEPARATE_UNIT:
             sock.send_unit(message[: LENGTH.size])
             sock.send_unit(memoryview(message)[LENGTH.size :])
             return len(message)
@@ -217,13 +219,13 @@ def write_data(transport: Any, data: Pieces) -> bool:
     """As `TCPROSTransport.write_data`: for publishers without a queue, and for services.
 
     Raises:
-        ServiceException: a call that a grant does not allow, or over a kept connection that was
-            cut; rospy's own socket takes the request and fails with this when there is no response.
-        TransportTerminated: any other connection is at its end.
+        ServiceException: a call that a grant does not allow, or over a persistent connection that
+            has ended; rospy's own socket raises it when there is no response.
+        TransportTerminated: any other connection has ended.
     """
     calls = isinstance(transport.protocol, TCPROSServiceClient)
     if isinstance(data, bytes):
-        data = _exchanged(transport, data)
+        data = _filtered(transport, data)
     try:
         write(transport, [data])
     except TransportTerminated as error:
@@ -233,18 +235,18 @@ def write_data(transport: Any, data: Pieces) -> bool:
     return True
 
 
-def _exchanged(transport: Any, data: bytes) -> Pieces:
-    """What of a service's request or response may be sent."""
-    exchange = None if transport.socket is None else transport.socket.exchange
-    if exchange is None:
+def _filtered(transport: Any, data: bytes) -> Pieces:
+    """A service's request or response as it may be sent."""
+    service_filter = None if transport.socket is None else transport.socket.service_filter
+    if service_filter is None:
         return data
     try:
-        pieces: Pieces = exchange.outgoing(data)
+        pieces: Pieces = service_filter.outgoing(data)
     except HintedError as error:
         if "persistent" in transport.protocol.headers:
-            transport.write_buff.seek(0)  # rospy empties it only after it was sent
+            transport.write_buff.seek(0)  # rospy empties the buffer only after sending
             transport.write_buff.truncate(0)
         else:
-            transport.close()  # rospy has forgotten it already
+            transport.close()  # rospy does not use it again
         raise ServiceException(f"rossec: {error}") from error
     return pieces

@@ -1,10 +1,9 @@
-"""The calls of a service as they pass a connection of rospy's: whole frames, each judged anew.
+"""Filters the calls of a service on a connection of rospy's: whole frames, each authorized.
 
-Pure. rospy reads and writes bytes; between it and the connection a request is one frame, bounded
-before it is buffered, and passes only while the caller's right lasts. Where a grant restricts the
-right, requests and responses are treated as in the built-in node
-(`rossec.participant.service_guard`): what is not allowed never reaches the program, and the other
-side hears why.
+Pure. rospy reads and writes bytes; here a request is one frame, bounded before it is buffered, and
+forwarded only while the caller's right lasts. Where a grant restricts the right, requests and
+responses are filtered as in the built-in node (`rossec.participant.service_guard`): what is not
+allowed never reaches the program, and the other side gets the reason.
 """
 
 from collections.abc import Callable
@@ -26,12 +25,12 @@ Pieces = tuple[Bytes, ...]
 
 
 class ServiceFilter(Protocol):
-    """One side of a service's connection; `framing` knows whether a call has been begun."""
+    """One side of a service's connection; `framing` knows whether a call has begun."""
 
     framing: Framing
 
     def incoming(self, data: bytes) -> tuple[bytes, Pieces]:
-        """What arrived: the program may read the first, the peer is sent the second.
+        """For received data: what the program may read, and what to answer the peer.
 
         Raises:
             HintedError: the connection must end.
@@ -41,7 +40,7 @@ class ServiceFilter(Protocol):
         """What the program sends, as it may be sent.
 
         Raises:
-            HintedError: it may not.
+            HintedError: it may not be sent.
         """
 
 
@@ -49,28 +48,28 @@ class ServerFilter:
     """The provider's side.
 
     Args:
-        termination_reason: why the caller must be cut now, if it must.
-        guard: what its grant restricts; None: nothing.
-        refused: is told what was not allowed.
-        limit: how long a request may be.
+        termination_reason: why the connection must be closed now; None: it need not.
+        guard: applies the restrictions of its grant; None: there are none.
+        on_refusal: called with the error for each refusal.
+        limit: the most bytes a request may have.
     """
 
     def __init__(
         self,
         termination_reason: Callable[[], str | None],
         guard: ServiceGuard | None,
-        refused: Callable[[HintedError], None],
+        on_refusal: Callable[[HintedError], None],
         now: Callable[[], int],
         limit: int = _LIMIT,
     ) -> None:
         self.framing = Framing(FrameReader(limit))
         self._termination_reason = termination_reason
         self._guard = guard
-        self._refused = refused
+        self._on_refusal = on_refusal
         self._now = now
 
     def incoming(self, data: bytes) -> tuple[bytes, Pieces]:
-        """As of `ServiceFilter`: a request."""
+        """See `ServiceFilter`: a request."""
         request = self.framing.feed_one(data, self._now())
         if request is None:
             return b"", ()
@@ -85,7 +84,7 @@ class ServerFilter:
             return b"", self._refusal(error)
 
     def outgoing(self, data: bytes) -> Pieces:
-        """As of `ServiceFilter`: a response. What the guard refuses is a failure of the call."""
+        """See `ServiceFilter`: a response. A response the guard refuses fails the call."""
         if self._guard is None or data[:1] != _OK:
             return (data,)
         response = memoryview(data)[len(_OK) + _LENGTH :]
@@ -95,12 +94,12 @@ class ServerFilter:
             return self._refusal(error)
 
     def _refusal(self, error: HintedError) -> Pieces:
-        self._refused(error)
+        self._on_refusal(error)
         return tuple(wire.failure(f"rossec: {error}"))
 
 
 class ClientFilter:
-    """The caller's side, where the provider's grant restricts what may be asked and answered."""
+    """The caller's side, where the provider's grant restricts requests and responses."""
 
     def __init__(self, guard: ServiceGuard, now: Callable[[], int], limit: int = _LIMIT) -> None:
         self.framing = Framing(FrameReader(limit, lead=len(_OK)))
@@ -108,7 +107,7 @@ class ClientFilter:
         self._now = now
 
     def incoming(self, data: bytes) -> tuple[bytes, Pieces]:
-        """As in `ServiceFilter`: a response. A refused one is a failure of the call."""
+        """See `ServiceFilter`: a response. A refused one fails the call."""
         content = self.framing.feed_one(data, self._now())
         if content is None:
             return b"", ()
@@ -121,6 +120,6 @@ class ClientFilter:
             return b"".join(wire.failure(f"rossec: {error}")), ()
 
     def outgoing(self, data: bytes) -> Pieces:
-        """As of `ServiceFilter`: a request."""
+        """See `ServiceFilter`: a request."""
         request = memoryview(data)[_LENGTH:]
         return tuple(wire.framed(self._guard.request(request, self._now())))

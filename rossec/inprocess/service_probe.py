@@ -1,6 +1,6 @@
-"""`wait_for_service` in rospy: its probe is a client like any other, and waits for the answer.
+"""`wait_for_service` in rospy: its probe needs the right of a client, and waits for the answer.
 
-Calls and providers go through the header hooks in `topics`; the probe has a socket of its own and
+Clients and providers go through the header hooks in `connections`; the probe has its own socket and
 writes its header itself. `rosservice` probes in the same way, and reads the answer.
 """
 
@@ -25,30 +25,30 @@ class ServiceProbe(RosSocket):
         self._answer = b""
 
     def recv(self, size: int) -> bytes:
-        """The answer, which was judged already."""
+        """The answer, which was checked in `sendall`."""
         if self.is_plain:
             return super().recv(size)
         part, self._answer = self._answer[:size], self._answer[size:]
         return part
 
     def sendall(self, data: Bytes) -> None:
-        """Add the proof to the header, send it, and judge the answer.
+        """Add the proof to the header, send it, and check the answer.
 
         Raises:
-            HintedError, OSError: the service is not there for this node.
+            HintedError, OSError: the service is not available to this node.
         """
-        member = self._process.member
+        local_identity = self._process.local_identity
         fields = header.decode(bytes(data)[4:])
         service = requested_service(fields)
-        if self.is_plain and self._process.may_be_plain(service, self.getpeername()[0]):
+        if self.is_plain and self._process.allows_plain(service, self.getpeername()[0]):
             super().sendall(data)
             return
         try:
-            member.access.check_peer(self.peer, now())
-            proof = caller_proof(service, member.access, now())
-            self.send_unit(header.encode({**fields, "callerid": member.name, **proof}))
+            local_identity.access.check_peer(self.peer, now())
+            proof = caller_proof(service, local_identity.access, now())
+            self.send_unit(header.encode({**fields, "callerid": local_identity.name, **proof}))
             answer = headers.receive(self)
-            admit_provider(answer, self.peer, service, member.access, now())
+            admit_provider(answer, self.peer, service, local_identity.access, now())
             self._answer = header.encode(headers.for_rospy(answer))
         except HintedError as error:
             self._process.reporter.warn(f"cannot call {service}", error)

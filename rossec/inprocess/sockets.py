@@ -1,7 +1,7 @@
-"""What rospy takes for a socket and for the module `socket`.
+"""The socket that rospy gets in place of `socket.socket`.
 
-`fileno` is the kernel's: rospy only watches it for a peer that hangs up. Nothing can be read or
-written around the channel: there is no path here that sends plain bytes. The handshake of an
+`fileno` is the kernel's: rospy only polls it for a hang-up. Nothing can be read or written around
+the channel: there is no path here that sends plain bytes. The handshake of an
 accepted connection happens in the first read, never in `accept` (attack N8).
 """
 
@@ -27,23 +27,23 @@ from rossec.inprocess.service_filter import ServiceFilter
 from rossec.net.threads.secure_socket import SecureSocket
 from rossec.ros.framing import PATIENCE, Framing
 
-_OUT_OF_THEM: Final = (errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.ENOBUFS)
-_AT_A_TIME: Final = 256 * 1024
+_OUT_OF_RESOURCES: Final = (errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.ENOBUFS)
+_READ_SIZE: Final = 256 * 1024
 _PUMP_EVERY: Final = 1.0  # seconds
-_REST: Final = 1.0  # seconds, when the host is out of descriptors: callers wait in the kernel
+_ACCEPT_PAUSE: Final = 1.0  # seconds, while the host is out of descriptors
 
-Taken = TypeVar("Taken")
+Received = TypeVar("Received")
 
 
 class SocketOwner(Protocol):
-    """Whom a socket belongs to."""
+    """The process that a socket belongs to."""
 
     @property
-    def doors(self) -> Connector:
+    def connector(self) -> Connector:
         """Makes its connections."""
 
-    def gone(self, sock: "RosSocket") -> None:
-        """A connection is over."""
+    def connection_closed(self, sock: "RosSocket") -> None:
+        """A connection is closed."""
 
     def listens(self, port: int) -> None:
         """Callers are accepted there."""
@@ -52,18 +52,18 @@ class SocketOwner(Protocol):
     def plain(self) -> PlainPeers:
         """What may stay plain."""
 
-    def failed(self, address: tuple[str, int], error: ChannelError) -> Exception:
-        """What to raise where a connection cannot be secured."""
+    def connect_error(self, address: tuple[str, int], error: ChannelError) -> Exception:
+        """The exception to raise if a connection cannot be secured."""
 
 
 class RosSocket:
     """A socket of rospy's: listening, or one secure connection.
 
     Attributes:
-        link: what the peer was admitted by; None while it is not admitted.
-        ended: it was cut; what had arrived before does not count any more.
-        left: this side has closed it; what fails after that is no news.
-        exchange: what the calls of a service pass through.
+        connection: the admitted connection; None before the peer is admitted.
+        aborted: its right has ended; what had arrived before is discarded.
+        closed_locally: closed by this side; later failures are not reported.
+        service_filter: filters the calls of a service.
     """
 
     def __init__(
@@ -72,19 +72,19 @@ class RosSocket:
         self._owner = owner
         self._socket = sock
         self._stream: Stream | PlainStream | None = stream
-        self.link: LiveConnection | PlainConnection | None = None
-        self.ended = False
-        self.left = False
-        self.exchange: ServiceFilter | None = None
+        self.connection: LiveConnection | PlainConnection | None = None
+        self.aborted = False
+        self.closed_locally = False
+        self.service_filter: ServiceFilter | None = None
         self._ready = memoryview(b"")
         self._pump_at = 0.0
 
     @property
     def stream(self) -> Stream | PlainStream:
-        """The connection: secure, but where `allow_plain` names it.
+        """The connection: secure, unless `allow_plain` names it.
 
         Raises:
-            ChannelClosed: there is none.
+            ChannelClosed: the socket is not connected.
         """
         if self._stream is None:
             raise ChannelClosed("the socket is not connected")
@@ -92,42 +92,42 @@ class RosSocket:
 
     @property
     def peer(self) -> Identity:
-        """Who is at the other end.
+        """The identity of the peer.
 
         Raises:
-            ChannelClosed: nobody that is authenticated.
+            ChannelClosed: it is not authenticated.
         """
         if self.stream.peer is None:
             raise ChannelClosed("the peer is not authenticated")
         return self.stream.peer
 
     def handshake(self) -> Identity:
-        """Who is at the other end, once that is proved.
+        """Complete the handshake; returns the identity of the peer.
 
         Raises:
-            ChannelError: it is not.
+            ChannelError: it failed.
         """
         stream = self.stream
         if isinstance(stream, PlainStream):
-            raise ChannelClosed("a plain connection proves nothing")
+            raise ChannelClosed("a plain connection is not authenticated")
         return stream.do_handshake()
 
-    def welcome(self, limit: int) -> None:
-        """The peer was judged: what it sends may come in units of up to `limit`."""
+    def raise_unit_limit(self, limit: int) -> None:
+        """The peer is authorized: it may send units of up to `limit` bytes."""
         if isinstance(self._stream, SecureSocket):
-            self._stream.welcome(limit)
+            self._stream.raise_unit_limit(limit)
 
     @property
     def is_plain(self) -> bool:
-        """Whether nobody vouches for this connection."""
+        """Whether the connection is not secured."""
         return isinstance(self._stream, PlainStream)
 
     def peek(self) -> bytes:
-        """What a plain caller sends first (`plainsocket.peek`)."""
+        """What a plain caller sends first (`plain_stream.peek`)."""
         return peek(self._socket)
 
-    def go_plain(self) -> None:
-        """Go on without the channel: `allow_plain` names what the caller wants."""
+    def switch_to_plain(self) -> None:
+        """Continue without the channel: `allow_plain` names what the caller asks for."""
         if isinstance(self._stream, SecureSocket):
             self._stream = PlainStream(self._stream.detach())
 
@@ -137,181 +137,188 @@ class RosSocket:
         """Connect and authenticate.
 
         Raises:
-            OSError: no TCP connection. What `SocketOwner.failed` says: the handshake failed.
+            OSError: no TCP connection. As `SocketOwner.connect_error`: the handshake failed.
         """
         self._socket.settimeout(CONNECT_TIMEOUT)
         self._socket.connect(address)
         try:
-            self._stream = self._owner.doors.call(self._socket, WireProtocol.TCPROS, address)
+            self._stream = self._owner.connector.initiate(
+                self._socket, WireProtocol.TCPROS, address
+            )
         except PlainPeer as error:
             if not self._owner.plain:
-                raise self._owner.failed(address, error) from error
-            # Nothing is said yet: which topic or service this is for is known with the header.
+                raise self._owner.connect_error(address, error) from error
+            # Checked with the header, which names the topic or service; nothing is sent before.
             self._socket = socket.create_connection(address, CONNECT_TIMEOUT)
             self._stream = PlainStream(self._socket)
         except ChannelError as error:
-            if self.left:
+            if self.closed_locally:
                 raise ConnectionAbortedError(errno.ECONNABORTED, "closed") from error
-            raise self._owner.failed(address, error) from error
+            raise self._owner.connect_error(address, error) from error
 
     def bind(self, address: tuple[str, int]) -> None:
-        """As of sockets."""
+        """As `socket.socket`."""
         self._socket.bind(address)
 
     def listen(self, backlog: int = 128) -> None:
-        """As of sockets; rospy's own backlog of 5 is few when a fleet starts."""
+        """As `socket.socket`; rospy's backlog of 5 is too small when a fleet starts."""
         self._socket.listen(max(backlog, 128))
         self._owner.listens(self._socket.getsockname()[1])
 
     def accept(self) -> tuple["RosSocket", Any]:
-        """The next caller within the caps. Its handshake is still to come."""
+        """The next caller within the limits. Its handshake is still to come."""
         while True:
             try:
                 sock, where = self._socket.accept()
             except OSError as error:
-                if error.errno not in _OUT_OF_THEM:
+                if error.errno not in _OUT_OF_RESOURCES:
                     raise
-                time.sleep(_REST)
+                time.sleep(_ACCEPT_PAUSE)
                 continue
-            if not self._owner.doors.admit(sock, where[0]):
+            if not self._owner.connector.admit(sock, where[0]):
                 sock.close()
                 continue
             with suppress(OSError):  # an error here would end rospy's thread that accepts
-                stream = self._owner.doors.answer(sock, WireProtocol.TCPROS)
+                stream = self._owner.connector.respond(sock, WireProtocol.TCPROS)
                 return RosSocket(self._owner, sock, stream), where
 
     # -- bytes
 
     def recv(self, size: int) -> bytes:
-        """As of sockets."""
-        with _as_of_sockets():
-            return self.stream.recv(size) if self.exchange is None else self._exchanged(size)
+        """As `socket.socket`."""
+        with _socket_errors():
+            filtered = self.service_filter is not None
+            return self._receive_filtered(size) if filtered else self.stream.recv(size)
 
-    def _exchanged(self, size: int) -> bytes:
-        """What of a service's calls the program may read."""
-        assert self.exchange is not None  # noqa: S101 - asked by the caller
+    def _receive_filtered(self, size: int) -> bytes:
+        """What the program may read of a service's calls."""
+        assert self.service_filter is not None  # noqa: S101 - checked by the caller
         while not self._ready:
-            data = self.patiently(self.exchange.framing, partial(self.stream.recv, _AT_A_TIME))
+            data = self.receive_before_deadline(
+                self.service_filter.framing, partial(self.stream.recv, _READ_SIZE)
+            )
             if not data:
                 return b""
-            ready, reply = self.exchange.incoming(data)
+            ready, reply = self.service_filter.incoming(data)
             self._ready = memoryview(ready)
             if reply:
                 self.send_unit(*reply)
         part, self._ready = self._ready[:size], self._ready[size:]
         return bytes(part)
 
-    def patiently(self, framing: Framing, take: Callable[[], Taken]) -> Taken:
-        """What `take` receives; a message that was begun must get on meanwhile.
+    def receive_before_deadline(
+        self, framing: Framing, receive: Callable[[], Received]
+    ) -> Received:
+        """What `receive` returns; a message that has begun must make progress meanwhile.
 
         Raises:
             LimitExceeded: it does not.
         """
-        while framing.waits and self.gettimeout() is None:
+        while framing.incomplete and self.gettimeout() is None:
             self.settimeout(PATIENCE)
             try:
-                return take()
+                return receive()
             except TimeoutError:
-                framing.look(clock.now())
+                framing.check_progress(clock.now())
             finally:
                 self.settimeout(None)
-        return take()
+        return receive()
 
     def recv_into(self, buffer: bytearray | memoryview, size: int = 0) -> int:
-        """As of sockets."""
-        with _as_of_sockets():
+        """As `socket.socket`."""
+        with _socket_errors():
             return self.stream.recv_into(buffer, size)
 
     def send(self, data: Bytes) -> int:
-        """As of sockets: everything is sent."""
+        """As `socket.socket`: everything is sent."""
         self.sendall(data)
         return len(data)
 
     def sendall(self, data: Bytes) -> None:
-        """As of sockets."""
-        with _as_of_sockets():
+        """As `socket.socket`."""
+        with _socket_errors():
             self.send_unit(data)
 
     def send_unit(self, *pieces: Bytes) -> None:
-        """Send the pieces as one unit, and take in what the peer's side of the channel needs.
+        """Send the pieces as one unit; regularly, also process what the channel received.
 
         Raises:
-            ChannelError, OSError: as of `SecureSocket`.
+            ChannelError, OSError: as `SecureSocket.sendall`.
         """
         stream = self.stream
         if time.monotonic() >= self._pump_at:
             stream.pump()
             self._pump_at = time.monotonic() + _PUMP_EVERY
         stream.sendall(*pieces)
-        self._hurry(stream)
+        self._pump_soon(stream)
 
-    def send_now(self, data: bytes) -> bool:
-        """Send a small unit where this needs no waiting; False: nothing has happened.
+    def try_send(self, data: bytes) -> bool:
+        """Send a small unit if that does not block; False: nothing was sent.
 
         Raises:
-            ChannelError: the connection is at its end.
+            ChannelError: the connection has ended.
         """
         stream = self._stream
         if time.monotonic() >= self._pump_at or not isinstance(stream, SecureSocket):
             return False
-        sent = stream.send_now(data)
-        self._hurry(stream)
+        sent = stream.try_send(data)
+        self._pump_soon(stream)
         return sent
 
     @property
     def unsent(self) -> bool:
-        """Whether `send_now` left something, for `send_unit` to send."""
+        """Whether `try_send` left bytes for `send_unit` to send."""
         return isinstance(self._stream, SecureSocket) and self._stream.unsent
 
-    def tend(self) -> None:
-        """`SecureSocket.tend`; what fails there is met where the connection is used."""
+    def run_timers(self) -> None:
+        """`SecureSocket.run_timers`; an error there is raised where the connection is used."""
         if isinstance(self._stream, SecureSocket):
             with suppress(ChannelError, OSError):
-                self._stream.tend()
-                self._hurry(self._stream)
+                self._stream.run_timers()
+                self._pump_soon(self._stream)
 
-    def _hurry(self, stream: Stream | PlainStream) -> None:
-        """Look for the peer's answer to a renewal before the next message."""
+    def _pump_soon(self, stream: Stream | PlainStream) -> None:
+        """Process the peer's answer to a key update before the next message."""
         if stream.awaits_peer:
             self._pump_at = 0.0
 
-    # -- options and ends
+    # -- options and closing
 
     def fileno(self) -> int:
-        """The kernel's descriptor, to watch for a hang-up; -1 when closed."""
+        """The kernel's descriptor, to poll for a hang-up; -1 when closed."""
         return self._socket.fileno()
 
     def settimeout(self, value: float | None) -> None:
-        """As of sockets."""
+        """As `socket.socket`."""
         (self._stream or self._socket).settimeout(value)
 
     def gettimeout(self) -> float | None:
-        """As of sockets."""
+        """As `socket.socket`."""
         return (self._stream or self._socket).gettimeout()
 
     def setblocking(self, flag: bool) -> None:
-        """As of sockets."""
+        """As `socket.socket`."""
         self.settimeout(None if flag else 0.0)
 
     def setsockopt(self, *arguments: Any) -> None:
-        """As of sockets."""
+        """As `socket.socket`."""
         self._socket.setsockopt(*arguments)
 
     def getsockopt(self, *arguments: Any) -> int | bytes:
-        """As of sockets."""
+        """As `socket.socket`."""
         return self._socket.getsockopt(*arguments)
 
     def getsockname(self) -> Any:
-        """As of sockets."""
+        """As `socket.socket`."""
         return self._socket.getsockname()
 
     def getpeername(self) -> Any:
-        """As of sockets: for logs, never for trust."""
+        """As `socket.socket`: for logs, never for trust."""
         return self._socket.getpeername()
 
     def shutdown(self, how: int = socket.SHUT_RDWR) -> None:
         """Close in order."""
-        self.left = True
+        self.closed_locally = True
         if self._stream is not None:
             self._stream.shutdown(how)
         else:
@@ -319,25 +326,25 @@ class RosSocket:
                 self._socket.shutdown(how)
 
     def abort(self) -> None:
-        """End it now, from any thread: whoever waits in it wakes, and receives nothing more."""
-        self.ended = True
+        """End it now, from any thread: blocked calls return, and nothing more is received."""
+        self.aborted = True
         if isinstance(self._stream, SecureSocket):
             self._stream.abort()
         with suppress(OSError):
             self._socket.shutdown(socket.SHUT_RDWR)
 
     def close(self) -> None:
-        """As of sockets."""
-        self.left = True
-        self._owner.gone(self)
+        """As `socket.socket`."""
+        self.closed_locally = True
+        self._owner.connection_closed(self)
         if self._stream is not None:
             self._stream.close()
         self._socket.close()
 
 
 @contextmanager
-def _as_of_sockets() -> Iterator[None]:
-    """rospy knows the errors of sockets."""
+def _socket_errors() -> Iterator[None]:
+    """Raise our errors as `ConnectionResetError`, which rospy handles."""
     try:
         yield
     except HintedError as error:

@@ -8,7 +8,7 @@ import rospy
 from rospy.exceptions import TransportInitError
 
 from grants.errors import GrantError
-from rossec.inprocess.genpy_types import longest
+from rossec.inprocess.genpy_types import max_message_size
 from rossec.inprocess.identity import now
 from rossec.inprocess.live_connections import LiveConnection, PlainConnection
 from rossec.inprocess.process import SecuredProcess
@@ -19,7 +19,7 @@ from rossec.ros.settings import parse_uri
 
 _FIRST_PAUSE: Final = 0.5
 _LONGEST_PAUSE: Final = 30.0
-_SLICE: Final = 0.5  # seconds after which a waiting subscriber looks whether it is still wanted
+_SLICE: Final = 0.5  # seconds between checks whether the subscriber is still in use
 
 
 class SubscriptionLoop:
@@ -28,7 +28,7 @@ class SubscriptionLoop:
     def __init__(self, process: SecuredProcess) -> None:
         self._process = process
 
-    def follow(
+    def run(
         self, conn: Any, host: str, port: int, uri: str, callback: Callable[..., None], topic: str
     ) -> None:
         """`robust_connect_subscriber`: connected for as long as the master names the publisher."""
@@ -36,9 +36,9 @@ class SubscriptionLoop:
         while not conn.done and not rospy.is_shutdown():
             before = conn.stat_num_msg
             self._receive_from(conn, host, port, uri, callback)
-            if conn.protocol is None:  # closed, by the program or because nobody listens there
+            if conn.protocol is None:  # closed, by the program or because the port is closed
                 break
-            self._hang_up(conn)
+            self._close_socket(conn)
             if conn.stat_num_msg > before:
                 pause = _FIRST_PAUSE
             if not self._wait_for_change(conn, pause, topic, uri):
@@ -51,11 +51,11 @@ class SubscriptionLoop:
         self, conn: Any, host: str, port: int, uri: str, callback: Callable[..., None]
     ) -> None:
         try:
-            self._process.own.check_step(parse_uri(uri), (host, port))
+            self._process.own_addresses.check_redirect(parse_uri(uri), (host, port))
             conn.connect(host, port, uri, timeout=60.0)
             self._receive(conn, callback)
         except TransportInitError:
-            pass  # told where it happened
+            pass  # logged where it happened
         except Exception as error:  # noqa: BLE001 - as rospy: no message may end a subscription
             if not conn.done and not rospy.is_shutdown():
                 self._process.reporter.warn(f"lost {conn.name} from {uri}", error)
@@ -65,16 +65,16 @@ class SubscriptionLoop:
         sock, protocol = conn.socket, conn.protocol
         if sock is None or protocol is None:
             return
-        framing = Framing(FrameReader(longest(protocol.recv_data_class)))
-        make, keep = protocol.recv_data_class, protocol.queue_size or 0
+        framing = Framing(FrameReader(max_message_size(protocol.recv_data_class)))
+        make, limit = protocol.recv_data_class, protocol.queue_size or 0
         while not conn.done and not rospy.is_shutdown():
-            unit = sock.patiently(framing, sock.stream.receive_unit)
+            unit = sock.receive_before_deadline(framing, sock.stream.receive_unit)
             if not unit:
                 return
             conn.stat_bytes += len(unit)
-            arrived = self._believed(sock.link, framing.feed(unit, now()))
-            messages = [make().deserialize(data) for data in arrived[-keep:]]
-            del unit, arrived  # their memory is used for the next one
+            received = self._filter(sock.connection, framing.feed(unit, now()))
+            messages = [make().deserialize(data) for data in received[-limit:]]
+            del unit, received  # their memory is used for the next one
             if not messages:
                 continue
             conn.stat_num_msg += len(messages)
@@ -82,41 +82,43 @@ class SubscriptionLoop:
                 message._connection_header = conn.header  # noqa: SLF001 - part of rospy's messages
             if conn.is_latched:
                 conn.latch = messages[-1]
-            callback(_until_cut(messages, sock), conn)
+            callback(_until_aborted(messages, sock), conn)
 
-    def _believed(
-        self, link: LiveConnection | PlainConnection | None, messages: list[bytes]
+    def _filter(
+        self, connection: LiveConnection | PlainConnection | None, messages: list[bytes]
     ) -> list[bytes]:
-        """What the publisher may say, if its right is restricted."""
-        if link is None or link.guard is None:
+        """The messages as the publisher's right allows them."""
+        if connection is None or connection.guard is None:
             return messages
-        believed = []
+        filtered = []
         for message in messages:
             try:
-                treated = link.guard(message, now())
+                content = connection.guard(message, now())
             except GrantError as error:
-                self._process.reporter.warn(f"withheld a message on {link.decision.name}", error)
+                self._process.reporter.warn(
+                    f"withheld a message on {connection.decision.name}", error
+                )
             else:
-                believed += [] if treated is None else [b"".join(treated)]
-        return believed
+                filtered += [] if content is None else [b"".join(content)]
+        return filtered
 
     @staticmethod
-    def _hang_up(conn: Any) -> None:
+    def _close_socket(conn: Any) -> None:
         sock, conn.socket = conn.socket, None
         if sock is not None:
             sock.close()
 
     def _wait_for_change(self, conn: Any, pause: float, topic: str, uri: str) -> bool:
-        """Wait, at most `pause`, for a reason to try again; whether there is still any point."""
+        """Wait, at most `pause`, for a reason to try again; returns whether to."""
         end = time.monotonic() + pause
-        seen = self._process.rights
-        while seen == self._process.rights and time.monotonic() < end:
+        seen = self._process.rights_version
+        while seen == self._process.rights_version and time.monotonic() < end:
             if conn.done or rospy.is_shutdown():
                 return False
             time.sleep(min(_SLICE, max(0.0, end - time.monotonic())))
         return self._process.registrations.is_publisher(topic, uri)
 
 
-def _until_cut(messages: list[Any], sock: RosSocket) -> Iterator[Any]:
-    """The messages of a batch, while the right to them lasts: callbacks take their time."""
-    return (message for message in messages if not sock.ended)
+def _until_aborted(messages: list[Any], sock: RosSocket) -> Iterator[Any]:
+    """The messages of a batch, while the right to them lasts: callbacks may be slow."""
+    return (message for message in messages if not sock.aborted)

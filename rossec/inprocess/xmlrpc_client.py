@@ -1,9 +1,9 @@
-"""The XML-RPC calls of rospy: to the master, over the guardian's session, and to other nodes.
+"""The XML-RPC calls of rospy: to the master, over the background loop's session, and to nodes.
 
 Calls and answers are parsed by `rossec.ros`, within its limits, never by the standard library.
-Errors are those rospy knows: OSError. Before a question about another node, that node is shown the
-grants that entitle to ask (`rossec.participant.slave_rights`). Proxies that a program makes itself,
-as rostest does, are secured where they lead to the master, or to a node that it has named.
+Errors are those rospy handles: OSError. A slave call that needs a right is preceded by the grants
+that prove it (`rossec.participant.slave_rights`). Proxies that a program makes itself, as rostest
+does, are secured if they lead to the master, or to a node that the master has named.
 """
 
 import errno
@@ -26,13 +26,20 @@ from rossec.inprocess.process import SecuredProcess
 from rossec.inprocess.registrations import REFUSED, REGISTRATIONS
 from rossec.inprocess.xmlrpc_server import Params, receive_some
 from rossec.net.rpc.client import CALL_DEADLINE
-from rossec.participant.caller_names import SEARCH, as_meant, nowhere, places, searched, settled
+from rossec.participant.caller_names import (
+    SEARCH,
+    not_found,
+    resolve_params,
+    search_places,
+    search_result,
+    searched_key,
+)
 from rossec.participant.slave_rights import PRESENT, SLAVE_CALLS
 from rossec.ros.http import HttpClient
 from rossec.ros.settings import parse_uri
 from rossec.ros.xmlrpc import dump_call, load_response
 
-REQUEST: Final = "_ServerProxy__request"  # where every call of the library's proxies goes through
+REQUEST: Final = "_ServerProxy__request"  # every call of the library's proxies goes through it
 _MULTICALL: Final = "system.multicall"
 _WITH_SERVICE_URI: Final = ("registerService", "unregisterService")
 _log = logging.getLogger("rossec.rospy")
@@ -46,7 +53,7 @@ class XmlRpcClient:
         self._stock_request: Any = getattr(xmlrpc.client.ServerProxy, REQUEST)
 
     def proxy_class(self) -> type[xmlrpc.client.ServerProxy]:
-        """What rospy is given for `xmlrpc.client.ServerProxy`; several threads may share one."""
+        """Replaces `xmlrpc.client.ServerProxy` in rospy; thread-safe."""
         client = self
 
         class SecureProxy(xmlrpc.client.ServerProxy):
@@ -65,36 +72,40 @@ class XmlRpcClient:
         """`ServerProxy.__request`: a call through a proxy that the program made itself."""
         uri = _uri_of(proxy)
         address = _address(uri)
-        if address is not None and self._is_ours(address):
+        if address is not None and self._is_secured(address):
             return self.call(uri, method, params)
         return self._stock_request(proxy, method, params)
 
-    def _is_ours(self, address: tuple[str, int]) -> bool:
-        """Whether the master is there, or a node that it has named; others may be anything."""
+    def _is_secured(self, address: tuple[str, int]) -> bool:
+        """Whether the master is there, or a node that it has named; others are not secured."""
         process = self._process
         if not process.has_begun:
             return address == _address(rosgraph.get_master_uri() or "")
-        own, named = process.own.is_own, process.registrations.is_node
-        return address == process.guardian.address or own(address) or named(address)
+        own, known = process.own_addresses.is_own, process.registrations.is_node
+        return address == process.background_loop.address or own(address) or known(address)
 
     def call(self, uri: str, method: str, params: Params) -> object:
         """The value a node answers.
 
         Raises:
             Fault: it answered with a fault.
-            OSError: it cannot be reached, or is not who it must be.
+            OSError: it cannot be reached, or is not authorized.
         """
         address = parse_uri(uri)
-        if address == self._process.guardian.address:
+        if address == self._process.background_loop.address:
             return self._call_master(method, params)
         try:
-            return _stock(self._call_node(address, method, params))
-        except PlainPeer as error:  # it will not change: rospy tries again when it is refused thus
-            raise ConnectionRefusedError(errno.ECONNREFUSED, self._refused(uri, error)) from error
+            return _stock_types(self._call_node(address, method, params))
+        except PlainPeer as error:  # rospy tries again after this one
+            raise ConnectionRefusedError(
+                errno.ECONNREFUSED, self._report_refusal(uri, error)
+            ) from error
         except HintedError as error:
-            raise ConnectionAbortedError(errno.ECONNABORTED, self._refused(uri, error)) from error
+            raise ConnectionAbortedError(
+                errno.ECONNABORTED, self._report_refusal(uri, error)
+            ) from error
 
-    def _refused(self, uri: str, error: HintedError) -> str:
+    def _report_refusal(self, uri: str, error: HintedError) -> str:
         self._process.reporter.warn(f"cannot call {uri}", error)
         return f"rossec: {error}"
 
@@ -102,59 +113,63 @@ class XmlRpcClient:
 
     def _call_master(self, method: str, params: Params) -> object:
         if method == _MULTICALL:
-            return self._call_many(params)
-        own, key = self._with_own_name(method, params), searched(method, params)
-        if key is not None and own[0] != params[0]:
+            return self._multicall(params)
+        named, key = self._with_own_name(method, params), searched_key(method, params)
+        if key is not None and named[0] != params[0]:
             return self._search(str(params[0]), key)
-        return self._noted(method, own, _stock(self._process.guardian.call(method, own)))
+        return self._record_answer(
+            method, named, _stock_types(self._process.background_loop.call(method, named))
+        )
 
-    def _call_many(self, params: Params) -> object:
+    def _multicall(self, params: Params) -> object:
         calls = [
             {**call, "params": list(self._with_own_name(call["methodName"], tuple(call["params"])))}
             for call in params[0]
         ]
-        answer = _stock(self._process.guardian.call(_MULTICALL, (calls,)))
+        answer = _stock_types(self._process.background_loop.call(_MULTICALL, (calls,)))
         for call in calls:
-            self._process.registrations.note(call["methodName"], call["params"], [1, "", 0])
+            self._process.registrations.record(call["methodName"], call["params"], [1, "", 0])
         return answer
 
-    def _search(self, asker: str, key: str) -> object:
-        """Search from the namespace of `asker`; the master would, from the node's."""
-        name = self._process.member.name
-        for place, found in places(asker, key):
-            answer = settled(_stock(self._process.guardian.call(SEARCH, (name, place))), found)
+    def _search(self, caller_id: str, key: str) -> object:
+        """Search from the namespace of `caller_id`; the master searches from the node's."""
+        name = self._process.local_identity.name
+        for place, found in search_places(caller_id, key):
+            answer = search_result(
+                _stock_types(self._process.background_loop.call(SEARCH, (name, place))), found
+            )
             if answer is not None:
                 return answer
-        return nowhere(key)
+        return not_found(key)
 
     def _with_own_name(self, method: str, params: Params) -> Params:
-        """Tools and early calls give other names than the node's; the master knows the node."""
-        name = self._process.member.name
+        """Tools and early calls give other names than the node's certified one."""
+        name = self._process.local_identity.name
         if not params or not isinstance(params[0], str):
-            return params  # the master says what is wrong with it
+            return params  # the master answers what is wrong
         if params[0] != name:
-            params = as_meant(method, params, params[0])
+            params = resolve_params(method, params, params[0])
         match params[1:]:
             case (service, str(uri), *more) if method in _WITH_SERVICE_URI:
                 return (name, service, bracketed(uri), *more)
             case rest:
                 return (name, *rest)
 
-    def _noted(self, method: str, params: Params, answer: object) -> object:
-        """Tell what the master refuses.
+    def _record_answer(self, method: str, params: Params, answer: object) -> object:
+        """Record the answer, and log a refusal.
 
-        A refused registration waits for a grant, and to rospy it is done: else it would end the
-        program, or not, depending on when the master came up.
+        A refused registration is repeated with a new grant, and rospy gets a success: else it would
+        end the program, or not, depending on when the master started.
         """
         registrations = self._process.registrations
-        registrations.note(method, params, answer)
+        registrations.record(method, params, answer)
         match answer:
             case [code, str(status), _] if code != 1 and status.startswith(REFUSED):
                 if registrations.is_rospys_own(method, params):
                     _log.info("rospy's own %s is refused: %s", method, status)
                 else:
-                    about = status.removeprefix(REFUSED)
-                    self._process.reporter.warn(f"the master refuses {method}: {about}")
+                    detail = status.removeprefix(REFUSED)
+                    self._process.reporter.warn(f"the master refuses {method}: {detail}")
                 if method in REGISTRATIONS:
                     return [1, status, REGISTRATIONS[method]]
             case _:
@@ -164,46 +179,46 @@ class XmlRpcClient:
     # -- other nodes
 
     def _call_node(self, address: tuple[str, int], method: str, params: Params) -> object:
-        name = self._process.member.name  # tools give others
+        name = self._process.local_identity.name  # tools give other names
         request = dump_call(method, (name, *params[1:]) if params else params)
         sock = socket.create_connection(address, CONNECT_TIMEOUT)
         try:
-            stream = self._process.doors.call(sock, WireProtocol.HTTP, address)
+            stream = self._process.connector.initiate(sock, WireProtocol.HTTP, address)
         except PlainPeer:
             if not self._process.plain or method != "requestTopic":
                 raise
             return self._call_plain(address, params, request)
         try:
             if stream.peer is not None:
-                self._process.member.access.check_peer(stream.peer, now())
-            self._show(method, stream, address[0])
+                self._process.local_identity.access.check_peer(stream.peer, now())
+            self._present_grants(method, stream, address[0])
             return load_response(_exchange(stream, address[0], request))
         finally:
             stream.close()
 
-    def _show(self, method: str, stream: Stream, host: str) -> None:
-        """Show the grants for a question; whether they suffice is heard with its answer."""
-        right, member = SLAVE_CALLS.get(method), self._process.member
+    def _present_grants(self, method: str, stream: Stream, host: str) -> None:
+        """Present the grants that a slave call needs; its answer tells whether they suffice."""
+        right, local_identity = SLAVE_CALLS.get(method), self._process.local_identity
         if right is not None and stream.peer is not None:
-            grants = member.access.present(right, stream.peer.name, now())
-            _exchange(stream, host, dump_call(PRESENT, (member.name, grants)))
+            grants = local_identity.access.present(right, stream.peer.name, now())
+            _exchange(stream, host, dump_call(PRESENT, (local_identity.name, grants)))
 
     def _call_plain(self, address: tuple[str, int], params: Params, request: bytes) -> object:
         sock = socket.create_connection(address, CONNECT_TIMEOUT)
         with sock:
-            if not self._process.may_be_plain(str(params[1]), sock.getpeername()[0]):
+            if not self._process.allows_plain(str(params[1]), sock.getpeername()[0]):
                 raise PlainPeer("the peer is a plain ROS node", "secure it, or see allow_plain")
             return load_response(_exchange(PlainStream(sock), address[0], request))
 
 
 def _uri_of(proxy: Any) -> str:
-    """Where a proxy of the standard library leads; empty: not by plain HTTP."""
+    """The URI of a proxy of the standard library; empty: not plain HTTP."""
     plain = type(proxy("transport")) is xmlrpc.client.Transport
-    return f"http://{proxy._ServerProxy__host}/" if plain else ""  # noqa: SLF001 - the library has no question for it
+    return f"http://{proxy._ServerProxy__host}/" if plain else ""  # noqa: SLF001 - the library has no accessor
 
 
 def _address(uri: str) -> tuple[str, int] | None:
-    """Host and port of an HTTP URI; None: it has none."""
+    """Host and port of an HTTP URI; None: invalid."""
     try:
         return parse_uri(uri)
     except ConfigurationError:
@@ -220,12 +235,12 @@ def _exchange(stream: Stream | PlainStream, host: str, request: bytes) -> bytes:
     return body
 
 
-def _stock(value: Any) -> Any:
-    """The types that stock's clients give a program."""
+def _stock_types(value: Any) -> Any:
+    """`value` with the types that stock clients return."""
     if isinstance(value, bytes):
         return xmlrpc.client.Binary(value)
     if isinstance(value, list):
-        return [_stock(item) for item in value]
+        return [_stock_types(item) for item in value]
     if isinstance(value, dict):
-        return {key: _stock(item) for key, item in value.items()}
+        return {key: _stock_types(item) for key, item in value.items()}
     return value

@@ -1,4 +1,4 @@
-"""This node's own XML-RPC API; who may call what is a rule of `rossec.participant.slave_api`.
+"""This node's own XML-RPC API; `rossec.participant.slave_api` authorizes each call.
 
 Calls are parsed by `rossec.ros`, within its limits, never by the standard library's server.
 """
@@ -34,20 +34,20 @@ Params = tuple[Any, ...]
 
 
 class PresentedGrants:
-    """The grants that the peer of one connection has shown."""
+    """The grants that the peer of one connection has presented."""
 
     grants: bytes | None = None
 
 
 class XmlRpcServer:
-    """This node's API: who may call what is `rossec.participant.slave_api`'s."""
+    """Serves this node's API."""
 
     def __init__(self, process: SecuredProcess) -> None:
         self._process = process
 
     def verify_request(self, _server: Any, request: socket.socket, where: Any) -> bool:
-        """`ThreadingXMLRPCServer.verify_request`, before a thread is spent on a caller."""
-        return self._process.doors.admit(request, where[0])
+        """`ThreadingXMLRPCServer.verify_request`, before a thread is started for a caller."""
+        return self._process.connector.admit(request, where[0])
 
     def finish_request(self, server: Any, request: socket.socket, where: Any) -> None:
         """`ThreadingXMLRPCServer.finish_request`, in a thread of its own: one caller."""
@@ -55,44 +55,44 @@ class XmlRpcServer:
             try:
                 self._answer_plain(request, where[0])
             finally:
-                self._process.doors.settle(request)
+                self._process.connector.release(request)
             return
-        stream = self._process.doors.answer(request, WireProtocol.HTTP)
+        stream = self._process.connector.respond(request, WireProtocol.HTTP)
         caller = f"the caller from {where[0]}"
         try:
             peer = stream.do_handshake()
             caller = peer.name
-            self._process.links.admit(stream, peer, stream.shutdown)
+            self._process.connections.admit(stream, peer, stream.shutdown)
             self._serve(server, stream, peer)
         except ChannelClosed:
             pass
         except (HintedError, TimeoutError) as error:
             self._process.reporter.warn(f"refused {caller}", error)
         finally:
-            self._process.links.forget(stream)
+            self._process.connections.forget(stream)
             stream.close()
 
     def _serve(self, server: Any, stream: Stream, peer: Identity) -> None:
-        """The master's connection stays; another node asks where a topic is, and goes."""
-        http, shown = HttpServer(), PresentedGrants()
+        """Serve one connection: the master's without a deadline, another node's with one."""
+        http, presented = HttpServer(), PresentedGrants()
         end = None if peer.name == MASTER else time.monotonic() + slave_api.DEADLINE
         try:
             while not http.closing:
                 body = _next_request(http, stream, end)
                 stream.settimeout(REQUEST_DEADLINE)
-                stream.sendall(http.respond(self._answer(server, body, peer, shown)))
+                stream.sendall(http.respond(self._answer(server, body, peer, presented)))
         except HttpRefused as error:
             with suppress(ChannelError, OSError):
                 stream.sendall(http.refuse(error.status))
 
     def _answer_plain(self, request: socket.socket, address: str) -> None:
-        """A plain caller may ask where a topic is that `allow_plain` names, and nothing else."""
+        """A plain caller may request a topic that `allow_plain` names, and nothing else."""
         stream, http = PlainStream(request), HttpServer()
         with suppress(HintedError, OSError):
             call = load_call(_next_request(http, stream, time.monotonic() + REQUEST_DEADLINE))
             match call.method, call.params:
                 case "requestTopic", (_, str() as topic, list() as protocols) if (
-                    self._process.may_be_plain(topic, address)
+                    self._process.allows_plain(topic, address)
                 ):
                     start_tcpros_server()
                     answer = topic_offer(protocols, *get_tcpros_server_address())
@@ -100,26 +100,28 @@ class XmlRpcServer:
                     answer = [-1, REFUSAL, 0]
             stream.sendall(http.respond(dump_response(answer)))
 
-    def _answer(self, server: Any, body: bytes, peer: Identity, shown: "PresentedGrants") -> bytes:
+    def _answer(
+        self, server: Any, body: bytes, peer: Identity, presented: PresentedGrants
+    ) -> bytes:
         try:
             call = load_call(body)
-            return dump_response(self._value(server, call.method, call.params, peer, shown))
+            return dump_response(self._value(server, call.method, call.params, peer, presented))
         except XmlRpcRefused as error:
             return dump_response(Fault(_FAULT_CODE, str(error)))
 
     def _value(
-        self, server: Any, method: str, params: Params, peer: Identity, shown: "PresentedGrants"
+        self, server: Any, method: str, params: Params, peer: Identity, presented: PresentedGrants
     ) -> object:
         try:
             self._check(method, peer)
             match method, params:
                 case "rossec.presentGrants", (_, bytes() as grants):
-                    shown.grants = grants
+                    presented.grants = grants
                     return [1, "", 0]
                 case _:
                     pass
-            entitled = self._is_entitled(method, peer, shown)
-            refused = refusal(method, params, peer, entitled=entitled)
+            authorized = self._is_authorized(method, peer, presented)
+            refused = refusal(method, params, peer, authorized=authorized)
             if refused is not None:
                 self._process.reporter.warn(f"refused {peer.name}: {method}: {refused[1]}")
                 return refused
@@ -127,28 +129,30 @@ class XmlRpcServer:
         except HintedError as error:
             self._process.reporter.warn(f"refused {peer.name}: {method}", error)
             return [-1, f"rossec: {error}", 0]
-        except Exception:  # noqa: BLE001 - nothing of our inside to a peer
-            _log.exception("a call failed inside")
+        except Exception:  # noqa: BLE001 - no internals to a peer
+            _log.exception("a call failed")
             return Fault(_FAULT_CODE, "rossec: internal error")
 
     def _check(self, method: str, peer: Identity) -> None:
-        """Ask at every call: a peer, also the master, may be revoked while it is connected."""
+        """Checked at every call: a peer, also the master, may be revoked while connected."""
         try:
-            self._process.member.access.check_peer(peer, now())
+            self._process.local_identity.access.check_peer(peer, now())
         except RevocationsStale:
-            if method != REVOCATION_UPDATE:  # what ends the staleness must get through
+            if method != REVOCATION_UPDATE:  # the call that ends it must pass
                 raise
 
-    def _is_entitled(self, method: str, peer: Identity, shown: "PresentedGrants") -> bool:
-        """Whether grants that `peer` has shown on this connection entitle it to the question.
+    def _is_authorized(self, method: str, peer: Identity, presented: PresentedGrants) -> bool:
+        """Whether grants that `peer` has presented on this connection authorize it for the call.
 
         Raises:
-            HintedError: those it has shown do not.
+            HintedError: those it has presented do not.
         """
-        if shown.grants is None or method not in SLAVE_CALLS or peer.name == MASTER:
+        if presented.grants is None or method not in SLAVE_CALLS or peer.name == MASTER:
             return False
-        member = self._process.member
-        check_slave_call(method, peer, member.name, shown.grants, member.access, now())
+        local_identity = self._process.local_identity
+        check_slave_call(
+            method, peer, local_identity.name, presented.grants, local_identity.access, now()
+        )
         return True
 
     def _run(self, server: Any, method: str, params: Params, peer: Identity) -> object:
@@ -159,8 +163,8 @@ class XmlRpcServer:
             start_tcpros_server()
             return topic_offer(params[2], *get_tcpros_server_address())
         if method == "publisherUpdate":
-            self._process.registrations.publishers_are(params[1], params[2])
-        return list(server._dispatch(method, params))  # noqa: SLF001 - stock's own handler
+            self._process.registrations.set_publishers(params[1], params[2])
+        return list(server._dispatch(method, params))  # noqa: SLF001 - stock's handler
 
 
 def _next_request(http: HttpServer, stream: Stream | PlainStream, end: float | None) -> bytes:
@@ -177,7 +181,7 @@ def receive_some(stream: Stream | PlainStream, end: float | None) -> bytes:
     """What arrives next, until `end` at the latest.
 
     Raises:
-        ChannelClosed, TimeoutError: nothing does.
+        ChannelClosed, TimeoutError: nothing arrives.
     """
     stream.settimeout(None if end is None else max(0.001, end - time.monotonic()))
     data = stream.recv(_READ)

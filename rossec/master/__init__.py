@@ -1,1 +1,1 @@
-"""The ROS master, reached only through the channel: every call bound to an identity."""
+"""The ROS master, reached only through the channel: every call is bound to an identity."""

@@ -1,28 +1,28 @@
-"""What the parts of one node share: who it is, what it may do, and how it reaches others."""
+"""What the parts of one node share: its name, its rights, and its connections to others."""
 
 import contextlib
 import logging
-from collections.abc import Awaitable, Callable, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 from ca.revocation.state import Revocations
-from grants.memory import Recall
+from grants.memory import MemoryScope
 from rossec.errors import AnswerRefused
 from rossec.participant.access import Access
 from rossec.participant.dialer import Dialer
+from rossec.participant.grant_renewal import MasterCall
 
-Call = Callable[..., Awaitable[object]]
 _log = logging.getLogger("rossec.node")
 
 
 @dataclass(frozen=True)
 class NodeContext:
-    """One running node.
+    """The context of one running node.
 
     Attributes:
         call: calls the master.
         filter_key: finds a key for pseudonyms by its name.
-        recall: finds what a limited right has used up.
+        memory_scope: finds what a limited right has used up.
         uri: its API URI, as registered.
         rosrpc: the URI of its services, as registered.
     """
@@ -30,16 +30,16 @@ class NodeContext:
     name: str
     access: Access
     revocations: Revocations
-    call: Call
+    call: MasterCall
     dialer: Dialer
     filter_key: Callable[[str], bytes]
-    recall: Recall
+    memory_scope: MemoryScope
     uri: Callable[[], str]
     rosrpc: Callable[[], str]
 
     @contextlib.contextmanager
     def restoring(self, what: str) -> Iterator[None]:
-        """Register `what` again; one right that is gone must not cost the node all the others."""
+        """Register `what` again; a refusal of one registration must not prevent the others."""
         try:
             yield
         except AnswerRefused as error:

@@ -1,7 +1,7 @@
 """The two ports of a node: its slave API, and TCPROS for its topics and services.
 
-A shell. Every connection is authenticated before it arrives here. What a refused peer hears is the
-refusal of its own grants; it says nothing of what this node publishes or provides.
+Every connection is authenticated before it is handled here. A refused peer receives the error about
+its own grants, which reveals nothing of what this node publishes or provides.
 """
 
 import asyncio
@@ -25,8 +25,8 @@ from rossec.net.rpc.client import serve_calls
 from rossec.node.publisher import Publisher
 from rossec.node.services import Services
 from rossec.participant import slave_api
-from rossec.participant.accepted import AcceptedConnections
 from rossec.participant.access import Access
+from rossec.participant.connections import AcceptedConnections
 from rossec.participant.own_addresses import OwnAddresses
 from rossec.participant.slave_api import MASTER, REVOCATION_UPDATE, SlaveApi
 from rossec.participant.slave_rights import SLAVE_CALLS, check_slave_call
@@ -59,7 +59,7 @@ class Listener:
         *,
         suites: tuple[int, ...] = PRODUCTION,
         known: KnownCertificates | None = None,
-        own: OwnAddresses | None = None,
+        own_addresses: OwnAddresses | None = None,
     ) -> None:
         self._name = name
         self._credentials = credentials
@@ -70,9 +70,9 @@ class Listener:
         self._slave = slave
         self._suites = suites
         self._known = known
-        self._own = OwnAddresses() if own is None else own
+        self._own_addresses = OwnAddresses() if own_addresses is None else own_addresses
         self._servers: list[SecureServer[Identity]] = []
-        self._guests = AcceptedConnections()
+        self._accepted = AcceptedConnections()
         self._half_open = HalfOpenCount(HalfOpen())  # both ports share this process
 
     @property
@@ -86,14 +86,14 @@ class Listener:
         return self._servers[1].port
 
     async def start(self, address: str) -> None:
-        """Listen: on loopback alone when `address`, where others are told to come, is loopback."""
+        """Listen; on loopback only when `address`, which the node registers, is loopback."""
         bind = address if is_loopback(address) else None
         for handler, flavour in (
             (self._serve_slave, WireProtocol.HTTP),
             (self._serve_tcpros, WireProtocol.TCPROS),
         ):
             server = serve(
-                self._guests.bounded(handler),
+                self._accepted.bounded(handler),
                 bind,
                 0,
                 self._credentials,
@@ -102,55 +102,55 @@ class Listener:
                 limits=ACCEPTED[flavour],
                 suites=self._suites,
                 known=self._known,
-                own_dials=self._own.dials,
+                own_dials=self._own_addresses.dials,
                 half_open=self._half_open,
             )
             self._servers.append(server)
-            self._own.listens(address, server.port)
+            self._own_addresses.add_ports(address, server.port)
 
-    def cut(self, revoked: frozenset[bytes]) -> None:
-        """Cut every connection of a revoked key, whatever it is used for."""
-        self._guests.cut(revoked)
+    def abort_revoked(self, revoked: frozenset[bytes]) -> None:
+        """Close every connection of a revoked key, for whatever purpose it was accepted."""
+        self._accepted.abort_revoked(revoked)
 
     async def close(self) -> None:
-        """Stop listening and cut what was accepted."""
+        """Stop listening and close the accepted connections."""
         for server in self._servers:
             await server.close()
 
     async def _serve_slave(self, stream: SecureStream[Identity]) -> None:
-        """The master's connection stays; another node asks where a topic is, and goes."""
+        """Serve calls: without a time limit for the master, within `DEADLINE` for other peers."""
         limit = None if stream.peer.name == MASTER else slave_api.DEADLINE
-        shown: list[bytes] = []
+        presented: list[bytes] = []
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(limit):
-                await serve_calls(stream, partial(self._call, shown))
+                await serve_calls(stream, partial(self._call, presented))
 
     async def _call(
-        self, shown: list[bytes], method: str, params: tuple[object, ...], peer: Identity
+        self, presented: list[bytes], method: str, params: tuple[object, ...], peer: Identity
     ) -> object:
-        """Ask at every call: a peer, also the master, may be revoked while it is connected.
+        """Check the peer at every call: it may be revoked while connected, the master too.
 
-        `shown` holds the grants the peer has shown on this connection.
+        `presented` holds the grants the peer has presented on this connection.
         """
         now = clock.now()
-        entitled = False
+        authorized = False
         try:
             self._access.check_peer(peer, now)
             match method, params:
                 case "rossec.presentGrants", (_, bytes() as grants):
-                    shown[:] = [grants]
+                    presented[:] = [grants]
                     return [1, "", 0]
                 case _:
                     pass
-            if shown and method in SLAVE_CALLS and peer.name != MASTER:
-                check_slave_call(method, peer, self._name, shown[0], self._access, now)
-                entitled = True
+            if presented and method in SLAVE_CALLS and peer.name != MASTER:
+                check_slave_call(method, peer, self._name, presented[0], self._access, now)
+                authorized = True
         except RevocationsStale as error:
-            if method != REVOCATION_UPDATE:  # what ends the staleness must get through
+            if method != REVOCATION_UPDATE:  # the update that ends the staleness must be accepted
                 return _refused(peer, error)
         except HintedError as error:
             return _refused(peer, error)
-        return await self._slave(method, params, peer, entitled=entitled)
+        return await self._slave(method, params, peer, authorized=authorized)
 
     async def _serve_tcpros(self, stream: SecureStream[Identity]) -> None:
         try:
@@ -201,10 +201,10 @@ def _refused(peer: Identity, error: HintedError) -> list[object]:
 
 
 async def first_frame(stream: SecureStream[Identity]) -> bytes:
-    """The connection header, which a peer sends first and alone.
+    """The connection header, which must arrive before anything else.
 
     Raises:
-        ConnectionHeaderRefused: more follows before the answer.
+        ConnectionHeaderRefused: more data arrives before the answer.
     """
     reader = header.FrameReader(header.HEADER_LIMIT)
     while not (frames := reader.feed(await stream.receive())):

@@ -1,8 +1,8 @@
-"""A topic this node publishes: who is connected, and what each of them may see of a message.
+"""A topic this node publishes: its subscribers, and what each may receive of a message.
 
-A shell around the guards: a message is serialized once, treated once per distinct treatment, and
+A shell around the guards: a message is serialized once, filtered once per distinct filter, and
 queued per subscriber; a full queue drops its oldest message, as rospy's does. A subscriber whose
-guard cannot judge a message does not get it.
+guard cannot evaluate a message does not receive it.
 """
 
 import asyncio
@@ -17,7 +17,7 @@ from grants.decision import Decision
 from grants.errors import GrantError
 from grants.filters.layout import Layout
 from grants.guard import Guard, needed_keys
-from grants.memory import Recall
+from grants.memory import MemoryScope
 from rossec import clock
 from rossec.errors import NodeShutdown, RossecError
 from rossec.net import withheld_log
@@ -37,7 +37,7 @@ _log = logging.getLogger("rossec.node")
 
 
 class SubscriberConnection:
-    """One admitted subscriber: its stream, its guard, and the messages waiting for it."""
+    """One admitted subscriber: its stream, its guard, and its queue of messages."""
 
     def __init__(
         self,
@@ -56,8 +56,8 @@ class SubscriberConnection:
         self._queue_size = queue_size
         self._wake = asyncio.Event()
 
-    def offer(self, pieces: Pieces) -> None:
-        """Queue one treated message; the oldest gives way when the queue is full."""
+    def enqueue(self, pieces: Pieces) -> None:
+        """Queue one filtered message; the oldest is dropped when the queue is full."""
         if len(self._queue) >= self._queue_size:
             self._queue.popleft()
             self.dropped += 1
@@ -65,7 +65,7 @@ class SubscriberConnection:
         self._wake.set()
 
     async def run(self) -> None:
-        """Send what is queued until the stream ends (it raises then)."""
+        """Send queued messages until the stream ends, which raises."""
         async with asyncio.TaskGroup() as group:
             group.create_task(self._until_closed())
             while True:
@@ -98,7 +98,7 @@ class Publisher:
         endpoint: TopicEndpoint,
         layout: Layout,
         filter_key: Callable[[str], bytes],
-        recall: Recall,
+        memory_scope: MemoryScope,
         *,
         latch: bool,
         queue_size: int = QUEUE_SIZE,
@@ -109,7 +109,7 @@ class Publisher:
         self.links: set[SubscriberConnection] = set()
         self._layout = layout
         self._filter_key = filter_key
-        self._recall = recall
+        self._memory_scope = memory_scope
         self._queue_size = queue_size
         self._latch: Latch[memoryview] = Latch()
         self._closed = False
@@ -136,7 +136,7 @@ class Publisher:
     def publish_bytes(self, data: bytes | memoryview) -> None:
         """Send a message that is serialized already (without its length prefix).
 
-        What is judged is what is sent: a buffer that could still change is copied first.
+        A buffer that could still change is copied, so that the bytes checked are the bytes sent.
         """
         self._publish(memoryview(data if isinstance(data, bytes) else bytes(data)))
 
@@ -150,19 +150,19 @@ class Publisher:
         sample = Sample(view)
         if self.latch:
             self._latch.newest = sample
-        treated: dict[Hashable, Pieces | None] = {}
+        filtered: dict[Hashable, Pieces | None] = {}
         now = clock.now()
-        for link in tuple(self.links):
-            if link.ends <= now:  # its timer is about to cut it
+        for connection in tuple(self.links):
+            if connection.ends <= now:  # the watchdog is about to close it
                 continue
-            key = link.guard.key
-            if key not in treated:
-                treated[key] = self._treat(link, sample, now)
-            pieces = treated[key]
+            key = connection.guard.key
+            if key not in filtered:
+                filtered[key] = self._filter(connection, sample, now)
+            pieces = filtered[key]
             if pieces is None:
-                link.withheld += 1
+                connection.withheld += 1
             else:
-                link.offer(pieces)
+                connection.enqueue(pieces)
 
     async def wait_for_subscribers(self, count: int = 1) -> None:
         """Return as soon as at least `count` subscribers are connected."""
@@ -171,51 +171,53 @@ class Publisher:
             await self._changed.wait()
 
     def guard(self, decision: Decision) -> Guard:
-        """What `decision` means for the messages of this topic.
+        """The guard that applies `decision` to the messages of this topic.
 
         Raises:
-            GrantError: its restrictions were written for another message type.
+            GrantError: its restrictions are for another message type.
             ConfigurationError: a key for pseudonyms cannot be read.
         """
         keys = {name: self._filter_key(name) for name in needed_keys(decision.restrictions)}
-        return Guard(self._layout, decision, keys, self._recall)
+        return Guard(self._layout, decision, keys, self._memory_scope)
 
     async def serve(
         self, stream: SecureStream[Identity], decision: Decision, guard: Guard, answer: bytes
     ) -> None:
-        """Answer one admitted subscriber and feed it until its stream ends.
+        """Answer one admitted subscriber and send it messages until its stream ends.
 
-        The link is known before the answer is sent: a revocation that arrives meanwhile finds it.
+        It is registered before the answer is sent: a revocation received meanwhile closes it.
         """
-        link = SubscriberConnection(stream, decision, guard, self._queue_size)
-        self.links.add(link)
+        connection = SubscriberConnection(stream, decision, guard, self._queue_size)
+        self.links.add(connection)
         self._changed.set()
         try:
             await stream.send(answer)
-            self._send_latched(link)
-            await link.run()
+            self._send_latched(connection)
+            await connection.run()
         except* RossecError as group:
             _log.info("%s: %s left: %s", self.topic, stream.peer.name, group.exceptions[0])
         finally:
-            self.links.discard(link)
+            self.links.discard(connection)
             self._changed.set()
 
-    def _send_latched(self, link: SubscriberConnection) -> None:
+    def _send_latched(self, connection: SubscriberConnection) -> None:
         now = clock.now()
-        for sample in self._latch.shown(link.guard):
-            pieces = self._treat(link, sample, now)
+        for sample in self._latch.candidates(connection.guard):
+            pieces = self._filter(connection, sample, now)
             if pieces is not None:
-                link.offer(pieces)
+                connection.enqueue(pieces)
                 break
 
-    def _treat(
-        self, link: SubscriberConnection, sample: Sample[memoryview], now: int
+    def _filter(
+        self, connection: SubscriberConnection, sample: Sample[memoryview], now: int
     ) -> Pieces | None:
         try:
-            pieces = link.guard.treat(sample.data, now, sample.mark)
+            pieces = connection.guard.apply(sample.data, now, sample.mark)
         except GrantError as error:
-            withheld_log.warn(_log, withheld_log.SENT, self.topic, link.stream.peer.name, error)
+            withheld_log.warn(
+                _log, withheld_log.SENT, self.topic, connection.stream.peer.name, error
+            )
             return None
         if self.latch and pieces is not None:
-            self._latch.passed(link.guard, sample)
+            self._latch.record(connection.guard, sample)
         return pieces

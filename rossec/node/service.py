@@ -1,8 +1,8 @@
-"""A service this node provides: who is connected, and what each of them may ask and hear.
+"""A service this node provides: its callers, and what each of them may send and receive.
 
-A shell around `serviceguard`. Every request is judged anew: a connection may be hours old. Requests
-of one connection are answered one after the other; a caller that sends faster is not read. What a
-handler raises stays here, except `ServiceFailed`, which is meant for the caller.
+Every request is checked again, as a connection may be hours old. The requests of one connection are
+answered one after the other; a caller that sends faster is not read from. Exceptions of a handler
+are not sent to the caller, except `ServiceFailed`.
 """
 
 import asyncio
@@ -61,11 +61,11 @@ class CallerConnection:
         self._frames = wire.request_reader()
 
     async def request(self, *, wait: bool) -> bytes:
-        """The next request; `wait` as long as it takes for it to begin.
+        """The next request; `wait` without a time limit for it to begin.
 
         Raises:
-            FrameRefused: it is too long, or did not come in time.
-            ChannelError: the connection is at its end.
+            FrameRefused: it is too long, or did not arrive in time.
+            ChannelError: the connection was closed.
         """
         content = self._frames.feed_one(await self.stream.receive()) if wait else None
         try:
@@ -73,7 +73,7 @@ class CallerConnection:
                 while content is None:
                     content = self._frames.feed_one(await self.stream.receive())
         except TimeoutError:
-            raise FrameRefused("a request that did not come in time") from None
+            raise FrameRefused("a request that did not arrive in time") from None
         return content
 
 
@@ -82,7 +82,7 @@ class Service:
 
     Args:
         handler: takes a request, returns the response: a message, a mapping of its fields, or
-            None if it has none; it may be a coroutine function. A plain function holds up the
+            None if it has none; it may be a coroutine function. A plain function blocks the
             whole node while it runs.
         concurrency: how many calls are handled at a time, half of them of one caller; more wait.
         deadline: seconds a call may take, waiting included.
@@ -93,7 +93,7 @@ class Service:
         name: str,
         kind: ServiceType,
         handler: Handler,
-        standing: NodeContext,
+        context: NodeContext,
         on_close: Callable[["Service"], Awaitable[None]],
         *,
         concurrency: int = CONCURRENCY,
@@ -102,22 +102,22 @@ class Service:
         if concurrency < 1 or deadline <= 0:
             raise ConfigurationError(
                 f"{name}: concurrency {concurrency}, deadline {deadline:g} s",
-                "give both above zero",
+                "both must be above zero",
             )
         self.name = name
         self.kind = kind
         self.links: set[CallerConnection] = set()
         self._handler = handler
-        self._standing = standing
+        self._context = context
         self._on_close = on_close
-        self._turns = asyncio.Semaphore(concurrency)
+        self._slots = asyncio.Semaphore(concurrency)
         self._share = max(1, concurrency // 2)
         self._shares: WeakValueDictionary[bytes, asyncio.Semaphore] = WeakValueDictionary()
         self._deadline = deadline
 
     @property
     def expected(self) -> ExpectedService:
-        """Type and checksum, as headers name them."""
+        """Type and md5sum, as in connection headers."""
         return ExpectedService(self.kind.name, self.kind.md5sum)
 
     def create(self, **fields: object) -> Message:
@@ -125,14 +125,16 @@ class Service:
         return self.kind.response.create(**fields)
 
     async def close(self) -> None:
-        """Unregister and cut every caller."""
-        for link in tuple(self.links):
-            link.stream.abort("the service is closed")
+        """Unregister and close the connection of every caller."""
+        for connection in tuple(self.links):
+            connection.stream.abort("the service is closed")
         await self._on_close(self)
 
     def guard(self, decision: Decision) -> ServiceGuard:
-        """What `decision` means for the messages of this service; raises as `ServiceGuard`."""
-        return ServiceGuard(self.kind, decision, self._standing.filter_key, self._standing.recall)
+        """The guard that applies `decision` to the messages; raises as `ServiceGuard`."""
+        return ServiceGuard(
+            self.kind, decision, self._context.filter_key, self._context.memory_scope
+        )
 
     async def serve(
         self,
@@ -145,59 +147,63 @@ class Service:
     ) -> None:
         """Answer one admitted caller: its header, then its calls, until its stream ends.
 
-        The link is known before the answer is sent: a revocation that arrives meanwhile finds it.
+        It is registered before the answer is sent: a revocation received meanwhile closes it.
         """
-        link = CallerConnection(stream, decision, guard, self._share_of(stream.peer))
-        self.links.add(link)
+        connection = CallerConnection(stream, decision, guard, self._share_of(stream.peer))
+        self.links.add(connection)
         try:
             await stream.send(answer)
-            await self._answer(link, await link.request(wait=persistent))
+            await self._answer(connection, await connection.request(wait=persistent))
             while persistent:
-                await self._answer(link, await link.request(wait=True))
+                await self._answer(connection, await connection.request(wait=True))
         except RossecError as error:
             _log.info("%s: %s left: %s", self.name, stream.peer.name, error)
         finally:
-            self.links.discard(link)
+            self.links.discard(connection)
 
     def _share_of(self, caller: Identity) -> asyncio.Semaphore:
-        """Of all turns one caller takes half at most, over however many connections."""
+        """The calls of one caller at a time: at most half, on however many connections."""
         share = self._shares.get(caller.thumbprint)
         if share is None:
             share = self._shares[caller.thumbprint] = asyncio.Semaphore(self._share)
         return share
 
-    async def _answer(self, link: CallerConnection, request: bytes) -> None:
-        reason = termination_reason(link, self._standing.revocations, clock.now())
+    async def _answer(self, connection: CallerConnection, request: bytes) -> None:
+        reason = termination_reason(connection, self._context.revocations, clock.now())
         if reason is not None:
-            link.stream.abort(reason)
+            connection.stream.abort(reason)
             raise ChannelClosed(reason)
-        await link.stream.send(*await self._respond(link, request))
+        await connection.stream.send(*await self._respond(connection, request))
 
-    async def _respond(self, link: CallerConnection, request: bytes) -> Pieces:
-        """The response, or why there is none, as bytes."""
+    async def _respond(self, connection: CallerConnection, request: bytes) -> Pieces:
+        """The response, or the error response, as bytes."""
         try:
-            async with asyncio.timeout(self._deadline), link.share, self._turns:
-                allowed = b"".join(link.guard.request(request, clock.now()))
-                data = await self._handle(self._opened(allowed))
-                return wire.success(link.guard.response(data, clock.now()))
+            async with asyncio.timeout(self._deadline), connection.share, self._slots:
+                allowed = b"".join(connection.guard.request(request, clock.now()))
+                data = await self._handle(self._parse(allowed))
+                return wire.success(connection.guard.response(data, clock.now()))
         except ServiceFailed as error:
             return wire.failure(str(error))
         except (ServiceRefused, GrantError) as error:
-            withheld_log.warn(_log, withheld_log.REFUSED, self.name, link.stream.peer.name, error)
+            withheld_log.warn(
+                _log, withheld_log.REFUSED, self.name, connection.stream.peer.name, error
+            )
             return wire.failure(f"rossec: {error}")
         except TimeoutError:
             took = f"a call took more than {self._deadline:g} s"
-            withheld_log.warn(_log, withheld_log.REFUSED, self.name, link.stream.peer.name, took)
+            withheld_log.warn(
+                _log, withheld_log.REFUSED, self.name, connection.stream.peer.name, took
+            )
             return wire.failure("the service took too long")
 
-    def _opened(self, request: bytes) -> Message:
+    def _parse(self, request: bytes) -> Message:
         try:
             return self.kind.request.deserialize(request)
         except MessageError as error:
             raise ServiceRefused(f"not one {self.kind.request.name}") from error
 
     async def _handle(self, request: Message) -> memoryview:
-        """The serialized response; whatever else the handler raises tells about our inside."""
+        """The serialized response; the caller is sent no exception but `ServiceFailed`."""
         try:
             result = self._handler(request)
             if inspect.isawaitable(result):
@@ -217,7 +223,7 @@ class Service:
             return empty
         if type(result) is not type(empty):
             raise MessageError(
-                f"the handler of {self.name} returned no {self.kind.response.name}",
+                f"the handler of {self.name} did not return a {self.kind.response.name}",
                 "return service.create(...), or a mapping of its fields",
             )
         return result

@@ -1,9 +1,9 @@
-"""Calls of a service: a connection for each, or one that is kept.
+"""Calls of a service: a connection for each call, or a persistent one.
 
-A shell. The master says where the provider is, nothing more. Who it is comes from the channel,
-whether it may provide from the grant it shows, and what it is told and believed from
-`serviceguard`. A connection that failed half-way through a call is never used again: a late
-response must not be taken for the next one's.
+The master provides the address of the provider only. Its identity comes from the channel, its right
+to provide from the grant it presents; `service_guard` filters what is sent and received. A
+connection that failed during a call is not used again: a late response must not be taken for that
+of the next call.
 """
 
 import asyncio
@@ -59,8 +59,8 @@ class ProviderConnection:
         """The response to one request.
 
         Raises:
-            ServiceFailed: the provider says why there is none.
-            RossecError: the connection is at its end, or broke the protocol.
+            ServiceFailed: the provider answered with an error.
+            RossecError: the connection was closed, or the peer violated the protocol.
         """
         await self.stream.send(*wire.framed(request))
         while (content := self._frames.feed_one(await self.stream.receive())) is None:
@@ -68,7 +68,7 @@ class ProviderConnection:
         return wire.open_response(content)
 
 
-async def introduce(
+async def exchange_headers(
     stream: SecureStream[Identity],
     caller: str,
     service: str,
@@ -78,10 +78,10 @@ async def introduce(
     persistent: bool = False,
     probe: bool = False,
 ) -> tuple[Fields, Decision]:
-    """Exchange headers with a provider: what it said, and what its grants decide.
+    """Exchange headers with a provider; returns its header, and the decision on its grants.
 
     Raises:
-        HintedError: it refuses, or is not entitled.
+        HintedError: it refuses, or lacks the right.
     """
     fields = client_header(
         caller, service, kind, access, clock.now(), persistent=persistent, probe=probe
@@ -95,16 +95,16 @@ async def introduce(
 
 
 async def probe(dial: Dial, caller: str, service: str, access: Access) -> tuple[Fields, Identity]:
-    """Ask the provider of `service` for its header alone; returns it and who answered.
+    """Request the header of the provider of `service`; returns it and the provider's identity.
 
     Raises:
-        HintedError: there is none, it refuses, or is not entitled.
+        HintedError: there is none, it refuses, or lacks the right.
         TimeoutError: it does not answer.
     """
     async with asyncio.timeout(HANDSHAKE_DEADLINE):
         stream = await dial(service)
         try:
-            answer, _ = await introduce(stream, caller, service, ANY, access, probe=True)
+            answer, _ = await exchange_headers(stream, caller, service, ANY, access, probe=True)
         finally:
             stream.abort("only a probe")
     return answer, stream.peer
@@ -114,7 +114,7 @@ class ServiceClient:
     """Calls one service: `response = await client(data=True)`. Made by `Node.client`.
 
     Args:
-        persistent: keep the connection between calls; calls then take turns.
+        persistent: keep the connection between calls, which then run one at a time.
         deadline: seconds a call may take, connecting included.
     """
 
@@ -122,7 +122,7 @@ class ServiceClient:
         self,
         service: str,
         kind: ServiceType,
-        standing: NodeContext,
+        context: NodeContext,
         dial: Dial,
         on_close: Callable[["ServiceClient"], None],
         *,
@@ -130,18 +130,18 @@ class ServiceClient:
         deadline: float = CALL_DEADLINE,
     ) -> None:
         if deadline <= 0:
-            raise ConfigurationError(f"a deadline of {deadline:g} seconds", "give one above zero")
+            raise ConfigurationError(f"a deadline of {deadline:g} seconds", "it must be above zero")
         self.service = service
         self.kind = kind
         self.links: set[ProviderConnection] = set()
-        self._standing = standing
+        self._context = context
         self._dial = dial
         self._on_close = on_close
         self._persistent = persistent
         self._deadline = deadline
-        self._kept: ProviderConnection | None = None
+        self._cached: ProviderConnection | None = None
         self._turn = asyncio.Lock()
-        self._owned = TaskSet()
+        self._task_set = TaskSet()
         self._closed = False
 
     def create(self, **fields: object) -> Message:
@@ -153,8 +153,8 @@ class ServiceClient:
 
         Raises:
             ServiceUnavailable: no node provides the service.
-            ServiceFailed: the provider says why it could not, or it took too long.
-            HintedError: one side is not entitled, or the connection failed.
+            ServiceFailed: the provider answered with an error, or too late.
+            HintedError: one side lacks the right, or the connection failed.
         """
         if request is None:
             request = self.create(**fields)
@@ -165,23 +165,23 @@ class ServiceClient:
         """Call with a serialized request (without its length); returns the serialized response.
 
         Raises:
-            as calling does.
+            HintedError: as `__call__`.
         """
         if self._closed:
             raise ChannelClosed(f"the client of {self.service} is closed")
         try:
-            async with asyncio.timeout(self._deadline), self._link() as link:
-                return await self._exchange(link, request)
+            async with asyncio.timeout(self._deadline), self._connection() as connection:
+                return await self._exchange(connection, request)
         except TimeoutError:
             raise ServiceFailed(f"{self.service} did not answer in time") from None
 
     async def close(self) -> None:
-        """Drop the connections; calls under way fail. Safe to call twice."""
+        """Close the connections; calls in progress fail. Safe to call twice."""
         self._closed = True
-        for link in tuple(self.links):
-            link.stream.abort("the client is closed")
+        for connection in tuple(self.links):
+            connection.stream.abort("the client is closed")
         self.links.clear()
-        await self._owned.close()
+        await self._task_set.close()
         self._on_close(self)
 
     async def __aenter__(self) -> Self:
@@ -196,74 +196,74 @@ class ServiceClient:
         await self.close()
 
     @contextlib.asynccontextmanager
-    async def _link(self) -> AsyncIterator[ProviderConnection]:
-        """The kept connection, for one call at a time, or one for this call."""
+    async def _connection(self) -> AsyncIterator[ProviderConnection]:
+        """The persistent connection, for one call at a time, or one for this call."""
         if not self._persistent:
-            link = await self._connect()
+            connection = await self._connect()
             try:
-                yield link
+                yield connection
             finally:
-                link.stream.abort("the call is over")
+                connection.stream.abort("the call is over")
             return
         async with self._turn:
-            if self._kept is None:
-                self._kept = await self._connect()
-            yield self._kept
+            if self._cached is None:
+                self._cached = await self._connect()
+            yield self._cached
 
-    async def _exchange(self, link: ProviderConnection, request: bytes | memoryview) -> bytes:
+    async def _exchange(self, connection: ProviderConnection, request: bytes | memoryview) -> bytes:
         now = clock.now()
-        reason = termination_reason(link, self._standing.revocations, now)
+        reason = termination_reason(connection, self._context.revocations, now)
         if reason is not None:
-            link.stream.abort(reason)
+            connection.stream.abort(reason)
             raise ChannelClosed(reason)
-        allowed = link.guard.request(request, now)
+        allowed = connection.guard.request(request, now)
         complete = False
         try:
-            response = await link.call(allowed)
+            response = await connection.call(allowed)
             complete = True
         except ServiceFailed:
             complete = True
             raise
         finally:
             if not complete:
-                self._give_up(link)
-        return b"".join(link.guard.response(response, clock.now()))
+                self._discard(connection)
+        return b"".join(connection.guard.response(response, clock.now()))
 
     async def _connect(self) -> ProviderConnection:
         stream = await self._dial(self.service)
         try:
             async with asyncio.timeout(HANDSHAKE_DEADLINE):
-                link = await self._introduce(stream)
+                connection = await self._handshake(stream)
         except BaseException:
             stream.abort("the connection header was refused")
             raise
-        self.links.add(link)
-        self._owned.spawn(self._forget(link), f"{self.service}: connection")
-        return link
+        self.links.add(connection)
+        self._task_set.spawn(self._discard_when_ended(connection), f"{self.service}: connection")
+        return connection
 
-    async def _introduce(self, stream: SecureStream[Identity]) -> ProviderConnection:
+    async def _handshake(self, stream: SecureStream[Identity]) -> ProviderConnection:
         kind = ExpectedService(self.kind.name, self.kind.md5sum)
-        answer, decision = await introduce(
+        answer, decision = await exchange_headers(
             stream,
-            self._standing.name,
+            self._context.name,
             self.service,
             kind,
-            self._standing.access,
+            self._context.access,
             persistent=self._persistent,
         )
         check_md5(answer, self.service, kind.md5sum)
-        stream.welcome(unit_limit(self.kind.response_layout.root.size, MESSAGE_LIMIT))
-        own = self._standing
-        guard = ServiceGuard(self.kind, decision, own.filter_key, own.recall)
+        stream.raise_unit_limit(unit_limit(self.kind.response_layout.root.size, MESSAGE_LIMIT))
+        context = self._context
+        guard = ServiceGuard(self.kind, decision, context.filter_key, context.memory_scope)
         return ProviderConnection(stream, decision, guard)
 
-    async def _forget(self, link: ProviderConnection) -> None:
-        """A connection that has ended, whoever ended it, is not used for the next call."""
-        await link.stream.wait_ended()
-        self._give_up(link)
+    async def _discard_when_ended(self, connection: ProviderConnection) -> None:
+        """Discard a connection when it ends, so that the next call does not use it."""
+        await connection.stream.wait_ended()
+        self._discard(connection)
 
-    def _give_up(self, link: ProviderConnection) -> None:
-        link.stream.abort("the call failed half-way")
-        self.links.discard(link)
-        if self._kept is link:
-            self._kept = None
+    def _discard(self, connection: ProviderConnection) -> None:
+        connection.stream.abort("the call failed before its end")
+        self.links.discard(connection)
+        if self._cached is connection:
+            self._cached = None

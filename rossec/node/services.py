@@ -1,7 +1,7 @@
-"""The services of one node: those it provides, those it calls, and what the master knows of them.
+"""The services of one node: those it provides, those it calls, and their registrations.
 
-A shell. Authorization precedes any look at what this node provides: a caller or a probe without the
-right learns nothing (attack N6).
+A caller is authorized before this node looks up the service: a caller or a probe without the right
+learns nothing (attack N6).
 """
 
 import asyncio
@@ -39,15 +39,17 @@ from rossec.participant.service_types import ServiceType
 from rossec.ros import header
 from rossec.ros.service import REQUEST_LIMIT
 
-_LOOK: Final = 0.3  # seconds between looks for a service, as in rospy
-_ABSENT: Final = "no provider"  # what the master says, as stock; a refusal begins with "rossec: "
+_POLL_PERIOD: Final = 0.3  # seconds between probes of a service, as in rospy
+_ABSENT: Final = (
+    "no provider"  # the status of the master, as stock; a refusal begins with "rossec: "
+)
 
 
 class Services:
-    """The desk every call of a service goes through, in either direction."""
+    """The provided services by name, and the clients."""
 
-    def __init__(self, standing: NodeContext) -> None:
-        self._standing = standing
+    def __init__(self, context: NodeContext) -> None:
+        self._context = context
         self._provided: dict[str, Service] = {}
         self._clients: set[ServiceClient] = set()
 
@@ -68,7 +70,7 @@ class Services:
         if name in self._provided:
             raise ConfigurationError(f"{name} is provided by this node already")
         service = Service(
-            name, kind, handler, self._standing, self._withdraw,
+            name, kind, handler, self._context, self._unregister,
             concurrency=concurrency, deadline=deadline,
         )  # fmt: skip
         self._provided[name] = service
@@ -89,7 +91,7 @@ class Services:
     ) -> ServiceClient:
         """A client of the service `name`; nothing is connected yet."""
         client = ServiceClient(
-            name, kind, self._standing, self.dial, self._clients.discard,
+            name, kind, self._context, self.dial, self._clients.discard,
             persistent=persistent, deadline=deadline,
         )  # fmt: skip
         self._clients.add(client)
@@ -104,34 +106,34 @@ class Services:
         """
         try:
             async with asyncio.timeout(within):
-                await self._found(name)
+                await self._wait_for_probe(name)
         except TimeoutError:
             raise ServiceUnavailable(
                 f"no node provided {name} within {within:g} s", "is its provider running?"
             ) from None
 
-    async def _found(self, name: str) -> None:
+    async def _wait_for_probe(self, name: str) -> None:
         while True:
             with contextlib.suppress(ServiceUnavailable, ChannelError, OSError, TimeoutError):
                 await self.probe(name)
                 return
-            await asyncio.sleep(_LOOK)
+            await asyncio.sleep(_POLL_PERIOD)
 
     async def probe(self, name: str) -> tuple[Fields, Identity]:
-        """The header of the provider of `name`, and who it is; raises as `client.probe`."""
-        return await probe(self.dial, self._standing.name, name, self._standing.access)
+        """The header and identity of the provider of `name`; raises as `service_client.probe`."""
+        return await probe(self.dial, self._context.name, name, self._context.access)
 
     async def known(self) -> dict[str, list[str]]:
-        """Services this node may see, and who provides each.
+        """Services this node may see, each with its providers.
 
         Raises:
-            RossecError: the master is out of reach, or answers nonsense.
+            RossecError: the master is out of reach, or sends a malformed answer.
         """
-        match await self._standing.call("getSystemState"):
+        match await self._context.call("getSystemState"):
             case [_, _, [*services]]:
                 return dict(_provided(item) for item in services)
             case _:
-                raise AnswerMalformed("a system state that is none")
+                raise AnswerMalformed("an invalid system state")
 
     async def lookup(self, name: str) -> str:
         """The rosrpc URI of the provider of `name`.
@@ -141,7 +143,7 @@ class Services:
             RossecError: the master refuses, or is out of reach.
         """
         try:
-            uri = await self._standing.call("lookupService", name)
+            uri = await self._context.call("lookupService", name)
         except AnswerRefused as error:
             if str(error) != _ABSENT:
                 raise
@@ -152,7 +154,7 @@ class Services:
 
     async def dial(self, name: str) -> SecureStream[Identity]:
         """Connect to the provider of `name`; raises as `lookup` and `Dialer.service`."""
-        return await self._standing.dialer.service(await self.lookup(name))
+        return await self._context.dialer.service(await self.lookup(name))
 
     def admit(
         self, fields: Mapping[str, bytes], stream: SecureStream[Identity]
@@ -160,24 +162,26 @@ class Services:
         """Decide on a caller from its header; returns what serves it.
 
         Raises:
-            HintedError: why not.
+            HintedError: the caller is refused.
         """
-        own, now = self._standing, clock.now()
-        decision = admit_caller(fields, stream.peer, own.access, now)
+        context, now = self._context, clock.now()
+        decision = admit_caller(fields, stream.peer, context.access, now)
         name = requested_service(fields)
         service = self._provided.get(name)
         if service is None:
-            raise ConnectionHeaderRefused(f"{own.name} does not provide {name}")
+            raise ConnectionHeaderRefused(f"{context.name} does not provide {name}")
         check_md5(fields, name, service.kind.md5sum)
-        answer = header.encode(server_header(own.name, name, service.expected, own.access, now))
+        answer = header.encode(
+            server_header(context.name, name, service.expected, context.access, now)
+        )
         if is_set(fields, "probe"):
             return partial(stream.send, answer)
         guard = service.guard(decision)
-        stream.welcome(unit_limit(service.kind.request_layout.root.size, REQUEST_LIMIT))
+        stream.raise_unit_limit(unit_limit(service.kind.request_layout.root.size, REQUEST_LIMIT))
         persistent = is_set(fields, "persistent")
         return partial(service.serve, stream, decision, guard, answer, persistent=persistent)
 
-    def links(self) -> Iterator[AuthorizedConnection]:
+    def connections(self) -> Iterator[AuthorizedConnection]:
         """Every live connection of a service."""
         for service in self._provided.values():
             yield from service.links
@@ -185,29 +189,27 @@ class Services:
             yield from client.links
 
     async def restore(self) -> None:
-        """Register everything again: the master was restarted, or a grant is new."""
+        """Register everything again: the master was restarted, or there is a new grant."""
         for service in tuple(self._provided.values()):
-            with self._standing.restoring(service.name):
+            with self._context.restoring(service.name):
                 await self._register(service)
 
     async def close(self) -> None:
-        """Drop every client and every caller; unregister."""
+        """Close every client and every service; unregister."""
         for client in tuple(self._clients):
             await client.close()
         for service in tuple(self._provided.values()):
             await service.close()
 
     async def _register(self, service: Service) -> None:
-        own = self._standing
-        await own.call("registerService", service.name, own.rosrpc(), own.uri())
+        context = self._context
+        await context.call("registerService", service.name, context.rosrpc(), context.uri())
 
-    async def _withdraw(self, service: Service) -> None:
+    async def _unregister(self, service: Service) -> None:
         if self._provided.get(service.name) is service:
             del self._provided[service.name]
             with contextlib.suppress(HintedError, OSError, TimeoutError):
-                await self._standing.call(
-                    "unregisterService", service.name, self._standing.rosrpc()
-                )
+                await self._context.call("unregisterService", service.name, self._context.rosrpc())
 
 
 def _provided(item: object) -> tuple[str, list[str]]:
@@ -215,4 +217,4 @@ def _provided(item: object) -> tuple[str, list[str]]:
         case [str() as name, [*nodes]]:
             return name, [node for node in nodes if isinstance(node, str)]
         case _:
-            raise AnswerMalformed("a system state that is none")
+            raise AnswerMalformed("an invalid system state")

@@ -1,7 +1,4 @@
-"""The topics of one node: its publishers and subscribers, and their standing with the master.
-
-A shell.
-"""
+"""The topics of one node: its publishers and subscribers, and their registrations."""
 
 import contextlib
 import logging
@@ -10,7 +7,7 @@ from itertools import count
 
 from ca.errors import HintedError
 from grants.filters import layout
-from grants.memory import Recall
+from grants.memory import MemoryScope
 from rossec import clock
 from rossec.errors import ConfigurationError
 from rossec.node.context import NodeContext
@@ -26,11 +23,11 @@ _log = logging.getLogger("rossec.node")
 class Topics:
     """Publishers by topic, and any number of subscribers."""
 
-    def __init__(self, standing: NodeContext) -> None:
-        self._standing = standing
+    def __init__(self, context: NodeContext) -> None:
+        self._context = context
         self._publishers: dict[str, Publisher] = {}
         self._subscribers: dict[str, list[Subscriber]] = {}
-        self._named = PublisherGrace(clock.counter())
+        self._grace = PublisherGrace(clock.counter())
 
     @property
     def publishers(self) -> Mapping[str, Publisher]:
@@ -51,9 +48,14 @@ class Topics:
         if endpoint.topic in self._publishers:
             raise ConfigurationError(f"{endpoint.topic} is published by this node already")
         shape = layout.parse(endpoint.type.name, endpoint.type.definition)
-        own = self._standing
+        context = self._context
         publisher = Publisher(
-            endpoint, shape, own.filter_key, own.recall, latch=latch, queue_size=queue_size
+            endpoint,
+            shape,
+            context.filter_key,
+            context.memory_scope,
+            latch=latch,
+            queue_size=queue_size,
         )
         self._publishers[endpoint.topic] = publisher
         try:
@@ -69,19 +71,19 @@ class Topics:
         Raises:
             RossecError: the master refuses.
         """
-        own = self._standing
-        beside = self._subscribers.setdefault(endpoint.topic, [])
+        context = self._context
+        existing = self._subscribers.setdefault(endpoint.topic, [])
         subscriber = Subscriber(
-            own.name,
+            context.name,
             endpoint,
-            own.access,
-            own.dialer.topic,
+            context.access,
+            context.dialer.topic,
             self._forget,
-            own.filter_key,
-            _free(own.recall, beside),
+            context.filter_key,
+            _unused_memory_scope(context.memory_scope, existing),
             queue_size=queue_size,
         )
-        beside.append(subscriber)
+        existing.append(subscriber)
         try:
             await self._register_subscriber(subscriber)
         except BaseException:
@@ -90,29 +92,29 @@ class Topics:
         return subscriber
 
     def describe(self) -> dict[str, object]:
-        """What the slave API says of topics: each with its type."""
+        """The topics with their types, for the slave API."""
         publications = [[item.topic, item.endpoint.type.name] for item in self.publishers.values()]
         subscriptions = [[item.topic, item.endpoint.type.name] for item in self.subscribers]
         return {"getSubscriptions": subscriptions, "getPublications": publications}
 
     def publishers_changed(self, topic: str, uris: list[str]) -> None:
         """Follow the master's list of publishers."""
-        self._follow(topic, self._named.are(topic, uris))
+        self._follow(topic, self._grace.update(topic, uris))
 
     def session_opened(self) -> None:
-        """The master may have been started again, and name fewer publishers than there are."""
-        self._named.session_opened()
+        """The master may have been restarted, and its publisher lists be incomplete."""
+        self._grace.session_opened()
 
-    def look(self) -> None:
-        """Let go of publishers that the master did not name again in time."""
-        for topic in self._named.overdue():
-            self._follow(topic, self._named.to_follow(topic))
+    def drop_expired_publishers(self) -> None:
+        """Drop publishers that the master did not list again within the grace period."""
+        for topic in self._grace.expired_topics():
+            self._follow(topic, self._grace.to_follow(topic))
 
     def _follow(self, topic: str, uris: list[str]) -> None:
         for subscriber in self._subscribers.get(topic, []):
             subscriber.update(uris)
 
-    def links(self) -> Iterator[AuthorizedConnection]:
+    def connections(self) -> Iterator[AuthorizedConnection]:
         """Every live connection of a topic."""
         for publisher in self._publishers.values():
             yield from publisher.links
@@ -120,61 +122,63 @@ class Topics:
             yield from subscriber.links
 
     async def restore(self) -> None:
-        """Register everything again: the master was restarted, or a grant is new."""
+        """Register everything again: the master was restarted, or there is a new grant."""
         for publisher in tuple(self._publishers.values()):
-            with self._standing.restoring(publisher.topic):
+            with self._context.restoring(publisher.topic):
                 await self._register_publisher(publisher)
         for subscriber in self.subscribers:
-            with self._standing.restoring(subscriber.topic):
+            with self._context.restoring(subscriber.topic):
                 await self._register_subscriber(subscriber)
 
     async def close_subscribers(self) -> None:
-        """Drop every connection to a publisher."""
+        """Close every connection to a publisher."""
         for subscriber in self.subscribers:
             await subscriber.close()
 
     async def unregister(self) -> None:
-        """Tell the master that this node publishes no more."""
+        """Unregister the publishers."""
         try:
             for topic in self._publishers:
-                await self._standing.call("unregisterPublisher", topic, self._standing.uri())
+                await self._context.call("unregisterPublisher", topic, self._context.uri())
         except (HintedError, OSError, TimeoutError) as error:
-            _log.info("%s: left without unregistering: %s", self._standing.name, error)
+            _log.info("%s: closed without unregistering: %s", self._context.name, error)
 
     async def _register_publisher(self, publisher: Publisher) -> None:
         endpoint = publisher.endpoint
-        await self._standing.call(
-            "registerPublisher", endpoint.topic, endpoint.type.name, self._standing.uri()
+        await self._context.call(
+            "registerPublisher", endpoint.topic, endpoint.type.name, self._context.uri()
         )
 
     async def _register_subscriber(self, subscriber: Subscriber) -> None:
-        endpoint, own = subscriber.endpoint, self._standing.uri()
+        endpoint, uri = subscriber.endpoint, self._context.uri()
         before = subscriber.updates
-        uris = await self._standing.call(
-            "registerSubscriber", endpoint.topic, endpoint.type.name, own
+        uris = await self._context.call(
+            "registerSubscriber", endpoint.topic, endpoint.type.name, uri
         )
-        if isinstance(uris, list) and subscriber.updates == before:  # a push may have been faster
+        if (
+            isinstance(uris, list) and subscriber.updates == before
+        ):  # an update may have arrived first
             named = [uri for uri in uris if isinstance(uri, str)]
-            subscriber.update(self._named.are(subscriber.topic, named))
+            subscriber.update(self._grace.update(subscriber.topic, named))
 
     async def _forget(self, subscriber: Subscriber) -> None:
-        """A subscriber was closed; the last one of its topic unregisters."""
+        """Remove a closed subscriber; the last one of its topic unregisters."""
         others = self._subscribers.get(subscriber.topic, [])
         if subscriber in others:
             others.remove(subscriber)
         if not others and self._subscribers.pop(subscriber.topic, None) is not None:
-            self._named.forget(subscriber.topic)
+            self._grace.forget(subscriber.topic)
             with contextlib.suppress(HintedError, OSError):
-                await self._standing.call(
-                    "unregisterSubscriber", subscriber.topic, self._standing.uri()
+                await self._context.call(
+                    "unregisterSubscriber", subscriber.topic, self._context.uri()
                 )
 
 
-def _free(recall: Recall, beside: Sequence[Subscriber]) -> Recall:
-    """Where a further subscriber of a topic remembers: apart from those that live.
+def _unused_memory_scope(memory_scope: MemoryScope, existing: Sequence[Subscriber]) -> MemoryScope:
+    """The memory of another subscriber of a topic, separate from those of the open ones.
 
-    Each of them gets every message. The next one goes on where one that was closed has stopped.
+    Each of them receives every message. A new one continues with the memory of a closed one.
     """
-    taken = {subscriber.recall for subscriber in beside}
-    places = (recall.apart(str(number)) for number in count())
-    return next(place for place in places if place not in taken)
+    used = {subscriber.memory_scope for subscriber in existing}
+    scopes = (memory_scope.child(str(number)) for number in count())
+    return next(scope for scope in scopes if scope not in used)

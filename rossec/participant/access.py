@@ -1,7 +1,7 @@
-"""What this node can prove, and what it lets others do: the one place where a peer is authorized.
+"""The grants a node holds, and the authorization of its peers, which happens here only.
 
-Pure: grants, revocations and `now` in; a `Decision` or a refusal out. Least disclosure: of the
-grants this node holds, a peer is shown only those that cover what is being asked of it.
+Pure: grants, revocations and `now` in; a `Decision` or an error out. Least disclosure: of the
+grants this node holds, a peer receives only those that cover the request.
 """
 
 from collections import OrderedDict
@@ -26,7 +26,7 @@ from grants.token import Verifier
 FIELD: Final = "rossec_grants"
 NO_LIST: Final = (
     "the master has no revocation list yet",
-    "at the authority: rossec ca refresh, then rossec ca publish; until then nobody is trusted",
+    "at the authority: rossec ca refresh, then rossec ca publish; until then no peer is trusted",
 )
 MAX_PRESENTED: Final = 40 * 1024  # a header field holds 48 KiB
 MAX_GRANTS: Final = 16
@@ -38,10 +38,10 @@ class HeldGrant:
     """A grant this node holds.
 
     Args:
-        grant: what it says; `expires` as renewed.
-        original: as the authority signed it.
-        token: as it is presented.
-        since: when it was last renewed, or begins.
+        grant: its content; `expires` as renewed.
+        original: the bytes the authority signed.
+        token: the bytes to present.
+        since: when it was last renewed, or becomes valid.
     """
 
     grant: Grant
@@ -51,7 +51,7 @@ class HeldGrant:
 
 
 class Access:
-    """The grants a node holds and the judgement it passes on those of its peers."""
+    """Holds the grants of a node and checks those of its peers."""
 
     def __init__(
         self, anchor: TrustAnchor, revocations: Revocations, held: Iterable[bytes] = ()
@@ -59,7 +59,7 @@ class Access:
         self._anchor = anchor
         self._revocations = revocations
         self._held: dict[bytes, HeldGrant] = {}
-        self._opened: OrderedDict[bytes, Grant] = OrderedDict()
+        self._verified: OrderedDict[bytes, Grant] = OrderedDict()
         self._delegate: ec.EllipticCurvePublicKey | None = None
         for data in held:
             self.hold(data)
@@ -70,29 +70,29 @@ class Access:
         self._held.setdefault(grant.id, HeldGrant(grant, data, data, grant.not_before))
 
     def hold_renewed(self, token: bytes, now: int) -> None:
-        """Take a grant this node holds as the master has renewed it.
+        """Replace a grant this node holds with the token the master renewed.
 
         Raises:
-            GrantError: it does not hold, or is none of this node's.
+            GrantError: it is invalid, or this node does not hold the grant.
         """
         grant = self._verifier().open(token, now)
         known = self._held.get(grant.id)
         if known is None:
-            raise GrantMissing(f"grant {grant.short_id} is renewed, but was never held here")
+            raise GrantMissing(f"the renewed grant {grant.short_id} is not held by this node")
         self._held[grant.id] = HeldGrant(grant, known.original, token, now)
 
-    def holdings(self) -> list[HeldGrant]:
-        """All grants this node holds, expired ones too, but none that is known to be revoked."""
+    def held_grants(self) -> list[HeldGrant]:
+        """All grants this node holds, expired ones too, except those known to be revoked."""
         revoked = self._revocations.entries
         return [held for held in self._held.values() if held.grant.id not in revoked]
 
     @property
     def epoch(self) -> int:
-        """The epoch of the list held: tickets of an earlier one know numbers this one has not."""
-        held = self._revocations.held
+        """The epoch of the revocation list held; 0 without one."""
+        held = self._revocations.current
         return 0 if held is None else held.epoch
 
-    def take_news(
+    def update_revocations(
         self,
         revocations: bytes,
         timestamp: bytes,
@@ -100,57 +100,57 @@ class Access:
         now: int,
         persist: Callable[[bytes], None],
     ) -> None:
-        """Take over a newer list (empty: the one held is the newest) and its confirmation.
+        """Take over a newer list (empty: the one held is the newest) and its timestamp.
 
-        A list that holds counts, whatever is wrong with the rest.
+        A valid list is kept even when the timestamp is not accepted.
 
         Raises:
-            RevocationsStale: the master gives the list and does not confirm it.
-            CAError: one of the statements is refused, missing, or the master's key is revoked.
+            RevocationsStale: the master sends the list without a timestamp.
+            CAError: the list or timestamp is refused or missing, or the master's key is revoked.
         """
-        if not timestamp and not revocations and self._revocations.held is None:
+        if not timestamp and not revocations and self._revocations.current is None:
             raise CAError(*NO_LIST)
         if revocations:
             self._revocations.update(revocations, now, persist)
         if revocations and not timestamp:
-            self._revocations.doubt()
+            self._revocations.expire_confirmation()
             raise RevocationsStale(
-                "the master tells this node what is revoked, and nothing more",
+                "the master sends this node the revocation list without a timestamp",
                 "its identity, or the intermediate above it, is revoked: enroll the node anew",
             )
-        with suppress(RevocationsStale):  # which it may end; a revoked key may not
+        with suppress(RevocationsStale):  # the timestamp may end it; that of a revoked key may not
             self.check_peer(master, now)
         self._revocations.confirm(open_timestamp(timestamp, master.public_key), now)
         self.check_peer(master, now)
         self._delegate = master.public_key
 
     def current(self, now: int) -> list[bytes]:
-        """The grants that hold now and are not known to be revoked, the longest-lived first."""
+        """The grants that are valid now and not known to be revoked, the latest expiry first."""
         return [held.token for held in self._current(now)]
 
     def present(self, right: Right, name: str, now: int) -> bytes:
         """Header field that proves `right` on `name`: the array of the grants that cover it.
 
-        A peer takes a bounded number; the ones that end last are shown.
+        A peer accepts a limited number; those that expire last are sent.
         """
-        covering = [held.token for held in self._current(now) if _concerns(held.grant, right, name)]
+        covering = [held.token for held in self._current(now) if _covers(held.grant, right, name)]
         return encode(list[Value](covering[:MAX_GRANTS]))
 
     def holds(self, right: Right, name: str, now: int) -> bool:
         """Whether a grant this node holds covers `right` on `name` now."""
-        return any(_concerns(held.grant, right, name) for held in self._current(now))
+        return any(_covers(held.grant, right, name) for held in self._current(now))
 
     def _current(self, now: int) -> list[HeldGrant]:
         usable = [
-            held for held in self.holdings() if held.grant.not_before <= now < held.grant.expires
+            held for held in self.held_grants() if held.grant.not_before <= now < held.grant.expires
         ]
         return sorted(usable, key=lambda held: held.grant.expires, reverse=True)
 
     def check_peer(self, peer: Identity, now: int) -> None:
-        """Raise a `CAError` when the identity of `peer` is revoked, or that is not known.
+        """Raise a `CAError` when the identity of `peer` is revoked, or this is not known.
 
-        All its keys are asked about: that the first one is stale must not hide that its
-        intermediate is revoked.
+        All its keys are checked: stale data on the first must not hide that its intermediate is
+        revoked.
         """
         stale: RevocationsStale | None = None
         for key in peer.keys:
@@ -164,10 +164,10 @@ class Access:
     def authorize(
         self, peer: Identity, presented: bytes | None, right: Right, name: str, now: int
     ) -> Decision:
-        """Decide whether `peer`, showing `presented`, may use `right` on `name` now.
+        """Decide whether `peer`, which presents `presented`, may use `right` on `name` now.
 
         Raises:
-            GrantError: the leaf that says what is missing or wrong.
+            GrantError: the subclass for what is missing or wrong.
             CAError: the peer or one of its grants is revoked, or revocations are stale.
         """
         self.check_peer(peer, now)
@@ -176,42 +176,42 @@ class Access:
                 f"{peer.name} shows no grant to {right.label} {name}",
                 (f"sign one: rossec grant sign {peer.name} --{right.label} {name}",),
             )
-        grants, refusals = self._open_all(_unpack(presented), now)
+        grants, refusals = self._verify_all(_unpack(presented), now)
         try:
             return authorize(
                 grants, right, name, holder=peer.thumbprint, now=now, check=self._revocations.check
             )
         except GrantMissing:
-            if refusals:  # an expired or forged one says more than "none"
+            if refusals:  # "expired" or "forged" says more than "missing"
                 raise refusals[0] from None
             raise
 
-    def _open_all(self, presented: list[bytes], now: int) -> tuple[list[Grant], list[GrantError]]:
-        """One grant that is refused does not spoil the others: it just does not count."""
+    def _verify_all(self, presented: list[bytes], now: int) -> tuple[list[Grant], list[GrantError]]:
+        """The valid grants, and the errors of the others: one that is refused is left out."""
         grants: list[Grant] = []
         refusals: list[GrantError] = []
         for data in presented:
             try:
-                grants.append(self._open(data, now))
+                grants.append(self._verify(data, now))
             except GrantError as error:
                 refusals.append(error)
         return grants, refusals
 
-    def _open(self, data: bytes, now: int) -> Grant:
+    def _verify(self, data: bytes, now: int) -> Grant:
         """Verify a grant once; the signature of one seen before is not checked again."""
         digest = sha256(data).digest()
-        known = self._opened.get(digest)
+        known = self._verified.get(digest)
         if known is not None and known.not_before <= now < known.expires:
-            self._opened.move_to_end(digest)
+            self._verified.move_to_end(digest)
             return known
         grant = self._verifier().open(data, now)
-        self._opened[digest] = grant
-        if len(self._opened) > _CACHE_SIZE:
-            self._opened.popitem(last=False)
+        self._verified[digest] = grant
+        if len(self._verified) > _CACHE_SIZE:
+            self._verified.popitem(last=False)
         return grant
 
     def _verifier(self) -> Verifier:
-        held = self._revocations.held
+        held = self._revocations.current
         return Verifier(
             self._anchor.public_key,
             self._anchor.domain,
@@ -230,9 +230,9 @@ def _unpack(presented: bytes) -> list[bytes]:
         raise GrantMalformed(f"expected a list of at most {MAX_GRANTS} grants")
     grants = [item for item in value if isinstance(item, bytes)]
     if len(grants) != len(value):
-        raise GrantMalformed("a list of grants that holds something else")
+        raise GrantMalformed("the list of grants has an item that is not bytes")
     return grants
 
 
-def _concerns(grant: Grant, right: Right, name: str) -> bool:
+def _covers(grant: Grant, right: Right, name: str) -> bool:
     return any(permission.covers(right, name) for permission in grant.permissions)

@@ -1,8 +1,8 @@
-"""A call to the master that is made under another name than the node's own. Pure.
+"""A call to the master with another caller_id than the node's own name. Pure.
 
-Tools, and programs before they have their name, give names that no certificate covers; the master
-hears the node's own. What is relative in such a call must go on meaning what it meant to who asked,
-or it would silently be about another key.
+Tools, and programs before `init_node`, use names that no certificate covers; the master receives
+the node's own. A relative name in such a call is resolved for the original caller, or it would
+silently mean another key.
 """
 
 from collections.abc import Iterator
@@ -12,29 +12,29 @@ from ca.names import MAX_NAME
 from rossec.ros import names
 
 SEARCH: Final = "searchParam"
-RELATIVE: Final = {
+RELATIVE_NAME: Final = {
     "registerPublisher": 1, "registerSubscriber": 1, "registerService": 1,
     "unregisterPublisher": 1, "unregisterSubscriber": 1, "unregisterService": 1,
     "lookupNode": 1, "lookupService": 1, "getPublishedTopics": 1,
     "subscribeParam": 2, "unsubscribeParam": 2,
     "getParam": 1, "setParam": 1, "deleteParam": 1, "hasParam": 1,
 }  # fmt: skip
-"""Which parameter of a call, the caller_id counted as 0, is a name that is relative to it."""
+"""Index of the parameter that is a name relative to the caller; the caller_id is 0."""
 
 Params = tuple[object, ...]
 
 
-def as_meant(method: str, params: Params, asker: str) -> Params:
-    """`params` with the name in them as `asker` means it; an empty one has a meaning of its own."""
-    index = RELATIVE.get(method, len(params))
+def resolve_params(method: str, params: Params, caller: str) -> Params:
+    """`params` with the name in them resolved for `caller`; an empty name stays as it is."""
+    index = RELATIVE_NAME.get(method, len(params))
     name = params[index] if index < len(params) else None
     if not isinstance(name, str) or not name:
         return params
-    return (*params[:index], names.resolve(name, asker), *params[index + 1 :])
+    return (*params[:index], names.resolve(name, caller), *params[index + 1 :])
 
 
-def searched(method: str, params: Params) -> str | None:
-    """The key that is searched from the asker's namespace, if that is what a call does."""
+def searched_key(method: str, params: Params) -> str | None:
+    """The key that `searchParam` looks for from the caller's namespace; None for other calls."""
     match method, params:
         case "searchParam", (_, str() as key) if key and key[0] not in "/~":
             return key
@@ -42,13 +42,13 @@ def searched(method: str, params: Params) -> str | None:
             return None
 
 
-def places(asker: str, key: str) -> Iterator[tuple[str, str]]:
-    """Where stock looks for `key`, innermost first: what must exist, and what is found then."""
-    return names.upwards(asker[:MAX_NAME], key)
+def search_places(caller: str, key: str) -> Iterator[tuple[str, str]]:
+    """Where stock looks for `key`, innermost first: names that must exist, with their results."""
+    return names.search_paths(caller[:MAX_NAME], key)
 
 
-def settled(answer: list[object], found: str) -> list[object] | None:
-    """What the answer to one place means for the search; None: look further out."""
+def search_result(answer: list[object], found: str) -> list[object] | None:
+    """The result of the search, from the answer for one name; None: go on with the next."""
     match answer:
         case [1, *_]:
             return [1, f"Found [{found}]", found]
@@ -58,6 +58,6 @@ def settled(answer: list[object], found: str) -> list[object] | None:
             return answer
 
 
-def nowhere(key: str) -> list[object]:
-    """The answer when there was no such place."""
+def not_found(key: str) -> list[object]:
+    """The answer when no name exists."""
     return [-1, f"Cannot find parameter [{key}] in an upwards search", ""]

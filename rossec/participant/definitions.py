@@ -1,10 +1,10 @@
-"""What a message type is said to be, and whose word a guard is built from. Pure.
+"""Message definitions, and which side's definition a guard is built from. Pure.
 
-ROS's md5 proves less than it seems: behind the name of a message type array brackets are not part
-of it (genmsg, `compute_md5_text`), so `Vector3[0] linear` has the md5 of `Vector3 linear`. Whoever
-may choose the text could move a guard's eyes to other bytes than the receiver reads. So a guard is
-built from the definition of the side that applies it: a receiver's own, or what its host knows of
-the type. What a restricted publisher says is taken only where the receiver's md5 proves it.
+ROS's md5 proves less than it seems: array brackets after the name of a message type are not part
+of it (genmsg, `compute_md5_text`), so `Vector3[0] linear` has the md5 of `Vector3 linear`. A peer
+that chooses the text could make a guard check other bytes than the receiver reads. So a guard is
+built from the definition of the side that applies it: the receiver's own, or the one installed on
+its host. A restricted publisher's definition is used only where the receiver's md5 proves it.
 """
 
 from collections.abc import Callable, Mapping
@@ -40,66 +40,68 @@ class Definition:
         """Where the fields of a message are in its bytes.
 
         Raises:
-            DefinitionRefused: the text is no definition.
-            ConnectionHeaderRefused: it is not the one of the md5sum.
+            DefinitionRefused: the text is not a definition.
+            ConnectionHeaderRefused: its md5sum is another one.
         """
         shape = layout.parse(self.name, self.definition)
         if shape.md5 != self.md5sum:
             raise ConnectionHeaderRefused(
                 f"the definition of {self.name} does not have the md5sum of the connection",
-                "the grant is restricted, and what is sent cannot be told",
+                "the grant is restricted, and the content of the messages cannot be checked",
             )
         return shape
 
 
 def size_of(kind: Definition) -> int | None:
-    """Bytes of every message of `kind`; None: they differ, or nothing is known of them."""
+    """Size of every message of `kind` in bytes; None: it varies, or is not known."""
     try:
         return kind.layout.root.size
     except (DefinitionRefused, ConnectionHeaderRefused):
         return None
 
 
-Known: TypeAlias = Callable[[str], Definition | None]
-"""What this host itself knows of the type with that name; None: nothing."""
+FindDefinition: TypeAlias = Callable[[str], Definition | None]
+"""Finds the definition installed on this host by type name; None: not installed."""
 
 
 def from_header(fields: Mapping[str, bytes]) -> Definition:
-    """What one side of a connection says in its header; the definition may be left out.
+    """The type one side of a connection claims in its header; the definition may be missing.
 
-    It is judged where it is needed: `Definition.layout` refuses what is not UTF-8.
+    It is checked where it is needed: `Definition.layout` refuses text that is not UTF-8.
 
     Raises:
-        ConnectionHeaderRefused: no type or md5sum, or not text.
+        ConnectionHeaderRefused: the type or md5sum is missing or is not text.
     """
     definition = fields.get("message_definition", b"").decode(errors="surrogateescape")
     return Definition(text(fields, "type"), text(fields, "md5sum"), definition)
 
 
-def looks_inside(decision: Decision) -> bool:
-    """Whether a restriction is for messages of one type; others need not know what they are."""
+def needs_definition(decision: Decision) -> bool:
+    """Whether a restriction is for one message type; others apply to messages of any type."""
     return any(restriction.type is not None for restriction in decision.restrictions)
 
 
-def as_received(own: Definition, said: Definition, decision: Decision, known: Known) -> Definition:
-    """By what a receiver reads the messages of a publisher with this right.
+def receiver_definition(
+    own: Definition, claimed: Definition, decision: Decision, known: FindDefinition
+) -> Definition:
+    """The definition by which a receiver reads the messages of a publisher with this right.
 
     Args:
-        own: what the receiver says of itself: `*` for any type, and roscpp sends no definition.
-        said: what the publisher says.
-        known: is asked about types which the grant names, and no others.
+        own: the receiver's type: `*` for any, and roscpp sends no definition.
+        claimed: the type the publisher claims.
+        known: called for types that the grant names, and no others.
 
     Raises:
-        ConnectionHeaderRefused, GrantError: that cannot be known, or the right is for another type.
+        ConnectionHeaderRefused, GrantError: it is not known, or the right is for another type.
     """
-    if own.definition or not looks_inside(decision):
-        return as_sent(own, decision, known)
-    name, md5sum = _either(own.name, said.name), _either(own.md5sum, said.md5sum)
+    if own.definition or not needs_definition(decision):
+        return sender_definition(own, decision, known)
+    name, md5sum = _either(own.name, claimed.name), _either(own.md5sum, claimed.md5sum)
     for restriction in decision.restrictions:
         check_type(name, restriction)
-    claimed = Definition(name, md5sum, said.definition)
-    if own.md5sum != ANY_TYPE and _is_proven(claimed):
-        return claimed
+    candidate = Definition(name, md5sum, claimed.definition)
+    if own.md5sum != ANY_TYPE and _is_proven(candidate):
+        return candidate
     trusted = known(name)
     if trusted is None or trusted.md5sum != md5sum:
         raise ConnectionHeaderRefused(
@@ -108,17 +110,17 @@ def as_received(own: Definition, said: Definition, decision: Decision, known: Kn
     return trusted
 
 
-def as_sent(own: Definition, decision: Decision, known: Known) -> Definition:
-    """By what a program sends, as it says itself.
+def sender_definition(own: Definition, decision: Decision, known: FindDefinition) -> Definition:
+    """The definition of the messages a program sends, as it claims.
 
-    It may repeat what its own publisher said, as `topic_tools relay` does: where this host knows
-    the type, both must mean the same.
+    It may repeat the claim of its own publisher, as `topic_tools relay` does: where the type is
+    installed on this host, both definitions must be the same.
 
     Raises:
-        ConnectionHeaderRefused, GrantError: they do not, the text is no definition, or of another
-        type.
+        ConnectionHeaderRefused, GrantError: they differ, or the text is not a definition or is of
+        another type.
     """
-    if not looks_inside(decision):
+    if not needs_definition(decision):
         return own
     for restriction in decision.restrictions:
         check_type(own.name, restriction)
@@ -137,12 +139,12 @@ def as_sent(own: Definition, decision: Decision, known: Known) -> Definition:
     )
 
 
-def told(kind: Definition, decision: Decision) -> Fields:
-    """What a subscriber is told in the publisher's place, where a guard reads its messages.
+def definition_fields(kind: Definition, decision: Decision) -> Fields:
+    """Header fields that replace the publisher's, where a guard depends on the definition.
 
-    Programs that take any type (rosbag, relays) read by the definition in the header.
+    Programs that accept any type (rosbag, relays) use the definition in the header.
     """
-    if not looks_inside(decision):
+    if not needs_definition(decision):
         return {}
     return {
         "type": kind.name.encode(),
@@ -151,18 +153,18 @@ def told(kind: Definition, decision: Decision) -> Fields:
     }
 
 
-def described(own: Definition, said: Definition) -> Definition:
-    """What a receiver reads, where no guard depends on it: what it says, or its md5sum proves."""
-    claimed = Definition(own.name, own.md5sum, said.definition)
-    return claimed if not own.definition and _is_proven(claimed) else own
+def reported_definition(own: Definition, claimed: Definition) -> Definition:
+    """The receiver's type where no guard depends on it: its own, or a claim its md5sum proves."""
+    candidate = Definition(own.name, own.md5sum, claimed.definition)
+    return candidate if not own.definition and _is_proven(candidate) else own
 
 
-def _is_proven(claimed: Definition) -> bool:
+def _is_proven(definition: Definition) -> bool:
     try:
-        return claimed.layout.is_proven
+        return definition.layout.is_proven
     except (DefinitionRefused, ConnectionHeaderRefused):
         return False
 
 
-def _either(own: str, said: str) -> str:
-    return said if own == ANY_TYPE else own
+def _either(own: str, claimed: str) -> str:
+    return claimed if own == ANY_TYPE else own

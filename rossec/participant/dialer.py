@@ -1,8 +1,8 @@
 """Connections a node makes: to its master, and to the nodes that publish what it subscribes to.
 
-A shell. Whoever answers is checked before anything is said: its certificate by the channel, its
-revocation here. A publisher that is merely not entitled is found out by its answer; until then it
-has seen the topic's name, which the master told it anyway, and the grant for that topic.
+A peer is checked before anything is sent: its certificate by the channel, its revocation here.
+That a publisher lacks the right shows in its answer only; by then it has received the topic's name,
+which the master has sent it as well, and the subscriber's grant for that topic.
 """
 
 from collections.abc import Callable
@@ -34,7 +34,7 @@ class Dialer:
         *,
         suites: tuple[int, ...] = PRODUCTION,
         known: KnownCertificates | None = None,
-        own: OwnAddresses | None = None,
+        own_addresses: OwnAddresses | None = None,
     ) -> None:
         self._name = name
         self._credentials = credentials
@@ -42,31 +42,31 @@ class Dialer:
         self._check_peer = check_peer
         self._suites = suites
         self._known = known
-        self._own = OwnAddresses() if own is None else own
+        self._own_addresses = OwnAddresses() if own_addresses is None else own_addresses
 
     async def rpc(self, host: str, port: int) -> SecureStream[Identity]:
-        """Connect to a master or slave API; the caller checks who it is."""
+        """Connect to a master or slave API; the caller checks the peer's identity."""
         return await self._connect(host, port, WireProtocol.HTTP)
 
     async def topic(self, uri: str, topic: str) -> SecureStream[Identity]:
-        """Ask the node at `uri` where its topics are, then connect there.
+        """Connect to the TCPROS port that the node at `uri` names in its answer to `requestTopic`.
 
         Raises:
             RossecError: out of reach, or no connection offered.
-            CAError: the node that answers is revoked, or that is not known.
+            CAError: the peer is revoked, or this is not known.
         """
         api = settings.parse_uri(uri, "a publisher's URI")
-        place = await self._request_topic(await self.rpc(*api), topic)
-        self._own.check_step(api, place)
-        stream = await self._connect(*place, WireProtocol.TCPROS)
-        self._judge(stream)
+        address = await self._request_topic(await self.rpc(*api), topic)
+        self._own_addresses.check_redirect(api, address)
+        stream = await self._connect(*address, WireProtocol.TCPROS)
+        self._check_identity(stream)
         return stream
 
     async def service(self, uri: str) -> SecureStream[Identity]:
         """Connect to the provider of a service, at its rosrpc URI; raises as `topic`."""
         host, port = settings.parse_uri(uri, "a service's URI", scheme="rosrpc")
         stream = await self._connect(host, port, WireProtocol.TCPROS)
-        self._judge(stream)
+        self._check_identity(stream)
         return stream
 
     async def _connect(self, host: str, port: int, opening: WireProtocol) -> SecureStream[Identity]:
@@ -79,11 +79,11 @@ class Dialer:
             limits=DIALLED[opening],
             suites=self._suites,
             known=self._known,
-            own_dials=self._own.dials_for((host, port)),
+            own_dials=self._own_addresses.own_dials_for((host, port)),
         )
 
     async def _request_topic(self, stream: SecureStream[Identity], topic: str) -> tuple[str, int]:
-        self._judge(stream)
+        self._check_identity(stream)
         try:
             answer = await RpcClient(stream).ask("requestTopic", self._name, topic, [["TCPROS"]])
         finally:
@@ -96,9 +96,9 @@ class Dialer:
                     f"{stream.peer.name} offers no connection for {topic}"
                 )
 
-    def _judge(self, stream: SecureStream[Identity]) -> None:
+    def _check_identity(self, stream: SecureStream[Identity]) -> None:
         try:
             self._check_peer(stream.peer, clock.now())
         except BaseException:
-            stream.abort("the peer's identity does not hold")
+            stream.abort("the peer's identity is revoked or cannot be checked")
             raise

@@ -1,6 +1,6 @@
-"""The grants in a node's directory: each is taken once, a bad one is told once.
+"""The grants in a node's directory: each is loaded once, an invalid one is logged once.
 
-A shell. Grants may arrive while the node runs; nothing here judges them, `access` does.
+Grants may arrive while the node runs; they are checked by `access`.
 """
 
 import logging
@@ -8,7 +8,7 @@ from pathlib import Path
 
 from ca.errors import HintedError
 from rossec.home import NodeHome
-from rossec.participant.access import Access
+from rossec.participant.access_interfaces import HeldGrants
 
 _log = logging.getLogger("rossec.node")
 
@@ -16,16 +16,16 @@ _log = logging.getLogger("rossec.node")
 class GrantDirectory:
     """Moves the grants of a directory into a node's `Access`."""
 
-    def __init__(self, home: NodeHome, access: Access) -> None:
+    def __init__(self, home: NodeHome, access: HeldGrants) -> None:
         self._home = home
         self._access = access
         self._seen: set[bytes] = set()
-        self._troubles: dict[Path, str] = {}
+        self._errors: dict[Path, str] = {}
 
     def take_new(self) -> list[bytes]:
-        """Hold the grants that were not there before; returns them."""
+        """Hold the grants that are new in the directory; returns them."""
         paths = self._home.grant_files()
-        self._troubles = {path: said for path, said in self._troubles.items() if path in paths}
+        self._errors = {path: text for path, text in self._errors.items() if path in paths}
         found = ((path, self._read(path)) for path in paths)
         return [data for path, data in found if data is not None and self._hold(path, data)]
 
@@ -33,25 +33,25 @@ class GrantDirectory:
         try:
             data = self._home.read_grant(path)
         except (OSError, HintedError) as error:
-            self._complain(path, f"cannot be read: {error}")
+            self._warn_once(path, f"cannot be read: {error}")
             return None
-        self._troubles.pop(path, None)
+        self._errors.pop(path, None)
         return data
 
     def _hold(self, path: Path, data: bytes) -> bool:
-        """Whether it is one, and new."""
+        """Whether it is a valid grant, and new."""
         if data in self._seen:
             return False
         self._seen.add(data)
         try:
             self._access.hold(data)
         except HintedError as error:
-            _log.warning("%s is no grant and counts for nothing: %s", path, error)
+            _log.warning("%s is not a valid grant and is ignored: %s", path, error)
             return False
         return True
 
-    def _complain(self, path: Path, trouble: str) -> None:
-        """Once for each cause."""
-        if self._troubles.get(path) != trouble:
-            self._troubles[path] = trouble
-            _log.warning("%s %s", path, trouble)
+    def _warn_once(self, path: Path, error: str) -> None:
+        """Log an error once for each cause."""
+        if self._errors.get(path) != error:
+            self._errors[path] = error
+            _log.warning("%s %s", path, error)

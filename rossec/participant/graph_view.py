@@ -1,7 +1,7 @@
-"""Following the graph of a master: what a watcher knows, from the answers it gets. Pure.
+"""The graph of a master as a watcher knows it from the answers of `rossec.watchGraph`. Pure.
 
-The thesis (4.2) has a watcher compare versions to notice a restarted master; here each answer names
-the run of the master that gave it, and a master that does not know the watcher tells everything.
+The thesis (4.2) has a watcher compare versions to notice a restarted master; here each answer has
+an instance id of the master, and a master that does not know the watcher sends the whole graph.
 """
 
 from typing import Final, NamedTuple
@@ -15,11 +15,11 @@ Fact = tuple[str, str, str]
 
 
 class ObservedChange(NamedTuple):
-    """What an answer said.
+    """The changes in one answer.
 
     Args:
-        restarted: another run of the master than before, or one that forgot this watcher.
-        more: ask again at once.
+        restarted: the master restarted, or no longer knows this watcher.
+        more: call again at once.
     """
 
     added: tuple[Fact, ...]
@@ -38,15 +38,15 @@ class GraphView:
         self._cursor = 0
 
     @property
-    def question(self) -> tuple[str, int]:
+    def next_params(self) -> tuple[str, int]:
         """The parameters of the next call."""
         return self.instance, self._cursor
 
     def take(self, answer: object) -> ObservedChange:
-        """Take over an answer; what has not changed though all was told anew is not reported.
+        """Take over an answer; facts that are sent again but have not changed are not reported.
 
         Raises:
-            AnswerMalformed: it is none.
+            AnswerMalformed: it is invalid.
         """
         match answer:
             case {
@@ -54,12 +54,12 @@ class GraphView:
                 "cursor": int() as cursor, "whole": bool() as whole, "more": bool() as more,
                 "added": list() as added, "removed": list() as removed,
             }:  # fmt: skip
-                told, gone = _facts(added), _facts(removed)
+                new, gone = _facts(added), _facts(removed)
             case _:
-                raise AnswerMalformed("news of the graph that cannot be read")
+                raise AnswerMalformed("a graph update that is malformed")
         base = frozenset() if whole else self.facts
         known = self.facts
-        self.facts = (base | told) - gone
+        self.facts = (base | new) - gone
         restarted = whole and self.instance != ""
         self.instance, self.version, self._cursor = instance, version, cursor
         return ObservedChange(
@@ -74,5 +74,5 @@ def _facts(rows: list[object]) -> frozenset[Fact]:
             case [str() as kind, str() as name, str() as value]:
                 found.add((kind, name, value))
             case _:
-                raise AnswerMalformed("news of the graph that cannot be read")
+                raise AnswerMalformed("a graph update that is malformed")
     return frozenset(found)

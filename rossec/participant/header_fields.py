@@ -9,11 +9,11 @@ Fields = dict[str, bytes]
 
 
 def check_caller(fields: Mapping[str, bytes], peer: Identity) -> None:
-    """Hold the name a peer gives itself against its certificate.
+    """Compare the `callerid` of a peer with its certificate.
 
     Raises:
-        CallerMismatch: it is another one.
-        ConnectionHeaderRefused: there is none.
+        CallerMismatch: its certificate does not cover it.
+        ConnectionHeaderRefused: the field is missing.
     """
     caller = text(fields, "callerid")
     if not peer.covers(caller):

@@ -1,32 +1,31 @@
-"""A node's identity, renewed by the node itself before it ends: a shell around `ca.renewal`.
+"""Renewal of a node's identity by the node itself, before it expires; `ca.renewal` has the rules.
 
-The key stays: grants are bound to it, and so there is one file to replace, which is done in one
-step. New connections show the new certificate at once; those that stand live as long as the
-certificate they began with. The same request is repeated until it is answered: the signer answers
-each once, always with the same certificate.
+The key stays, as grants are bound to it: there is one file to replace, which is done in one step.
+New connections use the new certificate at once; existing ones end with the certificate they began
+with. The same request is repeated until it is answered: the signer signs each request once, and
+always answers it with the same certificate.
 """
 
 import logging
-from collections.abc import Callable
 from typing import Final
 
 from ca.certificates import build_request
 from ca.errors import CAError, HintedError
-from ca.renewal import ask_again_in, renew_at, sign_renewal
+from ca.renewal import renew_at, retry_delay, sign_renewal
 from rossec.channel.edhoc.credentials import LiveCredentials
 from rossec.errors import AnswerMalformed, AnswerRefused
 from rossec.home import NodeHome
-from rossec.participant.grant_renewal import Call
+from rossec.participant.grant_renewal import MasterCall
 from rossec.ros.text import printable
 
 METHOD: Final = "rossec.renewIdentity"
-RETRY: Final = 600  # seconds at most after a refusal: most masters hold no intermediate
+RETRY: Final = 600  # seconds at most after a refusal: most masters have no intermediate
 
 _log = logging.getLogger("rossec.node")
 
 
 class IdentityRenewal:
-    """The renewals of one node; one lives as long as the node runs."""
+    """The renewals of one node, for as long as it runs."""
 
     def __init__(self, home: NodeHome, credentials: LiveCredentials, now: int) -> None:
         self._home = home
@@ -36,24 +35,24 @@ class IdentityRenewal:
         self._retry_at = 0
 
     def request(self, now: int) -> bytes | None:
-        """What to ask for now, if anything; not again within `RETRY`."""
+        """The request to send now, if the identity is due; not again within `RETRY`."""
         held = self._identity
         due = renew_at(held.not_before, held.not_after)
         if now < max(due, self._retry_at):
             return None
-        self._retry_at = now + ask_again_in(held.not_before, held.not_after, RETRY)
-        if self._was_renewed_by_hand(now):
+        self._retry_at = now + retry_delay(held.not_before, held.not_after, RETRY)
+        if self._was_replaced_on_disk(now):
             return None
         own = self._credentials.current
         self._csr = self._csr or build_request(own.signer, held.domain, held.name)
         return sign_renewal(own.signer, own.chain, self._csr, now)
 
-    def _was_renewed_by_hand(self, now: int) -> bool:
-        """Whether somebody has installed the successor meanwhile; it is shown from now on."""
+    def _was_replaced_on_disk(self, now: int) -> bool:
+        """Whether a newer certificate was installed meanwhile; if so, it is used from now on."""
         held = self._identity
         try:
             found = self._home.identity(now)
-        except (HintedError, OSError):  # the old one, expired; or something is being changed there
+        except (HintedError, OSError):  # it has expired, or the files are being changed
             return False
         if found.thumbprint != held.thumbprint or found.not_after <= held.not_after:
             return False
@@ -64,21 +63,21 @@ class IdentityRenewal:
         return True
 
     def take(self, bundle: object, now: int) -> None:
-        """Put a new identity on the disk, then show it to others.
+        """Write a new identity to the disk, then use it.
 
         Raises:
-            CAError, RossecError: it is none, or another node's; the old one stays.
+            CAError, RossecError: it is invalid, or another node's; the old one stays.
         """
         if not isinstance(bundle, bytes):
             raise AnswerMalformed("an identity that is not bytes")
         self._identity = self._home.install(bundle, now)
         self._credentials.current = self._home.credentials()
         self._csr, self._retry_at = b"", 0
-        _log.info("%s: the identity is renewed", self._identity.name)
+        _log.info("%s: the identity was renewed", self._identity.name)
 
 
-async def renew_identity(call: Call, renewal: IdentityRenewal, now: int) -> bool:
-    """Renew the identity if it is due; whether it was renewed.
+async def renew_identity(call: MasterCall, renewal: IdentityRenewal, now: int) -> bool:
+    """Renew the identity if it is due; returns whether it was renewed.
 
     Raises:
         RossecError: the master is out of reach.
@@ -87,30 +86,8 @@ async def renew_identity(call: Call, renewal: IdentityRenewal, now: int) -> bool
     if request is None:
         return False
     try:
-        return _taken(renewal, await call(METHOD, request), now)
+        renewal.take(await call(METHOD, request), now)
     except (AnswerRefused, CAError) as error:
-        _not_renewed(error)
+        _log.warning("the identity is not renewed: %s", printable(error))
         return False
-
-
-def renew_identity_blocking(
-    call: Callable[..., object], renewal: IdentityRenewal, now: int
-) -> bool:
-    """As `renew_identity`, with a call that blocks."""
-    request = renewal.request(now)
-    if request is None:
-        return False
-    try:
-        return _taken(renewal, call(METHOD, request), now)
-    except (AnswerRefused, CAError) as error:
-        _not_renewed(error)
-        return False
-
-
-def _taken(renewal: IdentityRenewal, bundle: object, now: int) -> bool:
-    renewal.take(bundle, now)
     return True
-
-
-def _not_renewed(error: HintedError) -> None:
-    _log.warning("the identity is not renewed: %s", printable(error))

@@ -1,7 +1,7 @@
-"""What a latching publisher shows somebody who connects: the newest message, if the rate allows it.
+"""What a latching publisher sends to a new subscriber: the newest message, if the rate allows it.
 
-Pure. Else the last one that the same key was let see, which tells it nothing. So a program that is
-restarted finds what it had, and one that connects again and again never sees more than by staying.
+Pure. Otherwise the last one that was sent to the same key, which reveals nothing new. A restarted
+program receives what it had; reconnecting again and again reveals no more than staying connected.
 """
 
 from collections.abc import Iterator
@@ -17,30 +17,30 @@ Data = TypeVar("Data", bytes, memoryview)
 
 @dataclass(frozen=True)
 class Sample(Generic[Data]):
-    """A serialized message; its mark is what guards know it by."""
+    """A serialized message; guards identify it by its mark."""
 
     data: Data
     mark: object = field(default_factory=object)
 
 
 class Latch(Generic[Data]):
-    """Of one topic.
+    """The latched messages of one topic.
 
     Attributes:
-        newest: the message that was published last.
+        newest: the last message published.
     """
 
     def __init__(self) -> None:
         self.newest: Sample[Data] | None = None
         self._seen: WeakKeyDictionary[Memory, Sample[Data]] = WeakKeyDictionary()
 
-    def passed(self, guard: Guard, sample: Sample[Data]) -> None:
-        """`guard` has let it through."""
+    def record(self, guard: Guard, sample: Sample[Data]) -> None:
+        """Note that `guard` has let `sample` through."""
         if guard.memory is not None:
             self._seen[guard.memory] = sample
 
-    def shown(self, guard: Guard) -> Iterator[Sample[Data]]:
-        """What to try, in this order, until `guard` lets one through."""
+    def candidates(self, guard: Guard) -> Iterator[Sample[Data]]:
+        """The messages to try, in this order, until `guard` lets one through."""
         if self.newest is not None:
             yield self.newest
         if guard.memory is not None and guard.memory in self._seen:

@@ -1,18 +1,17 @@
-"""What limited rights have used up, for the life of this process: one store for all of its nodes.
+"""The state of limited rights (rates), for the life of this process: one store for all its nodes.
 
-A node that is closed and begun again, a topic that is unregistered and published again, a peer that
-hangs up and comes back: none of them begins afresh.
+Closing and reopening a node, publishing a topic again, or reconnecting does not reset it.
 """
 
 from threading import Lock
 from typing import Final
 
-from grants.memory import Memories, Recall
+from grants.memory import MemoryScope, MemoryStore
 from rossec import clock
 
-_MEMORIES: Final = Memories(clock.now, Lock)
+_MEMORIES: Final = MemoryStore(clock.now, Lock)
 
 
-def recall(node: str) -> Recall:
-    """What the node of that name has let each key use up."""
-    return Recall(_MEMORIES, (node,))
+def memory_scope(node: str) -> MemoryScope:
+    """What each key has used up at the node of that name."""
+    return MemoryScope(_MEMORIES, (node,))

@@ -1,10 +1,10 @@
-"""A node's standing with its master: one control connection, renewed whenever it breaks.
+"""A node's session with its master: one control connection, opened again whenever it is lost.
 
-A shell. On every connection the node checks that it speaks to `/master` of its own trust domain,
-loads revocations, presents its grants and registers everything again, so that a restarted master
-knows it without the node's program noticing. The heartbeat fetches revocations as well: pushes
-alone could be suppressed without a trace (RFC 9770 section 11 asks the same). To a master that was
-rolled back the node hands the newer list it holds: others, who know nothing yet, would believe it.
+On every connection the node checks that the peer is `/master` of its own trust domain, loads
+revocations, presents its grants and registers everything again, so that a master can restart
+without the node's program noticing. The heartbeat fetches revocations as well: pushed updates alone
+could be suppressed unnoticed (RFC 9770 section 11 requires the same). A master whose list was
+rolled back receives the newer one this node holds, as new nodes would accept the old one.
 """
 
 import asyncio
@@ -23,7 +23,7 @@ from rossec.errors import AnswerRefused, ConfigurationError, RossecError
 from rossec.net.aio import SecureStream
 from rossec.net.rpc.client import RpcClient
 from rossec.participant.access import NO_LIST
-from rossec.participant.grant_renewal import Call
+from rossec.participant.grant_renewal import MasterCall
 from rossec.participant.retry import Retry
 from rossec.participant.slave_api import MASTER
 from rossec.ros.xmlrpc import Fault
@@ -33,8 +33,8 @@ HEARTBEAT: Final = 10.0
 _log = logging.getLogger("rossec.node")
 
 
-async def nothing_proved(_: Call) -> int:
-    """For a node that asks for no proofs: where revocations are a tree it stays refused."""
+async def no_proofs(_: MasterCall) -> int:
+    """For a node that requests no proofs: where revocations are a tree it stays refused."""
     return 0
 
 
@@ -46,9 +46,9 @@ class MasterSession:
         dial: opens a secure stream to the master.
         refresh: takes the newest revocation list and timestamp; raises when they are refused.
         restore: makes every registration again; called on each new connection.
-        held: the signed revocation list this node holds, which then need not be sent; without it
-            every answer brings the list.
-        prove: asks for the proofs that are wanted; how many came.
+        held: the signed revocation list this node holds, which the master then need not send;
+            without it every answer contains the list.
+        prove: requests the proofs that are wanted; returns how many were accepted.
     """
 
     def __init__(
@@ -58,7 +58,7 @@ class MasterSession:
         refresh: Callable[[bytes, bytes, Identity], None],
         restore: Callable[["MasterSession"], Awaitable[None]],
         held: Callable[[], bytes] | None = None,
-        prove: Callable[[Call], Awaitable[int]] = nothing_proved,
+        prove: Callable[[MasterCall], Awaitable[int]] = no_proofs,
     ) -> None:
         self._name = name
         self._dial = dial
@@ -70,18 +70,18 @@ class MasterSession:
         self._stream: SecureStream[Identity] | None = None
 
     async def call(self, method: str, *params: object) -> object:
-        """Value of `[1, status, value]` that the master answers.
+        """The value in the master's answer `[1, status, value]`.
 
         Raises:
-            RossecError: the master refuses, answers nonsense, or is out of reach.
+            RossecError: the master refuses, sends a malformed answer, or is out of reach.
         """
         return await self._connected().ask(method, self._name, *params)
 
-    async def answer(self, method: str, *params: object) -> object:
-        """Whole answer to a call whose parameters are complete.
+    async def forward(self, method: str, *params: object) -> object:
+        """The whole answer to a call whose parameters include the caller_id.
 
         Raises:
-            Fault, RossecError: as of `RpcClient.call`; the master is out of reach.
+            Fault, RossecError: see `RpcClient.call`; the master is out of reach.
         """
         return await self._connected().call(method, *params)
 
@@ -103,60 +103,60 @@ class MasterSession:
                 f"the node at the master's address is {stream.peer.name}, not {MASTER}",
                 "check ROS_MASTER_URI",
             )
-        await self._drop()
+        await self._disconnect()
         self._client, self._stream = RpcClient(stream), stream
         try:
-            await self._beat()
+            await self._heartbeat()
             await self._restore(self)
-        except BaseException:  # nobody may go on with a master that did not hold
-            await self._drop()
+        except BaseException:  # no caller may use a session that failed to open
+            await self._disconnect()
             raise
         return stream
 
-    async def keep(self) -> None:
-        """Beat, and connect anew whenever the connection is lost. Runs until cancelled."""
+    async def run(self) -> None:
+        """Send heartbeats, and reconnect whenever the connection is lost. Runs until cancelled."""
         retry = Retry(SystemRandom().random)
         while True:
             try:
                 if self._client is None or self._client.closed:
                     await self.open()
                     _log.info("%s: connected to the master again", self._name)
-                await self._pause()
-                await self._beat()
+                await self._wait_for_heartbeat()
+                await self._heartbeat()
                 retry.succeeded()
             except (HintedError, OSError, TimeoutError) as error:
                 _log.warning("%s: no answer from the master: %s", self._name, error)
-                await self._drop()
+                await self._disconnect()
                 await asyncio.sleep(retry.pause(asyncio.get_running_loop().time()))
 
     async def close(self) -> None:
-        """End the control connection; the master then forgets nothing until told to."""
-        await self._drop()
+        """Close the control connection; registrations at the master stay."""
+        await self._disconnect()
 
-    async def _pause(self) -> None:
-        """Until the next beat, or until the connection ends: a restarted master is met at once."""
+    async def _wait_for_heartbeat(self) -> None:
+        """Wait until the next heartbeat is due or the connection ends: then reconnect at once."""
         if self._stream is not None:
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(HEARTBEAT):
                     await self._stream.wait_ended()
 
-    async def _drop(self) -> None:
+    async def _disconnect(self) -> None:
         client, self._client = self._client, None
         if client is not None:
             await client.close()
 
-    async def _beat(self) -> None:
+    async def _heartbeat(self) -> None:
         try:
-            await self._take_news()
+            await self._fetch_revocations()
         except RevocationRefused:
-            if not await self._hand_over():
+            if not await self._send_held_list():
                 raise
-            await self._take_news()
+            await self._fetch_revocations()
 
-    async def _hand_over(self) -> bool:
-        """Bring the master the list this node holds; whether it is newer than the master's.
+    async def _send_held_list(self) -> bool:
+        """Send the master the list this node holds; returns whether it is newer than the master's.
 
-        Of a tree a node has not the entries, without which it is of no use to the master.
+        Of a tree a node does not have the entries, which the master needs.
         """
         newest = b"" if self._held is None else self._held()
         if not newest or is_tree(newest):
@@ -164,17 +164,19 @@ class MasterSession:
         try:
             newer = await self.call("rossec.updateRevocations", newest) == 1
         except (AnswerRefused, Fault) as error:
-            _log.warning("%s: the master refuses the list held here: %s", self._name, error)
+            _log.warning(
+                "%s: the master refuses this node's revocation list: %s", self._name, error
+            )
             return False
         if newer:
             _log.warning(
-                "%s: the master had an older revocation list than this node, which has"
-                " handed it over: was its home restored from a backup?",
+                "%s: the master had an older revocation list than this node, and has received"
+                " the newer one: was its home restored from a backup?",
                 self._name,
             )
         return newer
 
-    async def _take_news(self) -> None:
+    async def _fetch_revocations(self) -> None:
         if self._held is None:
             answer = await self.call("rossec.revocations")
         else:
@@ -182,29 +184,29 @@ class MasterSession:
         match answer, self._stream:
             case [bytes() as revocations, bytes() as timestamp], SecureStream(peer=master):
                 try:
-                    self._take(revocations, timestamp, master)
-                except RevocationsStale:  # of a tree: the master's own key is still unproved
+                    self._apply(revocations, timestamp, master)
+                except RevocationsStale:  # of a tree: the master's own key has no proof yet
                     if not await self._prove(self.call):
                         raise
-                    self._take(revocations, timestamp, master)
+                    self._apply(revocations, timestamp, master)
             case _:
                 raise CAError(*NO_LIST)
 
-    def _take(self, revocations: bytes, timestamp: bytes, master: Identity) -> None:
-        """Take the news; their time, asked for a moment ago, may correct a clock that was wrong."""
+    def _apply(self, revocations: bytes, timestamp: bytes, master: Identity) -> None:
+        """Take the list and timestamp; a timestamp just requested may correct a wrong clock."""
         try:
             self._refresh(revocations, timestamp, master)
-        except ClocksDisagree:  # and nothing else: who is revoked, or lies, tells no time
-            if not _corrects(timestamp, master):
+        except ClocksDisagree:  # only then: a revoked master sets no clock
+            if not _corrects_clock(timestamp, master):
                 raise
             self._refresh(revocations, timestamp, master)
         else:
-            _corrects(timestamp, master)
+            _corrects_clock(timestamp, master)
 
 
-def _corrects(timestamp: bytes, master: Identity) -> bool:
-    """Whether the clock of this process was set back, and rightly so by the master's clock.
+def _corrects_clock(timestamp: bytes, master: Identity) -> bool:
+    """Set the clock of this process by the master's, if that is right; returns whether it was.
 
-    Only an answer to the node's own question tells the time: it is as old as the call at most.
+    Only the answer to the node's own call may do so: it is at most as old as the call.
     """
-    return clock.heard(open_timestamp(timestamp, master.public_key).issued)
+    return clock.correct(open_timestamp(timestamp, master.public_key).issued)

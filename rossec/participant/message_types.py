@@ -1,8 +1,8 @@
 """Message types by their ROS 1 name: definition text, md5, serialization. No ROS install needed.
 
-`rosbags` brings the definitions of Noetic's standard packages and the serialization; a type of
-one's own is added from its `.msg` text. ROS 2's spelling (`pkg/msg/Type`), which `rosbags` uses
-inside, never leaves this module.
+`rosbags` provides the definitions of Noetic's standard packages and the serialization; other types
+are added from their `.msg` text. The ROS 2 names (`pkg/msg/Type`) that `rosbags` uses do not leave
+this module.
 """
 
 from collections.abc import Mapping
@@ -27,18 +27,18 @@ Message = Any  # a dataclass made by rosbags; its fields are those of the defini
 
 @dataclass(frozen=True)
 class MessageType(Definition):
-    """One message type that can be made, written and read."""
+    """A message type whose messages can be created, serialized and deserialized."""
 
     def create(self, **fields: object) -> Message:
-        """Make a message with every field at its zero value, then set `fields`.
+        """Create a message with every field at its zero value, then set `fields`.
 
         Raises:
             MessageError: a field the type does not have.
         """
-        message = _zero(_inner(self.name))
+        message = _zero(_ros2_name(self.name))
         for field, value in fields.items():
-            if field not in _field_names(_inner(self.name)):
-                known = ", ".join(_field_names(_inner(self.name)))
+            if field not in _field_names(_ros2_name(self.name)):
+                known = ", ".join(_field_names(_ros2_name(self.name)))
                 raise MessageError(f"no field {field!r} in {self.name}", f"it has {known}")
             setattr(message, field, value)
         return message
@@ -47,10 +47,10 @@ class MessageType(Definition):
         """ROS 1 wire bytes of `message`, without the length prefix.
 
         Raises:
-            MessageError: a field holds a value of a wrong type or range.
+            MessageError: the value of a field has a wrong type or range.
         """
         try:
-            data: memoryview = _store().serialize_ros1(message, _inner(self.name))
+            data: memoryview = _store().serialize_ros1(message, _ros2_name(self.name))
         except Exception as error:
             raise MessageError(
                 f"cannot serialize this as {self.name}: {error}", "check the types of its fields"
@@ -64,7 +64,7 @@ class MessageType(Definition):
             MessageError: bytes that are not exactly one message of this type.
         """
         try:
-            return _store().deserialize_ros1(data, _inner(self.name))
+            return _store().deserialize_ros1(data, _ros2_name(self.name))
         except Exception as error:
             raise MessageError(f"bytes that are not one {self.name}: {error}") from error
 
@@ -77,7 +77,7 @@ def message_type(name: str) -> MessageType:
         MessageError: an unknown type.
     """
     try:
-        definition, md5sum = _store().generate_msgdef(_inner(name), ros_version=1)
+        definition, md5sum = _store().generate_msgdef(_ros2_name(name), ros_version=1)
     except TypesysError as error:
         raise MessageError(
             f"unknown message type {name!r}",
@@ -87,7 +87,7 @@ def message_type(name: str) -> MessageType:
 
 
 def type_names() -> list[str]:
-    """Every known type by its ROS name: to suggest one for a misspelt name."""
+    """The ROS names of all known types, to suggest one for a misspelt name."""
     return [name.replace("/msg/", "/") for name in _store().fielddefs]
 
 
@@ -95,18 +95,18 @@ def register_type(name: str, definition: str) -> MessageType:
     """Add the type `name` from the text of its `.msg` file; nested types must be known already.
 
     Raises:
-        MessageError: text that is no message definition, or a name already taken by another one.
+        MessageError: the text is not a message definition, or the name is taken by another type.
     """
     register_types({name: definition})
     return message_type(name)
 
 
 def register_types(definitions: Mapping[str, str]) -> None:
-    """Add all of these types or none, each under its name; as `register_type`."""
+    """Add all of these types, by name, or none; raises as `register_type`."""
     types: dict[str, Any] = {}
     for name, definition in definitions.items():
         try:
-            found = get_types_from_msg(definition, _inner(name))
+            found = get_types_from_msg(definition, _ros2_name(name))
         except TypesysError as error:
             raise MessageError(f"cannot register {name}: {error}", _CHECK_TEXT) from error
         _check_nested(name, found)
@@ -119,7 +119,7 @@ def register_types(definitions: Mapping[str, str]) -> None:
 
 
 def _check_nested(name: str, types: Mapping[str, Any]) -> None:
-    """Refuse before anything is registered: a type with an unknown part would be half made."""
+    """Refuse an unknown nested type before anything is registered."""
     for _, fields in types.values():
         for kind in (kind for _, kind in fields):
             while kind[0] in (Nodetype.ARRAY, Nodetype.SEQUENCE):
@@ -135,7 +135,7 @@ def field_names(message: Message) -> list[str]:
 
 
 def _field_names(inner: str) -> list[str]:
-    # rosbags gives an empty message a field, as ROS 2's IDL must; in ROS 1 there is none
+    # rosbags adds a field to an empty message, as ROS 2's IDL requires; ROS 1 has none
     return [name for name, _ in _store().fielddefs[inner][1] if name != _NO_FIELDS]
 
 
@@ -144,10 +144,10 @@ def _store() -> Typestore:
     return get_typestore(Stores.ROS1_NOETIC)
 
 
-def _inner(name: str) -> str:
+def _ros2_name(name: str) -> str:
     package, slash, leaf = name.partition("/")
     if not (package and slash and leaf) or "/" in leaf:
-        raise MessageError(f"{name!r} is no message type name", "write package/Type")
+        raise MessageError(f"{name!r} is not a message type name", "write package/Type")
     return f"{package}/msg/{leaf}"
 
 

@@ -1,7 +1,7 @@
-"""Where this node listens, as it registered that: only a dial to such a place may reach itself.
+"""The addresses a node registered as its own: only a connection to one of them may reach itself.
 
-An address that a peer names is not enough: a publisher that is asked where a topic is could send a
-node back to itself. So whoever was met first at another place leads nowhere here (`check_step`).
+An address that a peer sends is not enough: the answer to `requestTopic` could send a node back to
+itself. A redirect from another node to this one is therefore refused (`check_redirect`).
 """
 
 from rossec.channel.edhoc.own_dials import OwnDials
@@ -11,11 +11,11 @@ Address = tuple[str, int]
 
 
 class OwnAddresses:
-    """The places of one node.
+    """The addresses of one node.
 
     Attributes:
-        host: what it tells others to come to; empty while it listens nowhere.
-        dials: those that are meant for itself.
+        host: the host name it registers; empty while it does not listen.
+        dials: its connections to itself.
     """
 
     def __init__(self) -> None:
@@ -23,25 +23,25 @@ class OwnAddresses:
         self.dials = OwnDials()
         self._ports: set[int] = set()
 
-    def listens(self, host: str, *ports: int) -> None:
-        """It listens there."""
+    def add_ports(self, host: str, *ports: int) -> None:
+        """Add ports this node listens on."""
         self.host = host
         self._ports.update(ports)
 
-    def is_own(self, place: Address) -> bool:
+    def is_own(self, address: Address) -> bool:
         """Whether this node listens at this host and port."""
-        host, port = place
+        host, port = address
         return self.host != "" and _plain(host) == _plain(self.host) and port in self._ports
 
-    def dials_for(self, place: Address) -> OwnDials | None:
-        """What a dial to `place` is noted in; None: it is meant for another node."""
-        return self.dials if self.is_own(place) else None
+    def own_dials_for(self, address: Address) -> OwnDials | None:
+        """Where a connection to `address` is recorded; None: it is to another node."""
+        return self.dials if self.is_own(address) else None
 
-    def check_step(self, first: Address, then: Address) -> None:
-        """Refuse to be led from another node back to this one.
+    def check_redirect(self, first: Address, then: Address) -> None:
+        """Refuse a redirect from another node back to this one.
 
         Raises:
-            ConnectionHeaderRefused: `first`, which named `then`, is not this node, and `then` is.
+            ConnectionHeaderRefused: `first` is not this node and sent `then`, which is.
         """
         if self.is_own(then) and not self.is_own(first):
             host, port = first

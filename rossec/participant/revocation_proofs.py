@@ -1,65 +1,57 @@
-"""Asking the master for proofs, where revocations are a tree and not a list.
+"""Requests for proofs to the master, where revocations are a tree and not a list.
 
-As with `rossec.participant.grant_renewal`, `prove` is for asyncio and `prove_blocking` for threads:
-call either every second or so, and when a new connection to the master finds its identity unproved.
+Call `prove` about every second, and when the master's own identity has no proof yet.
 """
 
 import logging
-from collections.abc import Callable
 from typing import Final, Protocol
 
 from ca.errors import RevocationRefused
 from rossec.errors import AnswerMalformed
-from rossec.participant.grant_renewal import Call
+from rossec.participant.grant_renewal import MasterCall
 
 METHOD: Final = "rossec.revocationProofs"
-AT_ONCE: Final = 64  # entries in one call: what the master takes
+MAX_PER_CALL: Final = 64  # entries in one call: the limit of the master
 
 _log = logging.getLogger("rossec.node")
 
 
 class Provable(Protocol):
-    """`ca.revocation.state.Revocations`, or what keeps threads apart before one."""
+    """`ca.revocation.state.Revocations`, or an object that locks it."""
 
     @property
-    def wanted(self) -> list[bytes]:
+    def unproved(self) -> list[bytes]:
         """Entries that wait for a proof."""
 
-    def prove(self, entry: bytes, proof: bytes) -> None:
+    def add_proof(self, entry: bytes, proof: bytes) -> None:
         """Take a proof. Raises `RevocationRefused`."""
 
 
-async def prove(call: Call, revocations: Provable) -> int:
-    """Have proved what is wanted; returns how many entries were.
+async def prove(call: MasterCall, revocations: Provable) -> int:
+    """Request the proofs that are wanted; returns how many were accepted.
 
     Raises:
-        RossecError: the master refuses, answers nonsense, or is out of reach.
+        RossecError: the master refuses, sends a malformed answer, or is out of reach.
     """
-    wanted = revocations.wanted[:AT_ONCE]
+    wanted = revocations.unproved[:MAX_PER_CALL]
     return take(revocations, wanted, await call(METHOD, wanted)) if wanted else 0
-
-
-def prove_blocking(call: Callable[..., object], revocations: Provable) -> int:
-    """As `prove`, with a call that blocks."""
-    wanted = revocations.wanted[:AT_ONCE]
-    return take(revocations, wanted, call(METHOD, wanted)) if wanted else 0
 
 
 def take(revocations: Provable, wanted: list[bytes], answer: object) -> int:
     """Take the proofs in `answer`, one for each entry in `wanted`, or none at all.
 
     Raises:
-        AnswerMalformed: it is no such list.
+        AnswerMalformed: it is not such a list.
     """
     if not isinstance(answer, list) or len(answer) not in {0, len(wanted)}:
-        raise AnswerMalformed("the master sent another number of proofs than were asked for")
+        raise AnswerMalformed("the master's answer has a different number of proofs than requested")
     return sum(_take(revocations, *pair) for pair in zip(wanted, answer, strict=False))
 
 
 def _take(revocations: Provable, entry: bytes, proof: object) -> bool:
     try:
-        revocations.prove(entry, proof if isinstance(proof, bytes) else b"")
+        revocations.add_proof(entry, proof if isinstance(proof, bytes) else b"")
     except RevocationRefused as error:
-        _log.warning("the master proves nothing of %s: %s", entry.hex(), error)
+        _log.warning("the master's proof for %s is invalid: %s", entry.hex(), error)
         return False
     return True

@@ -1,7 +1,6 @@
-"""The watch over a node's live connections: cut what has expired, been revoked or gone stale.
+"""Closes live connections that have expired, were revoked, or whose revocation data is stale.
 
-A shell around `links.termination_reason`. It waits for nothing but the clock: a master that hangs
-must not keep an expired link alive.
+It waits for the clock only: a master that hangs must not keep an expired connection open.
 """
 
 import asyncio
@@ -14,10 +13,11 @@ from ca.revocation.state import Revocations
 from rossec import clock
 from rossec.participant.connections import AuthorizedConnection, termination_reason
 
-PERIOD: Final = 1.0  # seconds between looks; an expiry is met to the second
+PERIOD: Final = 1.0  # seconds between checks; an expiry is exact to the second
 
-WENT_BACK: Final = (
-    "the host's clock went back: nobody new is let in until the master confirms its list again"
+CLOCK_SET_BACK: Final = (
+    "the host's clock went back: new connections are refused"
+    " until the master confirms its revocation list again"
 )
 
 _log = logging.getLogger("rossec.node")
@@ -26,51 +26,52 @@ _log = logging.getLogger("rossec.node")
 class NodePorts(Protocol):
     """The ports of a node."""
 
-    def cut(self, revoked: frozenset[bytes]) -> None:
-        """Cut every connection of a revoked key, whatever it is used for."""
+    def abort_revoked(self, revoked: frozenset[bytes]) -> None:
+        """Close every connection of a revoked key, for whatever purpose it was accepted."""
 
 
 class ConnectionWatchdog:
-    """Cuts the links of one node."""
+    """Closes the connections of one node."""
 
     def __init__(
         self,
         revocations: Revocations,
-        links: Callable[[], Iterable[AuthorizedConnection]],
+        connections: Callable[[], Iterable[AuthorizedConnection]],
         listener: NodePorts,
     ) -> None:
         self._revocations = revocations
-        self._links = links
+        self._connections = connections
         self._listener = listener
         self._setbacks = clock.Setbacks()
-        self._done: WeakSet[AuthorizedConnection] = (
-            WeakSet()
-        )  # cut, and not yet taken off by who serves them
+        # aborted, and not yet removed by the task that serves them
+        self._terminated: WeakSet[AuthorizedConnection] = WeakSet()
 
     async def run(self) -> None:
-        """Look again and again, until cancelled."""
+        """Check periodically until cancelled."""
         while True:
             now = clock.time()
-            soonest = min((link.ends for link in self._live()), default=now + PERIOD)
+            soonest = min((connection.ends for connection in self._live()), default=now + PERIOD)
             await asyncio.sleep(max(0.0, min(PERIOD, soonest - now)))
-            self.look(clock.now())
+            self.check(clock.now())
 
-    def look(self, now: int) -> None:
-        """Cut what must end; after a clock that went back, wait for news of revocations."""
+    def check(self, now: int) -> None:
+        """Close what must end; after the clock was set back, wait for fresh revocation data."""
         if self._setbacks.any_new():
-            _log.warning(WENT_BACK)
-            self._revocations.doubt(now - 1)
-        self.cut(now)
+            _log.warning(CLOCK_SET_BACK)
+            self._revocations.expire_confirmation(now - 1)
+        self.close_terminated(now)
 
-    def cut(self, now: int) -> None:
-        """Cut every link that must end at `now`, and every connection of a revoked key."""
-        for link in self._live():
-            reason = termination_reason(link, self._revocations, now)
+    def close_terminated(self, now: int) -> None:
+        """Close every connection that must end at `now`, and every one of a revoked key."""
+        for connection in self._live():
+            reason = termination_reason(connection, self._revocations, now)
             if reason is not None:
-                self._done.add(link)
-                _log.warning("cut %s: %s", link.stream.peer.name, reason)
-                link.stream.abort(reason)
-        self._listener.cut(self._revocations.entries)
+                self._terminated.add(connection)
+                _log.warning("cut %s: %s", connection.stream.peer.name, reason)
+                connection.stream.abort(reason)
+        self._listener.abort_revoked(self._revocations.entries)
 
     def _live(self) -> list[AuthorizedConnection]:
-        return [link for link in self._links() if link not in self._done]
+        return [
+            connection for connection in self._connections() if connection not in self._terminated
+        ]

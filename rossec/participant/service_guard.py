@@ -1,9 +1,9 @@
 """What a decision means for the two messages of a call: one guard for each.
 
-Pure. A restriction written for the type of the response (`std_srvs/TriggerResponse`) holds for
-responses; every other one holds for requests, so that a rate or a time counts once per call, and
-one that is written for any other type refuses the connection. Both ends use this: the server with
-the caller's right to call, the client with the server's right to provide.
+Pure. A restriction for the response type (`std_srvs/TriggerResponse`) applies to responses; every
+other one applies to requests, so that a rate or a time counts once per call. A restriction for any
+other type refuses the connection. Both ends use this: the server with the client's right to call,
+the client with the server's right to provide.
 """
 
 from collections.abc import Callable, Sequence
@@ -12,7 +12,7 @@ from dataclasses import replace
 from grants.decision import Decision
 from grants.filters.codegen import Buffer
 from grants.guard import Guard, needed_keys
-from grants.memory import Recall
+from grants.memory import MemoryScope
 from rossec.errors import ServiceRefused
 from rossec.participant.service_types import ServiceType
 
@@ -20,14 +20,14 @@ Pieces = Sequence[Buffer]
 
 
 class ServiceGuard:
-    """Treats the requests and responses of one connection.
+    """Filters the requests and responses of one connection.
 
     Args:
         filter_key: finds a key for pseudonyms by its name.
-        recall: finds what earlier connections of the same key have used up.
+        memory: finds what earlier connections of the same key have used up.
 
     Raises:
-        GrantError: a restriction was written for another type.
+        GrantError: a restriction is for another type.
         ConfigurationError: a key for pseudonyms cannot be read.
     """
 
@@ -36,34 +36,36 @@ class ServiceGuard:
         kind: ServiceType,
         decision: Decision,
         filter_key: Callable[[str], bytes],
-        recall: Recall,
+        memory: MemoryScope,
     ) -> None:
         keys = {name: filter_key(name) for name in needed_keys(decision.restrictions)}
         restrictions = decision.restrictions
-        back = tuple(item for item in restrictions if item.type == kind.response.name)
-        there = tuple(item for item in restrictions if item.type != kind.response.name)
+        on_response = tuple(item for item in restrictions if item.type == kind.response.name)
+        on_request = tuple(item for item in restrictions if item.type != kind.response.name)
         self._name = decision.name
-        asked, answered = (replace(decision, restrictions=some) for some in (there, back))
-        self._request = Guard(kind.request_layout, asked, keys, recall)
-        self._response = Guard(kind.response_layout, answered, keys, recall.apart("response"))
+        request, response = (
+            replace(decision, restrictions=some) for some in (on_request, on_response)
+        )
+        self._request = Guard(kind.request_layout, request, keys, memory)
+        self._response = Guard(kind.response_layout, response, keys, memory.child("response"))
 
     def request(self, data: Buffer, now: int) -> Pieces:
-        """The request as it may be passed on.
+        """The request as it may be forwarded.
 
         Raises:
-            ServiceRefused, GrantError: it may not.
+            ServiceRefused, GrantError: it may not be.
         """
-        return self._treat(self._request, "request", data, now)
+        return self._filter(self._request, "request", data, now)
 
     def response(self, data: Buffer, now: int) -> Pieces:
-        """The response as it may be passed on.
+        """The response as it may be forwarded.
 
         Raises:
-            ServiceRefused, GrantError: it may not.
+            ServiceRefused, GrantError: it may not be.
         """
-        return self._treat(self._response, "response", data, now)
+        return self._filter(self._response, "response", data, now)
 
-    def _treat(self, guard: Guard, what: str, data: Buffer, now: int) -> Pieces:
+    def _filter(self, guard: Guard, what: str, data: Buffer, now: int) -> Pieces:
         pieces = guard(data, now)
         if pieces is None:
             raise ServiceRefused(

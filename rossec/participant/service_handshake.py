@@ -1,7 +1,7 @@
 """The TCPROS handshake of a service inside the channel, both sides, as pure functions on fields.
 
-As for topics: names come from certificates, rights from the grants shown, and authorization
-precedes any look at what this node offers. Probes (`probe=1`) need the right as well (attack N6).
+As for topics: names come from certificates, rights from the grants presented, and the peer is
+authorized before this node looks up the service. Probes (`probe=1`) need the right as well (N6).
 """
 
 from collections.abc import Mapping
@@ -11,14 +11,15 @@ from ca.certificates import Identity
 from grants.decision import Decision
 from grants.model import Right
 from rossec.errors import ConnectionHeaderRefused
-from rossec.participant.access import FIELD, Access
+from rossec.participant.access import FIELD
+from rossec.participant.access_interfaces import HandshakeAccess
 from rossec.participant.header_fields import Fields, check_caller, text
 from rossec.ros.names import ANY_TYPE
 
 
 @dataclass(frozen=True)
 class ExpectedService:
-    """Name and checksum of a service type; `*` expects nothing."""
+    """Name and md5sum of a service type; `*` matches any."""
 
     type_name: str
     md5sum: str
@@ -31,7 +32,7 @@ def client_header(
     caller: str,
     service: str,
     kind: ExpectedService,
-    access: Access,
+    access: HandshakeAccess,
     now: int,
     *,
     persistent: bool = False,
@@ -50,7 +51,7 @@ def client_header(
 
 
 def server_header(
-    caller: str, service: str, kind: ExpectedService, access: Access, now: int
+    caller: str, service: str, kind: ExpectedService, access: HandshakeAccess, now: int
 ) -> Fields:
     """Fields a server answers with; they prove its right to provide."""
     return {
@@ -64,12 +65,12 @@ def server_header(
     }
 
 
-def caller_proof(service: str, access: Access, now: int) -> Fields:
+def caller_proof(service: str, access: HandshakeAccess, now: int) -> Fields:
     """The field a client adds to its header; it proves the right to call."""
     return {FIELD: access.present(Right.CALL, service, now)}
 
 
-def provider_proof(service: str, access: Access, now: int) -> Fields:
+def provider_proof(service: str, access: HandshakeAccess, now: int) -> Fields:
     """The field a server adds to its answer; it proves the right to provide."""
     return {FIELD: access.present(Right.PROVIDE, service, now)}
 
@@ -83,7 +84,9 @@ def requested_service(fields: Mapping[str, bytes]) -> str:
     return text(fields, "service")
 
 
-def admit_caller(fields: Mapping[str, bytes], peer: Identity, access: Access, now: int) -> Decision:
+def admit_caller(
+    fields: Mapping[str, bytes], peer: Identity, access: HandshakeAccess, now: int
+) -> Decision:
     """Decide on a client from its header, before anything about the service is looked up.
 
     A decision with restrictions must be applied to each request, or refused with
@@ -98,12 +101,12 @@ def admit_caller(fields: Mapping[str, bytes], peer: Identity, access: Access, no
 
 
 def admit_provider(
-    fields: Mapping[str, bytes], peer: Identity, service: str, access: Access, now: int
+    fields: Mapping[str, bytes], peer: Identity, service: str, access: HandshakeAccess, now: int
 ) -> Decision:
     """Decide on a server from the header it answered with.
 
     Raises:
-        CallerMismatch, ConnectionHeaderRefused: it refuses, or calls itself by another name.
+        CallerMismatch, ConnectionHeaderRefused: it refuses, or its callerid does not match.
         GrantError, CAError: the peer may not provide.
     """
     if "error" in fields:
@@ -113,15 +116,15 @@ def admit_provider(
 
 
 def check_md5(fields: Mapping[str, bytes], service: str, md5sum: str) -> None:
-    """Compare checksums as ROS does, which ignores the type's name; `*` fits everything.
+    """Compare the md5sums as ROS does, which ignores the type's name; `*` matches any.
 
     Raises:
-        ConnectionHeaderRefused: the two sides do not mean the same service.
+        ConnectionHeaderRefused: the two sides have different definitions.
     """
-    theirs = text(fields, "md5sum")
-    if theirs != md5sum and ANY_TYPE not in {theirs, md5sum}:
+    peer_md5sum = text(fields, "md5sum")
+    if peer_md5sum != md5sum and ANY_TYPE not in {peer_md5sum, md5sum}:
         raise ConnectionHeaderRefused(
-            f"{service} has the checksum {md5sum} here, {theirs} at the peer",
+            f"{service} has the md5sum {md5sum} here, {peer_md5sum} at the peer",
             "both sides need the same version of the service's package",
         )
 

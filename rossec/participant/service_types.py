@@ -1,7 +1,7 @@
-"""Service types by their ROS 1 name: the types of both parts, and the checksum. No ROS needed.
+"""Service types by their ROS 1 name: request and response types, and the md5sum. No ROS needed.
 
 `rosbags` knows messages only; the definitions of Noetic's standard services are written here, and
-one's own are added from the text of their `.srv` files. The parts of `std_srvs/SetBool` are the
+others are added from the text of their `.srv` files. The parts of `std_srvs/SetBool` are the
 message types `std_srvs/SetBoolRequest` and `std_srvs/SetBoolResponse`, as genpy names them.
 """
 
@@ -17,7 +17,7 @@ from rossec.participant.message_types import MessageType, message_type, register
 _DIVIDER: Final = "---"
 
 # As in Debian's std_srvs, roscpp, nav_msgs, sensor_msgs, diagnostic_msgs and tf2_msgs, comments
-# left out; a test holds the checksums against those packages.
+# left out; a test compares the md5sums with those packages.
 _STANDARD: Final = {
     "std_srvs/Empty": "---",
     "std_srvs/SetBool": "bool data\n---\nbool success\nstring message",
@@ -69,7 +69,7 @@ class ServiceType:
 
     @cached_property
     def md5sum(self) -> str:
-        """ROS's checksum of the service, as in TCPROS headers."""
+        """The md5sum of the service, as in TCPROS headers."""
         return layout.service_md5(self.request_layout, self.response_layout)
 
 
@@ -107,7 +107,7 @@ def register_service_type(name: str, definition: str) -> ServiceType:
     """Add the type `name` from the text of its `.srv` file; nested types must be known already.
 
     Raises:
-        MessageError: text that is no service definition, or a name already taken by another one.
+        MessageError: the text is not a service definition, or the name is taken by another type.
     """
     if name in _STANDARD:
         service_type(name)  # so that another definition of it is a conflict

@@ -1,10 +1,10 @@
 """The node's slave API: which calls it answers, and from whom.
 
-Pure dispatch. Only the master's identity may steer a node (attacks N1-N3); any authenticated node
-may ask where to connect for a topic (`requestTopic`), and the answer is the same whether the topic
-exists or not: the grant is checked on the connection itself (N5). Every other question about this
-node is recon (N4): it is for the master, and for whoever has shown a grant that entitles to it by
-`questions`, as `rosnode ping`, `info` and `kill` need. UDPROS is never offered (N10).
+Pure dispatch. Only the master's identity may control a node (attacks N1-N3). Any authenticated node
+may call `requestTopic`, and the answer is the same whether the topic exists or not: the grant is
+checked on the topic connection (N5). All other calls disclose information (N4): they are for the
+master, and for peers that have presented a grant for them (`slave_rights`), as `rosnode ping`,
+`info` and `kill` need. UDPROS is never offered (N10).
 """
 
 from collections.abc import Callable, Mapping
@@ -27,7 +27,7 @@ NO_TRANSPORT: Final = "rossec: only TCPROS, inside the secure channel"
 
 
 class SlaveEvents(Protocol):
-    """What the calls mean for the node."""
+    """Handles the calls in the node."""
 
     def publishers_changed(self, topic: str, uris: list[str]) -> None:
         """The master's list of publishers of a topic this node subscribes to."""
@@ -36,10 +36,10 @@ class SlaveEvents(Protocol):
         """A parameter at, above or below one this node subscribes to."""
 
     def revocations_arrived(self, revocations: bytes, timestamp: bytes, master: Identity) -> None:
-        """The list and a fresh timestamp. Raises a `CAError` when either is not acceptable."""
+        """The list and a fresh timestamp. Raises a `CAError` when either is refused."""
 
     def shutdown_requested(self, reason: str) -> None:
-        """The master replaced this node or ends it."""
+        """The master shuts this node down, for example because another one has its name."""
 
     def topic_endpoint(self) -> tuple[str, int]:
         """Host and port where TCPROS connections are accepted."""
@@ -50,7 +50,7 @@ class SlaveEvents(Protocol):
 
 @dataclass(frozen=True)
 class SlaveMethod:
-    """What a call must look like: the parameters after caller_id, and who may make it."""
+    """The rule of one method: the types of the parameters after caller_id, and who may call."""
 
     kinds: tuple[type, ...]
     default: object
@@ -75,16 +75,16 @@ RULES: Final[Mapping[str, SlaveMethod]] = {
 
 
 def refusal(
-    method: str, params: tuple[object, ...], peer: Identity, *, entitled: bool = False
+    method: str, params: tuple[object, ...], peer: Identity, *, authorized: bool = False
 ) -> Answer | None:
-    """What to answer instead of the call, or None: `peer` may make it.
+    """The error answer to a call that `peer` may not make; None: it may.
 
-    `entitled`: by grants that were checked (`questions`); they never entitle to steer the node.
+    `authorized`: by grants (`check_slave_call`), which never allow the calls in `MASTER_ONLY`.
     """
     rule = RULES.get(method)
     if rule is None:
         return [_ERROR, "rossec: no such method", 0]
-    granted = entitled and method in SLAVE_CALLS
+    granted = authorized and method in SLAVE_CALLS
     if rule.master_only and peer.name != MASTER and not granted:
         return [_ERROR, f"rossec: {method} is for the master alone", rule.default]
     unnamed = without_caller(params, rule.default)
@@ -98,7 +98,7 @@ def refusal(
 
 
 def without_caller(params: tuple[object, ...], default: object) -> Answer | None:
-    """Stock's answer to a call that does not say who makes it; None: it does."""
+    """Stock's answer to a call without a caller_id; None: it has one."""
     if not params:
         return [_ERROR, "missing required caller_id parameter", default]
     if not isinstance(params[0], str):
@@ -107,14 +107,14 @@ def without_caller(params: tuple[object, ...], default: object) -> Answer | None
 
 
 def topic_offer(protocols: list[object], host: str, port: int) -> Answer:
-    """Answer of `requestTopic`, whatever the topic: never anything but TCPROS."""
+    """Answer of `requestTopic`, the same for every topic: TCPROS only."""
     if not offers_tcpros(protocols):
         return [_ERROR, NO_TRANSPORT, []]
     return [1, "ready", [TCPROS, host, port]]
 
 
 def offers_tcpros(protocols: object) -> bool:
-    """Whether the protocols that a subscriber names hold the one there is."""
+    """Whether the protocols that a subscriber offers include TCPROS."""
     named = protocols if isinstance(protocols, list) else []
     return any(isinstance(item, list) and item[:1] == [TCPROS] for item in named)
 
@@ -133,10 +133,10 @@ class SlaveApi:
         }
 
     async def __call__(
-        self, method: str, params: tuple[object, ...], peer: Identity, *, entitled: bool = False
+        self, method: str, params: tuple[object, ...], peer: Identity, *, authorized: bool = False
     ) -> object:
         """Answer one call of the authenticated `peer`: always `[code, status, value]`."""
-        refused = refusal(method, params, peer, entitled=entitled)
+        refused = refusal(method, params, peer, authorized=authorized)
         if refused is not None:
             return refused
         run = self._methods.get(method, partial(self._describe, method))

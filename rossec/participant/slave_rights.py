@@ -1,10 +1,9 @@
-"""Who may ask a node what: the rule of its slave API. Pure; every kind of node shares it.
+"""Who may call which method of a node's slave API. Pure; every kind of node shares it.
 
-Only the master steers a node (attacks N1-N3). An operator with the right to administer it may end
-it, one with the right to see the graph may ask what it is doing (N4); both show their grants first,
-with `rossec.presentGrants`. Where to connect for a topic any authenticated node may ask: the answer
-is the same for every topic, and the connection itself asks for the grant (N5). Anything else is
-refused, whatever it is (L1).
+Only the master controls a node (attacks N1-N3). An operator with the admin right may shut it down,
+one with the graph right may read its state (N4); both present their grants first, with
+`rossec.presentGrants`. Any authenticated node may call `requestTopic`: the answer is the same for
+every topic, and the topic connection requires the grant (N5). Every other method is refused (L1).
 """
 
 from collections.abc import Mapping
@@ -13,12 +12,12 @@ from typing import Final
 from ca.certificates import Identity
 from grants.model import Right
 from rossec.errors import CallRefused
-from rossec.participant.access import Access
+from rossec.participant.access_interfaces import HandshakeAccess
 
 MASTER: Final = "/master"
 PRESENT: Final = "rossec.presentGrants"
 OPEN: Final = frozenset({"requestTopic"})
-STEERING: Final = frozenset({"publisherUpdate", "paramUpdate"})
+MASTER_ONLY: Final = frozenset({"publisherUpdate", "paramUpdate"})
 SLAVE_CALLS: Final[Mapping[str, Right]] = {
     "shutdown": Right.ADMIN,
     "getPid": Right.GRAPH,
@@ -33,19 +32,24 @@ SLAVE_CALLS: Final[Mapping[str, Right]] = {
 
 
 def check_slave_call(
-    method: str, peer: Identity, node: str, shown: bytes | None, access: Access, now: int
+    method: str,
+    peer: Identity,
+    node: str,
+    presented: bytes | None,
+    access: HandshakeAccess,
+    now: int,
 ) -> None:
-    """Return if `peer`, having shown the grants `shown`, may call `method` of the node `node`.
+    """Return if `peer`, with the grants `presented`, may call `method` of the node `node`.
 
     Raises:
-        CallRefused: it is for the master alone, or for nobody.
-        GrantError, CAError: the right is missing, or the peer revoked.
+        CallRefused: only the master may call it, or there is no such method.
+        GrantError, CAError: the right is missing, or the peer is revoked.
     """
     access.check_peer(peer, now)
-    if method in OPEN or (peer.name == MASTER and (method in STEERING or method in SLAVE_CALLS)):
+    if method in OPEN or (peer.name == MASTER and (method in MASTER_ONLY or method in SLAVE_CALLS)):
         return
     right = SLAVE_CALLS.get(method)
     if right is None:
-        known = method in STEERING
+        known = method in MASTER_ONLY
         raise CallRefused(f"{method} is for the master alone" if known else "no such method")
-    access.authorize(peer, shown, right, node, now)
+    access.authorize(peer, presented, right, node, now)

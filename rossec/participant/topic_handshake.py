@@ -1,8 +1,8 @@
 """The TCPROS handshake inside the channel, both sides, as pure functions on header fields.
 
 The caller's name comes from its certificate, never from `callerid` alone; rights come from the
-grants it shows. Authorization precedes any look at what this node publishes, so that a peer
-without a grant cannot tell a topic that exists from one that does not (attack N6).
+grants it presents. The peer is authorized before this node looks up the topic, so that without a
+grant it cannot tell a topic that exists from one that does not (attack N6).
 """
 
 from collections.abc import Mapping
@@ -13,7 +13,8 @@ from ca.certificates import Identity
 from grants.decision import Decision
 from grants.model import Right
 from rossec.errors import ConnectionHeaderRefused
-from rossec.participant.access import FIELD, Access
+from rossec.participant.access import FIELD
+from rossec.participant.access_interfaces import HandshakeAccess
 from rossec.participant.header_fields import Fields, check_caller, text
 from rossec.ros.names import ANY_TYPE
 
@@ -30,20 +31,22 @@ class TopicEndpoint:
 
     @property
     def expected(self) -> "ExpectedTopic":
-        """What the other side must mean."""
+        """The topic and type the peer must have."""
         return ExpectedTopic(self.topic, self.type.name, self.type.md5sum)
 
 
 @dataclass(frozen=True)
 class ExpectedTopic:
-    """A topic with the name and md5sum of its type; `*` expects nothing of the type."""
+    """A topic with the name and md5sum of its type; `*` matches any type."""
 
     topic: str
     type_name: str
     md5sum: str
 
 
-def subscriber_header(caller: str, endpoint: TopicEndpoint, access: Access, now: int) -> Fields:
+def subscriber_header(
+    caller: str, endpoint: TopicEndpoint, access: HandshakeAccess, now: int
+) -> Fields:
     """Fields a subscriber sends first; they prove its right to subscribe."""
     return {
         "callerid": caller.encode(),
@@ -57,7 +60,7 @@ def subscriber_header(caller: str, endpoint: TopicEndpoint, access: Access, now:
 
 
 def publisher_header(
-    caller: str, endpoint: TopicEndpoint, access: Access, now: int, *, latching: bool
+    caller: str, endpoint: TopicEndpoint, access: HandshakeAccess, now: int, *, latching: bool
 ) -> Fields:
     """Fields a publisher answers with; they prove its right to publish."""
     return {
@@ -81,7 +84,7 @@ def requested_topic(fields: Mapping[str, bytes]) -> str:
 
 
 def admit_subscriber(
-    fields: Mapping[str, bytes], peer: Identity, access: Access, now: int
+    fields: Mapping[str, bytes], peer: Identity, access: HandshakeAccess, now: int
 ) -> Decision:
     """Decide on a subscriber from its header, before anything about the topic is looked up.
 
@@ -94,16 +97,20 @@ def admit_subscriber(
 
 
 def admit_publisher(
-    fields: Mapping[str, bytes], peer: Identity, expected: ExpectedTopic, access: Access, now: int
+    fields: Mapping[str, bytes],
+    peer: Identity,
+    expected: ExpectedTopic,
+    access: HandshakeAccess,
+    now: int,
 ) -> Decision:
     """Decide on a publisher from the header it answered with.
 
-    The caller applies the restrictions of the decision to each message (`topicguard.guard_for`), as
-    the receiver reads it: the publisher may describe it otherwise under the same md5sum.
+    The caller applies the decision's restrictions to each message (`topic_guard.guard_for`), by the
+    receiver's definition: the publisher's may differ under the same md5sum.
 
     Raises:
-        CallerMismatch, ConnectionHeaderRefused: another topic or type than asked for, or another
-        name. GrantError, CAError: the peer may not publish.
+        CallerMismatch, ConnectionHeaderRefused: the topic, type or callerid does not match.
+        GrantError, CAError: the peer may not publish.
     """
     if "error" in fields:
         raise ConnectionHeaderRefused(f"{peer.name} refuses: {text(fields, 'error')}")
@@ -117,13 +124,13 @@ def admit_publisher(
 
 
 def check_type(fields: Mapping[str, bytes], expected: ExpectedTopic) -> None:
-    """Compare type and md5 as TCPROS does; `*` fits everything, on either side.
+    """Compare type and md5sum as TCPROS does; `*` matches any, on either side.
 
     Raises:
-        ConnectionHeaderRefused: the two sides do not mean the same message.
+        ConnectionHeaderRefused: the two sides have different types.
     """
     name, md5sum = text(fields, "type"), text(fields, "md5sum")
-    if not _fits(name, expected.type_name) or not _fits(md5sum, expected.md5sum):
+    if not _matches(name, expected.type_name) or not _matches(md5sum, expected.md5sum):
         raise ConnectionHeaderRefused(
             f"{expected.topic} carries {expected.type_name} ({expected.md5sum}),"
             f" the peer expects {name} ({md5sum})",
@@ -131,5 +138,5 @@ def check_type(fields: Mapping[str, bytes], expected: ExpectedTopic) -> None:
         )
 
 
-def _fits(one: str, other: str) -> bool:
+def _matches(one: str, other: str) -> bool:
     return ANY_TYPE in {one, other} or one == other

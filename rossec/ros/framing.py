@@ -1,7 +1,7 @@
-"""Messages as their bytes arrive; one that was begun must be finished. Pure.
+"""Messages from a byte stream; an incomplete one must make progress. Pure.
 
-Units need not end where messages do: a sidecar passes on what its program writes. So what holds for
-a unit (`progress`) is asked of a message as well.
+Units need not end where messages do: a sidecar forwards what its program writes. So the rule for a
+unit (`progress`) applies to a message as well.
 """
 
 from typing import Final
@@ -10,22 +10,22 @@ from rossec.progress import STEP, Progress
 from rossec.ros.header import FrameReader
 
 PATIENCE: Final = float(STEP)
-"""How long to wait for more of a message before `Framing.look`, in seconds."""
+"""How long to wait for more of a message before `Framing.check_progress`, in seconds."""
 
 
 class Framing:
-    """Cuts what arrives into messages, and says when one takes too long.
+    """Splits a byte stream into messages, and refuses one that takes too long.
 
     `now` is in seconds, of any clock.
     """
 
     def __init__(self, reader: FrameReader) -> None:
         self._reader = reader
-        self._unfinished = Progress()
+        self._progress = Progress()
 
     @property
-    def waits(self) -> bool:
-        """Whether a message has been begun."""
+    def incomplete(self) -> bool:
+        """Whether part of a message has arrived."""
         return self._reader.pending > 0
 
     def feed(self, data: bytes | memoryview, now: int) -> list[bytes]:
@@ -37,23 +37,23 @@ class Framing:
         """
         messages = self._reader.feed(data)
         if messages:
-            self._unfinished.done()
-        self.look(now)
+            self._progress.done()
+        self.check_progress(now)
         return messages
 
     def feed_one(self, data: bytes, now: int) -> bytes | None:
         """As `FrameReader.feed_one`; raises as `feed`."""
         message = self._reader.feed_one(data)
         if message is not None:
-            self._unfinished.done()
-        self.look(now)
+            self._progress.done()
+        self.check_progress(now)
         return message
 
-    def look(self, now: int) -> None:
-        """Ask whether a message that was begun gets on.
+    def check_progress(self, now: int) -> None:
+        """Check that an incomplete message grows.
 
         Raises:
             LimitExceeded: it does not.
         """
         if self._reader.pending > 0:
-            self._unfinished.look(now, self._reader.pending)
+            self._progress.check(now, self._reader.pending)

@@ -1,1 +1,1 @@
-"""Secures programs that know nothing of rossec: a loopback master of their own, and a guard."""
+"""Secures unmodified programs: a loopback master for them, and guarded connections."""

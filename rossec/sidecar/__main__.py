@@ -1,6 +1,6 @@
-"""The sidecar's own process: `python -I -m rossec.sidecar`, which `rossec run` becomes.
+"""The sidecar process: `python -I -m rossec.sidecar`, executed by `rossec run`.
 
-Apart from the command line, whose imports would double its memory. Arguments come as one JSON
+Separate from the command line, whose imports would double its memory. Arguments come as one JSON
 object from `rossec.cli.node.run`; they hold no secret.
 """
 
@@ -14,8 +14,8 @@ from typing import Any
 
 from ca.errors import HintedError
 from rossec.channel.suite_selection import post_quantum
-from rossec.discovery.choose import settle_master
-from rossec.home import own_home
+from rossec.discovery.choose import discover_master
+from rossec.environment import own_home
 from rossec.log_limits import LogRateLimit
 from rossec.ros import settings
 from rossec.ros.text import printable
@@ -28,8 +28,8 @@ _REFUSED = 1
 
 
 def main() -> int:
-    """Run what the arguments say; returns the exit code."""
-    _end_quietly()
+    """Run with the arguments; return the exit code."""
+    _restore_sigint()
     options = json.loads(sys.argv[1])
     logging.basicConfig(
         level=logging.INFO if options["verbose"] else logging.WARNING,
@@ -49,8 +49,8 @@ def main() -> int:
         return _REFUSED
 
 
-def _end_quietly() -> None:
-    """End on Ctrl-C as any other process does; `rossec run` has held the signal back till now."""
+def _restore_sigint() -> None:
+    """End on Ctrl-C as other processes do; `rossec run` has blocked the signal until now."""
     if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
@@ -58,7 +58,7 @@ def _end_quietly() -> None:
 
 async def _run(options: dict[str, Any]) -> int:
     limits = raise_limit()
-    before = await settle_master(child.outside(os.environ), options["identity"])
+    before = await discover_master(child.outer_environment(os.environ), options["identity"])
     callers = _callers(options)
     sidecar = Sidecar(
         own_home(before),
@@ -73,7 +73,7 @@ async def _run(options: dict[str, Any]) -> int:
     try:
         if options["command"]:
             child.adopt_orphans()
-            environ = child.inside(os.environ, before, sidecar.uri, callers.loopback)
+            environ = child.program_environment(os.environ, before, sidecar.uri, callers.loopback)
             return await child.run(options["command"], environ, limits)
         return await _serve(sidecar)
     finally:
@@ -82,8 +82,8 @@ async def _run(options: dict[str, Any]) -> int:
 
 def _callers(options: dict[str, Any]) -> Callers:
     if options["command"]:
-        return Callers({os.getuid()}, os.getpid(), loopback_port.find())
-    return Callers(options["users"] or {os.getuid()}, None, loopback_port.find())
+        return Callers({os.getuid()}, os.getpid(), loopback_port.find_loopback())
+    return Callers(options["users"] or {os.getuid()}, None, loopback_port.find_loopback())
 
 
 async def _serve(sidecar: Sidecar) -> int:

@@ -1,7 +1,7 @@
-"""One identity of the sidecar, in its parts; the house that visits are made for.
+"""One identity of the sidecar: assembles its parts and provides the agent services.
 
-A shell around `layers.AgentState`. `membership` is its standing with the master, `exports` and
-`imports` are its doors, and the watch cuts what expires or is revoked: without it nothing goes on.
+A shell around `layers.AgentState`. `membership` holds the master session, `ingress` and `egress`
+the ports; the watchdog closes connections that expire or are revoked: if it fails, all are closed.
 """
 
 import asyncio
@@ -17,8 +17,8 @@ from rossec.home import NodeHome
 from rossec.net.aio import SecureStream
 from rossec.net.aio.tasks import TaskSet
 from rossec.net.halfopen import HalfOpenCount
-from rossec.participant.accepted import AcceptedConnections
 from rossec.participant.access import Access
+from rossec.participant.connections import AcceptedConnections
 from rossec.participant.publisher_grace import PublisherGrace
 from rossec.participant.revocation_watch import ConnectionWatchdog
 from rossec.ros.settings import Settings
@@ -41,17 +41,17 @@ class Agent:
     """Acts for the identity in `home`.
 
     Args:
-        outside: where the master is and how peers reach this host.
-        callers: which programs may use it.
-        master_uri: the loopback master, as its programs know it.
-        half_open: what strangers have begun at any door of this process.
-        suites: offered and accepted, in order of preference.
+        settings: where the master is and how peers reach this host.
+        callers: the programs that may use it.
+        master_uri: the URI of the loopback master.
+        half_open: the unauthenticated connections at all ports of this process.
+        suites: cipher suites, offered and accepted, in order of preference.
     """
 
     def __init__(
         self,
         home: NodeHome,
-        outside: Settings,
+        settings: Settings,
         callers: Callers,
         master_uri: str,
         half_open: HalfOpenCount,
@@ -59,32 +59,34 @@ class Agent:
     ) -> None:
         self.home = home
         self.callers = callers
-        self._outside = outside
+        self._settings = settings
         anchor, credentials = home.anchor(), LiveCredentials(home.credentials())
         revocations = saved_revocations(home, anchor, clock.now())
         access = Access(anchor, revocations)
         identity = home.identity(clock.now())
-        doors = EndpointMap(outside.address or "", callers.loopback.host)
-        named = PublisherGrace(clock.counter())
-        self.tenant = AgentState(identity, access, doors, master_uri, known_type, named)
-        self._network = PeerConnector(credentials, anchor, access, suites, half_open)
-        self._links, guests = PeerConnections(revocations), AcceptedConnections()
-        self._watch = ConnectionWatchdog(revocations, lambda: self._links, guests)
-        self._membership = Membership(
-            self, home, self.tenant, credentials, revocations,
-            self._dial_master, self._watch.cut,
-        )  # fmt: skip
-        self._exports = Ingress(
-            self, self.tenant, self._network, self._links, guests, home.filter_key,
-            self._membership.revocations_arrived,
-        )  # fmt: skip
-        self._imports = Egress(
-            self, self.tenant, self._links, home.filter_key, self._membership.topic_ended
+        endpoints = EndpointMap(settings.address or "", callers.loopback.host)
+        publisher_grace = PublisherGrace(clock.counter())
+        self.state = AgentState(
+            identity, access, endpoints, master_uri, known_type, publisher_grace
         )
-        self._kept = ConnectionCache()
-        self._watching = TaskSet(self._blind)
-        self._is_blind = False
-        self._opening = asyncio.Lock()
+        self._connector = PeerConnector(credentials, anchor, access, suites, half_open)
+        self._connections, accepted = PeerConnections(revocations), AcceptedConnections()
+        self._watchdog = ConnectionWatchdog(revocations, lambda: self._connections, accepted)
+        self._membership = Membership(
+            self, home, self.state, credentials, revocations,
+            self._dial_master, self._watchdog.close_terminated,
+        )  # fmt: skip
+        self._ingress = Ingress(
+            self, self.state, self._connector, self._connections, accepted, home.filter_key,
+            self._membership.on_revocations,
+        )  # fmt: skip
+        self._egress = Egress(
+            self, self.state, self._connections, home.filter_key, self._membership.on_topic_ended
+        )
+        self._cache = ConnectionCache()
+        self._tasks = TaskSet(self._watchdog_failed)
+        self._has_failed = False
+        self._start_lock = asyncio.Lock()
         self._started = False
 
     @property
@@ -92,86 +94,86 @@ class Agent:
         """The certified name."""
         return self.home.name
 
-    async def call_master(self, method: str, params: tuple[object, ...]) -> object:
+    async def handle_call(self, method: str, params: tuple[object, ...]) -> object:
         """Answer a program's call to its master."""
-        await self._start()
-        visit = CommandExecutor(self)
+        await self._ensure_started()
+        executor = CommandExecutor(self)
         try:
-            return await visit.run(master_calls.call(self.tenant, method, params))
+            return await executor.run(master_calls.handle_call(self.state, method, params))
         finally:
-            await visit.close()
+            await executor.close()
 
     async def close(self) -> None:
-        """Close every door, end every connection."""
-        await self._exports.close()
-        await self._imports.close()
-        await self._watching.close()
-        await self._kept.close()
+        """Close every port and every connection."""
+        await self._ingress.close()
+        await self._egress.close()
+        await self._tasks.close()
+        await self._cache.close()
         await self._membership.close()
 
-    # --- what a visit needs
+    # --- agent services
 
-    def export(self, local: Endpoint) -> int:
-        """The port outside for `local`."""
-        return self._exports.open(local)
+    def open_ingress(self, local: Endpoint) -> int:
+        """The network port for `local`; it listens."""
+        return self._ingress.open(local)
 
-    def rest(self, local: Endpoint) -> None:
-        """Refuse callers for `local`: the program is gone."""
-        self._exports.rest(local)
+    def suspend_ingress(self, local: Endpoint) -> None:
+        """Refuse callers for `local`: the program has ended."""
+        self._ingress.suspend(local)
 
-    def bring(self, remote: Endpoint) -> int:
+    def open_egress(self, remote: Endpoint) -> int:
         """The loopback port for `remote`; it listens."""
-        return self._imports.open(remote)
+        return self._egress.open(remote)
 
-    def shut(self, remote: Endpoint) -> int:
+    def refuse_egress(self, remote: Endpoint) -> int:
         """The loopback port for `remote`; it refuses callers."""
-        return self._imports.rest(remote)
+        return self._egress.refuse(remote)
 
-    def keep(self, remote: Endpoint, correspondent: SlaveApiClient) -> None:
-        """Keep a connection for the next caller of `remote`, for a moment."""
-        self._kept.keep(remote, correspondent)
+    def cache_client(self, remote: Endpoint, client: SlaveApiClient) -> None:
+        """Cache a connection for the next caller of `remote`, for a few seconds."""
+        self._cache.put(remote, client)
 
-    def kept(self, remote: Endpoint) -> SlaveApiClient | None:
-        """Such a connection, for this caller alone."""
-        return self._kept.take(remote)
+    def cached_client(self, remote: Endpoint) -> SlaveApiClient | None:
+        """Take a cached connection to `remote`."""
+        return self._cache.take(remote)
 
     async def dial(self, remote: Endpoint) -> SecureStream[Identity]:
-        """Connect to a peer whose identity holds, or to a program of the same identity."""
-        own = self.tenant.doors.program_behind(remote) is not None
-        return await self._network.dial(remote, own=own)
+        """Connect to a peer with a valid identity, or to a program of the same identity."""
+        own_identity = self.state.endpoints.program_at(remote) is not None
+        return await self._connector.dial(remote, own_identity=own_identity)
 
-    def check(self, peer: Identity) -> None:
-        """Return if the identity of `peer` holds still."""
-        self.tenant.access.check_peer(peer, clock.now())
+    def check_peer(self, peer: Identity) -> None:
+        """Return if the identity of `peer` is still valid."""
+        self.state.access.check_peer(peer, clock.now())
 
-    async def ask_master(self, method: str, params: tuple[object, ...]) -> object:
+    async def call_master(self, method: str, params: tuple[object, ...]) -> object:
         """The master's answer."""
-        return await self._membership.answer(method, params)
+        return await self._membership.call_master(method, params)
 
     def proof(self, right: Right, name: str) -> bytes:
-        """Grants that prove `right` on `name`."""
-        return self.tenant.access.present(right, name, clock.now())
+        """The grants for `right` on `name`."""
+        return self.state.access.present(right, name, clock.now())
 
-    # --- the master, and the watch
+    # --- master and watchdog
 
-    async def _start(self) -> None:
-        """Meet the master; a program that calls before it is there tries again, as in ROS."""
-        async with self._opening:
-            if self._is_blind:
-                raise HangUp("nobody watches over the connections of this identity any more")
+    async def _ensure_started(self) -> None:
+        """Connect to the master once; until it is up programs retry, as in ROS."""
+        async with self._start_lock:
+            if self._has_failed:
+                raise HangUp("the watchdog of this identity has failed")
             if self._started:
                 return
-            met_from = await self._membership.begin()
-            self.tenant.doors.host = self._outside.address or met_from
+            local_address = await self._membership.start()
+            self.state.endpoints.host = self._settings.address or local_address
             self._started = True
-            self._watching.spawn(self._watch.run(), f"{self.name}: watch")
+            self._tasks.spawn(self._watchdog.run(), f"{self.name}: watchdog")
 
     async def _dial_master(self) -> SecureStream[Identity]:
-        host, port = self._outside.master_host, self._outside.master_port
-        return await self._network.dial(Endpoint(WireProtocol.HTTP, host, port), news=True)
+        host, port = self._settings.master_host, self._settings.master_port
+        return await self._connector.dial(Endpoint(WireProtocol.HTTP, host, port), allow_stale=True)
 
-    def _blind(self, _: BaseException) -> None:
-        """The watch has died: what it would no longer cut must not go on."""
-        self._is_blind = True
-        self._links.abort("nobody watches over it any more")
-        self._watching.spawn(self.close(), f"{self.name}: closing after a failure")
+    def _watchdog_failed(self, _: BaseException) -> None:
+        """The watchdog has failed: close what it can no longer check."""
+        self._has_failed = True
+        self._connections.abort("the watchdog has failed")
+        self._tasks.spawn(self.close(), f"{self.name}: closing after a failure")

@@ -1,10 +1,10 @@
 """The program a private sidecar was started for: its environment, its signals, its end.
 
-A shell. The program finds the loopback master in its environment, nothing else: no secret is there
-or on its command line. It has the descriptors that were passed to us, as `<(...)` of a shell does.
-Programs it leaves behind become our children (subreaper), so that they stay its own. What another
-process sends us is passed on; what the kernel sends (Ctrl-C) the terminal has sent to the program
-as well. Which it was only signalfd(2) tells.
+A shell. The program gets the loopback master in its environment, nothing else: no secret is there
+or on its command line. It inherits the descriptors passed to us, as with `<(...)` of a shell. Its
+orphans become our children (subreaper), so that they remain its descendants. Signals of other
+processes are forwarded; signals of the kernel (Ctrl-C) the terminal has sent to the program as
+well. Only signalfd(2) tells the two apart.
 """
 
 import asyncio
@@ -23,10 +23,10 @@ from rossec.sidecar.core.endpoints import LOOPBACK, Loopback
 from rossec.sidecar.descriptors import Limits, restore_limit
 
 OUTSIDE: Final = "ROSSEC_OUTSIDE"
-"""Where a nested `rossec run` finds what the outer one replaced."""
+"""The variable in which a nested `rossec run` finds what the outer one replaced."""
 
 _REPLACED: Final = ("ROS_MASTER_URI", "ROS_IP", "ROS_HOSTNAME", "ROS_IPV6")
-_PASSED_ON: Final = (
+_FORWARDED: Final = (
     signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT,
     signal.SIGUSR1, signal.SIGUSR2, signal.SIGCONT,
 )  # fmt: skip
@@ -38,11 +38,11 @@ _SIGNAL: Final = struct.Struct("=Iii116x")  # signalfd_siginfo: number, errno, c
 _BY_KERNEL: Final = 0x80  # SI_KERNEL
 
 
-def outside(environ: Mapping[str, str]) -> dict[str, str]:
+def outer_environment(environ: Mapping[str, str]) -> dict[str, str]:
     """The environment as it was before an outer `rossec run` changed it.
 
     Raises:
-        ConfigurationError: the variable that says so is damaged.
+        ConfigurationError: the saved variable is damaged.
     """
     saved = environ.get(OUTSIDE)
     if saved is None:
@@ -55,13 +55,13 @@ def outside(environ: Mapping[str, str]) -> dict[str, str]:
     return {key: value for key, value in environ.items() if key not in _REPLACED} | before
 
 
-def inside(
+def program_environment(
     environ: Mapping[str, str],
     settled: Mapping[str, str],
     master_uri: str,
     loopback: Loopback = LOOPBACK,
 ) -> dict[str, str]:
-    """The environment for the program; a nested `rossec run` finds what was `settled` outside."""
+    """The environment for the program; a nested `rossec run` restores what was `settled`."""
     before = {key: settled[key] for key in _REPLACED if key in settled}
     kept = {key: value for key, value in environ.items() if key not in _REPLACED}
     own = {"ROS_IP": loopback.host}
@@ -71,10 +71,10 @@ def inside(
 
 
 def adopt_orphans() -> None:
-    """Become the parent of what the program leaves behind.
+    """Become the parent of the program's orphans.
 
     Raises:
-        OSError: the kernel does not let us.
+        OSError: the kernel refuses.
     """
     if _LIBC.prctl(_SUBREAPER, 1, 0, 0, 0) != 0:
         raise OSError(ctypes.get_errno(), "prctl PR_SET_CHILD_SUBREAPER")
@@ -83,7 +83,7 @@ def adopt_orphans() -> None:
 async def run(
     command: Sequence[str], environ: Mapping[str, str], limits: Limits | None = None
 ) -> int:
-    """Run the program to its end; its exit code, 128 and the signal's number if one ended it.
+    """Run the program to its end; its exit code, or 128 plus the signal that ended it.
 
     Args:
         limits: of descriptors, for the program.
@@ -91,17 +91,17 @@ async def run(
     Raises:
         NoSuchProgram: it cannot be started.
     """
-    with _held_back() as (mask, signals):
+    with _blocked_signals() as (mask, signals):
 
         def prepare() -> None:
-            # A program whose sidecar was killed reaches nobody, and must not linger.
+            # A program whose sidecar was killed has no connections left and must end.
             _LIBC.prctl(_DEATH_SIGNAL, signal.SIGTERM, 0, 0, 0)
             signal.pthread_sigmask(signal.SIG_SETMASK, mask)
             if limits is not None:
                 restore_limit(limits)
 
         program = await _start(command, environ, prepare)
-        with _passing_on(program, signals):
+        with _forwarding_signals(program, signals):
             code = await program.wait()
     return code if code >= 0 else _SIGNALLED - code
 
@@ -129,14 +129,14 @@ class NoSuchProgram(HintedError):
 
 
 @contextlib.contextmanager
-def _held_back() -> Iterator[tuple[set[int | signal.Signals], int]]:
-    """Signals wait at a descriptor meanwhile; with it comes the mask from before.
+def _blocked_signals() -> Iterator[tuple[set[int | signal.Signals], int]]:
+    """Block the forwarded signals; yields the previous mask and a signalfd descriptor.
 
-    They are held back from before the program starts: none is lost.
+    They are blocked before the program starts: none is lost.
     """
-    mask = signal.pthread_sigmask(signal.SIG_BLOCK, _PASSED_ON)
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, _FORWARDED)
     try:
-        signals = _signalfd(_PASSED_ON)
+        signals = _signalfd(_FORWARDED)
         try:
             yield mask, signals
         finally:
@@ -157,35 +157,35 @@ def _signalfd(numbers: Sequence[signal.Signals]) -> int:
 
 
 @contextlib.contextmanager
-def _passing_on(program: asyncio.subprocess.Process, signals: int) -> Iterator[None]:
+def _forwarding_signals(program: asyncio.subprocess.Process, signals: int) -> Iterator[None]:
     loop = asyncio.get_running_loop()
 
-    def pass_on() -> None:
-        for number, code in _arrived(signals):
+    def forward() -> None:
+        for number, code in _pending_signals(signals):
             if code != _BY_KERNEL:
                 with contextlib.suppress(ProcessLookupError):
                     program.send_signal(number)
 
-    loop.add_reader(signals, pass_on)
-    loop.add_signal_handler(signal.SIGCHLD, _bury, program.pid)
+    loop.add_reader(signals, forward)
+    loop.add_signal_handler(signal.SIGCHLD, _reap, program.pid)
     try:
         yield
     finally:
-        pass_on()  # what came in the last moment was for the program, and must not end us
+        forward()  # a signal that came last was for the program and must not end us
         loop.remove_reader(signals)
         loop.remove_signal_handler(signal.SIGCHLD)
 
 
-def _arrived(signals: int) -> Iterator[tuple[int, int]]:
-    """Each signal that waits, with its code."""
+def _pending_signals(signals: int) -> Iterator[tuple[int, int]]:
+    """Each pending signal, with its code."""
     with contextlib.suppress(BlockingIOError):
         while True:
             number, _, code = _SIGNAL.unpack(os.read(signals, _SIGNAL.size))
             yield number, code
 
 
-def _bury(own: int) -> None:
-    """Collect adopted children that have ended; the program itself is waited for elsewhere."""
+def _reap(own: int) -> None:
+    """Reap adopted children that have ended; the program itself is waited for elsewhere."""
     with contextlib.suppress(ChildProcessError):
         while (found := os.waitid(os.P_ALL, 0, os.WEXITED | os.WNOHANG | os.WNOWAIT)) is not None:
             if found.si_pid == own:

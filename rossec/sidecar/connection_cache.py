@@ -1,7 +1,7 @@
-"""Connections to peers' slave APIs, kept for a moment for the program that was told of them.
+"""Connections to peers' slave APIs, cached briefly for the program that looked them up.
 
-A shell. A door is opened only if the peer answers; the program that then comes through it finds
-the connection made.
+A shell. A port is opened only if the peer answers; the program that then connects to the port
+reuses that connection.
 """
 
 import asyncio
@@ -11,36 +11,36 @@ from rossec.net.aio.tasks import TaskSet
 from rossec.sidecar.core.endpoints import Endpoint
 from rossec.sidecar.executor import SlaveApiClient
 
-_KEEP: Final = 5.0
+_LIFETIME: Final = 5.0
 
 
 class ConnectionCache:
-    """At most one for each peer."""
+    """Caches at most one connection for each peer."""
 
     def __init__(self) -> None:
-        self._kept: dict[Endpoint, SlaveApiClient] = {}
+        self._clients: dict[Endpoint, SlaveApiClient] = {}
         self._tasks = TaskSet()
 
-    def keep(self, remote: Endpoint, correspondent: SlaveApiClient) -> None:
-        """Keep a connection for the next caller of `remote`, for a moment."""
-        old = self._kept.pop(remote, None)
-        self._kept[remote] = correspondent
-        self._tasks.spawn(self._let_go(remote, correspondent, old), "a kept connection")
+    def put(self, remote: Endpoint, client: SlaveApiClient) -> None:
+        """Cache a connection for the next caller of `remote`, for a few seconds."""
+        old = self._clients.pop(remote, None)
+        self._clients[remote] = client
+        self._tasks.spawn(self._close_later(remote, client, old), "a cached connection")
 
     def take(self, remote: Endpoint) -> SlaveApiClient | None:
-        """Such a connection, for this caller alone."""
-        return self._kept.pop(remote, None)
+        """Take a cached connection to `remote`."""
+        return self._clients.pop(remote, None)
 
     async def close(self) -> None:
-        """Let go of all."""
+        """Drop all connections."""
         await self._tasks.close()
 
-    async def _let_go(
-        self, remote: Endpoint, correspondent: SlaveApiClient, old: SlaveApiClient | None
+    async def _close_later(
+        self, remote: Endpoint, client: SlaveApiClient, old: SlaveApiClient | None
     ) -> None:
         if old is not None:
-            await old.client.close()
-        await asyncio.sleep(_KEEP)
-        if self._kept.get(remote) is correspondent:
-            del self._kept[remote]
-            await correspondent.client.close()
+            await old.rpc.close()
+        await asyncio.sleep(_LIFETIME)
+        if self._clients.get(remote) is client:
+            del self._clients[remote]
+            await client.rpc.close()

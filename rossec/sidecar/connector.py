@@ -1,6 +1,6 @@
-"""The channel as one identity speaks it: it connects to peers, and listens for them.
+"""The secure channel of one identity: connects to peers and listens for them.
 
-A shell. Whoever answers is checked before anything is said.
+A shell. A peer is checked before anything is sent to it.
 """
 
 from typing import Final
@@ -16,27 +16,29 @@ from rossec.channel.records import ChannelLimits
 from rossec.errors import HangUp
 from rossec.net.aio import SecureStream, connect
 from rossec.net.aio.server import Handler, SecureServer, serve
-from rossec.net.bounds import ACCEPTED, DIALLED, GREETING
+from rossec.net.bounds import ACCEPTED, DIALLED, PREAUTH_LIMIT
 from rossec.net.halfopen import HalfOpenCount
 from rossec.participant.access import Access
 from rossec.ros.header import MESSAGE_LIMIT
 from rossec.ros.settings import is_loopback
 from rossec.ros.xmlrpc import BODY_LIMIT
 from rossec.sidecar.core.endpoints import Endpoint
-from rossec.sidecar.loopback_port import on_free_port
+from rossec.sidecar.loopback_port import bind_free_port
 
 # Peers send headers and requests; what programs send leaves in small units.
 _ACCEPTED: Final = {
     **ACCEPTED,
-    WireProtocol.TCPROS: ChannelLimits(unit=MESSAGE_LIMIT + BODY_LIMIT, greeting=GREETING),
+    WireProtocol.TCPROS: ChannelLimits(
+        unit=MESSAGE_LIMIT + BODY_LIMIT, preauth_limit=PREAUTH_LIMIT
+    ),
 }
 
 
 class PeerConnector:
-    """Acts with `credentials`, for peers that `anchor` vouches for and `access` knows as alive.
+    """Authenticates with `credentials`; peers need a certificate of `anchor`, valid for `access`.
 
     Args:
-        half_open: what strangers have begun at any door of this process.
+        half_open: the unauthenticated connections at all ports of this process.
     """
 
     def __init__(
@@ -56,23 +58,23 @@ class PeerConnector:
         self._own_dials = OwnDials()
 
     async def dial(
-        self, remote: Endpoint, *, news: bool = False, own: bool = False
+        self, remote: Endpoint, *, allow_stale: bool = False, own_identity: bool = False
     ) -> SecureStream[Identity]:
-        """Connect to a peer whose identity holds.
+        """Connect to a peer with a valid identity.
 
         Args:
-            own: it is a program of this same identity: nobody else will do.
-            news: it brings what is revoked, so that it may be met before anybody knows.
+            allow_stale: accept stale revocation data: the master provides fresh data.
+            own_identity: the peer must be a program of this identity.
 
         Raises:
-            HangUp: it does not hold, or nobody knows.
+            HangUp: the identity is invalid, or its revocation status unknown.
         """
-        stream = await self._connect(remote, self._own_dials if own else None)
+        stream = await self._connect(remote, self._own_dials if own_identity else None)
         try:
             self._access.check_peer(stream.peer, clock.now())
         except HintedError as error:
-            if not (news and isinstance(error, RevocationsStale)):
-                stream.abort("the peer's identity does not hold")
+            if not (allow_stale and isinstance(error, RevocationsStale)):
+                stream.abort("the peer's identity is invalid")
                 raise HangUp(str(error), error.hint) from error
         return stream
 
@@ -81,22 +83,22 @@ class PeerConnector:
     ) -> SecureStream[Identity]:
         return await connect(
             remote.host, remote.port, self._credentials, self._anchor.verify,
-            opening=remote.flavour, limits=DIALLED[remote.flavour],
+            opening=remote.protocol, limits=DIALLED[remote.protocol],
             suites=self._suites, known=self._known, own_dials=own_dials,
         )  # fmt: skip
 
     def listen(
-        self, handler: Handler[Identity], host: str, flavour: WireProtocol
+        self, handler: Handler[Identity], host: str, protocol: WireProtocol
     ) -> SecureServer[Identity]:
-        """Listen, on loopback alone when `host`, where peers are told to come, is loopback.
+        """Listen; on loopback alone if `host`, the advertised address, is loopback.
 
-        The port is named when it is bound, so that the kernel keeps it while the server rests.
+        The port is bound explicitly, so that the kernel reserves it while the server is suspended.
         """
         bind = host if is_loopback(host) else None
-        return on_free_port(
+        return bind_free_port(
             lambda port: serve(
                 handler, bind, port, self._credentials, self._anchor.verify,
-                accept={flavour}, limits=_ACCEPTED[flavour], half_open=self._half_open,
+                accept={protocol}, limits=_ACCEPTED[protocol], half_open=self._half_open,
                 suites=self._suites, known=self._known, own_dials=self._own_dials,
             )
         )  # fmt: skip

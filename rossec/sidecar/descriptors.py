@@ -1,7 +1,7 @@
-"""How many descriptors this process may have open: as many as it can get, its program as before.
+"""The limit of open descriptors: raised for this process, restored for its program.
 
-Every connection of a program needs two here, and the usual soft limit of 1024 is for programs that
-use select(2), which this one does not. The program may, so it gets the limit it would have had.
+Every connection of a program needs two here. The usual soft limit of 1024 is for programs that use
+select(2), which this process does not. The program may, so it gets the original limit.
 """
 
 import resource
@@ -9,23 +9,23 @@ from contextlib import suppress
 from typing import Final, TypeAlias
 
 Limits: TypeAlias = tuple[int, int]
-"""The soft and the hard one."""
+"""The soft and the hard limit."""
 
 ENOUGH: Final = 1 << 16
 _WHICH: Final = resource.RLIMIT_NOFILE
 
 
 def raise_limit() -> Limits:
-    """Raise the soft limit as far as it goes, at most to `ENOUGH`; returns the limits before."""
+    """Raise the soft limit as far as allowed, at most to `ENOUGH`; return the previous limits."""
     before = resource.getrlimit(_WHICH)
     soft, hard = before
     wanted = ENOUGH if hard == resource.RLIM_INFINITY else min(hard, ENOUGH)
     if soft != resource.RLIM_INFINITY and soft < wanted:
-        with suppress(OSError, ValueError):  # a container may forbid it: then fewer must do
+        with suppress(OSError, ValueError):  # a container may forbid it
             resource.setrlimit(_WHICH, (wanted, hard))
     return before
 
 
 def restore_limit(before: Limits) -> None:
-    """In the child: back to what `raise_limit` returned."""
+    """In the child: restore what `raise_limit` returned."""
     resource.setrlimit(_WHICH, before)

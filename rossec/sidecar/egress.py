@@ -1,7 +1,7 @@
-"""Doors on loopback: programs call a peer's slave API, subscribe to its topics, call services.
+"""Loopback ports for peers: programs call a peer's slave API, subscribe to topics, call services.
 
-A shell. Each connection runs one layer after another; whatever goes wrong ends that connection, on
-both sides.
+A shell. Each connection runs one layer after another; an error closes that connection on both
+sides.
 """
 
 import asyncio
@@ -21,7 +21,7 @@ from rossec.net.aio.tasks import TaskSet
 from rossec.net.bounds import message_limit, unit_limit
 from rossec.net.rpc.client import serve_calls
 from rossec.participant.header_fields import text
-from rossec.participant.limit_memory import recall
+from rossec.participant.limit_memory import memory_scope
 from rossec.participant.topic_guard import FilterKey
 from rossec.ros import header
 from rossec.ros.header import MESSAGE_LIMIT
@@ -44,88 +44,92 @@ _log = logging.getLogger("rossec.sidecar")
 
 
 class Egress:
-    """The doors of one identity.
+    """The loopback ports of one identity.
 
     Args:
-        house: whom visits are made for.
+        services: the services of its agent.
         filter_key: finds a key for pseudonyms by its name.
-        ended: told of a topic whose connection, made at that monotonic time, has ended.
+        on_topic_ended: called with the topic and the start (monotonic) of a connection that ended.
     """
 
     def __init__(
         self,
-        house: AgentServices,
-        tenant: AgentState,
-        links: PeerConnections,
+        services: AgentServices,
+        agent: AgentState,
+        connections: PeerConnections,
         filter_key: FilterKey,
-        ended: Callable[[str, float], None],
+        on_topic_ended: Callable[[str, float], None],
     ) -> None:
-        self._house = house
-        self._tenant = tenant
-        self._links = links
+        self._services = services
+        self._agent = agent
+        self._connections = connections
         self._filter_key = filter_key
-        self._ended = ended
+        self._on_topic_ended = on_topic_ended
         self._tasks = TaskSet()
-        self._places: ProgramMemories[CommandExecutor] = ProgramMemories(
-            recall(tenant.identity.name)
+        self._memories: ProgramMemories[CommandExecutor] = ProgramMemories(
+            memory_scope(agent.identity.name)
         )
-        self.doorways = PortPool(self._close_door)
+        self.ports = PortPool(self._close_port)
 
     def open(self, remote: Endpoint) -> int:
         """The loopback port for `remote`; it listens."""
-        door = self._door(remote)
-        door.open()
-        return door.port
+        listener = self._port_for(remote)
+        listener.open()
+        return listener.port
 
-    def rest(self, remote: Endpoint) -> int:
-        """The loopback port for `remote`; it refuses callers."""
-        door = self._door(remote)
-        door.rest()
-        return door.port
+    def refuse(self, remote: Endpoint) -> int:
+        """The loopback port for `remote`; the kernel refuses callers."""
+        listener = self._port_for(remote)
+        listener.suspend()
+        return listener.port
 
     async def close(self) -> None:
-        """Close every door."""
-        for door in self.doorways:
-            await door.close()
+        """Close every port."""
+        for listener in self.ports:
+            await listener.close()
         await self._tasks.close()
 
-    def _door(self, remote: Endpoint) -> LoopbackPort:
-        serve = self._reach if remote.flavour is WireProtocol.TCPROS else self._inquire
+    def _port_for(self, remote: Endpoint) -> LoopbackPort:
+        serve = (
+            self._serve_tcpros if remote.protocol is WireProtocol.TCPROS else self._serve_slave_api
+        )
 
         async def handler(program: PlainStream) -> None:
             await serve(remote, program)
 
-        callers = self._house.callers
-        return self.doorways.ask(remote, lambda: LoopbackPort(callers, handler))
+        callers = self._services.callers
+        return self.ports.get_or_open(remote, lambda: LoopbackPort(callers, handler))
 
-    def _close_door(self, _: Endpoint, door: LoopbackPort) -> None:
-        self._tenant.doors.closed_inside(door.port)
-        self._tasks.spawn(door.close(), f"loopback port {door.port}")
+    def _close_port(self, _: Endpoint, listener: LoopbackPort) -> None:
+        self._agent.endpoints.remove_egress(listener.port)
+        self._tasks.spawn(listener.close(), f"loopback port {listener.port}")
 
-    async def _inquire(self, remote: Endpoint, program: PlainStream) -> None:
+    async def _serve_slave_api(self, remote: Endpoint, program: PlainStream) -> None:
         """A program's calls to a peer's slave API."""
-        visit = CommandExecutor(self._house)
+        executor = CommandExecutor(self._services)
 
         async def dispatch(method: str, params: tuple[object, ...], _: str) -> object:
-            return await visit.run(slave_calls.ask_peer(self._tenant, remote, method, params))
+            return await executor.run(
+                slave_calls.handle_program_call(self._agent, remote, method, params)
+            )
 
         try:
             await serve_calls(program, dispatch)
         finally:
-            await visit.close()
+            await executor.close()
 
-    async def _reach(self, remote: Endpoint, program: PlainStream) -> None:
+    async def _serve_tcpros(self, remote: Endpoint, program: PlainStream) -> None:
         """A program that subscribes to a peer's topic, or calls its service."""
-        visit = CommandExecutor(self._house)
+        executor = CommandExecutor(self._services)
         try:
             try:
                 async with asyncio.timeout(HEADER_DEADLINE):
                     fields, early = await split_header(program)
-                    layer = tcpros.reach_peer(
-                        self._tenant, remote, fields, self._filter_key,
-                        lambda name: self._places.take(name, visit), clock.now(),
+                    layer = tcpros.connect_to_peer(
+                        self._agent, remote, fields, self._filter_key,
+                        lambda name: self._memories.acquire(name, executor), clock.now(),
                     )  # fmt: skip
-                    joined = await visit.run(layer)
+                    admitted = await executor.run(layer)
             except HangUp as error:
                 _log.info("no connection to %s: %s", remote.uri, error)
                 return
@@ -134,30 +138,30 @@ class Egress:
                 await program.send(header.error_header(f"rossec: {error}"))
                 await program.close()
                 return
-            if visit.stream is not None:
+            if executor.stream is not None:
                 began = time.monotonic()
-                await self._pass(joined, program, visit.stream, early, visit.first)
-                if not joined.service:
-                    self._ended(text(fields, "topic"), began)
+                await self._forward(admitted, program, executor.stream, early, executor.first)
+                if not admitted.service:
+                    self._on_topic_ended(text(fields, "topic"), began)
         except (RossecError, TimeoutError) as error:
             _log.info("a connection to %s ended: %s", remote.uri, error)
         finally:
-            self._places.leave(visit)
-            await visit.close()
+            self._memories.release(executor)
+            await executor.close()
 
-    async def _pass(
+    async def _forward(
         self,
-        joined: AdmittedConnection,
+        admitted: AdmittedConnection,
         program: PlainStream,
         stream: SecureStream[Identity],
         early: bytes,
         first: bytes,
     ) -> None:
-        with self._links.linked(stream, joined.decision):
-            await program.send(header.encode(joined.answer))
-            if joined.service:
+        with self._connections.track(stream, admitted.decision):
+            await program.send(header.encode(admitted.answer))
+            if admitted.service:
                 await pump.exchange(program, stream, early, first)
             else:
-                stream.welcome(unit_limit(joined.size, ChannelLimits.unit))
-                longest = message_limit(joined.size, MESSAGE_LIMIT)
-                await pump.subscribe(program, stream, joined.guard, first, longest)
+                stream.raise_unit_limit(unit_limit(admitted.message_size, ChannelLimits.unit))
+                longest = message_limit(admitted.message_size, MESSAGE_LIMIT)
+                await pump.subscribe(program, stream, admitted.guard, first, longest)

@@ -1,7 +1,7 @@
-"""What one connection keeps open at its other end, and how commands are carried out for it.
+"""Executes the commands of one connection's layers, and owns the connections this opens.
 
-A shell: it dials, asks and reports; it decides nothing. Whoever answers outside is checked before
-anything is said to it, and whoever listens inside before it is connected to.
+A shell: it connects, calls and reports; it decides nothing. A peer is checked before anything is
+sent to it, and a program that listens before it is connected to.
 """
 
 import asyncio
@@ -23,16 +23,16 @@ from rossec.ros import header, xmlrpc
 from rossec.ros.xmlrpc import Fault
 from rossec.sidecar.callers import Callers
 from rossec.sidecar.core.commands import (
-    AskLocal,
-    AskMaster,
-    AskRemote,
+    CallMaster,
+    CallPeer,
+    CallProgram,
     Command,
     ConnectPeer,
     ConnectProgram,
     OpenEgress,
     OpenIngress,
     Probe,
-    Question,
+    Request,
     Suspend,
 )
 from rossec.sidecar.core.endpoints import Endpoint
@@ -43,7 +43,7 @@ from rossec.sidecar.core.events import (
     HeaderArrived,
     NoAnswer,
     Opened,
-    Passed,
+    RawResponse,
 )
 from rossec.sidecar.core.layers import Layer, Outcome
 from rossec.sidecar.plain_stream import PlainStream
@@ -54,20 +54,20 @@ DEADLINE: Final = 10.0
 
 @dataclass
 class SlaveApiClient:
-    """A peer's slave API, connected; `shown` are the rights whose grants it has seen."""
+    """A connection to a peer's slave API; `presented`: the rights whose grants were presented."""
 
-    client: RpcClient
+    rpc: RpcClient
     peer: Identity
-    shown: set[Right] = field(default_factory=set)
+    presented: set[Right] = field(default_factory=set)
 
     @property
     def usable(self) -> bool:
-        """Whether it can still be asked."""
-        return not self.client.closed
+        """Whether it is still open."""
+        return not self.rpc.closed
 
 
 class AgentServices(Protocol):
-    """What a visit needs of the identity it is made for."""
+    """The services that an executor needs of its agent."""
 
     @property
     def name(self) -> str:
@@ -75,51 +75,51 @@ class AgentServices(Protocol):
 
     @property
     def callers(self) -> Callers:
-        """Which programs may be reached."""
+        """The programs that may be connected to."""
 
-    def export(self, local: Endpoint) -> int:
-        """The port outside for `local`."""
+    def open_ingress(self, local: Endpoint) -> int:
+        """The network port for `local`; it listens."""
 
-    def rest(self, local: Endpoint) -> None:
+    def suspend_ingress(self, local: Endpoint) -> None:
         """Refuse callers for `local`."""
 
-    def bring(self, remote: Endpoint) -> int:
+    def open_egress(self, remote: Endpoint) -> int:
         """The loopback port for `remote`; it listens."""
 
-    def shut(self, remote: Endpoint) -> int:
+    def refuse_egress(self, remote: Endpoint) -> int:
         """The loopback port for `remote`; it refuses callers."""
 
-    def keep(self, remote: Endpoint, correspondent: SlaveApiClient) -> None:
-        """Keep a connection for the next caller of `remote`."""
+    def cache_client(self, remote: Endpoint, client: SlaveApiClient) -> None:
+        """Cache a connection for the next caller of `remote`."""
 
-    def kept(self, remote: Endpoint) -> SlaveApiClient | None:
-        """Such a connection, for this caller alone."""
+    def cached_client(self, remote: Endpoint) -> SlaveApiClient | None:
+        """Take a cached connection to `remote`."""
 
     async def dial(self, remote: Endpoint) -> SecureStream[Identity]:
-        """Connect to a peer whose identity holds."""
+        """Connect to a peer with a valid identity."""
 
-    def check(self, peer: Identity) -> None:
-        """Return if the identity of `peer` holds still. Raises a `HintedError`."""
+    def check_peer(self, peer: Identity) -> None:
+        """Return if the identity of `peer` is still valid. Raises a `HintedError`."""
 
-    async def ask_master(self, method: str, params: tuple[object, ...]) -> object:
+    async def call_master(self, method: str, params: tuple[object, ...]) -> object:
         """The master's answer."""
 
     def proof(self, right: Right, name: str) -> bytes:
-        """Grants that prove `right` on `name`."""
+        """The grants for `right` on `name`."""
 
 
 class CommandExecutor:
-    """One connection's other end.
+    """Executes commands for one connection.
 
     Attributes:
-        program, stream: the end that was met for TCPROS.
-        first: what it sent after its header.
+        program, stream: the TCPROS connection to a program or to a peer.
+        first: the bytes it sent after its header.
     """
 
-    def __init__(self, house: AgentServices) -> None:
-        self._house = house
-        self._client: RpcClient | None = None
-        self._remote: SlaveApiClient | None = None
+    def __init__(self, services: AgentServices) -> None:
+        self._services = services
+        self._program_rpc: RpcClient | None = None
+        self._peer_client: SlaveApiClient | None = None
         self.program: PlainStream | None = None
         self.stream: SecureStream[Identity] | None = None
         self.first = b""
@@ -130,8 +130,8 @@ class CommandExecutor:
             command = next(layer)
             while True:
                 try:
-                    event = await self._carry_out(command)
-                except Fault as fault:  # an answer as well; multicalls give it to one element
+                    event = await self._execute(command)
+                except Fault as fault:  # a valid answer; in a multicall that of one element
                     command = layer.throw(fault)
                 else:
                     command = layer.send(event)
@@ -140,67 +140,71 @@ class CommandExecutor:
             return outcome
 
     async def close(self) -> None:
-        """Drop what is open."""
-        await self._leave()
-        if self._remote is not None:
+        """Close everything that is open."""
+        await self._close_program_rpc()
+        if self._peer_client is not None:
             with contextlib.suppress(RossecError, OSError):
-                await self._remote.client.close()
+                await self._peer_client.rpc.close()
         if self.program is not None:
             self.program.abort()
         if self.stream is not None:
             self.stream.abort("the other end is gone")
 
-    async def _leave(self) -> None:
-        """Close the connection to a program's slave API; what follows may last for days."""
-        client, self._client = self._client, None
-        if client is not None:
+    async def _close_program_rpc(self) -> None:
+        """Close the connection to a program's slave API: a TCPROS connection may last for days."""
+        rpc, self._program_rpc = self._program_rpc, None
+        if rpc is not None:
             with contextlib.suppress(RossecError, OSError):
-                await client.close()
+                await rpc.close()
 
-    async def _carry_out(self, command: Command) -> Event:
+    async def _execute(self, command: Command) -> Event:
         match command:
             case OpenIngress(local):
-                return Opened(self._house.export(local))
+                return Opened(self._services.open_ingress(local))
             case OpenEgress(remote, probe):
-                return Opened(await self._bring(remote) if probe else self._house.bring(remote))
+                return Opened(
+                    await self._probe_egress(remote)
+                    if probe
+                    else self._services.open_egress(remote)
+                )
             case Suspend(local):
-                self._house.rest(local)
+                self._services.suspend_ingress(local)
                 return CommandDone()
             case _:
-                return await self._ask(command)
+                return await self._execute_request(command)
 
-    async def _ask(self, question: Question) -> Event:
+    async def _execute_request(self, request: Request) -> Event:
         try:
             async with asyncio.timeout(DEADLINE):
-                return await self._answer(question)
+                return await self._perform(request)
         except ConnectionRefusedError as error:
             return NoAnswer(str(error), dead=True)
         except (HintedError, OSError, TimeoutError) as error:
             return NoAnswer(str(error) or "no answer in time")
 
-    async def _answer(self, question: Question) -> Event:
-        match question:
-            case AskMaster(method, params):
-                return Answered(await self._house.ask_master(method, params))
-            case AskLocal(local, method, params, parse):
-                return await _call(await self._inside(local), method, params, parse=parse)
-            case AskRemote(remote, method, params, right, parse):
-                client = await self._outside(remote, right)
+    async def _perform(self, request: Request) -> Event:
+        match request:
+            case CallMaster(method, params):
+                return Answered(await self._services.call_master(method, params))
+            case CallProgram(local, method, params, parse):
+                return await _call(await self._rpc_to_program(local), method, params, parse=parse)
+            case CallPeer(remote, method, params, right, parse):
+                client = await self._rpc_to_peer(remote, right)
                 return await _call(client, method, params, parse=parse)
             case Probe(local):
-                await self._inside(local)
+                await self._rpc_to_program(local)
                 return CommandDone()
             case ConnectProgram(local, fields):
-                await self._leave()
-                self.program = await self._connect(local)
-                return await self._meet(self.program, None, fields)
+                await self._close_program_rpc()
+                self.program = await self._connect_program(local)
+                return await self._exchange_headers(self.program, None, fields)
             case ConnectPeer(remote, fields):
-                self.stream = await self._house.dial(remote)
-                return await self._meet(self.stream, self.stream.peer, fields)
+                self.stream = await self._services.dial(remote)
+                return await self._exchange_headers(self.stream, self.stream.peer, fields)
             case _:
-                assert_never(question)
+                assert_never(request)
 
-    async def _meet(
+    async def _exchange_headers(
         self,
         end: PlainStream | SecureStream[Identity],
         peer: Identity | None,
@@ -210,15 +214,15 @@ class CommandExecutor:
         answer, self.first = await split_header(end)
         return HeaderArrived(answer, peer, clock.now())
 
-    async def _inside(self, local: Endpoint) -> RpcClient:
-        if self._client is None or self._client.closed:
-            self._client = RpcClient(
-                await self._connect(local), host=self._house.callers.loopback.host
+    async def _rpc_to_program(self, local: Endpoint) -> RpcClient:
+        if self._program_rpc is None or self._program_rpc.closed:
+            self._program_rpc = RpcClient(
+                await self._connect_program(local), host=self._services.callers.loopback.host
             )
-        return self._client
+        return self._program_rpc
 
-    async def _connect(self, local: Endpoint) -> PlainStream:
-        callers = self._house.callers
+    async def _connect_program(self, local: Endpoint) -> PlainStream:
+        callers = self._services.callers
         holders = await callers.check_listener(local.port)
         sock = await dial(callers.loopback.address, local.port, DEADLINE)
         try:
@@ -228,45 +232,43 @@ class CommandExecutor:
             raise
         return PlainStream(sock)
 
-    async def _bring(self, remote: Endpoint) -> int:
-        """A door that opens only if the peer answers; its connection is kept for who comes next."""
+    async def _probe_egress(self, remote: Endpoint) -> int:
+        """Open a port only if the peer answers; its connection is cached for the next caller."""
         try:
             async with asyncio.timeout(DEADLINE):
-                correspondent = await self._reach(remote)
-                await self._show(correspondent, Right.GRAPH)
+                client = await self._connect_peer(remote)
+                await self._present_grants(client, Right.GRAPH)
         except (RossecError, OSError, TimeoutError):
-            return self._house.shut(remote)
-        self._house.keep(remote, correspondent)
-        return self._house.bring(remote)
+            return self._services.refuse_egress(remote)
+        self._services.cache_client(remote, client)
+        return self._services.open_egress(remote)
 
-    async def _outside(self, remote: Endpoint, right: Right | None) -> RpcClient:
-        if self._remote is None or not self._remote.usable:
-            self._remote = self._house.kept(remote)
-        if self._remote is None or not self._remote.usable:
-            self._remote = await self._reach(remote)
-        self._house.check(self._remote.peer)  # it may have been met long ago
-        if right is not None and right not in self._remote.shown:
-            await self._show(self._remote, right)
-        return self._remote.client
+    async def _rpc_to_peer(self, remote: Endpoint, right: Right | None) -> RpcClient:
+        if self._peer_client is None or not self._peer_client.usable:
+            self._peer_client = self._services.cached_client(remote)
+        if self._peer_client is None or not self._peer_client.usable:
+            self._peer_client = await self._connect_peer(remote)
+        self._services.check_peer(self._peer_client.peer)  # connected long ago, perhaps
+        if right is not None and right not in self._peer_client.presented:
+            await self._present_grants(self._peer_client, right)
+        return self._peer_client.rpc
 
-    async def _reach(self, remote: Endpoint) -> SlaveApiClient:
+    async def _connect_peer(self, remote: Endpoint) -> SlaveApiClient:
         try:
-            stream = await self._house.dial(remote)
+            stream = await self._services.dial(remote)
         except PeerUnreachable:
-            self._house.shut(remote)
+            self._services.refuse_egress(remote)
             raise
         return SlaveApiClient(RpcClient(stream), stream.peer)
 
-    async def _show(self, correspondent: SlaveApiClient, right: Right) -> None:
-        """Show grants; whether they suffice is heard with the answer to the question itself."""
-        grants = self._house.proof(right, correspondent.peer.name)
+    async def _present_grants(self, client: SlaveApiClient, right: Right) -> None:
+        """Present grants; the answer to the call itself says whether they suffice."""
+        grants = self._services.proof(right, client.peer.name)
         with contextlib.suppress(Fault):
-            await correspondent.client.call(PRESENT, self._house.name, grants)
-        correspondent.shown.add(right)
+            await client.rpc.call(PRESENT, self._services.name, grants)
+        client.presented.add(right)
 
 
-async def _call(
-    client: RpcClient, method: str, params: tuple[object, ...], *, parse: bool
-) -> Event:
-    body = await client.fetch(method, *params)
-    return Answered(xmlrpc.load_response(body)) if parse else Passed(body)
+async def _call(rpc: RpcClient, method: str, params: tuple[object, ...], *, parse: bool) -> Event:
+    body = await rpc.fetch(method, *params)
+    return Answered(xmlrpc.load_response(body)) if parse else RawResponse(body)

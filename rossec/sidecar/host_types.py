@@ -1,7 +1,7 @@
-"""What this host knows of message types: the .msg files its programs were made from, and ROS's own.
+"""The message types this host knows: .msg files of its packages, and those of ROS Noetic.
 
-A shell. It is asked when a grant restricts what messages may hold, and the program does not say
-how it reads them: roscpp's subscribers do not, nor do tools that take any type.
+A shell. Used when a grant restricts message contents and the program does not send its message
+definition: roscpp's subscribers do not, nor do tools that accept any type.
 """
 
 import os
@@ -15,11 +15,11 @@ from grants.filters.layout import MAX_DEPTH, MAX_TEXT, SEPARATOR, TYPE_NAME
 from rossec.errors import MessageError
 from rossec.participant.definitions import Definition
 
-_MOST: Final = 8 * MAX_DEPTH  # types that one is made of
+_MOST: Final = 8 * MAX_DEPTH  # types that one type consists of
 
 
 def known_type(name: str) -> Definition | None:
-    """The type `name` as its package says, found along ROS_PACKAGE_PATH, or as in Noetic's own."""
+    """The type `name` of its package in ROS_PACKAGE_PATH, else as in Noetic."""
     if TYPE_NAME.fullmatch(name) is None:
         return None
     texts: dict[str, str] = {}
@@ -29,7 +29,7 @@ def known_type(name: str) -> Definition | None:
             each = waiting.pop()
             if each not in texts:
                 texts[each] = _text(each)
-                waiting += sorted(layout.needed(each, texts[each]))
+                waiting += sorted(layout.dependencies(each, texts[each]))
             if len(texts) > _MOST:
                 return None
         whole = "\n".join((texts.pop(name), *(_part(*item) for item in texts.items())))
@@ -39,10 +39,10 @@ def known_type(name: str) -> Definition | None:
 
 
 def _text(name: str) -> str:
-    """The definition of `name` alone; a package of one's own may be made of standard types."""
+    """The definition of `name` alone; a local package may use standard types."""
     found = _read(name)
     if found is None:
-        from rossec.participant.message_types import message_type  # noqa: PLC0415 - 15 MB, which few need
+        from rossec.participant.message_types import message_type  # noqa: PLC0415 - 15 MB, rarely needed
 
         found = message_type(name).definition.partition(SEPARATOR)[0]
     return found
@@ -65,7 +65,7 @@ def _read(name: str) -> str | None:
 
 
 def _directories(package: str) -> Iterator[Path]:
-    """Where the package may be: a directory of packages, or the package itself."""
+    """The candidate directories: a directory of packages, or the package itself."""
     for place in os.environ.get("ROS_PACKAGE_PATH", "").split(":"):
         if place:
             yield Path(place) / package

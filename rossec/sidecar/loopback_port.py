@@ -1,8 +1,9 @@
-"""A loopback port that keeps its number: open to the programs that may use it, or at rest.
+"""A loopback port that keeps its number: open to allowed programs, or suspended.
 
-At rest it is bound and does not listen, so the kernel refuses callers as it does for a dead node,
-and nobody else gets the port (`rosnode ping` and `cleanup` rely on both). It is 127.0.0.1 wherever
-there is one. Stock ROS reads no [::1] in a URI, so that ::1 goes by a name that leads there alone.
+A suspended port is bound but does not listen: the kernel refuses callers as for a dead node, and no
+other process gets the port (`rosnode ping` and `cleanup` rely on both). The address is 127.0.0.1 if
+there is one. Stock ROS cannot parse [::1] in a URI, so ::1 is used by a host name that resolves to
+it alone.
 """
 
 import asyncio
@@ -27,7 +28,7 @@ _WITHOUT_IPV4: Final = (
     "this host has no 127.0.0.1: programs are told %s, and ROS_IPV6=on; roscpp does not start"
     " without one (ip address add 127.0.0.1/8 dev lo)"
 )
-_REST: Final = 1.0  # seconds, when this process is out of descriptors
+_PAUSE: Final = 1.0  # seconds, when this process is out of descriptors
 
 _log = logging.getLogger("rossec.sidecar")
 Handler = Callable[[PlainStream], Awaitable[None]]
@@ -35,12 +36,12 @@ Bound = TypeVar("Bound")
 
 
 class LoopbackPort:
-    """One port; it rests until `open`."""
+    """One port; suspended until `open`."""
 
     def __init__(self, callers: Callers, handler: Handler, port: int = 0) -> None:
         self._callers = callers
         self._handler = handler
-        self._socket = reserve(port, callers.loopback)
+        self._socket = bind_loopback(port, callers.loopback)
         self._loop = asyncio.get_running_loop()
         self._tasks = TaskSet()
         self._is_open = False
@@ -48,20 +49,20 @@ class LoopbackPort:
 
     @property
     def connections(self) -> int:
-        """How many are being served."""
+        """The number of open connections."""
         return len(self._tasks)
 
     def open(self) -> None:
         """Listen."""
         if not self._is_open:
             self._is_open = True
-            # Connections from before may still use the number; at rest nobody else may bind it.
+            # Open connections may still use the port; a suspended port must not be bound by others.
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             self._socket.listen(_BACKLOG)
-            self._watch()
+            self._start_accepting()
 
-    def rest(self) -> None:
-        """Refuse callers, keep the number; connections that are served go on."""
+    def suspend(self) -> None:
+        """Refuse callers, keep the number; open connections continue."""
         if self._is_open:
             self._is_open = False
             self._loop.remove_reader(self._socket.fileno())
@@ -70,24 +71,24 @@ class LoopbackPort:
                 self._socket.shutdown(socket.SHUT_RDWR)
 
     async def close(self) -> None:
-        """Give the port back and end what is served."""
-        self.rest()
+        """Release the port and close its connections."""
+        self.suspend()
         self._socket.close()
         await self._tasks.close()
 
-    def _watch(self) -> None:
+    def _start_accepting(self) -> None:
         if self._is_open:
             self._loop.add_reader(self._socket.fileno(), self._accept)
 
     def _accept(self) -> None:
         try:
             sock, _ = self._socket.accept()
-        except (BlockingIOError, InterruptedError, ConnectionAbortedError):  # gone meanwhile
+        except (BlockingIOError, InterruptedError, ConnectionAbortedError):  # the caller is gone
             return
-        except OSError as error:  # out of descriptors: who waits would be told of again at once
-            _log.warning("cannot accept programs for %s s: %s", _REST, error)
+        except OSError as error:  # out of descriptors: the socket would stay readable
+            _log.warning("cannot accept programs for %s s: %s", _PAUSE, error)
             self._loop.remove_reader(self._socket.fileno())
-            self._loop.call_later(_REST, self._watch)
+            self._loop.call_later(_PAUSE, self._start_accepting)
             return
         if len(self._tasks) >= _CONNECTIONS:
             _log.warning("too many connections at loopback port %d", self.port)
@@ -99,7 +100,7 @@ class LoopbackPort:
         try:
             await self._callers.check(sock)
         except (PeerUserRefused, OSError) as error:
-            hint = error.hint if isinstance(error, PeerUserRefused) else "nobody knows whose it is"
+            hint = error.hint if isinstance(error, PeerUserRefused) else "its owner is unknown"
             _log.warning("refused a program at port %d: %s (%s)", self.port, error, hint)
             sock.close()
             return
@@ -113,8 +114,8 @@ class LoopbackPort:
             stream.abort()
 
 
-def find() -> Loopback:
-    """The loopback of this host.
+def find_loopback() -> Loopback:
+    """The loopback address of this host.
 
     Raises:
         ConfigurationError: there is none, or no name for it.
@@ -143,7 +144,7 @@ def _is_here(address: str) -> bool:
 
 
 def _addresses(name: str) -> set[str]:
-    """Where a program that prefers IPv6 finds `name`."""
+    """The addresses of `name` for a program that prefers IPv6."""
     try:
         found = socket.getaddrinfo(name, None, socket.AF_INET6, socket.SOCK_STREAM)
     except OSError:
@@ -155,23 +156,23 @@ def _family(address: str) -> int:
     return socket.AF_INET6 if ":" in address else socket.AF_INET
 
 
-def reserve(port: int = 0, loopback: Loopback = LOOPBACK) -> socket.socket:
+def bind_loopback(port: int = 0, loopback: Loopback = LOOPBACK) -> socket.socket:
     """A socket bound to `port` of loopback, by default any free one.
 
-    The number is named in the call to bind: only then does Linux keep it while the socket rests.
+    The port is bound explicitly: only then does Linux reserve it while the socket does not listen.
 
     Raises:
         OSError: the port is taken.
     """
     if port:
-        return _bound(loopback.address, port, again=True)
-    return on_free_port(lambda port: _bound(loopback.address, port))
+        return _bind(loopback.address, port, reuse=True)
+    return bind_free_port(lambda port: _bind(loopback.address, port))
 
 
-def _bound(address: str, port: int, *, again: bool = False) -> socket.socket:
+def _bind(address: str, port: int, *, reuse: bool = False) -> socket.socket:
     sock = socket.socket(_family(address))
-    # A service's own port may be in TIME_WAIT from before; it never rests.
-    sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, int(again))
+    # A fixed port may be in TIME_WAIT; it is never suspended.
+    sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, int(reuse))
     sock.setblocking(False)
     try:
         sock.bind((address, port))
@@ -182,8 +183,8 @@ def _bound(address: str, port: int, *, again: bool = False) -> socket.socket:
     return sock
 
 
-def on_free_port(bind: Callable[[int], Bound]) -> Bound:
-    """What `bind` makes of a free port; where another process was faster, of the next one."""
+def bind_free_port(bind: Callable[[int], Bound]) -> Bound:
+    """The result of `bind` for a free port; tried again if another process took the port."""
     for _ in range(_ATTEMPTS - 1):
         with contextlib.suppress(OSError):
             return bind(free_port())
@@ -191,7 +192,7 @@ def on_free_port(bind: Callable[[int], Bound]) -> Bound:
 
 
 def free_port() -> int:
-    """A port that was free a moment ago, at every IPv4 address: there may be no 127.0.0.1."""
+    """A port that was just free at every IPv4 address: there may be no 127.0.0.1."""
     with socket.socket() as sock:
         sock.bind(("0.0.0.0", 0))  # noqa: S104 - it never listens
         found: int = sock.getsockname()[1]

@@ -1,7 +1,7 @@
-"""The standing of one identity with the master: its session, revocations, grants and their renewal.
+"""The master session of one identity, with revocation data, grants and renewal.
 
-A shell, of the parts of the built-in node. The programs need not notice a restarted master, a new
-grant, a renewed identity, or that a topic they lost is open to them again.
+A shell around the parts that the built-in node uses too. Programs need not handle a restarted
+master, a new grant, a renewed identity, or a topic that they may subscribe to again.
 """
 
 import asyncio
@@ -32,57 +32,57 @@ from rossec.sidecar.core.layers import AgentState, Layer
 from rossec.sidecar.core.resubscribe import ResubscribeQueue
 from rossec.sidecar.executor import AgentServices, CommandExecutor
 
-_PRESENTED: Final = 64
-_COLLECT: Final = 1.0
+_MAX_PRESENTED: Final = 64
+_PERIOD: Final = 1.0
 
 _log = logging.getLogger("rossec.sidecar")
 
 
 class Membership:
-    """One identity's.
+    """Keeps one identity connected to the master.
 
     Args:
-        house: whom visits are made for.
-        revocations: the list it holds, already with the newest one that was saved.
+        services: the services of its agent.
+        revocations: the revocation list, with the newest saved one.
         dial: connects to the master.
-        cut: ends at a time what the revocations do not allow any more.
+        close_terminated: closes the connections that revocation data no longer allows at a time.
     """
 
     def __init__(
         self,
-        house: AgentServices,
+        services: AgentServices,
         home: NodeHome,
-        tenant: AgentState,
+        agent: AgentState,
         credentials: LiveCredentials,
         revocations: Revocations,
         dial: Callable[[], Awaitable[SecureStream[Identity]]],
-        cut: Callable[[int], None],
+        close_terminated: Callable[[int], None],
     ) -> None:
-        self._house = house
+        self._services = services
         self._home = home
-        self._tenant = tenant
+        self._agent = agent
         self._revocations = revocations
-        self._cut = cut
-        self._shelf = GrantDirectory(home, tenant.access)
-        self._shelf.take_new()
+        self._close_terminated = close_terminated
+        self._grant_directory = GrantDirectory(home, agent.access)
+        self._grant_directory.take_new()
         self._session = MasterSession(
             home.name,
             dial,
-            self.revocations_arrived,
+            self.on_revocations,
             self._restore,
             lambda: revocations.data,
             lambda call: prove(call, revocations),
         )
-        self._renewals = Renewals(tenant.access)
+        self._renewals = Renewals(agent.access)
         self._identity_renewal = IdentityRenewal(home, credentials, clock.now())
-        self._lost = ResubscribeQueue()
+        self._to_resubscribe = ResubscribeQueue()
         self._tasks = TaskSet()
 
-    async def begin(self) -> str:
-        """Meet the master and keep in touch; the address of this host it was met from.
+    async def start(self) -> str:
+        """Open the session and keep it open; returns the local address of the connection.
 
         Raises:
-            HangUp: it is not there; a program then tries again, as in ROS.
+            HangUp: the master is unreachable; programs then try again, as in ROS.
         """
         name = self._home.name
         try:
@@ -90,9 +90,9 @@ class Membership:
         except (HintedError, OSError, TimeoutError) as error:
             _log.warning("%s: the master does not answer: %s", name, error)
             raise HangUp(str(error)) from error
-        self._tasks.spawn(self._session.keep(), f"{name}: master session")
+        self._tasks.spawn(self._session.run(), f"{name}: master session")
         self._tasks.spawn(self._collect_grants(), f"{name}: grants")
-        self._tasks.spawn(self._return_to_topics(), f"{name}: lost topics")
+        self._tasks.spawn(self._resubscribe_topics(), f"{name}: resubscribe")
         return stream.local_address
 
     async def close(self) -> None:
@@ -100,9 +100,9 @@ class Membership:
         await self._tasks.close()
         await self._session.close()
 
-    async def answer(self, method: str, params: tuple[object, ...]) -> object:
-        """The master's answer; a program that is refused may not show why."""
-        answer = await self._session.answer(method, *params)
+    async def call_master(self, method: str, params: tuple[object, ...]) -> object:
+        """The master's answer; refusals are logged, since a program may not print them."""
+        answer = await self._session.forward(method, *params)
         match answer:
             case [code, str(status), *_] if code != 1 and status.startswith("rossec: "):
                 _log.warning("the master refuses %s: %s", method, status.removeprefix("rossec: "))
@@ -110,60 +110,62 @@ class Membership:
                 pass
         return answer
 
-    def revocations_arrived(self, data: bytes, timestamp: bytes, master: Identity) -> None:
-        """Take over a newer list and a fresh timestamp, then cut what they end."""
+    def on_revocations(self, data: bytes, timestamp: bytes, master: Identity) -> None:
+        """Store a newer list and a fresh timestamp, then close connections that they end."""
         now = clock.now()
         try:
-            access, save = self._tenant.access, self._home.save_revocations
-            access.take_news(data, timestamp, master, now, save)
-        finally:  # what the list revokes ends, whatever is wrong with the timestamp
-            self._cut(now)
+            access, save = self._agent.access, self._home.save_revocations
+            access.update_revocations(data, timestamp, master, now, save)
+        finally:  # revoked connections are closed even if the timestamp is invalid
+            self._close_terminated(now)
 
-    def topic_ended(self, topic: str, began: float) -> None:
+    def on_topic_ended(self, topic: str, began: float) -> None:
         """A connection for `topic`, made at `began` of the monotonic clock, has ended."""
-        self._lost.add(topic, began, time.monotonic())
+        self._to_resubscribe.add(topic, began, time.monotonic())
         if not self._may_subscribe(topic):
             _log.warning("%s: no grant for subscribe on %s any more", self._home.name, topic)
 
     def _may_subscribe(self, topic: str) -> bool:
-        return self._tenant.access.holds(Right.SUBSCRIBE, topic, clock.now())
+        return self._agent.access.holds(Right.SUBSCRIBE, topic, clock.now())
 
     async def _restore(self, session: MasterSession) -> None:
-        self._tenant.named.session_opened()
-        with contextlib.suppress(AnswerRefused):  # what is not renewed now is asked for later
+        self._agent.publisher_grace.session_opened()
+        with contextlib.suppress(AnswerRefused):  # tried again later
             await renew(session.call, self._renewals, clock.now())
-        current = self._tenant.access.current(clock.now())
-        await session.call("rossec.presentGrants", current[:_PRESENTED])
-        await self._visit(master_calls.restore(self._tenant))
+        current = self._agent.access.current(clock.now())
+        await session.call("rossec.presentGrants", current[:_MAX_PRESENTED])
+        await self._run(master_calls.restore(self._agent))
 
     async def _collect_grants(self) -> None:
         while True:
-            await asyncio.sleep(_COLLECT)
-            new = self._shelf.take_new()
-            with contextlib.suppress(HintedError, OSError):  # else with the next connection
+            await asyncio.sleep(_PERIOD)
+            new = self._grant_directory.take_new()
+            with contextlib.suppress(HintedError, OSError):  # else on reconnect
                 if new:
                     await self._session.call("rossec.presentGrants", new)
                 await renew(self._session.call, self._renewals, clock.now())
                 await renew_identity(self._session.call, self._identity_renewal, clock.now())
                 if await prove(self._session.call, self._revocations):
-                    self._cut(clock.now())
+                    self._close_terminated(clock.now())
 
-    async def _return_to_topics(self) -> None:
+    async def _resubscribe_topics(self) -> None:
         while True:
-            await asyncio.sleep(_COLLECT)
-            await self._try("publishers that are gone", master_calls.let_go(self._tenant))
-            for topic in self._lost.take_due(time.monotonic(), self._may_subscribe):
-                await self._try(topic, master_calls.resubscribe(self._tenant, topic))
+            await asyncio.sleep(_PERIOD)
+            await self._run_logged(
+                "expired publishers", master_calls.drop_overdue_publishers(self._agent)
+            )
+            for topic in self._to_resubscribe.take_due(time.monotonic(), self._may_subscribe):
+                await self._run_logged(topic, master_calls.resubscribe(self._agent, topic))
 
-    async def _try(self, about: str, layer: Layer[None]) -> None:
+    async def _run_logged(self, subject: str, layer: Layer[None]) -> None:
         try:
-            await self._visit(layer)
+            await self._run(layer)
         except (HintedError, OSError, Fault) as error:
-            _log.info("%s: cannot subscribe again: %s: %s", self._home.name, about, error)
+            _log.info("%s: cannot subscribe again: %s: %s", self._home.name, subject, error)
 
-    async def _visit(self, layer: Layer[None]) -> None:
-        visit = CommandExecutor(self._house)
+    async def _run(self, layer: Layer[None]) -> None:
+        executor = CommandExecutor(self._services)
         try:
-            await visit.run(layer)
+            await executor.run(layer)
         finally:
-            await visit.close()
+            await executor.close()

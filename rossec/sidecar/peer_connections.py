@@ -1,8 +1,7 @@
-"""The live connections of one identity, and why each may go on.
+"""The open connections of one identity, each with its authorization.
 
-A shell. A link is known to the watch before it is judged once more, and that before the first byte
-of data passes: what was revoked while the two ends introduced themselves is found by one or the
-other.
+A shell. A connection is known to the watchdog before it is checked once more, and checked before
+the first byte of data passes: one of the two finds what was revoked during the handshake.
 """
 
 import contextlib
@@ -22,7 +21,7 @@ _log = logging.getLogger("rossec.sidecar")
 
 
 class PeerConnection:
-    """A connection that `decision` admitted; the watch cuts it when that ends."""
+    """A connection that `decision` admitted; the watchdog closes it when that ends."""
 
     def __init__(self, stream: SecureStream[Identity], decision: Decision) -> None:
         self.stream = stream
@@ -31,42 +30,42 @@ class PeerConnection:
 
 
 class PeerConnections:
-    """Those of one identity."""
+    """The connections of one identity."""
 
     def __init__(self, revocations: Revocations) -> None:
         self._revocations = revocations
-        self._links: set[PeerConnection] = set()
+        self._connections: set[PeerConnection] = set()
 
     def __iter__(self) -> Iterator[PeerConnection]:
-        return iter(tuple(self._links))
+        return iter(tuple(self._connections))
 
     @contextlib.contextmanager
-    def linked(self, stream: SecureStream[Identity], decision: Decision) -> Iterator[None]:
-        """A link while the block runs; a connection that ends meanwhile ends the block alone.
+    def track(self, stream: SecureStream[Identity], decision: Decision) -> Iterator[None]:
+        """Register a connection while the block runs; if the connection ends, only the block ends.
 
         Raises:
-            HangUp: it must end before it begins.
+            HangUp: the connection is not allowed any more.
         """
-        link = PeerConnection(stream, decision)
-        self._links.add(link)
+        connection = PeerConnection(stream, decision)
+        self._connections.add(connection)
         try:
-            reason = termination_reason(link, self._revocations, clock.now())
+            reason = termination_reason(connection, self._revocations, clock.now())
             if reason is not None:
                 raise HangUp(reason)
-            with _ended(stream):
+            with _log_end(stream):
                 yield
         finally:
-            self._links.discard(link)
+            self._connections.discard(connection)
 
     def abort(self, reason: str) -> None:
-        """Cut them all."""
-        for link in self:
-            link.stream.abort(reason)
+        """Close all connections."""
+        for connection in self:
+            connection.stream.abort(reason)
 
 
 @contextlib.contextmanager
-def _ended(stream: SecureStream[Identity]) -> Iterator[None]:
+def _log_end(stream: SecureStream[Identity]) -> Iterator[None]:
     try:
         yield
-    except* HintedError as group:  # the guard's too: a grant that expires between two messages
+    except* HintedError as group:  # also the guard's: a grant that expires between two messages
         _log.info("the connection with %s ended: %s", stream.peer.name, group.exceptions[0])

@@ -27,8 +27,8 @@ class PlainStream:
         self._buffer = memoryview(bytearray(_SMALL))
         self._end = 0
         self._ended = False
-        self._push: Callable[[memoryview], bool] | None = None
-        self._push_failed: BaseException | None = None
+        self._write_nowait: Callable[[memoryview], bool] | None = None
+        self._forward_error: BaseException | None = None
         self._waiting: asyncio.Future[None] | None = None
         self._callback: Callable[[], None] | None = None
         self._drained = asyncio.Event()
@@ -42,40 +42,40 @@ class PlainStream:
         """The free tail of the buffer."""
         return self._buffer[self._end :]
 
-    def received(self, count: int) -> None:
+    def buffer_updated(self, count: int) -> None:
         """Pass the bytes on, or keep them until they are taken; without room stop reading."""
         self._end += count
-        if self._push is not None:
-            self._pass_on(self._push)
+        if self._write_nowait is not None:
+            self._pass_on(self._write_nowait)
             return
         if self._end == len(self._buffer):
             self._transport.pause_reading()
         self._wake()
 
-    def _pass_on(self, push: Callable[[memoryview], bool]) -> None:
+    def _pass_on(self, write_nowait: Callable[[memoryview], bool]) -> None:
         view = self._buffer[: self._end]
         self._end = 0
         try:
-            lags = not push(view)
-        except BaseException as error:  # noqa: BLE001 - raised where it belongs, in `pour`
-            self._push_failed, lags = error, True
+            lags = not write_nowait(view)
+        except BaseException as error:  # noqa: BLE001 - raised where it belongs, in `forward`
+            self._forward_error, lags = error, True
         if len(view) == len(self._buffer) < _LARGE:
             self._buffer = memoryview(bytearray(_LARGE))
         if lags:
-            self._push = None
+            self._write_nowait = None
             self._transport.pause_reading()
             self._wake()
 
-    def eof(self) -> None:
+    def eof_received(self) -> None:
         """The program sends nothing more."""
         self._ended = True
         self._wake()
 
-    def drained(self) -> None:
+    def resume_writing(self) -> None:
         """The program caught up."""
         self._drained.set()
 
-    def lost(self) -> None:
+    def connection_lost(self) -> None:
         """The connection is closed."""
         self._ended = True
         self._lost.set()
@@ -111,35 +111,35 @@ class PlainStream:
         if full and not self._ended:
             self._transport.resume_reading()
 
-    async def pour(
-        self, push: Callable[[memoryview], bool], drain: Callable[[], Awaitable[None]]
+    async def forward(
+        self, write_nowait: Callable[[memoryview], bool], drain: Callable[[], Awaitable[None]]
     ) -> NoReturn:
-        """Pass what arrives to `push` at once, without a turn of the loop for it.
+        """Pass what arrives to `write_nowait` at once, without a turn of the loop for it.
 
-        When `push` says no, nothing more is read until `drain` returns.
+        When `write_nowait` says no, nothing more is read until `drain` returns.
 
         Raises:
-            ChannelClosed: the program sends nothing more; or whatever `push` or `drain` raise.
+            ChannelClosed: no more bytes; or what `write_nowait` or `drain` raise.
         """
         try:
             while True:
                 await drain()
                 if self._end > 0 or self._ended:  # what came before, or meanwhile
                     view = await self.take()
-                    push(view)
+                    write_nowait(view)
                     self.taken(view)
                     continue
-                self._push = push
+                self._write_nowait = write_nowait
                 self._transport.resume_reading()
                 await self._stalled()
-                if self._push_failed is not None:
-                    raise self._push_failed
+                if self._forward_error is not None:
+                    raise self._forward_error
         finally:
-            self._push = None
+            self._write_nowait = None
 
     async def _stalled(self) -> None:
         """Wait until the receiver lags, or the program ends."""
-        while self._push is not None and not self._ended:
+        while self._write_nowait is not None and not self._ended:
             self._waiting = asyncio.get_running_loop().create_future()
             await self._waiting
 
@@ -171,7 +171,7 @@ class PlainStream:
         self.taken(view)
         return data
 
-    def send_at_once(self, unit: bytes) -> bool:
+    def try_send(self, unit: bytes) -> bool:
         """Send, unless the program lags; whether it did.
 
         Raises:
@@ -195,7 +195,7 @@ class PlainStream:
         self.taken(view)
         return data
 
-    def push(self, data: Bytes) -> bool:
+    def write_nowait(self, data: Bytes) -> bool:
         """Send `data` now, whether the program lags or not; false: it does, wait for `drain`.
 
         Raises:
@@ -213,7 +213,7 @@ class PlainStream:
             ChannelClosed: the connection is closed.
         """
         for piece in pieces:
-            self.push(piece)
+            self.write_nowait(piece)
         await self.drain()
 
     async def drain(self) -> None:

@@ -1,9 +1,9 @@
-"""What is open for each address, and never more than so much of it.
+"""A bounded pool with one port for each endpoint.
 
-An address that is asked for again gets the same door. When there are too many, the one that was
-asked for longest ago, serves nobody and can be spared makes room. Towards the network that is the
-door of a dead program alone: peers keep the address of a live one, however long they stay away. On
-loopback it is any: programs ask before they connect.
+An endpoint requested again gets the same port. When the pool is full, the least recently requested
+port without connections that may be evicted is closed. On the network that is only the port of a
+dead program: peers keep the address of a live one for any time. On loopback it is any port:
+programs look the port up before they connect.
 """
 
 from collections.abc import Callable, Iterator
@@ -16,63 +16,63 @@ LIMIT: Final = 512  # each way; a process has 1024 descriptors unless told other
 
 
 class PooledPort(Protocol):
-    """What is asked of a door here."""
+    """What the pool needs of a port."""
 
     @property
     def connections(self) -> int:
-        """How many it serves."""
+        """The number of open connections."""
 
 
-DoorT = TypeVar("DoorT", bound=PooledPort)
+PortT = TypeVar("PortT", bound=PooledPort)
 
 
-class PortPool(Generic[DoorT]):
-    """Doors of one kind.
+class PortPool(Generic[PortT]):
+    """Ports of one kind.
 
     Args:
-        closing: called with the door that makes room, and the address it was for.
-        can_spare: whether an idle door for this address may make room.
+        on_evict: called with the endpoint and its evicted port.
+        may_evict: whether the idle port for this endpoint may be evicted.
     """
 
     def __init__(
         self,
-        closing: Callable[[Endpoint, DoorT], None],
-        can_spare: Callable[[Endpoint], bool] = lambda _: True,
+        on_evict: Callable[[Endpoint, PortT], None],
+        may_evict: Callable[[Endpoint], bool] = lambda _: True,
         limit: int = LIMIT,
     ) -> None:
-        self._closing = closing
-        self._can_spare = can_spare
+        self._on_evict = on_evict
+        self._may_evict = may_evict
         self._limit = limit
-        self._doors: dict[Endpoint, DoorT] = {}  # the one asked for last comes last
+        self._ports: dict[Endpoint, PortT] = {}  # the most recently requested last
 
-    def get(self, place: Endpoint) -> DoorT | None:
-        """The door for `place`, without asking for it."""
-        return self._doors.get(place)
+    def get(self, endpoint: Endpoint) -> PortT | None:
+        """The port for `endpoint`, if there is one; does not count as a request."""
+        return self._ports.get(endpoint)
 
-    def ask(self, place: Endpoint, make: Callable[[], DoorT]) -> DoorT:
-        """The door for `place`, made if there is none.
+    def get_or_open(self, endpoint: Endpoint, open_port: Callable[[], PortT]) -> PortT:
+        """The port for `endpoint`, opened if there is none.
 
         Raises:
-            ConfigurationError: there are too many, and all are in use.
+            ConfigurationError: the pool is full, and no port may be evicted.
         """
-        door = self._doors.pop(place, None)
-        if door is None:
-            if len(self._doors) >= self._limit:
-                self._make_room()
-            door = make()
-        self._doors[place] = door
-        return door
+        port = self._ports.pop(endpoint, None)
+        if port is None:
+            if len(self._ports) >= self._limit:
+                self._evict()
+            port = open_port()
+        self._ports[endpoint] = port
+        return port
 
-    def _make_room(self) -> None:
-        for place, door in self._doors.items():
-            if door.connections == 0 and self._can_spare(place):
-                del self._doors[place]
-                self._closing(place, door)
+    def _evict(self) -> None:
+        for endpoint, port in self._ports.items():
+            if port.connections == 0 and self._may_evict(endpoint):
+                del self._ports[endpoint]
+                self._on_evict(endpoint, port)
                 return
         raise ConfigurationError(
             f"more than {self._limit} addresses in use in one sidecar",
             "give some of the nodes an identity of their own",
         )
 
-    def __iter__(self) -> Iterator[DoorT]:
-        return iter(tuple(self._doors.values()))
+    def __iter__(self) -> Iterator[PortT]:
+        return iter(tuple(self._ports.values()))

@@ -1,8 +1,8 @@
-"""The processes of this host as /proc shows them: who descends from whom, who has which socket.
+"""The processes of this host in /proc: their parents and their sockets.
 
-A number alone names no process: it is given again. A process is its number and when it started,
-and it started no earlier than its parent: a chain of parents in which one did is made of numbers
-that changed hands while it was read.
+A PID alone does not identify a process: PIDs are reused. A process is identified by PID and start
+time, and starts no earlier than its parent: a chain of parents that violates this contains a PID
+that was reused while the chain was read.
 """
 
 import os
@@ -11,86 +11,86 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 _PROC: Final = Path("/proc")
-_LONGEST: Final = 4096  # it is some 300 bytes
+_MAX_STAT: Final = 4096  # usually some 300 bytes
 _PARENT, _STARTED = 1, 19  # proc_pid_stat(5), counted from after the program's name
 
 
 class Process(NamedTuple):
-    """One process; `started` is in clock ticks since the host's start."""
+    """One process; `started` is in clock ticks since boot."""
 
-    number: int
+    pid: int
     started: int
 
 
 def parents() -> Iterator[tuple[int, int]]:
-    """Each process of this host with its parent."""
-    for entry in os.listdir(_PROC):  # noqa: PTH208 - names alone, and there are many
+    """The PID of each process of this host, with its parent's."""
+    for entry in os.listdir(_PROC):  # noqa: PTH208 - names only, and many
         if entry.isdecimal():
-            found = _status(int(entry))
-            if found is not None:
-                yield int(entry), found[0]
+            stat = _status(int(entry))
+            if stat is not None:
+                yield int(entry), stat[0]
 
 
 def descendants(parents: Iterable[tuple[int, int]], ancestor: int) -> list[int]:
-    """The processes below `ancestor`, from pairs of process and parent. Pure."""
+    """The descendants of `ancestor`, from pairs of PID and parent PID. Pure."""
     children: dict[int, list[int]] = {}
-    for process, parent in parents:
-        children.setdefault(parent, []).append(process)
+    for pid, parent in parents:
+        children.setdefault(parent, []).append(pid)
     found: list[int] = []
-    waiting = list(children.get(ancestor, ()))
-    while waiting:
-        process = waiting.pop()
-        found.append(process)
-        waiting += children.get(process, ())
+    pending = list(children.get(ancestor, ()))
+    while pending:
+        pid = pending.pop()
+        found.append(pid)
+        pending += children.get(pid, ())
     return found
 
 
-def process(number: int) -> Process | None:
-    """The process that has this number now."""
-    found = _status(number)
-    return None if found is None else Process(number, found[1])
+def process(pid: int) -> Process | None:
+    """The process that has this PID now."""
+    stat = _status(pid)
+    return None if stat is None else Process(pid, stat[1])
 
 
-def descends(number: int, ancestor: int) -> bool:
-    """Whether the process with this number is alive and below `ancestor`."""
+def descends(pid: int, ancestor: int) -> bool:
+    """Whether the process with this PID is alive and a descendant of `ancestor`."""
     child_started: int | None = None
-    while number > 1:
-        found = _status(number)
-        if found is None:
+    while pid > 1:
+        stat = _status(pid)
+        if stat is None:
             return False
-        parent, started = found
+        parent, started = stat
         if child_started is not None and started > child_started:
             return False
         if parent == ancestor:
             return True
-        number, child_started = parent, started
+        pid, child_started = parent, started
     return False
 
 
-def _status(number: int) -> tuple[int, int] | None:
-    """Its parent, and when it started."""
+def _status(pid: int) -> tuple[int, int] | None:
+    """Its parent PID and start time."""
     try:
-        with open(f"{_PROC}/{number}/stat", "rb", buffering=0) as file:  # noqa: PTH123 - often
-            stat = file.read(_LONGEST)
-    except OSError:  # gone meanwhile
+        with open(f"{_PROC}/{pid}/stat", "rb", buffering=0) as file:  # noqa: PTH123 - often
+            stat = file.read(_MAX_STAT)
+    except OSError:  # it has ended
         return None
-    # The program's name, in parentheses, may hold anything; after the last one it is plain.
+    # The program name in parentheses may contain anything, also parentheses.
     fields = stat.rpartition(b")")[2].split()
     return int(fields[_PARENT]), int(fields[_STARTED])
 
 
-def descriptors(number: int) -> list[str]:
-    """The names of its open descriptors; none of a process that is gone, or not ours to see."""
+def descriptors(pid: int) -> list[str]:
+    """The names of its open descriptors; empty if it has ended or is not accessible."""
     try:
-        return os.listdir(f"{_PROC}/{number}/fd")  # noqa: PTH208 - as above
+        return os.listdir(f"{_PROC}/{pid}/fd")  # noqa: PTH208 - as above
     except OSError:
         return []
 
 
-def socket_at(number: int, descriptor: str) -> int | None:
-    """The inode of the socket that a process has at a descriptor; None: it has none there."""
+def socket_at(pid: int, descriptor: str) -> int | None:
+    """The inode of the socket at a descriptor of a process; None: not a socket."""
     try:
-        target = os.readlink(f"{_PROC}/{number}/fd/{descriptor}")  # noqa: PTH115 - a bare string
+        target = os.readlink(f"{_PROC}/{pid}/fd/{descriptor}")  # noqa: PTH115 - takes a str
     except OSError:
         return None
     return int(target[8:-1]) if target.startswith("socket:[") else None

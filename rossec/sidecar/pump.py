@@ -1,9 +1,9 @@
-"""Bytes between a program and a peer, once both have introduced themselves.
+"""Forwards bytes between a program and a peer, after the TCPROS handshake.
 
-A shell. What is not restricted passes as it comes, without a look at it; what is goes through the
-guard, message by message. Whoever lags slows the other end down, or misses messages where the guard
-remembers some. When one end goes the other goes, after it got what was sent; when anything is
-wrong, a guard that fails included, both go at once.
+A shell. Unrestricted bytes are forwarded without inspection; restricted messages pass the guard one
+by one. An end that lags slows the other end down, or misses messages if the guard keeps state. When
+one end closes, the other is closed after it got what was sent; on any error, also of a guard, both
+are aborted.
 """
 
 import asyncio
@@ -18,12 +18,12 @@ from rossec import clock
 from rossec.errors import ChannelClosed, ConnectionHeaderRefused, HeaderRefused
 from rossec.net import withheld_log
 from rossec.net.aio import SecureStream
-from rossec.net.aio.arrivals import arrived
+from rossec.net.aio.arrivals import next_messages
 from rossec.participant.header_fields import Fields
 from rossec.ros import header
 from rossec.ros.framing import Framing
 from rossec.ros.header import MESSAGE_LIMIT, FrameReader
-from rossec.sidecar.core.copies import Judge, Outlet
+from rossec.sidecar.core.copies import MessageGuard, SharedGuard
 from rossec.sidecar.plain_stream import PlainStream
 
 _LENGTH: Final = struct.Struct("<I")
@@ -32,11 +32,11 @@ Buffer = bytes | bytearray | memoryview
 
 
 async def split_header(end: PlainStream | SecureStream[Identity]) -> tuple[Fields, bytes]:
-    """The connection header that `end` sends first, and the bytes that came with it.
+    """The connection header that `end` sends first, and the bytes that came after it.
 
     Raises:
-        HeaderRefused: malformed or too long; the limit is checked before anything is kept.
-        ChannelError: the end is gone.
+        HeaderRefused: malformed or too long; the length is checked before anything is buffered.
+        ChannelError: the connection is closed.
     """
     data = b""
     while len(data) < _LENGTH.size or len(data) < _LENGTH.size + _length(data):
@@ -55,145 +55,149 @@ def _length(data: bytes) -> int:
 async def exchange(
     program: PlainStream, peer: SecureStream[Identity], outward: bytes, inward: bytes
 ) -> None:
-    """Pass bytes both ways, as a service needs; what came with the headers goes first."""
-    await _both(program, peer, to_peer(program, peer, outward), to_program(peer, program, inward))
+    """Forward bytes both directions, for a service; the bytes after the headers go first."""
+    await _run_both(
+        program, peer, to_peer(program, peer, outward), to_program(peer, program, inward)
+    )
 
 
 async def publish(
-    program: PlainStream, peer: SecureStream[Identity], guard: Judge | None, first: bytes
+    program: PlainStream, peer: SecureStream[Identity], guard: MessageGuard | None, first: bytes
 ) -> None:
-    """Pass a program's messages to a peer that subscribes; `first` came with its header."""
-    await _both(program, peer, outgoing(program, peer, guard, first), _nothing_more(peer))
+    """Forward a program's messages to a subscribing peer; `first` came after its header."""
+    await _run_both(program, peer, outgoing(program, peer, guard, first), _expect_no_data(peer))
 
 
 async def subscribe(
     program: PlainStream,
     peer: SecureStream[Identity],
-    guard: Judge | None,
+    guard: MessageGuard | None,
     first: bytes,
-    longest: int = MESSAGE_LIMIT,
+    max_length: int = MESSAGE_LIMIT,
 ) -> None:
-    """Pass a peer's messages to a program that subscribes; a guard takes none above `longest`."""
-    way = incoming(peer, program, guard, first, longest)
-    await _both(program, peer, way, _nothing_more(program))
+    """Forward a peer's messages to a subscribing program; a guard takes none above `max_length`."""
+    direction = incoming(peer, program, guard, first, max_length)
+    await _run_both(program, peer, direction, _expect_no_data(program))
 
 
 async def to_peer(program: PlainStream, peer: SecureStream[Identity], first: bytes) -> None:
-    """Everything the program sends, until it ends."""
+    """Forward everything the program sends, until it closes."""
     if first:
         await peer.send(first)
-    await program.pour(peer.push, peer.drain)
+    await program.forward(peer.write_nowait, peer.drain)
 
 
 async def to_program(peer: SecureStream[Identity], program: PlainStream, first: bytes) -> None:
-    """Everything the peer sends, until it ends."""
+    """Forward everything the peer sends, until it closes."""
     if first:
         await program.send(first)
-    await peer.pour(program.push, program.drain)
+    await peer.forward(program.write_nowait, program.drain)
 
 
 def outgoing(
-    program: PlainStream, peer: SecureStream[Identity], guard: Judge | None, first: bytes
+    program: PlainStream, peer: SecureStream[Identity], guard: MessageGuard | None, first: bytes
 ) -> Coroutine[None, None, None]:
-    """The way of messages out: through the guard if there is one."""
+    """Forward a program's messages, through the guard if there is one."""
     if guard is None:
         return to_peer(program, peer, first)
-    if isinstance(guard, Outlet):
-        return promptly(program, peer, guard, first)
-    return guarded(program, peer, guard, first)
+    if isinstance(guard, SharedGuard):
+        return send_filtered_nowait(program, peer, guard, first)
+    return send_filtered(program, peer, guard, first)
 
 
 def incoming(
     peer: SecureStream[Identity],
     program: PlainStream,
-    guard: Judge | None,
+    guard: MessageGuard | None,
     first: bytes,
-    longest: int = MESSAGE_LIMIT,
+    max_length: int = MESSAGE_LIMIT,
 ) -> Coroutine[None, None, None]:
-    """The way of messages in: through the guard if the publisher is restricted."""
+    """Forward a peer's messages, through the guard if the publisher is restricted."""
     if guard is None:
         return to_program(peer, program, first)
-    return guarded(peer, program, guard, first, longest)
+    return send_filtered(peer, program, guard, first, max_length)
 
 
-async def guarded(
+async def send_filtered(
     source: PlainStream | SecureStream[Identity],
     sink: PlainStream | SecureStream[Identity],
-    guard: Judge,
+    guard: MessageGuard,
     first: bytes,
-    longest: int = MESSAGE_LIMIT,
+    max_length: int = MESSAGE_LIMIT,
 ) -> None:
-    """Each message as the guard leaves it; one that cannot be judged is withheld.
+    """Forward each message as the guard returns it; one that cannot be checked is withheld.
 
     Raises:
-        GrantExpired, ChannelClosed: the right, or one of the ends, has ended.
-        FrameRefused: the messages cannot be told apart.
-        LimitExceeded: one that was begun does not get on.
+        GrantExpired, ChannelClosed: the grant has expired, or an end is closed.
+        FrameRefused: the framing is invalid.
+        LimitExceeded: a message does not arrive in time.
     """
-    framing = Framing(FrameReader(longest))
+    framing = Framing(FrameReader(max_length))
     (peer,) = (end.peer.name for end in (source, sink) if not isinstance(end, PlainStream))
     messages = framing.feed(first, clock.now())
     while True:
         now = clock.now()
         guard.check(now)
-        pieces = _judged(guard, messages, peer, now)
+        pieces = _filter_messages(guard, messages, peer, now)
         if pieces:
             await sink.send(*pieces)
-        messages = await arrived(source, framing)
+        messages = await next_messages(source, framing)
 
 
-async def promptly(
-    program: PlainStream, peer: SecureStream[Identity], outlet: Outlet, first: bytes
+async def send_filtered_nowait(
+    program: PlainStream, peer: SecureStream[Identity], guard: SharedGuard, first: bytes
 ) -> None:
-    """As `guarded`; a message is judged when the program sends it, and a peer that lags misses it.
+    """As `send_filtered`, but each message is checked at once, and a lagging peer misses it.
 
-    Connections of a key share what is remembered. On one that waits for its reader old messages
-    would be judged after new ones, and set a field with hysteresis anew whenever the reader likes.
+    Connections of a key share the guard's state. If one could wait for its reader, old messages
+    would be checked after new ones, and the reader could reset a field with hysteresis at will.
     """
     framing = Framing(FrameReader())
     messages = framing.feed(first, clock.now())
     while True:
         now = clock.now()
-        outlet.check(now)
-        pieces = [] if peer.lags else _judged(outlet, messages, peer.peer.name, now)
+        guard.check(now)
+        pieces = [] if peer.lags else _filter_messages(guard, messages, peer.peer.name, now)
         if pieces:
-            peer.push(b"".join(pieces))
-        messages = await arrived(program, framing)
+            peer.write_nowait(b"".join(pieces))
+        messages = await next_messages(program, framing)
 
 
-def _judged(guard: Judge, messages: list[bytes], peer: str, now: int) -> list[Buffer]:
-    """What the guard leaves of the messages, as it is sent."""
-    return [piece for message in messages for piece in _treated(guard, message, peer, now)]
+def _filter_messages(
+    guard: MessageGuard, messages: list[bytes], peer: str, now: int
+) -> list[Buffer]:
+    """The messages that pass the guard, as sent."""
+    return [piece for message in messages for piece in _filter_message(guard, message, peer, now)]
 
 
-def _treated(guard: Judge, message: bytes, peer: str, now: int) -> list[Buffer]:
+def _filter_message(guard: MessageGuard, message: bytes, peer: str, now: int) -> list[Buffer]:
     try:
-        treated = guard.treat(message, now)
+        filtered = guard.apply(message, now)
     except GrantError as error:
         withheld_log.warn(_log, "%(peer)s: withheld a message: %(cause)s", "", peer, error)
         return []
-    return framed(treated or [])
+    return framed(filtered or [])
 
 
 def framed(pieces: list[Buffer]) -> list[Buffer]:
-    """A message as it is sent, if there is one."""
+    """A message with its length prefix; empty if there is none."""
     return [_LENGTH.pack(sum(map(len, pieces))), *pieces] if pieces else []
 
 
-async def _nothing_more(end: PlainStream | SecureStream[Identity]) -> None:
+async def _expect_no_data(end: PlainStream | SecureStream[Identity]) -> None:
     """A subscriber sends nothing after its header."""
     await end.receive()
     raise ConnectionHeaderRefused("a subscriber that sends data")
 
 
-async def _both(
-    program: PlainStream, peer: SecureStream[Identity], *ways: "asyncio._CoroutineLike[None]"
+async def _run_both(
+    program: PlainStream, peer: SecureStream[Identity], *directions: "asyncio._CoroutineLike[None]"
 ) -> None:
     try:
         async with asyncio.TaskGroup() as group:
-            for way in ways:
-                group.create_task(way)
-    except* ChannelClosed:  # in order: what was sent is delivered before the other end goes
+            for direction in directions:
+                group.create_task(direction)
+    except* ChannelClosed:  # orderly: deliver what was sent, then close the other end
         await asyncio.gather(program.close(), peer.close())
     finally:
         program.abort()

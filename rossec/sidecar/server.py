@@ -1,8 +1,7 @@
 """The sidecar of a host or of one program: a master on loopback, and an agent for each identity.
 
-A shell. Which identity a call is made with follows from the caller's name, never from anything a
-peer sent: with `identity` it is always that one; otherwise each program uses the one enrolled for
-its own name.
+A shell. The identity of a call follows from the caller_id, never from data of a peer: with
+`identity` it is always that one; otherwise each program uses the one enrolled for its name.
 """
 
 import asyncio
@@ -32,25 +31,25 @@ from rossec.sidecar.plain_stream import PlainStream
 _TAKEN: Final = "is roscore or another sidecar running? choose another port with --port"
 _log = logging.getLogger("rossec.sidecar")
 _LIMIT: Final = 256  # identities in use
-_ANONYMOUS: Final = re.compile(r"([_-][0-9]+)+$")  # what rospy, roscpp and the tools append
+_ANONYMOUS: Final = re.compile(r"([_-][0-9]+)+$")  # suffixes of rospy, roscpp and tools
 
 
 class Sidecar:
-    """Serves the programs that `callers` lets in.
+    """Serves the programs that `callers` allows.
 
     Args:
         home: ROSSEC_HOME.
-        outside: where the secured master is, and how peers reach this host.
+        settings: where the secured master is, and how peers reach this host.
         identity: the name whose identity every program uses, if any.
-        each: programs with an identity of their own use that instead.
+        each: programs with their own identity use that instead.
         port: of the loopback master; 0 for any.
-        suites: of the channel, offered and accepted.
+        suites: cipher suites of the channel, offered and accepted.
     """
 
     def __init__(
         self,
         home: Path,
-        outside: Settings,
+        settings: Settings,
         callers: Callers,
         *,
         identity: str | None = None,
@@ -59,21 +58,21 @@ class Sidecar:
         suites: tuple[int, ...] = PRODUCTION,
     ) -> None:
         self._home = home
-        self._outside = outside
+        self._settings = settings
         self._callers = callers
         self._each = each
         self._suites = suites
         self._half_open = HalfOpenCount(HalfOpen())
         self._agents: dict[str, Agent] = {}
-        self._master = self._at(port)
+        self._master = self._bind_master(port)
         self._default = None if identity is None else self._agent(NodeHome.of(home, identity))
 
     @property
     def uri(self) -> str:
-        """What programs must be told in ROS_MASTER_URI."""
+        """The ROS_MASTER_URI for programs."""
         return Endpoint(WireProtocol.HTTP, self._callers.loopback.host, self._master.port).uri
 
-    def _at(self, port: int) -> LoopbackPort:
+    def _bind_master(self, port: int) -> LoopbackPort:
         try:
             master = LoopbackPort(self._callers, self._serve, port)
         except OSError as error:
@@ -81,40 +80,40 @@ class Sidecar:
             raise ConfigurationError(
                 f"cannot listen at {address} port {port}: {error.strerror}", _TAKEN
             ) from error
-        if is_loopback(self._outside.master_host) and self._outside.master_port == master.port:
+        if is_loopback(self._settings.master_host) and self._settings.master_port == master.port:
             raise ConfigurationError(
-                f"ROS_MASTER_URI, {self._outside.master_uri}, is the sidecar's own address",
+                f"ROS_MASTER_URI, {self._settings.master_uri}, is the sidecar's own address",
                 "set it to where the secured master is, for the sidecar alone",
             )
         return master
 
     def start(self) -> None:
-        """Serve."""
+        """Start to accept programs."""
         self._master.open()
 
     async def close(self) -> None:
-        """End everything."""
+        """Close all connections."""
         await self._master.close()
         await asyncio.gather(*(agent.close() for agent in self._agents.values()))
 
     async def _serve(self, program: PlainStream) -> None:
-        await serve_calls(program, self._call)
+        await serve_calls(program, self._dispatch)
 
-    async def _call(self, method: str, params: tuple[object, ...], _: str) -> object:
-        if method == MULTICALL and params == ([],):  # nobody's: roslaunch without parameters
+    async def _dispatch(self, method: str, params: tuple[object, ...], _: str) -> object:
+        if method == MULTICALL and params == ([],):  # no caller: roslaunch without parameters
             return []
-        refused = _unnamed(method, params)
+        refused = _missing_caller(method, params)
         if refused is not None:
             return refused
         try:
             agent = self._agent_for(_caller(method, params))
-            return await agent.call_master(method, params)
+            return await agent.handle_call(method, params)
         except (HangUp, Fault):
             raise
         except HintedError as error:
             _log.warning("%s: %s (%s)", method, error, error.hint)
             return [-1, f"rossec: {error} ({error.hint})", 0]
-        except OSError as error:  # its files cannot be read
+        except OSError as error:  # the files of the identity cannot be read
             _log.warning("%s: %s", method, error)
             return [-1, f"rossec: {error}", 0]
 
@@ -122,7 +121,7 @@ class Sidecar:
         if self._default is not None and not self._each:
             return self._default
         try:
-            # rosparam calls itself /rosparam-1234, which is no ROS name; meant is an anonymous one.
+            # rosparam uses /rosparam-1234, an invalid ROS name; it means an anonymous one.
             home = NodeHome.find(self._home, check_name(name.replace("-", "_")))
         except NameRefused:
             if self._default is not None:
@@ -133,7 +132,7 @@ class Sidecar:
         if not (home.path / "node.key").exists():
             if self._default is not None:
                 return self._default
-            raise ConfigurationError(f"{name} has no identity here", _remedy(name))
+            raise ConfigurationError(f"{name} has no identity here", _enroll_hint(name))
         if len(self._agents) >= _LIMIT:
             raise ConfigurationError("too many identities in one sidecar")
         return self._agent(home)
@@ -141,24 +140,24 @@ class Sidecar:
     def _agent(self, home: NodeHome) -> Agent:
         if home.name not in self._agents:
             self._agents[home.name] = Agent(
-                home, self._outside, self._callers, self.uri, self._half_open, self._suites
+                home, self._settings, self._callers, self.uri, self._half_open, self._suites
             )
         return self._agents[home.name]
 
 
-def _remedy(name: str) -> str:
+def _enroll_hint(name: str) -> str:
     base = _ANONYMOUS.sub("", name)
     anonymous = "" if base == name else " --anonymous"
     return f"enroll it: rossec node request {base}{anonymous}, or use --as"
 
 
-def _unnamed(method: str, params: tuple[object, ...]) -> object | None:
-    """The answer to a call that does not say who makes it: it needs no identity to be refused."""
+def _missing_caller(method: str, params: tuple[object, ...]) -> object | None:
+    """The refusal of a call without caller_id; it needs no identity."""
     return None if method == MULTICALL else without_caller(params, rule_of(method).default)
 
 
 def _caller(method: str, params: tuple[object, ...]) -> str:
-    """The name a call is made under; of a multicall, the first that one of its elements gives."""
+    """The caller_id of a call; of a multicall, the first in its elements."""
     if method != MULTICALL:
         return str(params[0])
     for element in params[0] if params and isinstance(params[0], list) else ():

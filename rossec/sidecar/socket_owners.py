@@ -1,9 +1,9 @@
-"""Which descendant of a process holds a socket: found by a search, proved by one descriptor.
+"""Whether a descendant of a process holds a socket: found by a search, verified by its descriptor.
 
-A search reads what every descendant has open, which grows with programs and their connections. So
-those who wait while one runs share the next; what a process had open before is looked at last; and
-whose turn it is not waits for milliseconds at most. Nothing that is remembered is believed: that a
-process, the same before and after, is below the ancestor and has the socket is read each time.
+A search reads the descriptors of every descendant, which grows with programs and connections. So
+callers that wait during a search share the next one; descriptors seen before are read last; and a
+search yields to the loop every few milliseconds. A cached location is not trusted: each time it is
+read again that the process, the same before and after, is a descendant and has the socket.
 """
 
 import asyncio
@@ -21,88 +21,88 @@ from rossec.sidecar.processes import (
     socket_at,
 )
 
-_TURN: Final = 0.002  # seconds
+_TIME_SLICE: Final = 0.002  # seconds
 _REMEMBERED: Final = 4096  # sockets
 
 
-class _SocketPlace(NamedTuple):
-    """Where a socket was seen."""
+class _SocketLocation(NamedTuple):
+    """The process and descriptor at which a socket was seen."""
 
     process: Process
     descriptor: str
 
 
 class SocketOwners:
-    """Finds holders among the descendants of `ancestor`."""
+    """Finds the holders of sockets among the descendants of `ancestor`."""
 
     def __init__(self, ancestor: int) -> None:
         self._ancestor = ancestor
-        self._places: dict[int, _SocketPlace] = {}  # by the socket's inode; the oldest first
-        self._seen: dict[Process, set[str]] = {}  # descriptors that no caller's socket was at
+        self._locations: dict[int, _SocketLocation] = {}  # by socket inode; the oldest first
+        self._seen: dict[Process, set[str]] = {}  # descriptors that were no caller's socket
         self._wanted: set[int] = set()
-        self._searching = asyncio.Lock()
+        self._search_lock = asyncio.Lock()
 
-    async def have(self, inode: int) -> bool:
-        """Whether a descendant has the socket now."""
-        if self._proved(inode):
+    async def holds(self, inode: int) -> bool:
+        """Whether a descendant holds the socket now."""
+        if self._verified(inode):
             return True
         self._wanted.add(inode)
-        async with self._searching:
+        async with self._search_lock:
             if inode in self._wanted:
-                wanted = frozenset(self._wanted)  # those of a caller that gave up, too
+                wanted = frozenset(self._wanted)  # also those of cancelled callers
                 await self._search(wanted)
                 self._wanted -= wanted
-        return self._proved(inode)
+        return self._verified(inode)
 
-    def _proved(self, inode: int) -> bool:
-        place = self._places.get(inode)
-        if place is None:
+    def _verified(self, inode: int) -> bool:
+        location = self._locations.get(inode)
+        if location is None:
             return False
-        number = place.process.number
-        holds = (
-            process(number) == place.process
-            and socket_at(number, place.descriptor) == inode
-            and descends(number, self._ancestor)
-            and process(number) == place.process
+        pid = location.process.pid
+        is_held = (
+            process(pid) == location.process
+            and socket_at(pid, location.descriptor) == inode
+            and descends(pid, self._ancestor)
+            and process(pid) == location.process
         )
-        if not holds:
-            del self._places[inode]
-        return holds
+        if not is_held:
+            del self._locations[inode]
+        return is_held
 
     async def _search(self, wanted: frozenset[int]) -> None:
         missing = set(wanted)
-        end = time.monotonic() + _TURN
-        for inode, place in self._sightings():
+        end = time.monotonic() + _TIME_SLICE
+        for inode, location in self._open_sockets():
             if inode in missing:
                 missing.discard(inode)
-                self._remember(inode, place)
+                self._remember(inode, location)
                 if not missing:
                     return
             if time.monotonic() >= end:
                 await asyncio.sleep(0)
-                end = time.monotonic() + _TURN
+                end = time.monotonic() + _TIME_SLICE
 
-    def _remember(self, inode: int, place: _SocketPlace) -> None:
-        self._places[inode] = place
-        # A program that calls again often does so at the same descriptor.
-        self._seen[place.process].discard(place.descriptor)
-        if len(self._places) > _REMEMBERED:
-            del self._places[next(iter(self._places))]
+    def _remember(self, inode: int, location: _SocketLocation) -> None:
+        self._locations[inode] = location
+        # A program that connects again often uses the same descriptor.
+        self._seen[location.process].discard(location.descriptor)
+        if len(self._locations) > _REMEMBERED:
+            del self._locations[next(iter(self._locations))]
 
-    def _sightings(self) -> Iterator[tuple[int | None, _SocketPlace]]:
-        """What the descendants have open, the likeliest first."""
-        found = [process(number) for number in descendants(parents(), self._ancestor)]
+    def _open_sockets(self) -> Iterator[tuple[int | None, _SocketLocation]]:
+        """The open descriptors of the descendants, the most likely first."""
+        found = [process(pid) for pid in descendants(parents(), self._ancestor)]
         self._seen = {each: self._seen.get(each, set()) for each in found if each is not None}
-        later: list[_SocketPlace] = []
+        later: list[_SocketLocation] = []
         for each, seen in self._seen.items():
-            names = descriptors(each.number)
+            names = descriptors(each.pid)
             seen.intersection_update(names)
             for name in names:
-                place = _SocketPlace(each, name)
+                location = _SocketLocation(each, name)
                 if name in seen:
-                    later.append(place)
+                    later.append(location)
                 else:
                     seen.add(name)
-                    yield socket_at(each.number, name), place
-        for place in later:
-            yield socket_at(place.process.number, place.descriptor), place
+                    yield socket_at(each.pid, name), location
+        for location in later:
+            yield socket_at(location.process.pid, location.descriptor), location

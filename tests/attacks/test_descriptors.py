@@ -18,9 +18,9 @@ from rossec.errors import ChannelError
 from rossec.net.aio import connect
 from rossec.net.halfopen import HalfOpen
 from rossec.net.threads.secure_socket import SecureSocket
-from rossec.participant import accepted
+from rossec.participant import connections
 from rossec.ros.settings import parse_uri
-from rossec.sidecar.core.endpoints import inside
+from rossec.sidecar.core.endpoints import local_endpoint
 from tests.rossec.sidecar.program import Program, sidecar
 from tests.support.attacker import HOST, credentials
 from tests.support.enrolling import Robot
@@ -89,10 +89,10 @@ async def watched(pid: int | None = None) -> AsyncIterator[list[int]]:
         looking.cancel()
 
 
-async def served(site: Site, port: int, flavour: WireProtocol) -> None:
+async def served(site: Site, port: int, protocol: WireProtocol) -> None:
     """An honest caller is authenticated at its first attempt."""
     stream = await connect(
-        HOST, port, site.enroll("/honest").credentials(), site.anchor.verify, opening=flavour
+        HOST, port, site.enroll("/honest").credentials(), site.anchor.verify, opening=protocol
     )
     stream.abort("done")
 
@@ -121,7 +121,10 @@ async def sidecar_door(site: Site) -> AsyncIterator[tuple[int, WireProtocol]]:
     async with sidecar(site) as near, Program("/robot", near) as robot:
         await robot.register("registerPublisher", "/word", "std_msgs/String")
         agent = near._agent_for("/robot")
-        yield agent.export(inside(WireProtocol.TCPROS, robot.topics.port)), WireProtocol.TCPROS
+        yield (
+            agent.open_ingress(local_endpoint(WireProtocol.TCPROS, robot.topics.port)),
+            WireProtocol.TCPROS,
+        )
 
 
 Place = Callable[[Site], contextlib.AbstractAsyncContextManager[tuple[int, WireProtocol]]]
@@ -130,31 +133,31 @@ PLACES: Final = [node_topics, node_api, master, sidecar_door]
 
 @pytest.mark.attack("descriptors")
 @pytest.mark.parametrize("place", PLACES)
-async def test_handshakes_that_fail_at_once(site: Site, place: Place) -> None:
+async def test_failed_handshakes_do_not_exhaust_descriptors(site: Site, place: Place) -> None:
     """Four bytes end the handshake; the socket that lingers for its refusal is counted."""
-    async with place(site) as (port, flavour), watched() as most:
+    async with place(site) as (port, protocol), watched() as most:
         async with flood(port, b"\xff\xff\xff\xff"):
-            await served(site, port, flavour)
+            await served(site, port, protocol)
         assert most[0] <= CAP + OTHERS
 
 
 @pytest.mark.attack("descriptors")
 @pytest.mark.parametrize("place", PLACES)
-async def test_silence_from_many_addresses(site: Site, place: Place) -> None:
+async def test_silent_connections_from_many_addresses_are_limited(site: Site, place: Place) -> None:
     """Together they have all places; who has none yet is given one of theirs."""
     sources = [f"127.0.0.{number}" for number in range(2, 8)]
-    async with place(site) as (port, flavour), watched() as most:
+    async with place(site) as (port, protocol), watched() as most:
         async with flood(port, b"\x0c\0\0", *sources):
-            await served(site, port, flavour)
+            await served(site, port, protocol)
         assert most[0] <= HalfOpen().total + OTHERS
 
 
 @pytest.mark.attack("descriptors")
-async def test_an_enrolled_caller_that_never_hangs_up(
+async def test_an_enrolled_caller_that_never_closes_is_limited(
     site: Site, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It is refused after its identity was proved; the socket that lingers is still its own."""
-    monkeypatch.setattr(accepted, "PEER_CONNECTIONS", 8)
+    monkeypatch.setattr(connections, "PEER_CONNECTIONS", 8)
     own, verify, held = credentials(site), site.anchor.verify, []
     async with site.node("/robot") as robot, watched() as most:
         for _ in range(40):

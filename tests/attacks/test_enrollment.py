@@ -31,11 +31,11 @@ from ca.enrollment.messages import (
 from ca.enrollment.node import NodeState
 from ca.errors import (
     AcknowledgementRefused,
+    ConflictingOffer,
     EnrollmentOver,
     EnrollmentRefused,
     RequestRefused,
     RequestSwapped,
-    RivalOffer,
 )
 from rossec.enrollment import authority
 from tests.ca.test_requests import CA_TRUE, SAN, crafted
@@ -110,7 +110,7 @@ def honest(message: Message) -> Message:
 
 @pytest.mark.attack("read-network")
 @pytest.mark.parametrize("label", [False, True])
-async def test_a_network_that_only_listens(label: bool) -> None:
+async def test_a_passive_network_learns_nothing(label: bool) -> None:
     with WaitingRobot(Robot(), label=label) as robot:
         core = await enrolled_through(robot, honest)
     assert core.state is AuthorityState.ENROLLED
@@ -132,7 +132,7 @@ async def test_a_swapped_request(label: bool) -> None:
 
 
 @pytest.mark.attack("enrollment-middle")
-async def test_a_swapped_authority_has_not_seen_the_screen() -> None:
+async def test_a_swapped_authority_without_the_code_is_refused() -> None:
     robot_ = Robot()
 
     def swap(message: Message) -> Message:
@@ -156,7 +156,7 @@ async def test_a_swapped_authority_and_a_label() -> None:
 
     with (
         WaitingRobot(robot_, label=True, person=lambda _: None) as robot,
-        pytest.raises(AcknowledgementRefused, match="about another offer"),
+        pytest.raises(AcknowledgementRefused, match="for another offer"),
     ):
         await enrolled_through(robot, swap)
     assert robot.trusted == []
@@ -184,14 +184,14 @@ async def test_a_swapped_authority_and_a_replayed_answer() -> None:
 
     with (
         WaitingRobot(robot_, label=True, person=lambda _: None) as robot,
-        pytest.raises(AcknowledgementRefused, match="about another offer"),
+        pytest.raises(AcknowledgementRefused, match="for another offer"),
     ):
         await enrolled_through(robot, swap)
     assert robot.trusted == []
 
 
 @pytest.mark.attack("enrollment-middle")
-async def test_an_answer_kept_back_and_an_offer_made_to_fit() -> None:
+async def test_a_delayed_answer_and_a_chosen_offer() -> None:
     """Label codes are public: Mallory gets the node's answer to the true offer, ends that session,
     and makes the node an offer of her own before she passes the answer on. With digits that depend
     on the offer alone, a million nonces would make hers fit.
@@ -202,12 +202,12 @@ async def test_an_answer_kept_back_and_an_offer_made_to_fit() -> None:
     core.receive(write(Delivery(robot.csr)), clock())
     made = offer_of(core)
     (answer,) = first.receive(made, clock())
-    with pytest.raises(RivalOffer):
+    with pytest.raises(ConflictingOffer):
         first.receive(write(forged(robot.csr)), clock())
     core.receive(answer, clock())
     second.receive(write(forged(robot.csr)), clock())
     assert core.digits != second.pending.digits  # but for one time in a million
-    with pytest.raises(RivalOffer):  # nor may she try again
+    with pytest.raises(ConflictingOffer):  # nor may she try again
         second.receive(write(forged(robot.csr)), clock())
     assert second.state is NodeState.OVER
 
@@ -227,7 +227,7 @@ async def test_a_stolen_screen_code_used_first(site: Site) -> None:
         assert length(await reader.readexactly(4)) > 0  # the node has answered the thief
         core = scanned(robot)
         await authority.fetch(core, robot._host, robot.port, clock)
-        with pytest.raises(RivalOffer, match="somebody else has its code"):
+        with pytest.raises(ConflictingOffer, match="somebody else has its code"):
             await authority.deliver(
                 core, offer_of(core, site), robot._host, robot.port, clock, pytest.fail
             )

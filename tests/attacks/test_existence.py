@@ -1,6 +1,6 @@
 """What an enrolled node without a right could learn from an answer that differs (N4, N5).
 
-The built-in node's and rospy's are in `test_strangers` and `test_rospy_api`.
+The built-in node's and rospy's are in `test_unauthorized_peers` and `test_rospy_api`.
 """
 
 from collections.abc import AsyncIterator
@@ -40,10 +40,10 @@ async def robot(near: Sidecar) -> AsyncIterator[Program]:
         yield robot
 
 
-def ports(near: Sidecar, flavour: WireProtocol) -> list[int]:
+def ports(near: Sidecar, protocol: WireProtocol) -> list[int]:
     """Where the network reaches /robot2."""
-    exports = near._agent_for("/robot2")._exports.doorways
-    return [door.port for place, door in exports._doors.items() if place.flavour is flavour]
+    exports = near._agent_for("/robot2")._ingress.ports
+    return [door.port for place, door in exports._ports.items() if place.protocol is protocol]
 
 
 async def offered(site: Site, near: Sidecar, topic: object) -> Any:
@@ -53,7 +53,7 @@ async def offered(site: Site, near: Sidecar, topic: object) -> Any:
 
 
 @pytest.mark.attack("existence-oracle")
-async def test_a_sidecar_offers_every_topic_alike(
+async def test_a_sidecar_answers_alike_for_every_topic(
     site: Site, near: Sidecar, robot: Program, witness: Witness
 ) -> None:
     """The program, which would tell, is not asked."""
@@ -80,7 +80,7 @@ async def test_a_header_without_a_grant_is_refused_alike(
 
 
 @pytest.mark.attack("existence-oracle")
-async def test_with_the_right_it_is_told(site: Site, near: Sidecar, robot: Program) -> None:
+async def test_with_the_right_the_answer_differs(site: Site, near: Sidecar, robot: Program) -> None:
     """And the topic that is there is heard: as it must be, else nobody would find the rest."""
     site.subscribe("/ear", THERE)
     site.subscribe("/ear", ABSENT)

@@ -30,7 +30,7 @@ def _is_another(node: Node, before: object) -> bool:
 
 
 @pytest.mark.attack("reset-sessions")
-async def test_whoever_resets_sessions_keeps_nobody_alive(
+async def test_resetting_sessions_does_not_extend_a_registration(
     site: Site, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The publisher is no longer registered; its accomplice breaks the viewer's sessions."""
@@ -54,7 +54,7 @@ async def test_whoever_resets_sessions_keeps_nobody_alive(
 
 
 @pytest.mark.attack("reset-sessions")
-async def test_a_publisher_that_is_missing_is_judged_as_ever(
+async def test_a_publisher_that_is_not_named_is_still_authorized(
     site: Site, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Its right ends while it is followed without being named."""
@@ -66,8 +66,8 @@ async def test_a_publisher_that_is_missing_is_judged_as_ever(
         await until(lambda: pose.links and sight.links)
         absent.names = {"/robot"}
         await site.restart_master()
-        await until(lambda: viewer._topics._named._missing)
+        await until(lambda: viewer._topics._grace._missing)
         [link] = sight.links
         await viewer._session.call("rossec.updateRevocations", site.revoke(right))
         await until(lambda: link not in sight.links)
-        assert viewer._topics._named.to_follow(TOPIC) == [robot.uri]
+        assert viewer._topics._grace.to_follow(TOPIC) == [robot.uri]

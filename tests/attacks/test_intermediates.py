@@ -17,11 +17,11 @@ from grants.model import Restriction, Right
 from rossec.authority.renewals import sign_intermediate
 from rossec.authority.signing import SigningAuthority
 from rossec.errors import ChannelError
-from rossec.master.api.revoked_calls import CALLS, MOST, MOST_BELOW
+from rossec.master.api.revoked_calls import MAX_BELOW_INTERMEDIATE, MAX_CALLS, MAX_CONNECTIONS
 from rossec.net.rpc.client import CallFailed, RpcClient
 from rossec.participant.connections import STALE_GRACE
-from tests.rossec.sidecar.conversation import Pair, connect, ends
 from tests.rossec.sidecar.program import Program, sidecar
+from tests.rossec.sidecar.sidecar_pair import SidecarPair, connect, wait_closed
 from tests.support.attacker import (
     EVE,
     call,
@@ -49,7 +49,7 @@ def below(site: Site, *names: str) -> bytes:
     host = SigningAuthority(Authority(signer, root, der), site.authority.store, site.root)
     for name in names:
         identity = site.identity(name)
-        leaf = host.authority.certify_again(
+        leaf = host.authority.reissue(
             identity, identity.public_key, now=site.now(), serial=secrets.randbits(127)
         )
         site.enroll(name).install(host.bundle(leaf), site.now())
@@ -85,7 +85,7 @@ async def test_a_stolen_leaf_after_its_intermediate_is_revoked(
 
 
 @pytest.mark.attack("revoked-intermediate")
-async def test_what_it_holds_already_is_cut(site: Site, witness: Witness) -> None:
+async def test_its_open_connections_are_closed(site: Site, witness: Witness) -> None:
     site.subscribe(EVE, TOPIC)
     intermediate = below(site, EVE)
     before = set(witness.publisher.links)
@@ -120,7 +120,9 @@ async def signing(
 
 @pytest.mark.attack("revoked-intermediate")
 @pytest.mark.parametrize("restriction", [None, KEEP], ids=["cut", "keep"])
-async def test_both_ends_below_it_are_cut(signing: Site, restriction: Restriction | None) -> None:
+async def test_a_connection_with_both_ends_below_it_is_closed(
+    signing: Site, restriction: Restriction | None
+) -> None:
     """Neither may speak to the master any more, and yet they hear that the other is revoked."""
     site = signing
     site.grant("/robot", Right.PUBLISH, TOPIC, restriction=restriction)
@@ -142,7 +144,7 @@ async def test_both_ends_below_it_are_cut(signing: Site, restriction: Restrictio
 
 
 @pytest.mark.attack("revoked-intermediate")
-async def test_both_sidecars_below_it_are_cut(tmp_path: Path) -> None:
+async def test_a_connection_of_two_sidecars_below_it_is_closed(tmp_path: Path) -> None:
     site = Site(tmp_path / "site")
     site.publish("/talker", "/word")
     site.subscribe("/listener", "/word")
@@ -154,10 +156,10 @@ async def test_both_sidecars_below_it_are_cut(tmp_path: Path) -> None:
         Program("/talker", near) as talker,
         Program("/listener", far) as listener,
     ):
-        stream, source = await connect(Pair(site, near, far, talker, listener))
+        stream, source = await connect(SidecarPair(site, near, far, talker, listener))
         await bring(site, site.revoke(intermediate))
-        await ends(stream)
-        await ends(source)
+        await wait_closed(stream)
+        await wait_closed(source)
 
 
 TALKER: Final = (
@@ -187,7 +189,9 @@ rospy.spin()
 
 @pytest.mark.ros
 @pytest.mark.attack("revoked-intermediate")
-async def test_both_rospy_programs_below_it_are_cut(site: Site, tmp_path: Path) -> None:
+async def test_a_connection_of_two_rospy_programs_below_it_is_closed(
+    site: Site, tmp_path: Path
+) -> None:
     site.publish("/talker", "/words")
     site.subscribe("/hearer", "/words")
     intermediate = below(site, "/talker", "/hearer")
@@ -196,14 +200,14 @@ async def test_both_rospy_programs_below_it_are_cut(site: Site, tmp_path: Path) 
         await hearer.hears("HEARD")
         await bring(site, site.revoke(intermediate))
         for one in (talker, hearer):
-            await one.hears("the master tells this node what is revoked", WITHIN)
+            await one.hears("the revocation list without a timestamp", WITHIN)
         hearer.said = ""
         with pytest.raises(TimeoutError):
             await hearer.hears("HEARD", within=3)
 
 
 @pytest.mark.attack("revoked-intermediate")
-async def test_a_revoked_identity_hears_the_list_and_nothing_else(site: Site) -> None:
+async def test_a_revoked_identity_gets_the_list_and_nothing_else(site: Site) -> None:
     assert site.master is not None
     intermediate, stolen, uri = below(site, EVE), credentials(site), site.master.uri
     data = site.revoke(intermediate)
@@ -214,7 +218,7 @@ async def test_a_revoked_identity_hears_the_list_and_nothing_else(site: Site) ->
     for method in ("rossec.trl", "system.multicall", "getUri"):
         with pytest.raises(ChannelError):
             await call(uri, stolen, method, EVE)
-    held = [await dial(uri, stolen) for _ in range(MOST)]
+    held = [await dial(uri, stolen) for _ in range(MAX_CONNECTIONS)]
     with pytest.raises(ChannelError):
         await call(uri, stolen, "rossec.revocations", EVE)
     for stream in held:
@@ -223,29 +227,29 @@ async def test_a_revoked_identity_hears_the_list_and_nothing_else(site: Site) ->
 
 
 @pytest.mark.attack("revoked-intermediate")
-async def test_a_revoked_intermediate_cannot_fill_the_master_with_names_of_its_making(
+async def test_a_revoked_intermediate_cannot_exhaust_the_master_with_names(
     site: Site,
 ) -> None:
     """Each has a share of its own; without one for all below it they hold every descriptor."""
     assert site.master is not None
-    names = [f"/eve_{number}" for number in range(MOST_BELOW + 8)]
+    names = [f"/eve_{number}" for number in range(MAX_BELOW_INTERMEDIATE + 8)]
     await bring(site, site.revoke(below(site, *names)))
     held = [await dial(site.master.uri, credentials(site, name)) for name in names]
-    for stream in held[MOST_BELOW:]:
+    for stream in held[MAX_BELOW_INTERMEDIATE:]:
         with pytest.raises(ChannelError):
             await stream.receive()
-    assert int(site.master.status()["connections"]) <= MOST_BELOW
+    assert int(site.master.status()["connections"]) <= MAX_BELOW_INTERMEDIATE
     for stream in held:
         stream.abort("seen enough")
 
 
 @pytest.mark.attack("revoked-intermediate")
-async def test_a_revoked_identity_does_not_have_the_list_sent_again_and_again(site: Site) -> None:
+async def test_a_revoked_identity_gets_the_list_at_a_limited_rate(site: Site) -> None:
     assert site.master is not None
     await bring(site, site.revoke(site.identity(EVE).thumbprint))
     stream = await dial(site.master.uri, credentials(site))
     client = RpcClient(stream)
-    for _ in range(CALLS):
+    for _ in range(MAX_CALLS):
         await client.call("rossec.revocations", EVE)
     with pytest.raises((ChannelError, CallFailed)):
         await client.call("rossec.revocations", EVE)

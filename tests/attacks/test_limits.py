@@ -6,101 +6,33 @@ whatever else arrives was gained by the attack, however slow the machine is.
 
 import asyncio
 import contextlib
-import struct
-from collections.abc import AsyncIterator
-from dataclasses import replace
-from typing import Any, Final
 
 import pytest
 
-from ca.certificates import Identity
 from ca.encoding import encode
-from grants.model import Restriction, Right, filter_rules
-from rossec.errors import ChannelError, ServiceFailed
-from rossec.net.aio import SecureStream, WireProtocol, connect
-from rossec.net.rpc.client import RpcClient
-from rossec.node import Node, Publisher
+from grants.model import Restriction, Right
+from rossec.net.aio import connect
 from rossec.participant.access import FIELD
-from rossec.participant.message_types import message_type
 from rossec.ros import header
-from rossec.ros.header import FrameReader
-from rossec.sidecar.plain_stream import PlainStream
-from rossec.sidecar.server import Sidecar
-from tests.rossec.sidecar.program import Program, sidecar, word
-from tests.support.attacker import EVE, HOST, fields_for
+from tests.support.attacker import EVE, HOST
+from tests.support.limited import (
+    HELD,
+    NEAR_A_BOUNDARY,
+    ONE_MESSAGE,
+    SELDOM,
+    SERVICE,
+    TOPIC,
+    lamp,
+    number,
+    publishing,
+)
 from tests.support.site import Site
 from tests.support.witness import until
 
-TOPIC: Final = "/robot/where"
-SERVICE: Final = "/lamp/on"
-SELDOM: Final = 0.001  # a second
-SELDOM_ONE: Final = Restriction(rate=SELDOM)
-HELD: Final = Restriction(
-    "std_msgs/Float64", (), filter_rules({"data": {"round": {"step": 2.0, "hysteresis": 0.5}}})
-)
-ABOUT_A_BORDER: Final = (0.9, 1.1, 0.95, 1.2, 1.05)
-
-
-class Eve:
-    """Holds a grant, and as many connections with it as she likes."""
-
-    def __init__(self, site: Site, publisher: Publisher, port: int, grant: bytes) -> None:
-        self.site = site
-        self.publisher = publisher
-        self.port = port
-        self.grant = grant
-
-    async def connect(self) -> SecureStream[Identity]:
-        """One more; the publisher knows of it."""
-        before = len(self.publisher.links)
-        stream = await connect(
-            HOST, self.port, self.site.enroll(EVE).credentials(), self.site.anchor.verify
-        )
-        await stream.send(header.encode(fields_for(EVE, TOPIC, [self.grant])))
-        await until(lambda: len(self.publisher.links) == before + 1)
-        return stream
-
-    async def heard(self, *streams: SecureStream[Identity]) -> list[list[bytes]]:
-        """All that each was sent, which the publisher ends."""
-        links = tuple(self.publisher.links)
-        await until(lambda: not any(link._queue for link in links))
-        for link in links:
-            await link.stream.close()
-        found = [(await messages(stream))[1:] for stream in streams]
-        await until(lambda: not self.publisher.links)
-        return found
-
-
-async def messages(stream: SecureStream[Identity] | PlainStream) -> list[bytes]:
-    """Everything until the end; the header first."""
-    frames, found = FrameReader(), []
-    with contextlib.suppress(ChannelError):
-        async with asyncio.timeout(60):
-            while True:
-                found += frames.feed(await stream.receive())
-    stream.abort("done")
-    return found
-
-
-def number(value: float) -> bytes:
-    return struct.pack("<d", value)
-
-
-@contextlib.asynccontextmanager
-async def publishing(
-    site: Site, *restrictions: Restriction, latch: bool = False
-) -> AsyncIterator[Eve]:
-    """/robot publishes numbers; Eve may hear them as every one of the restrictions says."""
-    site.publish("/robot", TOPIC)
-    grants = [site.subscribe(EVE, TOPIC, item) for item in restrictions]
-    async with site.node("/robot") as robot:
-        publisher = await robot.publisher(TOPIC, "std_msgs/Float64", latch=latch)
-        yield Eve(site, publisher, robot.topic_endpoint()[1], grants[0])
-
 
 @pytest.mark.attack("more-by-reconnecting")
-async def test_no_connection_begins_a_rate_anew(site: Site) -> None:
-    async with publishing(site, SELDOM_ONE) as eve:
+async def test_a_new_connection_does_not_reset_the_rate(site: Site) -> None:
+    async with publishing(site, ONE_MESSAGE) as eve:
         found = []
         for value in range(8):
             stream = await eve.connect()
@@ -110,9 +42,9 @@ async def test_no_connection_begins_a_rate_anew(site: Site) -> None:
 
 
 @pytest.mark.attack("more-by-reconnecting")
-async def test_many_connections_are_one_receiver(site: Site) -> None:
+async def test_many_connections_count_as_one_receiver(site: Site) -> None:
     """They share what is let through: none loses it, and together they get no more."""
-    async with publishing(site, SELDOM_ONE) as eve:
+    async with publishing(site, ONE_MESSAGE) as eve:
         streams = [await eve.connect() for _ in range(10)]
         eve.publisher.publish_bytes(number(0))
         for value in range(1, 11):
@@ -122,10 +54,10 @@ async def test_many_connections_are_one_receiver(site: Site) -> None:
 
 
 @pytest.mark.attack("more-by-reconnecting")
-async def test_the_publisher_that_begins_again_has_forgotten_nothing(site: Site) -> None:
+async def test_a_new_publisher_does_not_reset_the_rate(site: Site) -> None:
     found = []
     for _ in range(3):
-        async with publishing(site, SELDOM_ONE) as eve:
+        async with publishing(site, ONE_MESSAGE) as eve:
             stream = await eve.connect()
             eve.publisher.publish_bytes(number(1))
             found += await eve.heard(stream)
@@ -133,10 +65,10 @@ async def test_the_publisher_that_begins_again_has_forgotten_nothing(site: Site)
 
 
 @pytest.mark.attack("more-by-reconnecting")
-async def test_another_grant_of_the_same_right_counts_the_same_messages(site: Site) -> None:
+async def test_another_grant_of_the_same_right_shares_the_rate(site: Site) -> None:
     """The wider one shown on one connection, the narrower on another: as much as the wider."""
     wider = Restriction("std_msgs/Float64", (), HELD.filters, rate=SELDOM * 2)
-    async with publishing(site, SELDOM_ONE) as eve:
+    async with publishing(site, ONE_MESSAGE) as eve:
         first = await eve.connect()
         eve.publisher.publish_bytes(number(0))
         eve.grant = site.subscribe(EVE, TOPIC, wider)
@@ -147,42 +79,30 @@ async def test_another_grant_of_the_same_right_counts_the_same_messages(site: Si
 
 
 @pytest.mark.attack("more-by-reconnecting")
-async def test_no_connection_sets_hysteresis_anew(site: Site) -> None:
+async def test_a_new_connection_does_not_reset_hysteresis(site: Site) -> None:
     """Rounding alone says on which side of 1 m something is; ten looks make a track."""
     async with publishing(site, HELD) as eve:
         found = []
-        for value in ABOUT_A_BORDER:
+        for value in NEAR_A_BOUNDARY:
             stream = await eve.connect()
             eve.publisher.publish_bytes(number(value))
             found += await eve.heard(stream)
-        assert found == [[number(0)]] * len(ABOUT_A_BORDER)
+        assert found == [[number(0)]] * len(NEAR_A_BOUNDARY)
 
 
 @pytest.mark.attack("more-by-reconnecting")
-async def test_a_latched_message_is_no_second_sample(site: Site) -> None:
-    """Whoever connects again gets what he had: nothing newer, and nothing that tells of it."""
-    async with publishing(site, SELDOM_ONE, latch=True) as eve:
+async def test_a_latched_message_is_not_a_new_sample(site: Site) -> None:
+    """A peer that connects again gets the message it had: nothing newer, and no sign of it."""
+    async with publishing(site, ONE_MESSAGE, latch=True) as eve:
         for value in range(4):
             eve.publisher.publish_bytes(number(value))
             assert await eve.heard(await eve.connect()) == [[number(0)]]
 
 
-@contextlib.asynccontextmanager
-async def lamp(site: Site, calls: list[bool]) -> AsyncIterator[Node]:
-    def switch(request: Any) -> dict[str, object]:
-        calls.append(request.data)
-        return {"success": True}
-
-    site.grant("/lamp", Right.PROVIDE, SERVICE)
-    async with site.node("/lamp") as node:
-        await node.service(SERVICE, "std_srvs/SetBool", switch)
-        yield node
-
-
 @pytest.mark.attack("more-by-reconnecting")
-async def test_calls_by_many_connections(site: Site) -> None:
+async def test_calls_over_many_connections_share_the_rate(site: Site) -> None:
     calls: list[bool] = []
-    site.grant(EVE, Right.CALL, SERVICE, restriction=SELDOM_ONE)
+    site.grant(EVE, Right.CALL, SERVICE, restriction=ONE_MESSAGE)
     grants = encode([*site.enroll(EVE).grants()])
     async with lamp(site, calls) as node:
         for persistent in ("0", "1") * 5:
@@ -203,10 +123,10 @@ async def test_calls_by_many_connections(site: Site) -> None:
 
 
 @pytest.mark.attack("more-by-reconnecting")
-async def test_a_provider_does_not_answer_more_often_than_it_may(site: Site) -> None:
+async def test_a_provider_answers_within_its_rate(site: Site) -> None:
     """Its own right is what is limited, and each call is a connection of its own."""
     calls: list[bool] = []
-    site.grant("/lamp", Right.PROVIDE, SERVICE, restriction=SELDOM_ONE)
+    site.grant("/lamp", Right.PROVIDE, SERVICE, restriction=ONE_MESSAGE)
     site.grant("/viewer", Right.CALL, SERVICE)
     async with lamp(site, calls), site.node("/viewer") as viewer:
         client = viewer.client(SERVICE, "std_srvs/SetBool")
@@ -218,10 +138,10 @@ async def test_a_provider_does_not_answer_more_often_than_it_may(site: Site) -> 
 
 
 @pytest.mark.attack("more-by-reconnecting")
-async def test_a_key_that_publishes_under_many_names(site: Site) -> None:
+async def test_a_key_that_publishes_under_many_names_has_one_rate(site: Site) -> None:
     """Anonymous nodes share a key; and what one of them says goes to every subscriber here."""
     site.enroll(EVE, wildcard=True)
-    site.grant(EVE, Right.PUBLISH, TOPIC, restriction=SELDOM_ONE)
+    site.grant(EVE, Right.PUBLISH, TOPIC, restriction=ONE_MESSAGE)
     site.subscribe("/viewer", TOPIC)
     site.subscribe("/viewer", "/control")
     site.publish("/robot", "/control")
@@ -239,259 +159,3 @@ async def test_a_key_that_publishes_under_many_names(site: Site) -> None:
                 await link.stream.close()
             await until(lambda: not publisher.links)  # noqa: B023 - at once
         assert [subscriber.received for subscriber in seen] == [1, 1]
-
-
-# --- what is said of it
-
-
-def said_of_eve(caplog: pytest.LogCaptureFixture) -> list[str]:
-    return [
-        text
-        for text in caplog.messages
-        if EVE in text and ("withheld" in text or "refused" in text)
-    ]
-
-
-@pytest.mark.attack("disk-filled-by-refusals")
-async def test_malformed_messages_at_wire_speed(
-    site: Site, caplog: pytest.LogCaptureFixture
-) -> None:
-    """Her right is restricted, so each of them is looked at."""
-    site.grant(EVE, Right.PUBLISH, "/orders", restriction=HELD)
-    site.subscribe("/viewer", "/orders")
-    async with site.node(EVE) as eve, site.node("/viewer") as viewer:
-        heard = await viewer.subscriber("/orders", "std_msgs/Float64")
-        publisher = await eve.publisher("/orders", "std_msgs/Float64", queue_size=1000)
-        await publisher.wait_for_subscribers()
-        for value in range(500):
-            publisher.publish_bytes(bytes(1 + value % 7))
-        publisher.publish_bytes(number(2))
-        await until(lambda: heard.received == 1)
-    assert 1 <= len(said_of_eve(caplog)) < 5, "one in a minute"
-
-
-@pytest.mark.attack("disk-filled-by-refusals")
-async def test_a_caller_over_its_rate(site: Site, caplog: pytest.LogCaptureFixture) -> None:
-    calls: list[bool] = []
-    site.grant(EVE, Right.CALL, SERVICE, restriction=SELDOM_ONE)
-    async with lamp(site, calls), site.node(EVE) as eve:
-        client = eve.client(SERVICE, "std_srvs/SetBool", persistent=True)
-        for _ in range(50):
-            with contextlib.suppress(ServiceFailed):
-                await client(data=True)
-        await client.close()
-    assert calls == [True]
-    assert 1 <= len(said_of_eve(caplog)) < 5, "one in a minute"
-
-
-# --- behind a sidecar
-
-
-class Number(Program):
-    """A program that publishes numbers, not texts."""
-
-    definition = b"float64 data\n"
-    kind = b"std_msgs/Float64"
-    md5sum = b"fdb28210bfa9d7c91146260178d9a584"
-
-
-@contextlib.asynccontextmanager
-async def program(site: Site, kind: type[Program] = Program) -> AsyncIterator["Behind"]:
-    """/robot, a plain program that publishes behind a sidecar."""
-    site.publish("/robot", TOPIC)
-    async with sidecar(site) as near, kind("/robot", near) as robot:
-        await robot.register("registerPublisher", TOPIC, kind.kind.decode())
-        yield Behind(site, robot, door_of(near))
-
-
-def door_of(near: Sidecar) -> int:
-    """Of the program of /robot that came last."""
-    return [door.port for door in near._agent_for("/robot")._exports.doorways][-1]
-
-
-class Behind:
-    """Eve's connections to a program behind a sidecar."""
-
-    def __init__(self, site: Site, robot: Program, door: int) -> None:
-        self.site = site
-        self.robot = robot
-        self.door = door
-
-    async def connect(self) -> SecureStream[Identity]:
-        """One more; the program knows of it."""
-        credentials, verify = self.site.enroll(EVE).credentials(), self.site.anchor.verify
-        grants = self.site.enroll(EVE).grants()
-        slave = await connect(HOST, self.door, credentials, verify, opening=WireProtocol.HTTP)
-        client = RpcClient(slave)
-        await client.call("rossec.presentGrants", EVE, encode([*grants]))
-        answer = await client.call("requestTopic", EVE, TOPIC, [["TCPROS"]])
-        assert isinstance(answer, list), answer
-        await client.close()
-        before = len(self.robot.connections)
-        stream = await connect(HOST, answer[2][2], credentials, verify)
-        await stream.send(header.encode(fields_for(EVE, TOPIC, grants)))
-        await until(lambda: len(self.robot.connections) == before + 1)
-        return stream
-
-    async def heard(self, *streams: SecureStream[Identity]) -> list[list[bytes]]:
-        """All that each was sent, which the program ends."""
-        for connection in self.robot.connections:
-            await connection.close()
-        self.robot.connections.clear()
-        return [(await messages(stream))[1:] for stream in streams]
-
-
-@pytest.mark.attack("more-by-reconnecting")
-async def test_a_sidecar_begins_no_rate_anew(site: Site) -> None:
-    site.subscribe(EVE, TOPIC, SELDOM_ONE)
-    async with program(site) as eve:
-        found = []
-        for text in ("one", "two", "six", "ten"):
-            stream = await eve.connect()
-            await eve.robot.connections[-1].send(word(text))
-            found += await eve.heard(stream)
-        assert found == [[word("one")[4:]], [], [], []]
-
-
-@pytest.mark.attack("more-by-reconnecting")
-async def test_a_sidecar_lets_copies_through_on_every_connection(site: Site) -> None:
-    """The program sends one to each: a second connection of the same key must not lose it."""
-    site.subscribe(EVE, TOPIC, SELDOM_ONE)
-    async with program(site) as eve:
-        streams = [await eve.connect() for _ in range(5)]
-        for text in ("one", "two", "one"):
-            for connection in eve.robot.connections:
-                await connection.send(word(text))
-        assert await eve.heard(*streams) == [[word("one")[4:]]] * 5
-
-
-@pytest.mark.attack("more-by-reconnecting")
-async def test_a_sidecar_sets_no_hysteresis_anew(site: Site) -> None:
-    site.subscribe(EVE, TOPIC, HELD)
-    async with program(site, Number) as eve:
-        found = []
-        for value in ABOUT_A_BORDER:
-            stream = await eve.connect()
-            await eve.robot.connections[-1].send(header.frame(number(value)))
-            found += await eve.heard(stream)
-        assert found == [[number(0)]] * len(ABOUT_A_BORDER)
-
-
-@pytest.mark.attack("more-by-reconnecting")
-async def test_behind_a_sidecar_new_names_are_no_new_receivers(site: Site) -> None:
-    """`rostopic pub` has one in each run: each would keep a memory for good, till there is no room.
-
-    Programs that live at the same time each have their own: what one sends says nothing of another.
-    """
-    site.enroll("/robot", wildcard=True)
-    site.publish("/robot", TOPIC)
-    site.subscribe(EVE, TOPIC, replace(HELD, rate=SELDOM))
-    found: dict[int, list[list[bytes]]] = {}
-    async with sidecar(site) as near, Number("/robot_0", near) as first:
-        await first.register("registerPublisher", TOPIC, "std_msgs/Float64")
-        live = Behind(site, first, door_of(near))
-        for run in range(3):
-            found[run] = []
-            async with Number(f"/robot_{run + 1}", near) as robot:
-                await robot.register("registerPublisher", TOPIC, "std_msgs/Float64")
-                for eve in (live, Behind(site, robot, door_of(near))):
-                    stream = await eve.connect()
-                    await eve.robot.connections[-1].send(header.frame(number(run)))
-                    found[run] += await eve.heard(stream)
-    assert found == {0: [[number(0)]] * 2, 1: [[], []], 2: [[], []]}
-
-
-@pytest.mark.attack("more-by-reconnecting")
-async def test_a_sidecar_shows_a_newcomer_what_its_key_has_seen(site: Site) -> None:
-    """A latching program sends its newest to whoever connects."""
-    site.subscribe(EVE, TOPIC, SELDOM_ONE)
-    async with program(site) as eve:
-        eve.robot.latching = True
-        for text in ("one", "two", "six"):
-            stream = await eve.connect()
-            await eve.robot.connections[-1].send(word(text))
-            assert await eve.heard(stream) == [[word("one")[4:]]]
-
-
-@pytest.mark.attack("more-by-reconnecting")
-async def test_a_sidecar_believes_a_publisher_no_more_for_another_connection(site: Site) -> None:
-    """Programs that live at a time are a receiver each, in whatever order they come back."""
-    site.subscribe("/robot", TOPIC)
-    site.grant(EVE, Right.PUBLISH, TOPIC, restriction=SELDOM_ONE)
-    found = []
-    async with sidecar(site) as near, Program("/robot", near) as one:
-        async with site.node(EVE) as node:
-            publisher = await node.publisher(TOPIC, "std_msgs/String")
-            uris = await one.register("registerSubscriber", TOPIC, "std_msgs/String")
-            assert isinstance(uris, list)
-            (uri,) = uris
-            for names in (("/robot", "/other"), ("/other", "/robot"), ("/third",)):
-                streams = []
-                for one.name in names:
-                    streams.append((await one.subscribe(uri, TOPIC))[0])
-                await publisher.wait_for_subscribers(len(names))
-                publisher.publish_bytes(word("go")[4:])
-                for link in tuple(publisher.links):
-                    await until(lambda: not link._queue)  # noqa: B023 - at once
-                    await link.stream.close()
-                found += [await messages(stream) for stream in streams]
-                await until(lambda: not publisher.links)
-        gone: tuple[str, tuple[object, ...]] = ("publisherUpdate", ("/master", TOPIC, []))
-        await until(lambda: gone in one.calls)
-    assert found == [[word("go")[4:]]] * 2 + [[]] * 3
-
-
-class Pose(Program):
-    """A program that publishes where it is, in messages as long as one likes."""
-
-    definition = message_type("geometry_msgs/PoseStamped").definition.encode()
-    kind = b"geometry_msgs/PoseStamped"
-    md5sum = message_type("geometry_msgs/PoseStamped").md5sum.encode()
-
-
-def pose(x: float, length: int = 0) -> bytes:
-    """With its length in front; the name of its frame has `length` bytes."""
-    frame = struct.pack("<IIII", 0, 0, 0, length) + bytes(length)
-    return header.frame(frame + struct.pack("<7d", x, *[0.0] * 6))
-
-
-async def places(stream: SecureStream[Identity], frames: FrameReader, count: int) -> list[float]:
-    """The next `count` of x."""
-    found: list[bytes] = []
-    while len(found) < count:
-        found += frames.feed(await stream.receive())
-    return [struct.unpack_from("<d", each, len(each) - 56)[0] for each in found]
-
-
-@pytest.mark.attack("slow-to-set-hysteresis-anew")
-async def test_a_connection_that_is_not_read_brings_back_no_old_place(site: Site) -> None:
-    """What was far away once, and is judged late, would let the next place be rounded anew."""
-    rules = filter_rules({"pose.position.x": {"round": {"step": 2.0, "hysteresis": 0.5}}})
-    site.subscribe(EVE, TOPIC, Restriction("geometry_msgs/PoseStamped", (), rules))
-    async with asyncio.timeout(120), program(site, Pose) as eve:
-        live, slow = [await eve.connect() for _ in range(2)]
-        to_live, to_slow = eve.robot.connections
-        frames = FrameReader()
-        await places_begin(live, frames)
-        sending = asyncio.ensure_future(to_slow.send(pose(10.0, 1 << 20) * 40))
-        await asyncio.wait({sending}, timeout=5)  # all of it, unless somebody waits for the reader
-        for _ in range(2000):  # turns of the loop, each of which reads what there is
-            await asyncio.sleep(0)
-        await to_live.send(pose(0.9))
-        found = await places(live, frames, 1)
-        with contextlib.suppress(TimeoutError):
-            while True:
-                async with asyncio.timeout(2):
-                    await slow.receive()
-        await to_live.send(pose(1.1))
-        found += await places(live, frames, 1)
-        assert found == [0.0, 0.0]
-        for stream in (live, slow):
-            stream.abort("done")
-        await asyncio.wait({sending})
-
-
-async def places_begin(stream: SecureStream[Identity], frames: FrameReader) -> None:
-    """The connection header, which comes first."""
-    while not frames.feed(await stream.receive()):
-        pass

@@ -20,7 +20,7 @@ from rossec.net.rpc.client import serve_calls
 from rossec.node import Node, Subscriber
 from rossec.participant.slave_api import NO_TRANSPORT
 from rossec.ros.settings import parse_uri
-from rossec.sidecar.core.endpoints import inside
+from rossec.sidecar.core.endpoints import local_endpoint
 from tests.rossec.sidecar.program import Program, sidecar
 from tests.support.attacker import EVE, HOST, call, credentials
 from tests.support.fleet import SECURE, entitle, environment, program
@@ -29,7 +29,7 @@ from tests.support.witness import until
 
 pytestmark = pytest.mark.attack("own-reflection")
 NAME, TOPIC, STRING = "/robot", "/loop", "std_msgs/String"
-OWN = "the peer shows this node's own certificate"
+OWN = "the peer sent this node's own certificate"
 
 
 @contextlib.asynccontextmanager
@@ -115,14 +115,14 @@ async def publisher_that_points(site: Site, port: int) -> AsyncIterator[str]:
         yield f"http://{HOST}:{server.port}/"
 
 
-async def test_an_entitled_publisher_sends_the_node_to_itself(site: Site, robot: Node) -> None:
+async def test_an_authorized_publisher_names_the_nodes_own_port(site: Site, robot: Node) -> None:
     heard = await robot.subscriber(TOPIC, STRING)
     async with publisher_that_points(site, robot.topic_endpoint()[1]) as uri:
         error = await refused(heard, uri)
     assert str(error).endswith("sends this node to itself")
 
 
-async def test_an_entitled_publisher_points_at_a_redirect(site: Site, robot: Node) -> None:
+async def test_an_authorized_publisher_names_a_redirecting_port(site: Site, robot: Node) -> None:
     heard = await robot.subscriber(TOPIC, STRING)
     async with (
         redirecting(robot.topic_endpoint()[1]) as port,
@@ -147,8 +147,8 @@ async def test_a_program_behind_a_sidecar(site: Site) -> None:
     site.subscribe(NAME, TOPIC)
     async with sidecar(site) as near, Program(NAME, near) as robot:
         await robot.register("registerPublisher", TOPIC, STRING)
-        outside = near._agent_for(NAME).tenant.doors
-        (port,) = [place.port for place in outside._exported]
+        outside = near._agent_for(NAME).state.endpoints
+        (port,) = [place.port for place in outside._ingress]
         async with redirecting(port) as redirect:
             await register_redirect(site, redirect)
             uris = await robot.register("registerSubscriber", TOPIC, STRING)
@@ -160,15 +160,15 @@ async def test_a_program_behind_a_sidecar(site: Site) -> None:
         assert all(method != "requestTopic" for method, _ in robot.calls)
 
 
-async def test_a_program_behind_a_sidecar_is_sent_to_itself(site: Site) -> None:
+async def test_a_program_behind_a_sidecar_gets_its_own_port(site: Site) -> None:
     site.publish(NAME, TOPIC)
     site.subscribe(NAME, TOPIC)
     async with sidecar(site) as near, Program(NAME, near) as robot:
         await robot.register("registerPublisher", TOPIC, STRING)
         agent = near._agent_for(NAME)
-        topics = inside(WireProtocol.TCPROS, robot.topics.port)
-        port = agent.export(topics)  # as a subscriber of its topic is told
-        agent.tenant.doors.opened_outside(topics, port)
+        topics = local_endpoint(WireProtocol.TCPROS, robot.topics.port)
+        port = agent.open_ingress(topics)  # as a subscriber of its topic is told
+        agent.state.endpoints.add_ingress(topics, port)
         async with publisher_that_points(site, port) as uri:
             await register_redirect(site, parse_uri(uri)[1])
             uris = await robot.register("registerSubscriber", TOPIC, STRING)

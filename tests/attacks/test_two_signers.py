@@ -1,7 +1,7 @@
 """Two operators at one authority at the same moment: no revocation may be lost between them.
 
-Whoever knows when an operator signs only has to make another one sign too (see R13 of attacks.md):
-what was recorded and stands in no list lets a thief's key go on.
+An attacker that knows when one operator signs makes another one sign too (R13 of attacks.md): a
+revocation that is recorded but in no list leaves a stolen key valid.
 """
 
 import asyncio
@@ -21,7 +21,7 @@ from ca.renewal import Renewal, sign_renewal
 from ca.requests import build_request
 from ca.revocation.lists import MAX_ENTRIES, RevocationList
 from ca.revocation.state import open_statement, sign_list
-from ca.revocation.tree import Listing, is_tree
+from ca.revocation.tree import TreeEntries, is_tree
 from ca.store.record import CertificateRow
 from rossec.authority.home import AuthorityHome
 from rossec.authority.renewals import renew
@@ -86,7 +86,7 @@ def listed(home: AuthorityHome) -> frozenset[bytes]:
     """What the newest signed statement revokes, a tree by its own entries."""
     data = home.revocation_list()
     if is_tree(data):
-        return Listing.read(home.entries()).entries
+        return TreeEntries.read(home.tree_entries()).entries
     found = open_statement(data, home.anchor().public_key)
     assert isinstance(found, RevocationList)
     return found.entries
@@ -95,7 +95,7 @@ def listed(home: AuthorityHome) -> frozenset[bytes]:
 @pytest.mark.attack("two-signers")
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize("before", [0, MAX_ENTRIES - SIGNERS], ids=["list", "becomes a tree"])
-def test_operators_at_once_lose_no_revocation(
+def test_simultaneous_operators_lose_no_revocation(
     home: AuthorityHome, operators: list[subprocess.Popen[str]], before: int
 ) -> None:
     with closing(home.store()) as store:
@@ -110,7 +110,7 @@ def test_operators_at_once_lose_no_revocation(
     assert [text.partition(" ")[0] for text in numbers] == ["list"] * len(numbers)
     assert len(set(numbers)) == len(numbers), "a number was signed twice"
     with closing(home.store()) as store:
-        store.journal.audit(home.own_key())
+        store.log.audit(home.own_key())
 
 
 @pytest.fixture
@@ -136,7 +136,7 @@ async def master(shell: Shell) -> AsyncIterator[str]:
 def lose(shell: Shell, name: str) -> None:
     """What 180d0d3 left: the loser's revocation in the record, the winner's list without it."""
     opened = AuthorityHome.at(shell.root).unlock(PASSPHRASE)
-    (key,) = opened.store.live_keys(name, int(time.time()))
+    (key,) = opened.store.unrevoked_keys(name, int(time.time()))
     opened.store.revoke(key, "lost", NOW)
     number = opened.store.next_number()
     data = sign_list(opened.signer, RevocationList(*number, NOW, NOW + DAY, frozenset({b"w" * 32})))
@@ -150,7 +150,7 @@ def nobody(*_: object, **__: object) -> str:
 
 
 @pytest.mark.attack("two-signers")
-async def test_a_revocation_that_was_lost_before_is_made_good(
+async def test_a_lost_revocation_is_listed_later(
     shell: Shell, master: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("getpass.getpass", nobody)
@@ -177,7 +177,7 @@ async def test_a_revocation_that_was_lost_before_is_made_good(
     said = await asyncio.to_thread(publish, "--passphrase-file", str(shell.secret))
     assert "the master has the newest list" in said
     assert not await connects()
-    assert AuthorityHome.at(shell.root).unlisted(NOW) == 0
+    assert AuthorityHome.at(shell.root).count_unlisted(NOW) == 0
 
 
 @pytest.mark.attack("revoked-while-renewing")
@@ -205,4 +205,4 @@ def test_a_key_that_is_revoked_while_it_renews_gets_no_successor(
         renew(opened, asked, due)
     if not revoked:
         other.revoke_identity("/thief", "stolen", due)
-    assert other.store.live_keys("/thief", due) == frozenset()
+    assert other.store.unrevoked_keys("/thief", due) == frozenset()

@@ -94,7 +94,7 @@ def test_order_and_membership_count() -> None:
         SITE.anchor.verify([DER, LEAF], NOW)
     with pytest.raises(ForeignCertificate, match="the certificate is not signed by"):
         SITE.anchor.verify([SITE.leaf(), DER], NOW)  # a leaf of the root, not of this one
-    with pytest.raises(CertificateRefused, match="does not say, critically, that it is no CA"):
+    with pytest.raises(CertificateRefused, match="has no critical basic constraints with CA false"):
         SITE.anchor.verify([DER], NOW)  # an intermediate is no identity
     with pytest.raises(CertificateRefused, match="where one or two are expected"):
         SITE.anchor.verify([LEAF, DER, SITE.root], NOW)
@@ -138,21 +138,24 @@ def test_the_draft_itself_is_good() -> None:
     [
         (
             [(x509.BasicConstraints(ca=True, path_length=1), True), USAGE, HOME, (ENROLL, False)],
-            "may have other authorities below it",
+            "the intermediate's path length is not 0",
         ),
         (
             [(x509.BasicConstraints(ca=True, path_length=None), True), USAGE, HOME],
-            "may have other authorities below it",
+            "the intermediate's path length is not 0",
         ),
         ([(CA[0], False), USAGE, HOME], "not an authority's certificate"),
-        ([CA, (usage(*SIGN, "digital_signature"), True), HOME], "key usage is not signing alone"),
+        (
+            [CA, (usage(*SIGN, "digital_signature"), True), HOME],
+            "key usage is not certificate and CRL signing only",
+        ),
         ([CA, (usage("digital_signature"), True), HOME], "may not sign certificates"),
         ([CA, USAGE, (uris("spiffe://lab"), False)], "for trust domain 'lab', not 'home'"),
-        ([CA, USAGE, (uris("spiffe://home/a"), False)], "the authority's name is none"),
+        ([CA, USAGE, (uris("spiffe://home/a"), False)], "the authority's name is invalid"),
         ([CA, USAGE, (uris("https://home"), False)], "is not a SPIFFE trust domain"),
         ([CA, USAGE], "0 names where exactly one"),
-        ([CA, USAGE, HOME], "does not say whether it may renew or enroll"),
-        ([CA, USAGE, HOME, (BOTH, False)], "does not say whether it may renew or enroll"),
+        ([CA, USAGE, HOME], "has no policy to renew or enroll"),
+        ([CA, USAGE, HOME, (BOTH, False)], "has no policy to renew or enroll"),
         ([CA, USAGE, HOME, (ENROLL, True)], "unknown critical extension"),
     ],
 )
@@ -198,9 +201,9 @@ def test_its_key_and_its_time() -> None:
 def test_requests_for_one() -> None:
     request = build_intermediate_request(HOST, "home")
     assert check_intermediate_request(request, "home") == HOST.public_key
-    with pytest.raises(RequestRefused, match="no request for an intermediate of 'lab'"):
+    with pytest.raises(RequestRefused, match="not a request for an intermediate of 'lab'"):
         check_intermediate_request(request, "lab")
-    with pytest.raises(RequestRefused, match="no request for an intermediate of 'home'"):
+    with pytest.raises(RequestRefused, match="not a request for an intermediate of 'home'"):
         check_intermediate_request(build_request(HOST, "home", "/a"), "home")
     with pytest.raises(NameRefused):
         build_intermediate_request(HOST, "Not a domain")

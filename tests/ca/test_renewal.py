@@ -19,9 +19,9 @@ from ca.renewal import (
     MAX_RENEWAL,
     PROFILE,
     Renewal,
-    ask_again_in,
     open_renewal,
     renew_at,
+    retry_delay,
     sign_renewal,
     signed_at,
 )
@@ -74,8 +74,8 @@ def test_no_successor_lives_longer() -> None:
     late = NOW + DAY - 3600
     renewal = asked(chain=(short,), now=late)
     der = SITE.authority.renew(renewal, now=late, serial=4)
-    assert SITE.anchor.verify([der], late).not_after == late + renewal.longest
-    assert renewal.longest == DAY
+    assert SITE.anchor.verify([der], late).not_after == late + renewal.max_lifetime
+    assert renewal.max_lifetime == DAY
 
 
 @pytest.mark.parametrize("life", [120, 2 * 3600, DAY, 30 * DAY])
@@ -101,7 +101,7 @@ def test_of_a_certificate_that_is_not_backdated_all_is_its_life() -> None:
 
 @pytest.mark.parametrize(("life", "pause"), [(10, 1), (120, 6), (4 * 3600, 600), (DAY, 600)])
 def test_a_short_life_leaves_time_to_ask_again(life: int, pause: int) -> None:
-    assert ask_again_in(NOW - 3600, NOW + life, 600) == pause
+    assert retry_delay(NOW - 3600, NOW + life, 600) == pause
 
 
 def test_an_intermediate_that_may_only_renew() -> None:
@@ -166,7 +166,7 @@ def test_neither_it_nor_its_intermediate_may_be_revoked(which: int) -> None:
 
 
 def test_only_its_own_name() -> None:
-    with pytest.raises(RenewalRefused, match="/robot asks for the identity of /master"):
+    with pytest.raises(RenewalRefused, match="/robot requests the identity of /master"):
         asked(build_request(NEW, "home", "/master"))
     with pytest.raises(RequestRefused, match="trust domain 'lab'"):
         asked(build_request(NEW, "lab", "/robot"))
@@ -204,19 +204,21 @@ def test_closed_fields(payload: Value) -> None:
 
 
 def test_a_chain_is_of_certificates() -> None:
-    refused(PROFILE.sign(OLD, {6: DUE, -70021: CSR, -70022: [LEAF, 1]}), "not of certificates")
+    refused(
+        PROFILE.sign(OLD, {6: DUE, -70021: CSR, -70022: [LEAF, 1]}), "not a list of certificates"
+    )
 
 
 def test_only_statements_of_this_kind() -> None:
     payload: Value = {6: DUE, -70021: CSR, -70022: [LEAF]}
-    refused(Profile("rossec-grant+cwt").sign(OLD, payload), "this is no renewal")
-    refused(b"", "this is no renewal")
-    refused(bytes(MAX_RENEWAL + 1), "this is no renewal")
+    refused(Profile("rossec-grant+cwt").sign(OLD, payload), "this is not a renewal")
+    refused(b"", "this is not a renewal")
+    refused(bytes(MAX_RENEWAL + 1), "this is not a renewal")
 
 
 def test_fed_with_a_tail_and_cut() -> None:
     data = sign_renewal(OLD, (LEAF,), CSR, DUE)
-    refused(data + b"\0", "this is no renewal")
+    refused(data + b"\0", "this is not a renewal")
     for end in range(0, len(data), 7):
         with pytest.raises(RenewalRefused):
             open_renewal(data[:end], SITE.anchor, DUE, nothing_is_revoked)

@@ -24,7 +24,13 @@ from rossec.channel.edhoc.messages import (
     decode_plaintext_4,
     encode_error,
 )
-from rossec.channel.opening import WireProtocol, first_bytes, judge_answer, judge_caller, refusal
+from rossec.channel.opening import (
+    WireProtocol,
+    classify_answer,
+    classify_caller,
+    first_bytes,
+    refusal,
+)
 from tests.support.enrolling import ADDRESS, Robot, offered
 from tests.support.pki import NOW as SOME_TIME
 from tests.support.pki import Site
@@ -145,9 +151,9 @@ DECODERS: Final[dict[str, tuple[Target, Callable[[], list[bytes]]]]] = {
     "plaintext_4": (decode_plaintext_4, rfc9529),
     "error": (decode_error, lambda: [encode_error(1, "no"), encode_error(2, [6, 4]), b"\x03\xf5"]),
     "credential": (_credential, _credentials),
-    "caller": (judge_caller, _openings),
-    "answer_tcpros": (lambda data: judge_answer(data, WireProtocol.TCPROS), _openings),
-    "answer_http": (lambda data: judge_answer(data, WireProtocol.HTTP), _openings),
+    "caller": (classify_caller, _openings),
+    "answer_tcpros": (lambda data: classify_answer(data, WireProtocol.TCPROS), _openings),
+    "answer_http": (lambda data: classify_answer(data, WireProtocol.HTTP), _openings),
     "responder": (_responder, flights),
     "initiator": (_initiator, flights),
     "records": (_records, flights),

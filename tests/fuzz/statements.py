@@ -26,7 +26,7 @@ from grants.errors import GrantError
 from grants.filters import layout
 from grants.guard import Guard
 from grants.model import Draft, Grant, Permission, Restriction, Right, filter_rules, merge
-from grants.request import Wish
+from grants.request import RequestedRight
 from rossec.channel.edhoc.known import KnownCertificates, reference
 from rossec.channel.edhoc.messages import decode_error, decode_message_1, decode_plaintext
 from rossec.discovery import announcement
@@ -152,7 +152,7 @@ LISTED: Final = lists.RevocationList(
 )
 LIST: Final = lists.sign_list(CA, LISTED)
 TIMESTAMP: Final = lists.sign_timestamp(MASTER, lists.Timestamp(2, lists.digest(LIST), NOW, 30))
-LISTING: Final = tree.Listing([bytes([number]) * 32 for number in range(9)])
+LISTING: Final = tree.TreeEntries([bytes([number]) * 32 for number in range(9)])
 SIZE, ROOT = LISTING.size_and_root
 TREE: Final = tree.RevocationTree(1, 2, NOW, NOW + DAY, SIZE, ROOT)
 SIGNED_TREE: Final = tree.sign_tree(CA, TREE)
@@ -184,7 +184,7 @@ def _absence(structure: bytes) -> None:
 
 
 def _listing(structure: bytes) -> None:
-    tree.Listing.read(structure).check(TREE)
+    tree.TreeEntries.read(structure).check(TREE)
 
 
 def _listing_seed() -> Any:
@@ -206,7 +206,7 @@ RENEWAL: Final = renewal.sign_renewal(
 REQUEST: Final = request.sign_request(
     NODE,
     request.GrantRequest(
-        "home", "/heating", NOW, bytes(16), (Wish(Right.SUBSCRIBE, "/pose"),), "to heat"
+        "home", "/heating", NOW, bytes(16), (RequestedRight(Right.SUBSCRIBE, "/pose"),), "to heat"
     ),
 )
 
@@ -245,8 +245,8 @@ def _query(structure: bytes) -> None:
 
 
 AGREED: Final = bytes(32)
-ACKNOWLEDGED: Final = transcript.acknowledge(NODE, AGREED, bytes(NONCE_SIZE))
-DONE: Final = transcript.finish(NODE, AGREED)
+ACKNOWLEDGED: Final = transcript.sign_acknowledgement(NODE, AGREED, bytes(NONCE_SIZE))
+DONE: Final = transcript.sign_done(NODE, AGREED)
 
 
 def _acknowledgement(body: bytes) -> None:

@@ -96,7 +96,7 @@ CLAIMS: dict[str, tuple[Callable[[Any], Any], str]] = {
     "only a type": (restricted({0: TYPE}), "restricts nothing"),
     "empty conditions": (restricted({0: TYPE, 1: [], 2: {"x": {"clear": True}}}), "an empty"),
     "empty filters": (restricted({0: TYPE, 1: ["true"], 2: {}}), "an empty restriction"),
-    "filters without type": (restricted({2: {"x": {"clear": True}}}), "without the message type"),
+    "filters without type": (restricted({2: {"x": {"clear": True}}}), "without a message type"),
     "bad type": (restricted({0: "Pose", 1: ["true"]}), "not a message type"),
     "type is a number": (restricted({0: 1, 1: ["true"]}), "type of a grant"),
     "condition is a number": (restricted({1: [1]}), "a condition of a grant"),
@@ -105,7 +105,7 @@ CLAIMS: dict[str, tuple[Callable[[Any], Any], str]] = {
     "long condition": (restricted({1: ["t" * 1001]}), "a condition is empty or longer"),
     "filter is text": (restricted({0: TYPE, 2: {"x": "clear"}}), "a filter of a grant"),
     "path is a number": (restricted({0: TYPE, 2: {7: {"clear": True}}}), "a field path is text"),
-    "operator is a number": (restricted({0: TYPE, 2: {"x": {7: True}}}), "an operator is a word"),
+    "operator is a number": (restricted({0: TYPE, 2: {"x": {7: True}}}), "an operator is text"),
     "unknown operator": (restricted({0: TYPE, 2: {"x": {"blur": True}}}), "unknown operator"),
     "unknown parameter": (
         restricted({0: TYPE, 2: {"x": {"round": {"step": 1, "half": 1}}}}),

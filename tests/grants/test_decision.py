@@ -5,7 +5,7 @@ from itertools import permutations
 import pytest
 
 from ca.errors import NameRefused, Revoked
-from grants.decision import Check, Decision, authorize
+from grants.decision import Decision, RevocationCheck, authorize
 from grants.errors import (
     GrantError,
     GrantExpired,
@@ -16,7 +16,7 @@ from grants.errors import (
     RestrictionMismatch,
 )
 from grants.model import Grant, Permission, Restriction, Right, filter_rules
-from grants.validity import moment
+from grants.validity import format_time
 from tests.grants.authority import COARSE, HOLDER, NOW, granted
 
 POSE, SUBSCRIBE, PUBLISH = "/robot/pose", Right.SUBSCRIBE, Right.PUBLISH
@@ -27,7 +27,7 @@ def fine(grant_id: bytes, now: int) -> None:
     assert (len(grant_id), now) == (16, NOW)
 
 
-def revoked(*grants: Grant) -> Check:
+def revoked(*grants: Grant) -> RevocationCheck:
     def check(grant_id: bytes, now: int) -> None:
         if grant_id in [grant.id for grant in grants]:
             raise Revoked("on the list", "ask for a new grant")
@@ -36,7 +36,7 @@ def revoked(*grants: Grant) -> Check:
 
 
 def decide(
-    *grants: Grant, right: Right = SUBSCRIBE, name: str = POSE, check: Check = fine
+    *grants: Grant, right: Right = SUBSCRIBE, name: str = POSE, check: RevocationCheck = fine
 ) -> Decision:
     return authorize(grants, right, name, holder=HOLDER, now=NOW, check=check)
 
@@ -48,7 +48,7 @@ def test_a_covering_grant() -> None:
     assert decision.expires == grant.expires
     assert decision.restrictions == (COARSE,)
     assert decision.explain() == [
-        f"subscribe /robot/pose until {moment(grant.expires)}",
+        f"subscribe /robot/pose until {format_time(grant.expires)}",
         f"grant {grant.short_id} to /heating",
         'only when msg.header.frame_id == "map"',
         "header.frame_id: clear",
@@ -127,7 +127,7 @@ def test_parameters_are_trees() -> None:
 
 REFUSALS: list[tuple[Grant, type[GrantError], str]] = [
     (granted(holder=bytes(32)), GrantNotHeld, "bound to another key"),
-    (granted(not_before=NOW + 1), GrantNotYetValid, "holds only from"),
+    (granted(not_before=NOW + 1), GrantNotYetValid, "is not valid before"),
     (granted(not_before=1, expires=NOW), GrantExpired, "expired at"),
 ]
 

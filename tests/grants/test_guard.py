@@ -1,4 +1,4 @@
-"""Guards: expiry, conditions, filters, and nothing let through by mistake."""
+"""Guards: expiry, conditions, filters, and no message sent by mistake."""
 
 import importlib
 import struct
@@ -39,7 +39,7 @@ def when(*texts: str, type: str | None = "t/T") -> Restriction:  # noqa: A002
     return Restriction(type, texts)
 
 
-def seen(guard: Guard, data: bytes) -> bytes | None:
+def received(guard: Guard, data: bytes) -> bytes | None:
     pieces = guard(data, NOW)
     return None if pieces is None else b"".join(pieces)
 
@@ -57,36 +57,38 @@ def test_without_restrictions_the_message_is_untouched() -> None:
 def test_conditions_then_filters() -> None:
     coarse = Restriction("t/T", ('msg.frame == "map"',), filter_rules({"x": rounded(0.5)}))
     guard = Guard(LAYOUT, decision(coarse, when("msg.x < 1.4")))
-    assert seen(guard, message()) == message(1.5)  # the condition saw 1.3, the receiver 1.5
-    assert seen(guard, message(1.45)) is None
-    assert seen(guard, message(frame="odom")) is None
+    assert received(guard, message()) == message(
+        1.5
+    )  # the condition read 1.3, the receiver gets 1.5
+    assert received(guard, message(1.45)) is None
+    assert received(guard, message(frame="odom")) is None
 
 
-def test_expiry() -> None:
+def test_expiry_is_checked_by_check_alone() -> None:
     guard = Guard(LAYOUT, decision())
     guard.check(NOW + 9)
     for check in (guard.check, lambda now: guard(message(), now)):
         with pytest.raises(GrantExpired, match="the grant expired at"):
             check(NOW + 10)
-    assert guard.treat(message(), NOW + 10) == [message()]  # expiry is `check`'s
+    assert guard.apply(message(), NOW + 10) == [message()]  # expiry is `check`'s
 
 
-def test_another_type() -> None:
+def test_a_restriction_for_another_type_is_refused() -> None:
     for shape in (replace(LAYOUT, type_name="t/Other"), None):
         for restriction in (filtered(x=rounded(1)), when("true")):
             with pytest.raises(RestrictionMismatch, match="for messages of type t/T, these are"):
                 Guard(shape, decision(restriction))
 
 
-def test_a_restriction_without_a_type_fits_all() -> None:
+def test_a_restriction_without_a_type_applies_to_all_types() -> None:
     day = when("now.getHours() >= 9", type=None)
     for shape in (LAYOUT, None):
         assert Guard(shape, decision(day))(message(), NOW) is None
-    with pytest.raises(ConditionRefused, match="no message to look at"):
+    with pytest.raises(ConditionRefused, match="needs a message type"):
         Guard(LAYOUT, decision(when("msg.x > 0.0", type=None)))
 
 
-def test_what_does_not_fit_is_refused_when_built() -> None:
+def test_a_restriction_that_does_not_fit_the_layout_is_refused() -> None:
     with pytest.raises(ConditionRefused):
         Guard(LAYOUT, decision(when("msg.z > 0.0")))
     with pytest.raises(FilterRefused):
@@ -108,21 +110,21 @@ def test_what_does_not_fit_is_refused_when_built() -> None:
 def test_all_filters_apply_in_one_order(one: Restriction, two: Restriction) -> None:
     both, swapped = Guard(LAYOUT, decision(one, two)), Guard(LAYOUT, decision(two, one))
     assert both.key == swapped.key
-    result = seen(both, message(0.8))
-    assert result == seen(swapped, message(0.8))
+    result = received(both, message(0.8))
+    assert result == received(swapped, message(0.8))
     assert result is not None
-    for alone in (one, two):  # either alone has nothing left to take away
-        assert seen(Guard(LAYOUT, decision(alone)), result) == result
+    for alone in (one, two):  # each alone has nothing left to remove
+        assert received(Guard(LAYOUT, decision(alone)), result) == result
 
 
-def test_fields_apart_share_one_pass() -> None:
+def test_filters_for_different_fields_share_one_pass() -> None:
     guard = Guard(
         LAYOUT, decision(filtered(x=rounded(0.5)), filtered(y=rounded(2.0)), when("true"))
     )
     assert len(guard._filters) == 1
 
 
-def test_keys() -> None:
+def test_the_key_covers_layout_and_restrictions_but_not_expiry() -> None:
     guard = Guard(LAYOUT, decision(filtered(x=rounded(0.5))))
     same = Guard(LAYOUT, replace(decision(filtered(x=rounded(0.5))), expires=NOW + 99))
     assert {guard.key} == {same.key}
@@ -135,41 +137,41 @@ def test_keys() -> None:
         assert other.key != guard.key
 
 
-def test_a_message_that_does_not_fit() -> None:
+def test_a_message_of_another_layout_is_refused() -> None:
     guard = Guard(LAYOUT, decision(filtered(x=rounded(0.5))))
     for data in (b"", message()[:-1], message() + b"\0"):
         with pytest.raises(MessageRefused, match="not a t/T"):
             guard(data, NOW)
 
 
-def test_the_unforeseen_withholds_the_message(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_unexpected_error_withholds_the_message(monkeypatch: pytest.MonkeyPatch) -> None:
     guard = Guard(LAYOUT, decision(when("true")))
 
     def broken(*_: object) -> bool:
         raise MemoryError
 
     monkeypatch.setattr(guard, "_conditions", (broken,))
-    with pytest.raises(MessageRefused, match="treating a message failed: MemoryError"):
+    with pytest.raises(MessageRefused, match="applying restrictions failed: MemoryError"):
         guard(message(), NOW)
 
 
 @pytest.mark.parametrize("answer", [1, "yes", None, 0])
-def test_only_true_admits(answer: object) -> None:
+def test_only_the_value_true_admits_a_message(answer: object) -> None:
     guard = Guard(LAYOUT, decision(when("true")))
     conditions = importlib.import_module("grants.conditions.compile")
     guard._conditions = (conditions.Condition("", False, lambda *_: answer),)
     assert guard(message(), NOW) is None
 
 
-def test_rate() -> None:
+def test_a_rate_admits_messages_as_tokens_are_refilled() -> None:
     guard = Guard(LAYOUT, decision(Restriction(rate=0.2), Restriction("t/T", ("msg.x < 5.0",))))
     data = message()
 
-    def passed(*times: int) -> list[bool]:
-        return [guard.treat(data, NOW + at) is not None for at in times]
+    def admitted(*times: int) -> list[bool]:
+        return [guard.apply(data, NOW + at) is not None for at in times]
 
-    assert guard.treat(message(9.0), NOW) is None  # withheld by its condition, and not counted
-    assert passed(0, 0, 4, 5, 6, 10, 100, 100) == [
+    assert guard.apply(message(9.0), NOW) is None  # withheld by its condition, and not counted
+    assert admitted(0, 0, 4, 5, 6, 10, 100, 100) == [
         True,
         False,
         False,
@@ -179,24 +181,24 @@ def test_rate() -> None:
         True,
         False,
     ]
-    assert passed(50, 51, 54) == [False, False, False]  # a clock set back brings nothing
-    assert passed(55, 56) == [True, False]
+    assert admitted(50, 51, 54) == [False, False, False]  # a clock set back adds no tokens
+    assert admitted(55, 56) == [True, False]
 
 
-def test_the_tightest_rate_counts() -> None:
+def test_the_lowest_rate_applies() -> None:
     guard = Guard(None, decision(Restriction(rate=3), Restriction(rate=2.5)))
-    assert [guard.treat(b"", NOW) is not None for _ in range(4)] == [True, True, False, False]
-    assert [guard.treat(b"", NOW + 1) is not None for _ in range(4)] == [True, True, False, False]
+    assert [guard.apply(b"", NOW) is not None for _ in range(4)] == [True, True, False, False]
+    assert [guard.apply(b"", NOW + 1) is not None for _ in range(4)] == [True, True, False, False]
 
 
 def test_hysteresis_belongs_to_one_receiver() -> None:
     held: dict[str, object] = {"round": {"step": 1.0, "hysteresis": 0.25}}
     rules = decision(filtered(x=held, y=held))
     one, other = Guard(LAYOUT, rules), Guard(LAYOUT, rules)
-    assert seen(one, message(1.4)) == message(1.0).replace(_double(2.7), _double(3.0))
-    assert seen(one, message(1.6)) == seen(one, message(1.4))
-    assert seen(other, message(1.6)) != seen(one, message(1.6))
-    with pytest.raises(FilterRefused, match=r"hysteresis does not go with t/P\[\]"):
+    assert received(one, message(1.4)) == message(1.0).replace(_double(2.7), _double(3.0))
+    assert received(one, message(1.6)) == received(one, message(1.4))
+    assert received(other, message(1.6)) != received(one, message(1.6))
+    with pytest.raises(FilterRefused, match=r"hysteresis cannot be used on t/P\[\]"):
         Guard(LAYOUT, decision(filtered(points={"round": {"step": 2, "hysteresis": 1}})))
 
 
@@ -204,32 +206,32 @@ def _double(value: float) -> bytes:
     return struct.pack("<d", value)
 
 
-def test_guards_with_a_memory_share_nothing() -> None:
+def test_guards_with_separate_memories_have_different_keys() -> None:
     held = filtered(x={"round": {"step": 1.0, "hysteresis": 0.25}})
     for restriction in (held, Restriction(rate=1)):
         one, other = (Guard(LAYOUT, decision(restriction)) for _ in range(2))
         assert one.key == one.key != other.key
 
 
-def test_guards_of_one_memory_are_one_receiver() -> None:
-    """However many connections there are, and whenever they were made."""
+def test_guards_with_one_memory_share_rate_and_hysteresis() -> None:
+    """Whatever the number of connections and the time they are opened."""
     held: dict[str, object] = {"round": {"step": 1.0, "hysteresis": 0.25}}
     memory = Memory()
     limited = Restriction("t/T", (), filter_rules({"x": held, "y": held}), rate=0.5)
     one, other = (Guard(LAYOUT, decision(limited), None, lambda _: memory) for _ in range(2))
     assert one.key == other.key
-    mark = object()
-    assert one.treat(message(1.4), NOW, mark) == other.treat(message(1.4), NOW, mark)
-    assert other.treat(message(1.6), NOW) is None
+    message_id = object()
+    assert one.apply(message(1.4), NOW, message_id) == other.apply(message(1.4), NOW, message_id)
+    assert other.apply(message(1.6), NOW) is None
     assert not other.ready(NOW)
     assert other.ready(NOW + 2)
-    treated = other.treat(message(1.6), NOW + 2)
+    treated = other.apply(message(1.6), NOW + 2)
     assert treated is not None
     assert b"".join(treated)[:8] == _double(1.0)
     assert Guard(LAYOUT, decision()).ready(NOW)
 
 
-def test_a_field_that_changes_its_type_has_another_cell() -> None:
+def test_a_field_of_another_type_has_separate_hysteresis() -> None:
     memory = Memory()
     rules = Restriction("t/T", (), filter_rules({"x": {"round": {"step": 2, "hysteresis": 1}}}))
     seen = []
@@ -241,12 +243,12 @@ def test_a_field_that_changes_its_type_has_another_cell() -> None:
     assert seen == [4.0, 4]
 
 
-def test_keys_for_pseudonyms() -> None:
+def test_hash_filters_need_their_keys() -> None:
     hashed = filtered(frame={"hash": {"key": "ward"}})
     assert needed_keys([hashed, filtered(x={"clear": True})]) == {"ward"}
     assert needed_keys([]) == set()
     with pytest.raises(FilterRefused, match="no key 'ward'"):
         Guard(LAYOUT, decision(hashed))
-    treated = seen(Guard(LAYOUT, decision(hashed), {"ward": bytes(32)}), message())
+    treated = received(Guard(LAYOUT, decision(hashed), {"ward": bytes(32)}), message())
     assert treated is not None
     assert b"map" not in treated

@@ -1,4 +1,4 @@
-"""What a limited right remembers: rates, cells, and that nobody gains by being forgotten."""
+"""State of limited rights: rates, hysteresis, and that eviction gains no peer anything."""
 
 import gc
 from types import SimpleNamespace
@@ -8,7 +8,7 @@ import pytest
 
 from grants.decision import Decision
 from grants.errors import MemoryExhausted
-from grants.memory import Memories, Memory, Recall
+from grants.memory import Memory, MemoryScope, MemoryStore
 from grants.model import Right
 
 
@@ -17,40 +17,40 @@ def decision(holder: int = 1, name: str = "/a", right: Right = Right.SUBSCRIBE) 
     return Decision(right, name, (grant, grant), 100, ())
 
 
-def passes(memory: Memory, rate: float, now: int, mark: object = None) -> bool:
-    return memory.take(memory.bucket(rate), object() if mark is None else mark, now)
+def admitted(memory: Memory, rate: float, now: int, message_id: object = None) -> bool:
+    return memory.take(memory.bucket(rate), object() if message_id is None else message_id, now)
 
 
 def test_a_message_counts_once() -> None:
-    memory, mark = Memory(), object()
-    assert [passes(memory, 1, 0, mark) for _ in range(3)] == [True] * 3
-    assert not passes(memory, 1, 0)
-    assert passes(memory, 1, 1)
-    assert not passes(memory, 1, 1, mark), "another one was let through since"
+    memory, message_id = Memory(), object()
+    assert [admitted(memory, 1, 0, message_id) for _ in range(3)] == [True] * 3
+    assert not admitted(memory, 1, 0)
+    assert admitted(memory, 1, 1)
+    assert not admitted(memory, 1, 1, message_id), "another message was admitted since"
 
 
-def test_rates_of_one_key_let_through_no_more_than_the_widest() -> None:
+def test_rates_of_one_key_admit_no_more_than_the_highest() -> None:
     memory = Memory()
     narrow, wide = memory.bucket(0.2), memory.bucket(1)
     passed = [
         memory.take(bucket, object(), now) for now in range(20) for bucket in (narrow, wide, narrow)
     ]
     assert sum(passed) == 20
-    mark = object()
-    assert [memory.take(bucket, mark, 90) for bucket in (narrow, wide)] == [True, True]
+    message_id = object()
+    assert [memory.take(bucket, message_id, 90) for bucket in (narrow, wide)] == [True, True]
 
 
-def test_a_further_rate_begins_with_what_is_left() -> None:
+def test_another_rate_starts_with_the_remaining_tokens() -> None:
     memory = Memory()
-    assert passes(memory, 2, 0)
-    assert passes(memory, 4, 0), "of two tokens there was one"
-    assert not passes(memory, 4, 0)
-    assert not passes(memory, 8, 0)
+    assert admitted(memory, 2, 0)
+    assert admitted(memory, 4, 0), "one of two tokens was left"
+    assert not admitted(memory, 4, 0)
+    assert not admitted(memory, 8, 0)
     fresh = Memory()
-    assert [passes(fresh, 2.5, 0) for _ in range(3)] == [True, True, False]
+    assert [admitted(fresh, 2.5, 0) for _ in range(3)] == [True, True, False]
 
 
-def test_ready() -> None:
+def test_ready_when_a_token_is_available() -> None:
     memory = Memory()
     bucket = memory.bucket(0.5)
     assert memory.ready(bucket, 0)
@@ -58,78 +58,78 @@ def test_ready() -> None:
     assert [memory.ready(bucket, now) for now in (0, 1, 2)] == [False, False, True]
 
 
-def test_recovery() -> None:
+def test_a_memory_is_fresh_when_its_buckets_are_full_and_no_value_is_stored() -> None:
     memory = Memory()
-    assert memory.recovered(0)
-    assert passes(memory, 0.5, 10)
-    assert [memory.recovered(now) for now in (10, 11, 12)] == [False, False, True]
-    cell = memory.cell(("x", 1))
-    assert memory.recovered(10_000), "nothing was rounded yet"
-    cell.held = 0.0
-    assert not memory.recovered(20_000), "an anchor is for good"
+    assert memory.is_fresh(0)
+    assert admitted(memory, 0.5, 10)
+    assert [memory.is_fresh(now) for now in (10, 11, 12)] == [False, False, True]
+    state = memory.hysteresis(("x", 1))
+    assert memory.is_fresh(10_000), "nothing was rounded yet"
+    state.value = 0.0
+    assert not memory.is_fresh(20_000), "a stored value never expires"
 
 
-def test_one_memory_has_bounds() -> None:
+def test_one_memory_is_bounded() -> None:
     memory = Memory()
     for rate in range(1, 65):
         memory.bucket(rate)
-    with pytest.raises(MemoryExhausted, match="64 rates are remembered already") as caught:
+    with pytest.raises(MemoryExhausted, match="64 rates are stored already") as caught:
         memory.bucket(65)
     assert "wait until the rates" in caught.value.hint
     for number in range(4096):
-        memory.cell((number,))
+        memory.hysteresis((number,))
     with pytest.raises(MemoryExhausted, match="4096 fields with hysteresis"):
-        memory.cell(("more",))
-    assert memory.cell((0,)) is memory.cell((0,))
+        memory.hysteresis(("more",))
+    assert memory.hysteresis((0,)) is memory.hysteresis((0,))
 
 
-def test_whose_it_is() -> None:
-    recall = Recall(Memories(lambda: 0), ("/node",))
-    memory = recall(decision())
-    assert recall(decision()) is memory
+def test_memories_are_separate_by_scope_key_right_and_name() -> None:
+    scope = MemoryScope(MemoryStore(lambda: 0), ("/node",))
+    memory = scope(decision())
+    assert scope(decision()) is memory
     others = [
-        recall(decision(2)), recall(decision(name="/b")), recall(decision(right=Right.PUBLISH)),
-        recall.apart("response")(decision()), Recall(recall.memories, ("/other",))(decision()),
+        scope(decision(2)), scope(decision(name="/b")), scope(decision(right=Right.PUBLISH)),
+        scope.child("response")(decision()), MemoryScope(scope.store, ("/other",))(decision()),
     ]  # fmt: skip
     assert len({memory, *others}) == 6
-    assert len(recall.memories) == 6
+    assert len(scope.store) == 6
 
 
-def test_what_has_recovered_gives_way_and_nothing_else() -> None:
+def test_only_fresh_memories_are_evicted() -> None:
     now = [0]
-    recall = Recall(Memories(lambda: now[0], most=2), ("/node",))
-    assert passes(recall(decision(1)), 0.5, 0)
-    recall(decision(2)).cell(("x",)).held = 0.0
+    scope = MemoryScope(MemoryStore(lambda: now[0], limit=2), ("/node",))
+    assert admitted(scope(decision(1)), 0.5, 0)
+    scope(decision(2)).hysteresis(("x",)).value = 0.0
     for _ in range(2):
-        with pytest.raises(MemoryExhausted, match="2 limited rights are remembered already"):
-            recall(decision(3))
+        with pytest.raises(MemoryExhausted, match="2 limited rights are stored already"):
+            scope(decision(3))
     now[0] = 2
-    recall(decision(3))
-    assert len(recall.memories) == 2
+    scope(decision(3))
+    assert len(scope.store) == 2
     with pytest.raises(MemoryExhausted):
-        recall(decision(1))
+        scope(decision(1))
 
 
-def test_what_is_used_is_not_forgotten() -> None:
-    """Else a holder that has others fill the memory would begin anew when it comes back."""
+def test_memories_in_use_are_not_evicted() -> None:
+    """Otherwise a holder could have others fill the store and reconnect with fresh state."""
     now = [10]
-    recall = Recall(Memories(lambda: now[0], most=1), ("/node",))
-    used = recall(decision(1))
-    cell = used.cell(("x",))
-    with pytest.raises(MemoryExhausted, match="1 limited rights are remembered already"):
-        recall(decision(2))
-    assert passes(used, 0.5, 10)
-    cell.held = 4.0
+    scope = MemoryScope(MemoryStore(lambda: now[0], limit=1), ("/node",))
+    used = scope(decision(1))
+    state = used.hysteresis(("x",))
+    with pytest.raises(MemoryExhausted, match="1 limited rights are stored already"):
+        scope(decision(2))
+    assert admitted(used, 0.5, 10)
+    state.value = 4.0
     del used
     gc.collect()
-    assert recall(decision(1)).cell(("x",)) is cell
+    assert scope(decision(1)).hysteresis(("x",)) is state
     now[0] += 100
     with pytest.raises(MemoryExhausted):
-        recall(decision(2))
+        scope(decision(2))
 
 
-def test_what_nobody_uses_and_holds_nothing_gives_way() -> None:
-    recall = Recall(Memories(lambda: 0, most=1), ("/node",))
-    recall(decision(1)).cell(("x",))
-    recall(decision(2))
-    assert len(recall.memories) == 1
+def test_an_unused_memory_without_values_is_evicted() -> None:
+    scope = MemoryScope(MemoryStore(lambda: 0, limit=1), ("/node",))
+    scope(decision(1)).hysteresis(("x",))
+    scope(decision(2))
+    assert len(scope.store) == 1

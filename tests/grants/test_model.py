@@ -71,7 +71,7 @@ def test_refused_rules(rules: Any, message: str) -> None:
     [
         ((None, (), ()), "restricts nothing"),
         (("Pose", ("true",), ()), "not a message type"),
-        ((None, (), (RULE,)), "without the message type"),
+        ((None, (), (RULE,)), "without a message type"),
         (("a/B", (), (RULE, FilterRule(RULE.path, "clear"))), "two filters for one field"),
         ((None, ("",), ()), "empty or longer than 1000"),
         ((None, ("x" * 1001,), ()), "empty or longer than 1000"),
@@ -129,6 +129,6 @@ def test_a_grant_is_a_draft_with_a_name() -> None:
 def test_keeping_when_stale_is_no_treatment_of_messages() -> None:
     keep = Restriction(keep_when_stale=True)
     both = Restriction(rate=2, keep_when_stale=True)
-    assert keep.lines() == ["kept when news of revocations fails to arrive"]
+    assert keep.lines() == ["kept while revocation data is stale"]
     assert both.lines()[0] == "at most 2 messages a second"
     assert merge([keep, both, None]) == (Restriction(rate=2),)

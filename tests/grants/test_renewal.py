@@ -1,4 +1,4 @@
-"""Renewal: the grant stays as it is, and every attack of a master's key or a holder is named."""
+"""Renewal: the grant is unchanged, and every attack with a master's or holder's key is refused."""
 
 from dataclasses import replace
 from typing import Any
@@ -40,23 +40,23 @@ from grants.renewal import (
 )
 from tests.grants.authority import CA, DRAFT, HOLDER, NOW, OTHER_CA
 
-MASTER, STRANGER = (KeySigner(ec.generate_private_key(ec.SECP256R1())) for _ in range(2))
+MASTER, OTHER_KEY = (KeySigner(ec.generate_private_key(ec.SECP256R1())) for _ in range(2))
 DATA = document.sign(CA, DRAFT)
 GRANT = document.verify(DATA, CA.public_key)
 LATER = DRAFT.expires + 5
-LEAVE = Delegation(
+DELEGATED = Delegation(
     "home", thumbprint(MASTER.public_key), NOW - 10, NOW + 5000, max_ttl=600, serial=bytes(16)
 )
-TICKET_FOR = Ticket(GRANT.id, LATER - 5, LATER + 300, seq=7)
+VALID_TICKET = Ticket(GRANT.id, LATER - 5, LATER + 300, seq=7)
 
 
 def renewed(
     grant: Grant = GRANT,
     *,
-    ticket: Ticket = TICKET_FOR,
+    ticket: Ticket = VALID_TICKET,
     data: bytes | None = None,
     signer: KeySigner = MASTER,
-    leave: Delegation = LEAVE,
+    delegated: Delegation = DELEGATED,
     key: KeySigner = MASTER,
     now: int = LATER,
     seq: int = 7,
@@ -67,94 +67,94 @@ def renewed(
         if entry == revoked:
             raise Revoked("it is on the list")
 
-    delegation = open_delegation(sign_delegation(authority, leave), authority.public_key)
+    delegation = open_delegation(sign_delegation(authority, delegated), authority.public_key)
     signed = sign_ticket(signer, ticket) if data is None else data
     return renew(grant, signed, delegation, key.public_key, now=now, seq=seq, check=check)
 
 
-def test_the_same_grant_for_longer() -> None:
+def test_renewal_changes_only_the_expiry() -> None:
     with pytest.raises(GrantExpired):
         document.open_grant(DATA, CA.public_key, LATER)
     grant = renewed()
     assert grant.via[1] == thumbprint(MASTER.public_key)
-    assert grant == replace(GRANT, expires=TICKET_FOR.expires, via=grant.via)
+    assert grant == replace(GRANT, expires=VALID_TICKET.expires, via=grant.via)
     decided = authorize(
         [grant], Right.SUBSCRIBE, "/robot/pose", holder=HOLDER, now=LATER, check=lambda *_: None
     )
-    assert decided.expires == TICKET_FOR.expires
+    assert decided.expires == VALID_TICKET.expires
     assert decided.grant_ids == (GRANT.id, *grant.via)
 
 
-def test_at_the_bounds() -> None:
-    renewed(ticket=replace(TICKET_FOR, expires=TICKET_FOR.not_before + LEAVE.max_ttl))
-    renewed(ticket=replace(TICKET_FOR, not_before=GRANT.cap - 600, expires=GRANT.cap),
+def test_renewal_at_the_bounds() -> None:
+    renewed(ticket=replace(VALID_TICKET, expires=VALID_TICKET.not_before + DELEGATED.max_ttl))
+    renewed(ticket=replace(VALID_TICKET, not_before=GRANT.cap - 600, expires=GRANT.cap),
             now=GRANT.cap - 1)  # fmt: skip
     renewed(seq=8)
-    renewed(now=TICKET_FOR.not_before)
+    renewed(now=VALID_TICKET.not_before)
 
 
-def open_id() -> bytes:
-    return open_delegation(sign_delegation(CA, LEAVE), CA.public_key).id
+def delegation_id() -> bytes:
+    return open_delegation(sign_delegation(CA, DELEGATED), CA.public_key).id
 
 
 def ticket(**changes: Any) -> dict[str, Any]:
-    return {"ticket": replace(TICKET_FOR, **changes)}
+    return {"ticket": replace(VALID_TICKET, **changes)}
 
 
-def leave(**changes: Any) -> dict[str, Any]:
-    return {"leave": replace(LEAVE, **changes)}
+def delegated(**changes: Any) -> dict[str, Any]:
+    return {"delegated": replace(DELEGATED, **changes)}
 
 
 END = GRANT.cap
-ATTACKS: dict[str, tuple[dict[str, Any], type[Exception], str]] = {
+INVALID: dict[str, tuple[dict[str, Any], type[Exception], str]] = {
     "ticket of another grant": (ticket(grant=bytes(16)), RenewalForOther, "is not for grant"),
-    "too long": (ticket(expires=TICKET_FOR.not_before + 601), RenewalTooWide, "more than 600 s"),
+    "too long": (ticket(expires=VALID_TICKET.not_before + 601), RenewalTooWide, "more than 600 s"),
     "beyond the cap": (ticket(not_before=END - 5, expires=END + 1) | {"now": END - 1},
                        RenewalTooWide, "the grant's cap"),
     "after the cap": (ticket(not_before=END, expires=END + 1) | {"now": END},
                       RenewalTooWide, "the grant's cap"),
-    "beyond the delegation": (leave(expires=LATER + 100), RenewalTooWide, "outlives"),
-    "after the delegation": (leave(expires=LATER) | ticket(expires=LATER),
+    "beyond the delegation": (delegated(expires=LATER + 100), RenewalTooWide, "delegation's end"),
+    "after the delegation": (delegated(expires=LATER) | ticket(expires=LATER),
                              RenewalNotInTime, "delegation expired"),
-    "before the delegation": (leave(not_before=LATER + 1), RenewalNotInTime, "delegation holds"),
-    "before the ticket": (ticket(not_before=LATER + 1), RenewalNotInTime, "ticket holds only"),
+    "before the delegation": (delegated(not_before=LATER + 1), RenewalNotInTime, "tion is not"),
+    "before the ticket": (ticket(not_before=LATER + 1), RenewalNotInTime, "ticket is not valid"),
     "after the ticket": (ticket(expires=LATER), RenewalNotInTime, "ticket expired"),
     "before the grant": ({"grant": replace(GRANT, not_before=LATER + 1, expires=LATER + 2)},
-                         RenewalNotInTime, "grant holds only"),
+                         RenewalNotInTime, "grant is not valid"),
     "revoked grant": ({"revoked": GRANT.id}, GrantRevoked, "grant .*: it is on the list"),
-    "revoked delegation": ({"revoked": open_id()}, GrantRevoked, "delegation .*: it is on"),
-    "foreign signer": ({"signer": STRANGER}, RenewalForged, "does not verify"),
-    "foreign key": ({"signer": STRANGER, "key": STRANGER}, RenewalForOther, "another key"),
+    "revoked delegation": ({"revoked": delegation_id()}, GrantRevoked, "delegation .*: it is on"),
+    "foreign signer": ({"signer": OTHER_KEY}, RenewalForged, "does not verify"),
+    "foreign key": ({"signer": OTHER_KEY, "key": OTHER_KEY}, RenewalForOther, "another key"),
     "another authority": ({"authority": OTHER_CA}, RenewalForOther, "another authority"),
-    "another domain": (leave(domain="work"), RenewalForOther, "or domain"),
+    "another domain": (delegated(domain="work"), RenewalForOther, "or domain"),
     "a grant as ticket": ({"data": DATA}, RenewalForged, "not a statement of kind"),
-    "a delegation as ticket": ({"data": sign_delegation(MASTER, LEAVE)}, RenewalForged, "kind"),
+    "a delegation as ticket": ({"data": sign_delegation(MASTER, DELEGATED)}, RenewalForged, "kind"),
     "a grant that is not renewable": ({"grant": replace(GRANT, expires=GRANT.cap)},
                                       RenewalTooWide, "not renewable"),
-    "an older own list": ({"seq": 6}, RenewalAhead, "knows revocation list 7, here is 6"),
+    "an older own list": ({"seq": 6}, RenewalAhead, "requires revocation list 7, this host has 6"),
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", ATTACKS)
-def test_attacks(name: str) -> None:
-    changes, error, message = ATTACKS[name]
+@pytest.mark.parametrize("name", INVALID)
+def test_an_invalid_renewal_is_refused(name: str) -> None:
+    changes, error, message = INVALID[name]
     with pytest.raises(error, match=message):
         renewed(**changes)
 
 
-def test_a_widened_grant_signed_by_the_master() -> None:
+def test_a_grant_changed_and_signed_by_the_master_is_refused() -> None:
     with pytest.raises(GrantForged):
         document.verify(document.sign(MASTER, replace(DRAFT, expires=DRAFT.cap)), CA.public_key)
 
 
-def test_a_delegation_the_master_gave_itself() -> None:
+def test_a_delegation_signed_by_the_master_is_refused() -> None:
     with pytest.raises(RenewalForged, match="does not verify"):
-        open_delegation(sign_delegation(MASTER, LEAVE), CA.public_key)
+        open_delegation(sign_delegation(MASTER, DELEGATED), CA.public_key)
 
 
-def test_a_ticket_is_no_delegation() -> None:
+def test_a_ticket_is_not_accepted_as_delegation() -> None:
     with pytest.raises(RenewalForged, match="not a statement of kind"):
-        open_delegation(sign_ticket(CA, TICKET_FOR), CA.public_key)
+        open_delegation(sign_ticket(CA, VALID_TICKET), CA.public_key)
 
 
 CLAIMS: dict[int | str, Value] = {
@@ -164,10 +164,10 @@ CLAIMS: dict[int | str, Value] = {
 TICKET_CLAIMS: dict[int | str, Value] = {4: NOW + 100, 5: NOW, -70002: 1, -70011: bytes(16)}
 
 
-def test_delegation_claims() -> None:
+def test_the_issuer_of_a_delegation_is_the_signer() -> None:
     assert open_delegation(DELEGATION.sign(CA, CLAIMS), CA.public_key).max_ttl == 600
     other = issuer_uri(thumbprint(OTHER_CA.public_key))
-    with pytest.raises(RenewalForOther, match="in the name of another"):
+    with pytest.raises(RenewalForOther, match="iss is another"):
         open_delegation(DELEGATION.sign(CA, CLAIMS | {1: other}), CA.public_key)
 
 
@@ -201,8 +201,8 @@ def test_delegations_outside_the_schema(change: dict[int | str, Value], message:
     [
         ({9: encode([])}, "missing or unknown claims"),
         ({-70011: "x"}, "missing or unknown claims"),
-        ({-70011: b"x"}, "names a grant by 16 bytes"),
-        ({-70002: -1}, "a list by its number"),
+        ({-70011: b"x"}, "a grant id of 16 bytes"),
+        ({-70002: -1}, "the number of a list"),
         ({-70002: 1.5}, "of a wrong type"),
         ({4: NOW}, "not_before < expires"),
     ],
@@ -212,8 +212,8 @@ def test_tickets_outside_the_schema(change: dict[int | str, Value], message: str
         open_ticket(TICKET.sign(MASTER, TICKET_CLAIMS | change), MASTER.public_key)
 
 
-def test_frames() -> None:
-    data = sign_ticket(MASTER, TICKET_FOR)
+def test_damaged_tickets_are_refused() -> None:
+    data = sign_ticket(MASTER, VALID_TICKET)
     for damaged in [*(data[:end] for end in range(len(data))), data + b"\0", bytes(2000)]:
         with pytest.raises((RenewalForged, RenewalMalformed)):
             open_ticket(damaged, MASTER.public_key)

@@ -1,4 +1,4 @@
-"""Requests: one form, signed by the node, of these days, for this authority."""
+"""Requests: one encoding, signed by the node, recent, for this authority."""
 
 from dataclasses import replace
 
@@ -12,11 +12,11 @@ from grants.document import GRANT
 from grants.errors import GrantForged, GrantMalformed, PatternRefused
 from grants.model import Right
 from grants.request import (
-    FRESH,
+    MAX_AGE,
+    MAX_CLOCK_SKEW,
     REQUEST,
-    SKEW,
     GrantRequest,
-    Wish,
+    RequestedRight,
     open_request,
     peek_request,
     sign_request,
@@ -24,8 +24,13 @@ from grants.request import (
 from tests.grants.authority import NOW
 
 NODE = KeySigner(ec.generate_private_key(ec.SECP256R1()))
-ASKED = GrantRequest(
-    "home", "/toaster", NOW, bytes(16), (Wish(Right.SUBSCRIBE, "/robot/pose"),), "to toast"
+REQUESTED = GrantRequest(
+    "home",
+    "/toaster",
+    NOW,
+    bytes(16),
+    (RequestedRight(Right.SUBSCRIBE, "/robot/pose"),),
+    "to toast",
 )
 CLAIMS: dict[int | str, Value] = {
     2: "/toaster", 3: "home", 6: NOW, 7: bytes(16), 9: encode([["/robot/pose", 2]]),
@@ -37,30 +42,30 @@ def opened(data: bytes, *, domain: str = "home", now: int = NOW) -> GrantRequest
     return open_request(data, NODE.public_key, domain=domain, now=now)
 
 
-def test_what_was_asked_comes_back() -> None:
-    data = sign_request(NODE, ASKED)
-    assert opened(data) == ASKED
-    assert opened(data).id == ASKED.id
-    assert len(ASKED.id) == 16
-    assert replace(ASKED, why="").id != ASKED.id
+def test_a_request_round_trips() -> None:
+    data = sign_request(NODE, REQUESTED)
+    assert opened(data) == REQUESTED
+    assert opened(data).id == REQUESTED.id
+    assert len(REQUESTED.id) == 16
+    assert replace(REQUESTED, why="").id != REQUESTED.id
     assert REQUEST.sign(NODE, CLAIMS)[:-64] == data[:-64]
 
 
-@pytest.mark.parametrize("shift", [-SKEW - 1, FRESH + 1])
-def test_only_of_these_days(shift: int) -> None:
-    with pytest.raises(GrantForged, match="not of these days"):
-        opened(sign_request(NODE, ASKED), now=NOW + shift)
+@pytest.mark.parametrize("shift", [-MAX_CLOCK_SKEW - 1, MAX_AGE + 1])
+def test_an_old_or_future_request_is_refused(shift: int) -> None:
+    with pytest.raises(GrantForged, match="too old, or dated in the future"):
+        opened(sign_request(NODE, REQUESTED), now=NOW + shift)
 
 
-def test_only_for_this_authority() -> None:
+def test_a_request_to_another_authority_is_refused() -> None:
     with pytest.raises(GrantForged, match="to the authority of 'home', not 'ward'"):
-        opened(sign_request(NODE, ASKED), domain="ward")
+        opened(sign_request(NODE, REQUESTED), domain="ward")
 
 
-def test_only_with_the_key_of_the_node() -> None:
-    stranger = KeySigner(ec.generate_private_key(ec.SECP256R1()))
+def test_a_request_signed_by_another_key_is_refused() -> None:
+    other = KeySigner(ec.generate_private_key(ec.SECP256R1()))
     with pytest.raises(GrantForged, match="not a request of /toaster"):
-        opened(sign_request(stranger, ASKED))
+        opened(sign_request(other, REQUESTED))
 
 
 @pytest.mark.parametrize(
@@ -73,19 +78,19 @@ def test_only_with_the_key_of_the_node() -> None:
         {-65538: "x" * 501}, {4: 5},
     ],
 )  # fmt: skip
-def test_anything_else_is_none(change: dict[int | str, Value]) -> None:
+def test_malformed_claims_are_refused(change: dict[int | str, Value]) -> None:
     with pytest.raises(GrantMalformed):
         opened(REQUEST.sign(NODE, {**CLAIMS, **change}))
 
 
-def test_what_is_no_request_at_all() -> None:
+def test_other_statements_are_refused() -> None:
     for data in (b"", b"\xd2\x80", GRANT.sign(NODE, CLAIMS), REQUEST.sign(NODE, [])):
         with pytest.raises(GrantMalformed):
             peek_request(data)
 
 
-def test_a_request_that_cannot_be_made() -> None:
+def test_invalid_names_cannot_be_requested() -> None:
     with pytest.raises(NameRefused):
-        replace(ASKED, node="toaster")
+        replace(REQUESTED, node="toaster")
     with pytest.raises(PatternRefused):
-        replace(ASKED, wishes=(Wish(Right.CALL, "x"),))
+        replace(REQUESTED, rights=(RequestedRight(Right.CALL, "x"),))

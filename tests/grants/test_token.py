@@ -1,4 +1,4 @@
-"""What is presented: plain grants and renewed ones, and every way in which a token is none."""
+"""Tokens: plain and renewed grants, and every kind of invalid token."""
 
 from dataclasses import replace
 from typing import Any
@@ -22,11 +22,11 @@ MASTER = KeySigner(ec.generate_private_key(ec.SECP256R1()))
 DATA = document.sign(CA, DRAFT)
 ID = document.grant_id(DATA)
 LATER = DRAFT.expires + 5
-LEAVE = sign_delegation(
+DELEGATION = sign_delegation(
     CA, Delegation("home", thumbprint(MASTER.public_key), NOW - 10, NOW + 5000, 600, bytes(16))
 )
 TICKET = sign_ticket(MASTER, Ticket(ID, LATER - 5, LATER + 300, seq=7))
-TOKEN = pack(DATA, TICKET, LEAVE)
+TOKEN = pack(DATA, TICKET, DELEGATION)
 
 
 def accept(*_: object) -> None:
@@ -36,26 +36,26 @@ def accept(*_: object) -> None:
 VERIFIER = Verifier(CA.public_key, "home", MASTER.public_key, 7, accept)
 
 
-def test_a_plain_grant_is_its_own_token() -> None:
+def test_a_grant_without_renewal_is_its_own_token() -> None:
     assert unpack(DATA) == TokenParts(DATA)
     assert VERIFIER.open(DATA, NOW) == document.open_grant(DATA, CA.public_key, NOW)
     with pytest.raises(GrantExpired):
         VERIFIER.open(DATA, LATER)
 
 
-def test_a_renewed_grant_holds_until_its_ticket_ends() -> None:
-    assert unpack(TOKEN) == TokenParts(DATA, TICKET, LEAVE)
+def test_a_renewed_grant_is_valid_until_its_ticket_ends() -> None:
+    assert unpack(TOKEN) == TokenParts(DATA, TICKET, DELEGATION)
     grant = VERIFIER.open(TOKEN, LATER)
     assert (grant.id, grant.expires) == (ID, LATER + 300)
 
 
-def test_without_knowing_the_master_nothing_renewed_holds() -> None:
-    with pytest.raises(RenewalForOther, match="the master is not known here"):
+def test_a_renewed_grant_is_refused_without_the_masters_key() -> None:
+    with pytest.raises(RenewalForOther, match="the master's key is not known"):
         replace(VERIFIER, delegate=None).open(TOKEN, LATER)
 
 
 @pytest.mark.parametrize("which", [0, 1])
-def test_a_revoked_delegation_or_delegate_ends_what_it_renewed(which: int) -> None:
+def test_a_renewal_by_a_revoked_delegation_or_delegate_is_refused(which: int) -> None:
     grant = VERIFIER.open(TOKEN, LATER)
 
     def check(entry: bytes, _: int) -> None:
@@ -64,11 +64,11 @@ def test_a_revoked_delegation_or_delegate_ends_what_it_renewed(which: int) -> No
 
     with pytest.raises(GrantRevoked):
         replace(VERIFIER, check=check).open(TOKEN, LATER)
-    question: dict[str, Any] = {"holder": HOLDER, "now": LATER}
-    decided = authorize([grant], Right.SUBSCRIBE, "/robot/pose", **question, check=accept)
+    request: dict[str, Any] = {"holder": HOLDER, "now": LATER}
+    decided = authorize([grant], Right.SUBSCRIBE, "/robot/pose", **request, check=accept)
     assert decided.grant_ids == (ID, *grant.via)
     with pytest.raises(GrantRevoked):
-        authorize([grant], Right.SUBSCRIBE, "/robot/pose", **question, check=check)
+        authorize([grant], Right.SUBSCRIBE, "/robot/pose", **request, check=check)
 
 
 @pytest.mark.parametrize(
@@ -76,10 +76,10 @@ def test_a_revoked_delegation_or_delegate_ends_what_it_renewed(which: int) -> No
     [
         encode([DATA, TICKET, b""]),
         encode([DATA, TICKET, 5]),
-        encode([DATA, TICKET, LEAVE]) + b"\0",
+        encode([DATA, TICKET, DELEGATION]) + b"\0",
         b"\x83",
     ],
 )
-def test_a_token_that_is_none(broken: bytes) -> None:
+def test_an_invalid_token_is_refused(broken: bytes) -> None:
     with pytest.raises(GrantMalformed, match="renewed grant"):
         unpack(broken)

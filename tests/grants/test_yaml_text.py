@@ -1,4 +1,4 @@
-"""YAML text as events and values: bounded by its structure, and nothing outside the subset."""
+"""YAML text as events and values: bounded in structure, and limited to the subset."""
 
 import contextlib
 import math
@@ -36,46 +36,48 @@ def refusal(text: str, bounds: Bounds | None = None) -> YamlRefused:
         ("9" * 21, 1e21),
     ],
 )  # fmt: skip
-def test_values(text: str, value: object) -> None:
+def test_a_document_has_its_value(text: str, value: object) -> None:
     found = load(text)
     assert (found, type(found)) == (value, type(value))
 
 
-def test_not_a_number_is_one() -> None:
+def test_nan_is_a_float() -> None:
     found = load(".nan")
     assert isinstance(found, float)
     assert math.isnan(found)
 
 
 @pytest.mark.parametrize(
-    ("text", "place", "message"),
+    ("text", "position", "message"),
     [
         ("a: &x 1\nb: *x", (1, 4), "anchors and aliases are not allowed"),
         ("a: 1\nb: *x", (2, 4), "anchors and aliases are not allowed"),
         ("a: !!python/object:os.system x", (1, 4), "tags are not allowed"),
         ("!!map {a: 1}", (1, 1), "tags are not allowed"),
-        ("a: !!int x", (1, 4), "'x' is no int"),
-        ("a: !!binary '*'", (1, 4), "'*' is no binary"),
+        ("a: !!int x", (1, 4), "'x' is not a valid int"),
+        ("a: !!binary '*'", (1, 4), "'*' is not a valid binary"),
         ("%YAML 1.1\n---\na", (2, 1), "directives are not allowed"),
-        ("a\n---\nb", (2, 1), "a second document"),
+        ("a\n---\nb", (2, 1), "more than one document"),
         ("[" * 5000, (1, 17), "nested deeper than 16"),
-        ("{a: 1, a: 2}", (1, 8), "'a' stands there already"),
-        ("{[a]: 1}", (1, 2), "a key must be a word"),
+        ("{a: 1, a: 2}", (1, 8), "duplicate key 'a'"),
+        ("{[a]: 1}", (1, 2), "a key must be a scalar"),
         ("[", (1, 2), "not YAML: expected the node content"),
         ("\0", (1, 1), "not YAML: "),
     ],
 )
-def test_what_is_outside_the_subset(text: str, place: tuple[int, int], message: str) -> None:
+def test_text_outside_the_subset_is_refused(
+    text: str, position: tuple[int, int], message: str
+) -> None:
     error = refusal(text)
     assert str(error).startswith(message)
-    assert (error.line, error.column) == place
+    assert (error.line, error.column) == position
 
 
-def test_bounds() -> None:
+def test_size_depth_and_events_are_bounded() -> None:
     assert "5 characters where at most 4" in str(refusal("aaaaa", Bounds(size=4)))
     assert "deeper than 1" in str(refusal("[[1]]", Bounds(depth=1)))
     many = "[" + "1," * 50 + "]"
-    assert "more than 40 words and brackets" in str(refusal(many, Bounds(events=40)))
+    assert "more than 40 YAML events" in str(refusal(many, Bounds(events=40)))
     assert load(many, Bounds(events=60)) == [1] * 50
 
 

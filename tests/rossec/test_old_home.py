@@ -34,15 +34,15 @@ def home(tmp_path: Path) -> Path:
 def test_the_authority_goes_on(home: Path) -> None:
     place = AuthorityHome(home / "ca")
     unlocked = place.unlock(PASSPHRASE)
-    unlocked.store.journal.audit(unlocked.signer.public_key)
-    assert unlocked.store.identities.alive("/doctor", NOW) == []
-    (robot,) = unlocked.store.identities.alive("/robot", NOW)
+    unlocked.store.log.audit(unlocked.signer.public_key)
+    assert unlocked.store.identities.valid("/doctor", NOW) == []
+    (robot,) = unlocked.store.identities.valid("/robot", NOW)
     unlocked.revoke(robot.thumbprint, "sold", NOW)
     revocations = Revocations(place.own_key())
     revocations.update(place.revocation_list(), NOW)
     assert robot.thumbprint in revocations.entries
     assert len(revocations.entries) == 2
-    unlocked.store.journal.audit(unlocked.signer.public_key)
+    unlocked.store.log.audit(unlocked.signer.public_key)
 
 
 def test_a_node_goes_on(home: Path) -> None:
@@ -65,8 +65,8 @@ def test_what_a_node_has_seen_revoked_stays_revoked(home: Path) -> None:
     saved = node.load_revocations()
     assert saved is not None
     revocations.update(saved, NOW)
-    assert revocations.held is not None
-    revocations.confirm(Timestamp(revocations.held.seq, digest(saved), NOW, 30), NOW)
+    assert revocations.current is not None
+    revocations.confirm(Timestamp(revocations.current.seq, digest(saved), NOW, 30), NOW)
     revocations.check(node.identity(NOW).thumbprint, NOW)
     with pytest.raises(Revoked):
         revocations.check(doctor.identity(NOW).thumbprint, NOW)
@@ -84,6 +84,6 @@ def test_the_backup_comes_back(home: Path, tmp_path: Path) -> None:
         tmp_path / "again", (tmp_path / "authority.backup").read_bytes(), PASSPHRASE, NOW
     )
     unlocked = done.home.unlock(PASSPHRASE)
-    unlocked.store.journal.audit(unlocked.signer.public_key)
+    unlocked.store.log.audit(unlocked.signer.public_key)
     assert len(unlocked.store.grants()) == 2
     assert done.home.anchor() == AuthorityHome(home / "ca").anchor()

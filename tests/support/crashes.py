@@ -92,7 +92,7 @@ def replace(authority: SigningAuthority, directory: Path) -> None:
 
 
 def migrate(authority: SigningAuthority, _: Path) -> None:
-    assert authority.store.journal.entries()[-1].what == "migrated"
+    assert authority.store.log.entries()[-1].what == "migrated"
 
 
 SCENARIOS: dict[str, Scenario] = {
@@ -110,7 +110,7 @@ def act(scenario: Scenario, directory: Path) -> None:
 def check(directory: Path, before: int) -> None:
     """What must hold, however the process before died."""
     with closing(opened(directory).store) as store:
-        store.journal.audit(ROOT.public_key)
+        store.log.audit(ROOT.public_key)
         ders = [row.der for row in store.certificates()]
         assert before <= len(ders) <= before + 1, "an identity was lost, or there are two"
         for out in directory.glob("*.pem"):

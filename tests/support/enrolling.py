@@ -141,8 +141,8 @@ class WaitingRobot:
 
     async def _wait(self, node: WaitingNode, state: NodeState) -> None:
         while self.core.state is not state:
-            if self._stop.is_set() or self.core.why_over is not None:
-                raise self.core.why_over or EnrollmentOver("the test is over")
+            if self._stop.is_set() or self.core.end_reason is not None:
+                raise self.core.end_reason or EnrollmentOver("the test is over")
             await asyncio.sleep(0.01)
 
 

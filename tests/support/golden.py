@@ -70,10 +70,13 @@ def transcripts() -> dict[str, list[dict[str, str]]]:
     left, right = fixed(ALICE), fixed(BOB)
 
     def talk(
-        flavour: WireProtocol, ours: KnownCertificates, theirs: KnownCertificates, brief: bool
+        protocol: WireProtocol,
+        ours: KnownCertificates,
+        theirs: KnownCertificates,
+        request_x5t: bool,
     ) -> Wire:
         return wire(
-            alice(flavour, left, _LIMITS, known=ours, brief=brief),
+            alice(protocol, left, _LIMITS, known=ours, request_x5t=request_x5t),
             bob(right, _LIMITS, known=theirs),
         )
 

@@ -3,12 +3,12 @@
 from types import SimpleNamespace
 from typing import Any, Final
 
-from grants.memory import Memories, Recall
+from grants.memory import MemoryScope, MemoryStore
 
 HOLDER: Final[Any] = SimpleNamespace(holder=bytes(32))
 """What a decision's memory is found by, in place of a grant."""
 
 
-def fresh(clock: int = 0) -> Recall:
+def fresh(clock: int = 0) -> MemoryScope:
     """A node that remembers nothing yet."""
-    return Recall(Memories(lambda: clock), ("/node",))
+    return MemoryScope(MemoryStore(lambda: clock), ("/node",))

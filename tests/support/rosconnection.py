@@ -1,4 +1,4 @@
-"""Connections of rospy's that only note what they are given."""
+"""Transports as rospy has them, which only record what they are given."""
 
 import threading
 from io import BytesIO
@@ -7,17 +7,17 @@ from typing import Any
 
 
 class Sock:
-    def __init__(self, link: object = None) -> None:
-        self.link = link
+    def __init__(self, connection: object = None) -> None:
+        self.connection = connection
         self.units: list[bytes] = []
         self.gate = threading.Event()
         self.gate.set()
         self.error: Exception | None = None
         self.at_once = False
         self.unsent = False
-        self.exchange: Any = None
+        self.service_filter: Any = None
 
-    def send_now(self, data: bytes) -> bool:
+    def try_send(self, data: bytes) -> bool:
         if self.at_once:
             self.send_unit(data)
         return self.at_once
@@ -29,9 +29,9 @@ class Sock:
         self.units.append(b"".join(map(bytes, pieces)))
 
 
-def connection(link: object = None) -> Any:
+def transport(connection: object = None) -> Any:
     made: Any = SimpleNamespace(
-        socket=Sock(link),
+        socket=Sock(connection),
         protocol=None,
         done=False,
         stat_bytes=0,

@@ -2,7 +2,7 @@
 
 from rossec.channel.opening import WireProtocol
 from rossec.participant.header_fields import Fields
-from rossec.sidecar.core.endpoints import endpoint
+from rossec.sidecar.core.endpoints import parse_endpoint
 from rossec.sidecar.plain_stream import PlainStream
 from tests.rossec.sidecar.program import Program
 
@@ -14,6 +14,6 @@ async def subscribed(program: Program, topic: str, fields: Fields) -> tuple[Plai
     assert isinstance(uris, list)
     answer = await program.ask(uris[0], "requestTopic", topic, [["TCPROS"]])
     assert isinstance(answer, list)
-    place = endpoint(f"rosrpc://{answer[2][1]}:{answer[2][2]}", WireProtocol.TCPROS)
-    assert place is not None
-    return await program.meet(place, {"topic": topic.encode(), **fields})
+    endpoint = parse_endpoint(f"rosrpc://{answer[2][1]}:{answer[2][2]}", WireProtocol.TCPROS)
+    assert endpoint is not None
+    return await program.connect(endpoint, {"topic": topic.encode(), **fields})

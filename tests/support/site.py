@@ -15,12 +15,12 @@ from ca.revocation.tree import is_tree, open_tree
 from ca.store.record import Store
 from grants import document
 from grants.model import Draft, Permission, Restriction, Right, filter_rules
-from rossec.authority.list_contents import entries_of
+from rossec.authority.list_contents import tree_entries
 from rossec.authority.renewals import renew
 from rossec.authority.signing import SigningAuthority
 from rossec.channel.suite_selection import post_quantum
 from rossec.home import NodeHome
-from rossec.master.operation.denial_log import OnDenial, unheard
+from rossec.master.operation.denial_log import OnDenial, ignore_denial
 from rossec.master.operation.limits import MasterLimits
 from rossec.master.server.server import MasterServer
 from rossec.master.server.start import master_of
@@ -49,7 +49,7 @@ class Site:
         )
         self.authority.sign_list(now)
         self.master: MasterServer | None = None
-        self.complain: OnDenial = unheard
+        self.on_denial: OnDenial = ignore_denial
         self.intermediate: SigningAuthority | None = None
         self.host = "127.0.0.1"
         self.limits = MasterLimits()
@@ -71,7 +71,7 @@ class Site:
         if data is None or not is_tree(data):
             return None
         tree = open_tree(data, self.anchor.public_key)
-        return entries_of(self.authority.store, tree).encoded()
+        return tree_entries(self.authority.store, tree).encoded()
 
     @property
     def environ(self) -> Mapping[str, str]:
@@ -124,14 +124,16 @@ class Site:
             serial=secrets.token_bytes(16),
             permissions=(Permission(pattern, right, restriction),),
         )  # fmt: skip
-        data = self.authority.grant(draft, now)
+        data = self.authority.issue_grant(draft, now)
         home.add_grant(document.grant_id(data), data)
         return data
 
     def delegate(self, at_most: int = HOUR) -> bytes:
         """Let the master renew grants, for `at_most` seconds each, once it is started."""
         home = self.enroll(MASTER)
-        data = self.authority.delegate(self.identity(MASTER).thumbprint, DAY, at_most, self.now())
+        data = self.authority.issue_delegation(
+            self.identity(MASTER).thumbprint, DAY, at_most, self.now()
+        )
         home.save_delegation(data)
         return data
 
@@ -179,7 +181,7 @@ class Site:
         self.master = master_of(
             self.enroll(MASTER), host=self.host, port=port,
             newest=self.authority.store.newest_list(), now=self.now(), entries=self.entries,
-            complain=self.complain, limits=self.limits,
+            on_denial=self.on_denial, limits=self.limits,
             renewer=None if self.intermediate is None else partial(renew, self.intermediate),
             suites=post_quantum(self.environ),
         )  # fmt: skip

@@ -5,10 +5,12 @@ import contextlib
 from collections.abc import AsyncIterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
+from ca.encoding import encode
 from grants.model import Right
 from rossec.node import Node, Subscriber
+from rossec.participant.access import FIELD
 from rossec.ros.settings import parse_uri
 from tests.support.fleet import SECURE, Program, entitle, environment, program
 from tests.support.site import Site
@@ -121,3 +123,9 @@ async def _read(running: Program) -> None:
 
 def slave_port(victim: Victim) -> int:
     return parse_uri(victim.uri)[1]
+
+
+def for_service(name: str, service: str, grants: list[bytes], **changes: str) -> dict[str, Any]:
+    """The header with which a client asks for a service."""
+    fields = {"callerid": name, "service": service, "md5sum": "*", FIELD: encode(list(grants))}
+    return {**fields, **changes}

@@ -77,7 +77,7 @@ def alice(
     limits: ChannelLimits = DEFAULTS,
     suites: tuple[int, ...] = (6,),
     known: KnownCertificates | None = None,
-    brief: bool = False,
+    request_x5t: bool = False,
     own_dials: OwnDials | None = None,
 ) -> Connection[FakeIdentity]:
     """An initiator."""
@@ -90,7 +90,7 @@ def alice(
         limits=limits,
         suites=suites,
         known=known,
-        brief=brief,
+        request_x5t=request_x5t,
         own_dials=own_dials,
     )
 

@@ -1,4 +1,4 @@
-"""What a node shows of itself in the handshake: a certificate chain by value (x5chain, RFC 9360).
+"""What a node sends of itself in the handshake: a certificate chain by value (x5chain, RFC 9360).
 
 The chain travels in ID_CRED_x, CRED_x is the end-entity certificate exactly as it travelled. By
 value means there is nothing to look up and nothing to confuse; a reference (x5t) would be a lookup
@@ -23,7 +23,7 @@ _MAX_CERTIFICATE: Final = 7 * 1024  # PLAINTEXT_2 cannot carry more than 8160 by
 
 
 class PeerIdentity(Protocol):
-    """The least the channel must know about a verified peer."""
+    """What the channel must know about a verified peer."""
 
     @property
     def public_key(self) -> PublicKey:
@@ -41,7 +41,7 @@ PeerT = TypeVar("PeerT", bound=PeerIdentity)
 Verify: TypeAlias = Callable[[tuple[bytes, ...], int], PeerT]
 """From the chain (DER, end entity first) and `now` to the identity; raises a `HintedError`.
 
-Here a caller that wants one particular peer compares the certified name with it.
+A caller that expects one particular peer compares the certified name here.
 """
 
 FindChain: TypeAlias = Callable[[Value], tuple[bytes, ...]]
@@ -68,7 +68,7 @@ class OwnCredential(Protocol):
 
     @property
     def shared(self) -> bool:
-        """Whether several nodes hold this key: a peer that shows it is no reflection."""
+        """Whether several nodes hold this key: a peer that sends it is not a reflection."""
         ...
 
     def sign(self, message: bytes) -> bytes:
@@ -108,7 +108,7 @@ class Credentials:
 
 
 class LiveCredentials:
-    """Credentials that may be replaced: the next handshake shows the new ones."""
+    """Credentials that may be replaced: the next handshake sends the new ones."""
 
     def __init__(self, current: Credentials) -> None:
         self.current = current
@@ -139,7 +139,7 @@ class LiveCredentials:
 
 
 def encode_id_cred(id_cred: Value) -> bytes:
-    """What `encode` gives, at a third of the price for a chain of one."""
+    """What `encode` gives, at a third of the cost for a chain of one."""
     certificate = id_cred.get(X5CHAIN) if isinstance(id_cred, dict) and len(id_cred) == 1 else None
     return X5CHAIN_HEAD + bstr(certificate) if isinstance(certificate, bytes) else encode(id_cred)
 
@@ -148,11 +148,13 @@ def x5chain(id_cred: Value) -> tuple[bytes, ...]:
     """Return the chain an x5chain ID_CRED_x carries.
 
     Raises:
-        PeerCredentialUnknown: a reference, where nobody keeps what it could refer to.
+        PeerCredentialUnknown: a reference, where no certificates are cached.
         HandshakeFailed: another kind of credential, or not a chain of 1 to 4 certificates.
     """
     if isinstance(id_cred, dict) and X5T in id_cred:
-        raise PeerCredentialUnknown("the peer names a certificate, and this node remembers none")
+        raise PeerCredentialUnknown(
+            "the peer names a certificate by its hash, and this node caches none"
+        )
     named = id_cred.get(X5CHAIN) if isinstance(id_cred, dict) and len(id_cred) == 1 else None
     match named:
         case bytes():

@@ -1,9 +1,9 @@
 """EDHOC method 0 (RFC 9528 section 5): two signatures, both sides of it.
 
-One object per attempt, no input/output, no clock, no dice: messages in, messages out. Method 3 and
-the others do not exist here. Every check raises; a caller that catches one must end the session.
-Cheap checks (structure, method, suite, lengths) come before key generation. message_4 is always
-sent: it confirms the key to an initiator, and marks the point after which errors are refused.
+One object per attempt, no input/output, no clock, no random source: messages in, messages out.
+Other methods are not implemented. Every check raises; a caller that catches the error must end the
+session. Cheap checks (structure, method, suite, lengths) come before key generation. message_4 is
+always sent: it confirms the key to an initiator, and after it errors are refused.
 """
 
 from typing import Final
@@ -17,7 +17,7 @@ from rossec.channel.edhoc.messages import (
     decode_message_1,
     decode_plaintext_4,
 )
-from rossec.channel.edhoc.peer import C_I_BRIEF, EdhocConfig, EdhocPeer
+from rossec.channel.edhoc.peer import C_I_X5T, EdhocConfig, EdhocPeer
 from rossec.channel.edhoc.suites import SIGNATURE_LENGTH, SUITES, Finish, Suite
 from rossec.errors import HandshakeFailed
 
@@ -35,17 +35,17 @@ class WrongSuite(HandshakeFailed):
 class Initiator(EdhocPeer[PeerT]):
     """Sends message_1, checks message_2, sends message_3, checks message_4."""
 
-    def __init__(self, party: EdhocConfig[PeerT], selected: int | None = None) -> None:
-        super().__init__(party)
-        number = party.suites[0] if selected is None else selected
+    def __init__(self, config: EdhocConfig[PeerT], selected: int | None = None) -> None:
+        super().__init__(config)
+        number = config.suites[0] if selected is None else selected
         self._suite = SUITES[number]
         self._finish_exchange: Finish | None
-        self._finish_exchange, self._g_x = self._suite.exchange.start(party.random)
-        if party.own_dials is not None:
-            self._dial = party.own_dials.begin(self._g_x)
+        self._finish_exchange, self._g_x = self._suite.exchange.start(config.random)
+        if config.own_dials is not None:
+            self._dial = config.own_dials.begin(self._g_x)
         # The list keeps its order up to the selected one: the responder checks against downgrade.
-        suites = party.suites[: party.suites.index(number) + 1]
-        c_i = C_I_BRIEF if party.brief else party.c_i
+        suites = config.suites[: config.suites.index(number) + 1]
+        c_i = C_I_X5T if config.request_x5t else config.c_i
         self._message_1 = Message1(METHOD, suites, self._g_x, c_i).encode()
 
     def message_1(self) -> bytes:
@@ -61,18 +61,18 @@ class Initiator(EdhocPeer[PeerT]):
         """Return a new attempt, with a new key, for SUITES_R of error 2.
 
         Raises:
-            HandshakeFailed: no common suite, or the peer refuses what it claims to support.
+            HandshakeFailed: no common suite, or the peer refuses a suite that it lists.
         """
-        usable = [number for number in self._party.suites if number in offered]
+        usable = [number for number in self._config.suites if number in offered]
         if not usable or usable[0] == self._suite.number:
             raise HandshakeFailed("no cipher suite in common with the peer")
-        return Initiator(self._party, usable[0])
+        return Initiator(self._config, usable[0])
 
     def message_2(self, data: bytes, now: int) -> tuple[bytes, PeerT]:
         """Check message_2; return message_3 and the authenticated responder.
 
         Raises:
-            HandshakeFailed: any flaw. `IdentityRefused` when only its certificate is at fault.
+            HandshakeFailed: any error; `IdentityRefused` when only its certificate is refused.
         """
         body = decode_bytes(data)
         exchange = self._suite.exchange
@@ -88,10 +88,10 @@ class Initiator(EdhocPeer[PeerT]):
         self._agree(shared, g_y, self._message_1)
         plaintext = _xor(ciphertext, keystream_2(self._prk, self._th, len(ciphertext)))
         peer = self._check(KdfLabel.MAC_2, plaintext, now)
-        known = self._party.known
-        # A responder that sent its whole certificate may have no memory for this side's either.
-        met = known is not None and known.is_introduced(self._chain[0])
-        self.brief = met and self._by_reference
+        known = self._config.known
+        # A responder that sent its whole certificate may not cache this side's either.
+        introduced = known is not None and known.is_introduced(self._chain[0])
+        self.send_x5t = introduced and self._peer_sent_x5t
         return self._message_3(), peer
 
     def _message_3(self) -> bytes:
@@ -111,8 +111,8 @@ class Initiator(EdhocPeer[PeerT]):
         """
         decode_plaintext_4(self._open(KdfLabel.K_4, KdfLabel.IV_4, decode_bytes(data)))
         self._prk = GONE
-        if self._party.known is not None:
-            self._party.known.introduce(self._chain[0])
+        if self._config.known is not None:
+            self._config.known.introduce(self._chain[0])
 
 
 class Responder(EdhocPeer[PeerT]):
@@ -123,33 +123,33 @@ class Responder(EdhocPeer[PeerT]):
 
         Raises:
             WrongSuite: to be answered with error 2.
-            HandshakeFailed: any other flaw.
+            HandshakeFailed: any other error.
         """
         parsed = decode_message_1(data)
         if parsed.method != METHOD:
-            raise HandshakeFailed("the peer wants another method than 0")
+            raise HandshakeFailed("the peer requires another method than 0")
         suite = self._select(parsed.suites)
         if len(parsed.g_x) != suite.exchange.initiator_length:
             raise HandshakeFailed("ephemeral key of a wrong length")
         self._suite = suite
-        self.brief = self._party.known is not None and parsed.c_i == C_I_BRIEF
-        g_y, shared = suite.exchange.answer(self._party.random, parsed.g_x)
+        self.send_x5t = self._config.known is not None and parsed.c_i == C_I_X5T
+        g_y, shared = suite.exchange.answer(self._config.random, parsed.g_x)
         self._g_x, self._g_y = parsed.g_x, g_y
-        if self._party.own_dials is not None:
-            self._party.own_dials.answer(parsed.g_x, g_y)
+        if self._config.own_dials is not None:
+            self._config.own_dials.answer(parsed.g_x, g_y)
         self._agree(shared, g_y, data)
         return self._message_2(g_y)
 
     def _select(self, offered: tuple[int, ...]) -> Suite:
         """The selected suite, if it is the first of the list that this side uses."""
-        usable = [number for number in offered if number in self._party.suites]
+        usable = [number for number in offered if number in self._config.suites]
         if not usable or usable[0] != offered[-1]:
-            raise WrongSuite((usable[0],) if usable else self._party.suites)
+            raise WrongSuite((usable[0],) if usable else self._config.suites)
         return SUITES[usable[0]]
 
     def _message_2(self, g_y: bytes) -> bytes:
         prk, th_2 = self._prk, self._th
-        plaintext = self._state(KdfLabel.MAC_2, self._party.c_r)
+        plaintext = self._state(KdfLabel.MAC_2, self._config.c_r)
         if len(plaintext) > MAX_PLAINTEXT_2:
             raise HandshakeFailed(
                 "this node's certificate chain is too long for the handshake",
@@ -161,7 +161,7 @@ class Responder(EdhocPeer[PeerT]):
         """Check message_3; return message_4 and the authenticated initiator.
 
         Raises:
-            HandshakeFailed: any flaw. `IdentityRefused` when only its certificate is at fault.
+            HandshakeFailed: any error; `IdentityRefused` when only its certificate is refused.
         """
         plaintext = self._open(KdfLabel.K_3, KdfLabel.IV_3, decode_bytes(data))
         peer = self._check(KdfLabel.MAC_3, plaintext, now)

@@ -1,7 +1,7 @@
 """The key schedule of EDHOC (RFC 9528 sections 4 and 5) with SHA-256, method 0.
 
 With method 0 both sides authenticate by signature, so PRK_2e = PRK_3e2m = PRK_4e3m. Functions over
-bytes only; who knows which secret when is the handshake's business. Python cannot wipe bytes:
+bytes only; which secret exists when is decided in `handshake`. Python cannot wipe bytes:
 secrets are dropped as early as possible, no more is promised.
 """
 
@@ -37,7 +37,7 @@ class KdfLabel(IntEnum):
 
 
 class Secret:
-    """A pseudorandom key; HMAC under it is set up once, which is half the price of each use."""
+    """A pseudorandom key; HMAC under it is set up once, which is half the cost of each use."""
 
     __slots__ = ("_hmac", "_key")
 
@@ -63,7 +63,7 @@ def extract(salt: bytes, secret: bytes) -> Secret:
 
 
 def bstr(data: bytes) -> bytes:
-    """Encode a byte string: what `encode` gives, at a fifth of the price for those we have."""
+    """Encode a byte string: what `encode` gives, at a fifth of the cost for the usual ones."""
     length = len(data)
     if length < len(_SHORT):
         return _SHORT[length] + data
@@ -103,7 +103,7 @@ def keystream_2(prk_2e: Secret, th_2: bytes, length: int) -> bytes:
 
 @dataclass(frozen=True)
 class EdhocExporter:
-    """What a finished handshake leaves behind: PRK_out, and nothing older."""
+    """The result of a finished handshake: PRK_out, and nothing older."""
 
     prk_out: bytes
 
@@ -121,11 +121,11 @@ class EdhocExporter:
         return kdf(self._prk_exporter, label, context, length)
 
     def bare(self) -> "EdhocExporter":
-        """The same without what was prepared for `export`: it is not needed for long."""
+        """The same without the cached key for `export`."""
         return EdhocExporter(self.prk_out)
 
     def update(self, context: bytes) -> "EdhocExporter":
-        """EDHOC_KeyUpdate (RFC 9528 section 4.2.2): forward secrecy, not healing."""
+        """EDHOC_KeyUpdate (RFC 9528 section 4.2.2): only forward secrecy."""
         return EdhocExporter(kdf(Secret(self.prk_out), KdfLabel.KEY_UPDATE, context, HASH_LENGTH))
 
     def __repr__(self) -> str:

@@ -1,8 +1,8 @@
-"""Certificates of peers met before, so that a handshake may name one by its hash (x5t, RFC 9360).
+"""Cached certificates of peers, so that a handshake may name one by its hash (x5t, RFC 9360).
 
-A lookup key, never trust: only certificates that were verified in a finished handshake get in, and
-whatever is found is verified again. A hash that two certificates share finds neither. Whoever is
-asked about an unknown one answers with error 3, and the caller begins again, by value.
+A lookup key, never trust: only certificates verified in a finished handshake are cached, and what
+is found is verified again. A hash that two certificates share finds neither. A peer that does not
+know the hash answers with error 3, and the caller retries, by value.
 """
 
 import hashlib
@@ -29,19 +29,19 @@ def _short(certificate: bytes) -> bytes:
 
 
 class KnownCertificates:
-    """A bounded memory of one node; the least recently used is forgotten first."""
+    """A bounded cache of one node, least recently used first out."""
 
     def __init__(self, capacity: int = _CAPACITY) -> None:
         self._capacity = capacity
         self._chains: OrderedDict[bytes, Chain | None] = OrderedDict()
         self._introduced: OrderedDict[bytes, None] = OrderedDict()
-        self._places: OrderedDict[tuple[str, int], None] = OrderedDict()
+        self._addresses: OrderedDict[tuple[str, int], None] = OrderedDict()
 
     def __len__(self) -> int:
         return len(self._chains)
 
     def remember(self, chain: Chain) -> None:
-        """Keep a chain that was just verified."""
+        """Cache a chain that was just verified."""
         key = _short(chain[0])
         there = self._chains.get(key, chain)
         ambiguous = there is None or there[0] != chain[0]
@@ -54,7 +54,7 @@ class KnownCertificates:
         """From ID_CRED_x, of either kind, to the chain.
 
         Raises:
-            PeerCredentialUnknown: a reference to what is not here.
+            PeerCredentialUnknown: a reference to an unknown certificate.
             HandshakeFailed: neither a reference nor a chain.
         """
         match id_cred:
@@ -70,7 +70,7 @@ class KnownCertificates:
                 return x5chain(id_cred)
 
     def introduce(self, certificate: bytes) -> None:
-        """Note that the holder of `certificate` has seen this node's own."""
+        """Note that the holder of `certificate` has received this node's own."""
         self._introduced[certificate] = None
         self._introduced.move_to_end(certificate)
         if len(self._introduced) > self._capacity:
@@ -80,17 +80,17 @@ class KnownCertificates:
         """Whether the holder of `certificate` is likely to know this node's own."""
         return certificate in self._introduced
 
-    def visit(self, place: tuple[str, int]) -> None:
-        """Note that a peer known here was met at this host and port."""
-        self._places[place] = None
-        self._places.move_to_end(place)
-        if len(self._places) > self._capacity:
-            self._places.popitem(last=False)
+    def note_address(self, address: tuple[str, int]) -> None:
+        """Note that a known peer was reached at this host and port."""
+        self._addresses[address] = None
+        self._addresses.move_to_end(address)
+        if len(self._addresses) > self._capacity:
+            self._addresses.popitem(last=False)
 
-    def was_at(self, place: tuple[str, int]) -> bool:
+    def knows_address(self, address: tuple[str, int]) -> bool:
         """Whether the certificate of the peer at this host and port is likely to be known."""
-        return place in self._places
+        return address in self._addresses
 
     def forget_introductions(self) -> None:
-        """After an error 3: somebody does not know this node's certificate (any more)."""
+        """After an error 3: a peer does not know this node's certificate (any more)."""
         self._introduced.clear()

@@ -149,13 +149,13 @@ def decode_error(data: bytes) -> tuple[int, str, tuple[int, ...]]:
 
 
 def printable(text: str) -> str:
-    """A stranger's text made fit for a log: one line, printable, bounded."""
+    """An unauthenticated peer's text made fit for a log: one line, printable, bounded."""
     kept = "".join(c if c.isprintable() else " " for c in text[:MAX_REASON])
     return " ".join(kept.split())
 
 
-# Nearly every message has one shape, and a shape has one allowed encoding: comparing with that
-# takes a tenth of the time of decoding. What differs in any bit is decoded as usual.
+# Nearly every message has the same structure, and a structure has one allowed encoding: comparing
+# takes a tenth of the time of decoding. A message that differs in any bit is decoded in full.
 
 
 def _usual_message_1(data: bytes) -> Message1 | None:

@@ -1,10 +1,10 @@
-"""A node that calls itself: it may meet its own certificate where it meant to, and nowhere else.
+"""A node that connects to itself: its own certificate is accepted there, and nowhere else.
 
-ROS programs listen to their own topics and call their own services. Anywhere else the own
-certificate is a reflection (the selfie attack, ePrint 2019/347): a redirect would make a node hear
-itself instead of somebody else. So a dial that is meant for the node itself is noted by its G_X,
-the responder that is asked with that G_X adds its G_Y, and both sides look for exactly this pair.
-Who forwards, repeats or redirects messages changes nothing in that, and another process with the
+ROS programs subscribe to their own topics and call their own services. Anywhere else the own
+certificate is a reflection (the selfie attack, ePrint 2019/347): a redirect would connect a node to
+itself instead of another one. So a dial that is meant for the node itself is noted by its G_X, the
+responder that receives that G_X adds its G_Y, and both sides check for exactly this pair.
+Forwarding, repeating or redirecting messages does not change the pair, and another process with the
 same key is not found here.
 """
 
@@ -12,7 +12,7 @@ from weakref import WeakValueDictionary
 
 
 class Dial:
-    """One dial that is meant for this node; held by whoever dials, and forgotten with that."""
+    """One dial that is meant for this node; held by the dialer, and forgotten with it."""
 
     __slots__ = ("__weakref__", "g_y")
 
@@ -30,7 +30,7 @@ class OwnDials:
         return len(self._pending)
 
     def begin(self, g_x: bytes) -> Dial:
-        """Note a dial that is meant for this node; it lasts as long as what is returned."""
+        """Note a dial that is meant for this node; it lasts as long as the object returned."""
         dial = self._pending[g_x] = Dial()
         return dial
 
@@ -41,6 +41,6 @@ class OwnDials:
             dial.g_y = g_y
 
     def is_own(self, g_x: bytes, g_y: bytes) -> bool:
-        """Whether this node dialled with `g_x`, for itself, and answered that with `g_y`."""
+        """Whether this node dialled itself with `g_x` and answered with `g_y`."""
         dial = self._pending.get(g_x)
         return dial is not None and dial.g_y == g_y

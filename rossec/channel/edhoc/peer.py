@@ -1,7 +1,7 @@
-"""What both sides of an EDHOC handshake share: statements made and checked, the AEAD of messages.
+"""What both sides of an EDHOC handshake share: statements signed and verified, the messages' AEAD.
 
-A side keeps the running transcript hash and secret; `handshake` says in which order what happens.
-Hashes and MACs are over the bytes that travel. Every check raises.
+A side keeps the running transcript hash and secret; `handshake` has the order of the steps. Hashes
+and MACs are over the bytes on the wire. Every check raises.
 """
 
 from collections.abc import Callable
@@ -39,7 +39,7 @@ from rossec.errors import HandshakeFailed, IdentityRefused
 
 # Correlation is TCP's; the identifiers only have to be there (RFC 9528 section 3.3).
 C_I: Final = b"\x00"
-C_I_BRIEF: Final = b"\x01"  # "I may know your certificate: name it by its hash" (spec section 4)
+C_I_X5T: Final = b"\x01"  # "I may know your certificate: name it by its hash" (spec section 4)
 C_R: Final = b"\x01"
 # The beginnings of Sig_structure and Enc_structure (RFC 9052 sections 4.4 and 5.3).
 _SIGNATURE1: Final = b"\x84" + encode("Signature1")
@@ -50,16 +50,16 @@ _HINT_ADDRESS: Final = "do two hosts go by one address? see ROS_IP and ROS_HOSTN
 
 @dataclass(frozen=True)
 class EdhocConfig(Generic[PeerT]):
-    """One side's inputs: its credential, whom it trusts, its dice, its policy."""
+    """One side's inputs: its credential, whom it trusts, its random source, its policy."""
 
     credential: OwnCredential
     verify: Verify[PeerT]
     random: Random
     suites: tuple[int, ...] = PRODUCTION
     find_chain: FindChain = x5chain
-    known: KnownCertificates | None = None  # with it, references to certificates are spoken
+    known: KnownCertificates | None = None  # with it, certificates may be named by x5t
     own_dials: OwnDials | None = None  # with it, an initiator means to reach this node itself
-    brief: bool = False  # an initiator's: ask the responder for a reference
+    request_x5t: bool = False  # an initiator's: ask the responder for an x5t
     ead: bytes = b""
     c_i: bytes = C_I
     c_r: bytes = C_R
@@ -84,17 +84,17 @@ class _Statement(NamedTuple):
 class EdhocPeer(Generic[PeerT]):
     """What both sides share: own statement, peer's statement, the AEAD of messages 3 and 4."""
 
-    def __init__(self, party: EdhocConfig[PeerT]) -> None:
-        self._party = party
-        self._suite = SUITES[party.suites[0]]
+    def __init__(self, config: EdhocConfig[PeerT]) -> None:
+        self._config = config
+        self._suite = SUITES[config.suites[0]]
         self._prk = GONE
         self._th = b""
         self._exporter: EdhocExporter | None = None
         self._chain: tuple[bytes, ...] = ()
-        self._by_reference = False  # how the peer named its certificate
+        self._peer_sent_x5t = False  # how the peer named its certificate
         self._g_x = self._g_y = b""
-        self._dial: Dial | None = None  # this side is an initiator that means to reach itself
-        self.brief = False  # this side names its certificate by a hash
+        self._dial: Dial | None = None  # set: an initiator that means to reach itself
+        self.send_x5t = False  # this side names its certificate by a hash
 
     @property
     def suite(self) -> Suite:
@@ -119,10 +119,10 @@ class EdhocPeer(Generic[PeerT]):
 
     def _state(self, label: KdfLabel, c_r: bytes | None) -> bytes:
         """Sign this side's statement, advance the transcript, return the plaintext."""
-        own = self._party.credential
+        own = self._config.credential
         prefix = b"" if c_r is None else encode_identifier(c_r)
-        cred, ead = bstr(own.certificate), self._party.ead
-        named = reference(own.certificate) if self.brief else own.id_cred
+        cred, ead = bstr(own.certificate), self._config.ead
+        named = reference(own.certificate) if self.send_x5t else own.id_cred
         id_cred = encode_id_cred(named)
         statement = _Statement(label, prefix, id_cred, self._th, cred, ead)
         signature = own.sign(statement.to_be_signed(self._prk))
@@ -131,7 +131,7 @@ class EdhocPeer(Generic[PeerT]):
         return plaintext
 
     def _check(self, label: KdfLabel, plaintext: bytes, now: int) -> PeerT:
-        """Verify the peer's statement, advance the transcript, return who it is."""
+        """Verify the peer's statement, advance the transcript, return the peer."""
         parsed = decode_plaintext(plaintext, with_c_r=label is KdfLabel.MAC_2)
         certificate, peer = self._identify(parsed.id_cred, now)
         prefix = b"" if parsed.c_r is None else encode_identifier(parsed.c_r)
@@ -143,12 +143,12 @@ class EdhocPeer(Generic[PeerT]):
         return peer
 
     def _identify(self, id_cred: Value, now: int) -> tuple[bytes, PeerT]:
-        known = self._party.known
-        chain = self._party.find_chain(id_cred) if known is None else known.find(id_cred)
+        known = self._config.known
+        chain = self._config.find_chain(id_cred) if known is None else known.find(id_cred)
         self._chain = chain
-        self._by_reference = known is not None and id_cred == reference(chain[0])
+        self._peer_sent_x5t = known is not None and id_cred == reference(chain[0])
         try:
-            peer = self._party.verify(chain, now)
+            peer = self._config.verify(chain, now)
         except HintedError as error:
             text = f"the peer's certificate is refused: {error}"
             raise IdentityRefused(text, error.hint) from error
@@ -156,17 +156,17 @@ class EdhocPeer(Generic[PeerT]):
         return chain[0], peer
 
     def _check_meant(self, peer: PeerT) -> None:
-        """Refuse this node where another one is meant, and another one where this node is.
+        """Refuse this node where another one is expected, and another one where this node is.
 
-        The key is compared: a certificate that was renewed meanwhile has the same.
+        The key is compared: a renewed certificate has the same.
         """
-        own, dials = self._party.credential, self._party.own_dials
-        shows_own = peer.public_key == own.public_key
-        is_itself = shows_own and dials is not None and dials.is_own(self._g_x, self._g_y)
-        if shows_own and not (is_itself or own.shared):
-            raise IdentityRefused("the peer shows this node's own certificate", _HINT_REFLECTED)
+        own, dials = self._config.credential, self._config.own_dials
+        is_own_key = peer.public_key == own.public_key
+        is_itself = is_own_key and dials is not None and dials.is_own(self._g_x, self._g_y)
+        if is_own_key and not (is_itself or own.shared):
+            raise IdentityRefused("the peer sent this node's own certificate", _HINT_REFLECTED)
         if self._dial is not None and not is_itself:
-            raise IdentityRefused("another one answers at this node's own address", _HINT_ADDRESS)
+            raise IdentityRefused("another node answers at this node's own address", _HINT_ADDRESS)
 
     def _seal(self, key: KdfLabel, iv: KdfLabel, plaintext: bytes) -> bytes:
         return bstr(self._aead(key, iv, lambda aead: aead.encrypt, plaintext))
@@ -192,5 +192,5 @@ class EdhocPeer(Generic[PeerT]):
 
     def _finish(self) -> None:
         self._exporter = EdhocExporter.derive(self._prk, self._th)
-        if self._party.known is not None:
-            self._party.known.remember(self._chain)
+        if self._config.known is not None:
+            self._config.known.remember(self._chain)

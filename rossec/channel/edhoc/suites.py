@@ -1,8 +1,8 @@
 """The cipher suites of EDHOC (RFC 9528 section 3.6) as one table.
 
-Nothing here decides which suite to use: `PRODUCTION` is the policy, the rest of the table is what
-the code can speak. A suite names its key exchange in the shape of a KEM (RFC 9528 section 9.4), so
-a hybrid one fits without a change to the handshake.
+Nothing here decides which suite to use: `PRODUCTION` is the policy, the other rows of the table are
+implemented, not offered. The key exchange of a suite has the interface of a KEM (RFC 9528 section
+9.4), so a hybrid one fits without a change to the handshake.
 """
 
 from collections.abc import Callable
@@ -93,7 +93,7 @@ class HybridExchange:
 
     Shares and secret are concatenated as in TLS's X25519MLKEM768 (draft-ietf-tls-ecdhe-mlkem):
     ek || x25519, ct || x25519, ss || x25519. EDHOC hashes both shares into the salt of the
-    extraction, which that construction relies on. ML-KEM takes its own dice: pyca has no other way.
+    extraction, which that construction relies on. ML-KEM uses its own randomness: pyca takes none.
     """
 
     initiator_length = 1184 + 32
@@ -117,7 +117,7 @@ class HybridExchange:
 
 
 def _hybrid(own: mlkem.MLKEM768PrivateKey, finish: Finish, peer: bytes) -> bytes:
-    # A false ciphertext gives a random secret (implicit rejection): the handshake fails later.
+    # An invalid ciphertext gives a random secret (implicit rejection): the handshake fails later.
     return own.decapsulate(peer[:1088]) + finish(peer[1088:])
 
 
@@ -179,7 +179,7 @@ SUITES: Final = {
     for suite in (
         # AES-CCM-16-64-128: for the vectors of RFC 9529; 64-bit tags are no production choice.
         Suite(0, _ccm_64, 16, 13, 8, _X25519, verify_eddsa),
-        # The same over P-256: for lakers, a peer of another house, in tests.
+        # The same over P-256: for lakers, another implementation, in tests.
         Suite(2, _ccm_64, 16, 13, 8, P256Exchange(), verify_es256),
         Suite(4, ChaCha20Poly1305, 32, 12, 16, _X25519, verify_eddsa),
         Suite(6, AESGCM, 16, 12, 16, _X25519, verify_es256),

@@ -5,7 +5,7 @@ from pathlib import Path
 import click
 
 from ca.revocation.lists import MAX_LIST
-from ca.revocation.tree import MAX_LISTING
+from ca.revocation.tree import MAX_TREE_ENTRIES_SIZE
 from ca.store.backup import MAX_BACKUP
 from rossec import files
 from rossec.authority import backup as backups
@@ -25,11 +25,11 @@ _FILE = click.Path(path_type=Path, exists=True, dir_okay=False)
 def backup(environment: Environment, file: Path, passphrase_file: Path | None) -> None:
     """Write the authority into the new file FILE, encrypted under its passphrase.
 
-    A key in a token stays there: its backup is the token's business, and the PIN seals this file.
+    A key in a token is not in the backup; the PIN encrypts this file.
     """
     home = AuthorityHome.at(environment.home)
     secret = passphrase.read(passphrase_file, environment.variables)
-    home.unlock(secret).store.close()  # a backup that the key does not fit is none
+    home.unlock(secret).store.close()  # a backup that its key does not open is invalid
     files.create(file, backups.back_up(home, secret))
     say(f"backup of {home.domain}: {file}")
     say(f"fingerprint {fingerprint(home.anchor())}")
@@ -63,7 +63,7 @@ def restore(
 ) -> None:
     """Prove the backup FILE and put its authority back.
 
-    Nothing is overwritten, and nothing newer is lost, unless it is said: --over, --forget.
+    Nothing is overwritten, and nothing newer is lost, unless --over or --forget allows it.
     """
     data = files.read(file, MAX_BACKUP, ConfigurationError(f"there is no {file}"))
     listed = None if newest is None else _read(newest, MAX_LIST)
@@ -72,7 +72,7 @@ def restore(
     secret = passphrase.read(passphrase_file, environment.variables)
     found = backups.restore(
         environment.home, data, secret, now(), over=over, forget=forget, newest_list=listed,
-        entries=None if entries is None else _read(entries, MAX_LISTING),
+        entries=None if entries is None else _read(entries, MAX_TREE_ENTRIES_SIZE),
     )  # fmt: skip
     say(f"restored {found.home.domain} in {found.home.path}, {found.entries} log entries")
     say(f"fingerprint {fingerprint(found.home.anchor())}")
@@ -80,13 +80,10 @@ def restore(
         return
     if newest is None:
         note("what was revoked after the backup is valid again: restore with --list if you can")
-    elif found.revived:
-        say(f"{found.revived} revocations are newer than the backup and were taken over")
+    elif found.restored_revocations:
+        say(f"{found.restored_revocations} revocations newer than the backup were taken over")
     note("a new revocation list was signed; deliver it with: rossec ca publish")
 
 
 def _read(path: Path, limit: int) -> bytes:
     return files.read(path, limit, ConfigurationError(f"there is no {path}"))
-
-
-COMMANDS = (backup, restore)

@@ -1,1 +1,1 @@
-"""Calls at the master: methods, arguments, rights asked, answers. Pure."""
+"""The Master API: methods, arguments, authorization, answers. Pure."""

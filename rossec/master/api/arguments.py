@@ -1,7 +1,7 @@
-"""What each argument of a master call must be; the texts are stock rosmaster's (validators.py).
+"""Validation of the arguments of master calls; the texts are stock rosmaster's (validators.py).
 
 Stricter than stock, because rights are matched on names: a topic, service or parameter must have a
-well-formed ROS name after it is resolved, and a URI must have a host and a port that we can dial.
+well-formed ROS name after it is resolved, and a URI must have a host and a port to connect to.
 """
 
 from collections.abc import Callable
@@ -11,7 +11,7 @@ from urllib.parse import urlsplit
 
 from ca.errors import NameRefused
 from ca.names import check_name
-from rossec.master.state.addresses import is_place
+from rossec.master.state.addresses import is_unicast_host
 from rossec.ros import names
 
 URI_LIMIT: Final = 512
@@ -22,11 +22,11 @@ Check = Callable[[object, str], object]
 
 
 class ArgumentRefused(Exception):
-    """The status text to answer with."""
+    """An argument is invalid; the text is the status to answer with."""
 
 
-def anything(value: object, caller: str) -> object:  # noqa: ARG001 - the shape of a Check
-    """No condition."""
+def anything(value: object, caller: str) -> object:  # noqa: ARG001 - the signature of a Check
+    """Any value."""
     return value
 
 
@@ -42,7 +42,7 @@ def not_none(label: str) -> Check:
 
 
 def key(label: str) -> Check:
-    """A parameter name, resolved and well-formed, or the root: no grant covers anything else."""
+    """A parameter name, resolved and well-formed, or the root: grants cover nothing else."""
 
     def check(value: object, caller: str) -> str:
         resolved = names.resolve(_text(value, label), caller)
@@ -54,7 +54,7 @@ def key(label: str) -> Check:
 
 
 def search_key(label: str) -> Check:
-    """A parameter name as it is: searching resolves it itself."""
+    """A parameter name, not resolved: the search resolves it."""
 
     def check(value: object, _caller: str) -> str:
         return _text(value, label)[:KEY_LIMIT]
@@ -100,7 +100,7 @@ def type_name(label: str) -> Check:
     def check(value: object, _caller: str) -> str:
         if not value or not isinstance(value, str):
             raise ArgumentRefused(f"ERROR: parameter [{label}] must be a non-empty string")
-        if value != names.ANY_TYPE and not _is_resource(value):
+        if value != names.ANY_TYPE and not _is_resource_name(value):
             text = f"ERROR: parameter [{label}] is not a valid package resource name"
             raise ArgumentRefused(text)
         return value
@@ -114,7 +114,7 @@ def uri(label: str, scheme: str) -> Check:
     def check(value: object, _caller: str) -> str:
         if not value or not isinstance(value, str):
             raise ArgumentRefused(f"ERROR: parameter [{label}] is not an XMLRPC URI")
-        if not _dialable(value, scheme):
+        if not _is_connectable(value, scheme):
             raise ArgumentRefused(f"ERROR: parameter [{label}] is not an RPC URI")
         return value
 
@@ -133,7 +133,7 @@ def text(label: str) -> Check:
 
 
 def number(label: str) -> Check:
-    """An integer that is not negative."""
+    """A non-negative integer."""
 
     def check(value: object, _caller: str) -> int:
         if not isinstance(value, int) or isinstance(value, bool) or value < 0:
@@ -168,12 +168,12 @@ def binaries(label: str, most: int) -> Check:
     return check
 
 
-def _is_resource(value: str) -> bool:
+def _is_resource_name(value: str) -> bool:
     return value.count("/") == 1 and len(value) <= KEY_LIMIT and value.isprintable()
 
 
-@lru_cache(256)  # a node names its own in each call
-def _dialable(value: str, scheme: str) -> bool:
+@lru_cache(256)  # a node sends its own URIs in each call
+def _is_connectable(value: str, scheme: str) -> bool:
     if len(value) > URI_LIMIT or not value.isascii() or not value.isprintable() or " " in value:
         return False
     try:
@@ -182,7 +182,7 @@ def _dialable(value: str, scheme: str) -> bool:
     except ValueError:
         return False
     host = parts.hostname or ""
-    return parts.scheme == scheme and is_place(host) and bool(port) and "@" not in value
+    return parts.scheme == scheme and is_unicast_host(host) and bool(port) and "@" not in value
 
 
 def _well_formed(resolved: str, label: str) -> str:

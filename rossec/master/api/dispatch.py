@@ -1,7 +1,7 @@
 """The Master API as one pure dispatch: arguments in, answer and events out.
 
 The order of every call: arity, caller_id, identity, arguments (names resolved), right, handler.
-Texts and defaults for what stock rosmaster refuses are stock's; what only rossec refuses answers
+What stock rosmaster refuses is answered with its texts and defaults; what only rossec refuses with
 `[-1, "rossec: ...", <the method's default>]`, which rospy and roscpp log.
 """
 
@@ -26,7 +26,7 @@ from rossec.master.api.methods import (
 from rossec.master.api.multicall import MULTICALL, Multicall
 from rossec.master.api.parameter_calls import ParameterCalls
 from rossec.master.api.statement_calls import StatementCalls
-from rossec.master.api.turns import CallOutcome, Work, finished, never
+from rossec.master.api.turns import CallOutcome, Work, never_expires, run_to_end
 from rossec.master.api.watch_calls import WatchCalls
 from rossec.master.rights.access_rules import AccessControl, AddressTaken, Caller, Refused
 from rossec.master.rights.interfaces import Statements
@@ -42,10 +42,10 @@ class MasterApi:
     Args:
         name: the master's own certified name.
         uri, pid: what `getUri` and `getPid` answer.
-        instance: names this run of the master.
-        started: when it began, seconds since the epoch.
-        parameters: what is set already.
-        parameter_bytes: how much room all parameters together may take.
+        instance: identifies this run of the master.
+        started: when this run began, seconds since the epoch.
+        parameters: those already set.
+        parameter_bytes: limit on the size of all parameters together.
     """
 
     def __init__(
@@ -63,14 +63,14 @@ class MasterApi:
     ) -> None:
         self._uri = uri
         self._pid = pid
-        self._gatekeeper = AccessControl(registry, name)
-        self.watching = WatchCalls(registry, self._gatekeeper, instance)
+        self._access_control = AccessControl(registry, name)
+        self.watch_calls = WatchCalls(registry, self._access_control, instance)
         tree = Parameters() if parameters is None else parameters
         self.parameters = ParameterCalls(tree, registry, statements.caller_of, parameter_bytes)
         self.methods: Methods = {
-            **GraphCalls(registry, self._gatekeeper).methods(),
+            **GraphCalls(registry, self._access_control).methods(),
             **self.parameters.methods(),
-            **self.watching.methods(),
+            **self.watch_calls.methods(),
             **StatementCalls(statements, registry, name, started).methods(),
             **self._own_methods(),
         }
@@ -82,13 +82,13 @@ class MasterApi:
         caller: Caller,
         now: int,
         *,
-        near: bool = True,
+        is_local: bool = True,
     ) -> CallOutcome:
-        """Answer one call, all of it at once; arguments and errors as of `begin`."""
+        """Answer one call, to its end; arguments and errors as of `begin`."""
         if method == MULTICALL:
-            return self._multicall(params, caller, now, near=near)
-        begun = self.begin(method, params, caller, now, near=near)
-        return begun if isinstance(begun, CallOutcome) else finished(begun)
+            return self._multicall(params, caller, now, is_local=is_local)
+        begun = self.begin(method, params, caller, now, is_local=is_local)
+        return begun if isinstance(begun, CallOutcome) else run_to_end(begun)
 
     def begin(
         self,
@@ -97,71 +97,72 @@ class MasterApi:
         caller: Caller,
         now: int,
         *,
-        near: bool = True,
+        is_local: bool = True,
     ) -> CallOutcome | Work:
-        """Answer one call, or begin to; `near`: it comes from the master's own host.
+        """Answer one call, or begin to; `is_local`: the caller is on the master's host.
 
         Raises:
             Fault: no such method.
         """
-        row = self.methods.get(method)
-        if row is None:
+        entry = self.methods.get(method)
+        if entry is None:
             raise Fault(1, f"<class 'Exception'>:method \"{method}\" is not supported")
         try:
-            request = self._request(method, row, params, caller, now, near=near)
-            reply = row.handler(request)
+            request = self._request(method, entry, params, caller, now, is_local=is_local)
+            reply = entry.handler(request)
         except ArgumentRefused as refused:
-            return CallOutcome([-1, str(refused), row.default])
+            return CallOutcome([-1, str(refused), entry.default])
         except Refused as refused:
-            return _refused(refused, method, row, caller)
+            return _refused(refused, method, entry, caller)
         if isinstance(reply, Reply):
             return _answered(reply, method, request, caller)
-        return _in_steps(reply, method, row, request, caller)
+        return _in_steps(reply, method, entry, request, caller)
 
-    def make(
+    def run_multicall(
         self,
         multicall: Multicall,
         caller: Caller,
         now: int,
         *,
-        near: bool = True,
-        over: Callable[[], bool] = never,
+        is_local: bool = True,
+        expired: Callable[[], bool] = never_expires,
     ) -> tuple[MasterEvent, ...]:
-        """Some more of the elements of a multicall; returns what to deliver for them."""
+        """Process elements of a multicall for one turn; returns the events to deliver."""
         return multicall.step(
-            lambda method, params: self.begin(method, params, caller, now, near=near), over
+            lambda method, params: self.begin(method, params, caller, now, is_local=is_local),
+            expired,
         )
 
     def _multicall(
-        self, params: Sequence[object], caller: Caller, now: int, *, near: bool
+        self, params: Sequence[object], caller: Caller, now: int, *, is_local: bool
     ) -> CallOutcome:
-        """All of a multicall at once."""
+        """Answer a multicall, to its end."""
         multicall, events = Multicall(params), list[MasterEvent]()
         while not multicall.done:
-            events += self.make(multicall, caller, now, near=near)
+            events += self.run_multicall(multicall, caller, now, is_local=is_local)
         return CallOutcome(multicall.answer, tuple(events))
 
     def _request(
         self,
         method: str,
-        row: Method,
+        entry: Method,
         params: Sequence[object],
         caller: Caller,
         now: int,
         *,
-        near: bool,
+        is_local: bool,
     ) -> CallRequest:
         if not params:
             raise ArgumentRefused("missing required caller_id parameter")
-        if len(params) != 1 + len(row.checks):
+        if len(params) != 1 + len(entry.checks):
             raise ArgumentRefused("Error: bad call arity")
         caller_id = params[0]
         if not isinstance(caller_id, str):
             raise ArgumentRefused("caller_id must be a string")
-        acting = self._gatekeeper.acting(method, caller, caller_id)
-        checked = [check(params[at], caller_id) for at, check in enumerate(row.checks, 1)]
-        request = CallRequest(acting, (caller_id, *checked), now, near)
-        self._gatekeeper.check(method, acting, request.arguments, near=near)
+        acting_caller = self._access_control.acting_caller(method, caller, caller_id)
+        checked = [check(params[at], caller_id) for at, check in enumerate(entry.checks, 1)]
+        request = CallRequest(acting_caller, (caller_id, *checked), now, is_local)
+        self._access_control.check(method, acting_caller, request.arguments, is_local=is_local)
         return request
 
     def _own_methods(self) -> Methods:
@@ -176,25 +177,27 @@ class MasterApi:
         return Reply(0, "shutdown", events=(StopMaster(reason),))
 
 
-def _in_steps(steps: Steps, method: str, row: Method, request: CallRequest, caller: Caller) -> Work:
+def _in_steps(
+    steps: Steps, method: str, entry: Method, request: CallRequest, caller: Caller
+) -> Work:
     try:
         reply = yield from steps
     except Refused as refused:
-        return _refused(refused, method, row, caller)
+        return _refused(refused, method, entry, caller)
     return _answered(reply, method, request, caller)
 
 
 def _answered(reply: Reply, method: str, request: CallRequest, caller: Caller) -> CallOutcome:
     events = reply.events
-    if request.caller.thumbprint != caller.thumbprint:  # only an administrator gets so far
+    if request.caller.thumbprint != caller.thumbprint:  # only an administrator passes the checks
         what = f"calls {method} for {request.caller.name}: {reply.status}"
-        events = (*events, Administered(caller.title, what))
+        events = (*events, Administered(caller.display_name, what))
     return CallOutcome([reply.code, reply.status, reply.value], events)
 
 
-def _refused(refused: Refused, method: str, row: Method, caller: Caller) -> CallOutcome:
+def _refused(refused: Refused, method: str, entry: Method, caller: Caller) -> CallOutcome:
     status = f"rossec: {refused}"
-    denied = () if refused.wanted is None else (Denied(caller.name, *refused.wanted),)
+    denied = () if refused.missing is None else (Denied(caller.name, *refused.missing),)
     taken_by = refused.owner if isinstance(refused, AddressTaken) else None
-    refusal = CallDenied(caller.title, method, status, taken_by)
-    return CallOutcome([-1, status, row.default], (refusal, *denied))
+    refusal = CallDenied(caller.display_name, method, status, taken_by)
+    return CallOutcome([-1, status, entry.default], (refusal, *denied))

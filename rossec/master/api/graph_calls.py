@@ -1,6 +1,6 @@
 """The calls about the graph: registering, looking up, listing. Pure; texts are stock's.
 
-State queries are filtered by the gatekeeper: a caller sees its own entries and the names its
+State queries are filtered by access control: a caller sees its own entries and the names that its
 grants cover.
 """
 
@@ -9,26 +9,26 @@ from typing import Final
 
 from rossec.master.api import arguments as arg
 from rossec.master.api.methods import CallRequest, Method, Methods, Reply, Steps
-from rossec.master.rights.access_rules import AccessControl, Caller, require_room
+from rossec.master.rights.access_rules import AccessControl, Caller, require_capacity
 from rossec.master.state.registry import Kind, Registry
-from rossec.ros.xmlwrite import Written
+from rossec.ros.xmlwrite import EncodedList
 
-_STATES_KEPT: Final = 16
-_ENTRIES_KEPT: Final = 8192
+_MAX_CACHED_STATES: Final = 16
+_MAX_CACHED_ENTRIES: Final = 8192
 
 
 class GraphCalls:
     """Handlers over one registry."""
 
-    def __init__(self, registry: Registry, gatekeeper: AccessControl) -> None:
+    def __init__(self, registry: Registry, access_control: AccessControl) -> None:
         self._registry = registry
-        self._gatekeeper = gatekeeper
-        self._entries: dict[tuple[str, tuple[str, ...]], Written] = {}
-        self._states: dict[int, tuple[Caller, Written]] = {}  # by identity of the caller
+        self._access_control = access_control
+        self._entries: dict[tuple[str, tuple[str, ...]], EncodedList] = {}
+        self._states: dict[int, tuple[Caller, EncodedList]] = {}  # by identity of the caller
         self._version = -1
 
     def methods(self) -> Methods:
-        """The rows of the method table."""
+        """The entries of the method table."""
         topic, type_name = arg.topic("topic"), arg.type_name("topic_type")
         service, api = arg.topic("service"), arg.uri("caller_api", "http")
         service_api = arg.uri("service_api", "rosrpc")
@@ -48,21 +48,21 @@ class GraphCalls:
 
     def _register_publisher(self, request: CallRequest) -> Reply:
         name, topic, type_name = (request.text(i) for i in range(3))
-        require_room(self._registry, Kind.PUBLISHER, topic, request.node(3))
+        require_capacity(self._registry, Kind.PUBLISHER, topic, request.node(3))
         events = self._registry.register_publisher(topic, type_name, request.node(3))
         status = f"Registered [{name}] as publisher of [{topic}]"
         return Reply(self._registry.uris(Kind.SUBSCRIBER, topic), status, events=tuple(events))
 
     def _register_subscriber(self, request: CallRequest) -> Reply:
         topic, type_name = request.text(1), request.text(2)
-        require_room(self._registry, Kind.SUBSCRIBER, topic, request.node(3))
+        require_capacity(self._registry, Kind.SUBSCRIBER, topic, request.node(3))
         events = self._registry.register_subscriber(topic, type_name, request.node(3))
         publishers = self._registry.uris(Kind.PUBLISHER, topic)
         return Reply(publishers, f"Subscribed to [{topic}]", events=tuple(events))
 
     def _register_service(self, request: CallRequest) -> Reply:
         name, service, service_uri = (request.text(i) for i in range(3))
-        require_room(self._registry, Kind.SERVICE, service, request.node(3))
+        require_capacity(self._registry, Kind.SERVICE, service, request.node(3))
         events = self._registry.register_service(service, service_uri, request.node(3))
         return Reply(1, f"Registered [{name}] as provider of [{service}]", events=tuple(events))
 
@@ -86,7 +86,7 @@ class GraphCalls:
     def _lookup_node(self, request: CallRequest) -> Reply:
         name = request.text(1)
         uri = self._registry.node_uri(name)
-        if uri is None or not self._gatekeeper.node_shown(request.caller, name):
+        if uri is None or not self._access_control.is_node_visible(request.caller, name):
             return Reply("", f"unknown node [{name}]", -1)
         return Reply(uri, "node api")
 
@@ -99,72 +99,74 @@ class GraphCalls:
     def _system_state(self, request: CallRequest) -> Steps:
         return Reply((yield from self._state(request.caller)), "current system state")
 
-    def _state(self, caller: Caller) -> Generator[None, None, Written]:
-        """What the caller is shown; the same while neither the registry nor the caller changed."""
+    def _state(self, caller: Caller) -> Generator[None, None, EncodedList]:
+        """What the caller may see; cached while neither the registry nor the caller changes."""
         version = self._registry.version
         if self._version != version:
             self._version = version
             self._states.clear()
-        known = self._states.get(id(caller))
-        if known is not None and known[0] is caller:
-            return known[1]
-        state = Written(
+        cached = self._states.get(id(caller))
+        if cached is not None and cached[0] is caller:
+            return cached[1]
+        state = EncodedList(
             [
-                (yield from self._shown(Kind.PUBLISHER, caller)),
-                (yield from self._shown(Kind.SUBSCRIBER, caller)),
-                (yield from self._shown(Kind.SERVICE, caller)),
+                (yield from self._visible_entries(Kind.PUBLISHER, caller)),
+                (yield from self._visible_entries(Kind.SUBSCRIBER, caller)),
+                (yield from self._visible_entries(Kind.SERVICE, caller)),
             ]
         )
         if self._registry.version == self._version == version:
-            if len(self._states) >= _STATES_KEPT:
+            if len(self._states) >= _MAX_CACHED_STATES:
                 self._states.clear()
             self._states[id(caller)] = caller, state
         return state
 
-    def _shown(self, kind: Kind, caller: Caller) -> Generator[None, None, list[object]]:
-        found, at_once = list[object](), caller.looks_at_once
+    def _visible_entries(self, kind: Kind, caller: Caller) -> Generator[None, None, list[object]]:
+        found, at_once = list[object](), caller.names_per_yield
         for count, (key, nodes) in enumerate(self._registry.entries(kind), 1):
-            if names := self._gatekeeper.nodes_shown(caller, key, nodes):
+            if names := self._access_control.visible_nodes(caller, key, nodes):
                 found.append(self._entry(key, names))
             if not count % at_once:
                 yield
         return found
 
-    def _entry(self, key: str, names: tuple[str, ...]) -> Written:
-        """One name with its nodes, written once for all who are shown it."""
+    def _entry(self, key: str, names: tuple[str, ...]) -> EncodedList:
+        """One name with its nodes, encoded once for all callers that may see it."""
         entry = self._entries.get((key, names))
         if entry is None:
-            if len(self._entries) >= _ENTRIES_KEPT:
+            if len(self._entries) >= _MAX_CACHED_ENTRIES:
                 self._entries.clear()
-            entry = self._entries[key, names] = Written([key, list(names)])
+            entry = self._entries[key, names] = EncodedList([key, list(names)])
         return entry
 
     def _topic_types(self, request: CallRequest) -> Steps:
         types = self._registry.topic_types()
-        return Reply((yield from self._typed(request.caller, types)), "current system state")
+        return Reply(
+            (yield from self._visible_types(request.caller, types)), "current system state"
+        )
 
     def _published_topics(self, request: CallRequest) -> Steps:
-        space = request.text(1)
-        if space and not space.endswith("/"):
-            space += "/"
+        namespace = request.text(1)
+        if namespace and not namespace.endswith("/"):
+            namespace += "/"
         entries = self._registry.entries(Kind.PUBLISHER)
         topics = ((key, self._registry.topic_type(key)) for key, _ in entries)
-        within = ((key, name) if key.startswith(space) else None for key, name in topics)
-        return Reply((yield from self._typed(request.caller, within)), "current topics")
+        within = ((key, name) if key.startswith(namespace) else None for key, name in topics)
+        return Reply((yield from self._visible_types(request.caller, within)), "current topics")
 
-    def _typed(
+    def _visible_types(
         self, caller: Caller, topics: Iterable[tuple[str, str] | None]
     ) -> Generator[None, None, list[list[str]]]:
-        """Those of `topics`, with their types, that the caller is shown."""
-        shown, at_once = list[list[str]](), caller.looks_at_once
+        """Those of `topics`, with their types, that the caller may see."""
+        shown, at_once = list[list[str]](), caller.names_per_yield
         for count, topic in enumerate(topics, 1):
-            if topic is not None and self._topic_shown(caller, topic[0]):
+            if topic is not None and self._is_topic_visible(caller, topic[0]):
                 shown.append([*topic])
             if not count % at_once:
                 yield
         return shown
 
-    def _topic_shown(self, caller: Caller, topic: str) -> bool:
+    def _is_topic_visible(self, caller: Caller, topic: str) -> bool:
         own = (Kind.PUBLISHER, Kind.SUBSCRIBER)
         if any(self._registry.is_registered(kind, topic, caller.name) for kind in own):
             return True

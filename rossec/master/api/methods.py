@@ -1,4 +1,4 @@
-"""What a master method is: its arguments, its default, its handler, and what a handler returns."""
+"""The types of a master method: its arguments, default and handler, and what handlers return."""
 
 from collections.abc import Callable, Generator, Mapping
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from rossec.master.state.registry import Event, NodeRef
 
 @dataclass(frozen=True)
 class ParameterChanged:
-    """Tell one subscriber that a parameter has this value now ({}: unset)."""
+    """Notify one subscriber that a parameter has this value now ({}: unset)."""
 
     node: NodeRef
     key: str
@@ -22,14 +22,14 @@ class ParameterChanged:
 
 @dataclass(frozen=True)
 class StopMaster:
-    """An administrator asked the master to end."""
+    """An administrator has called `shutdown`."""
 
     reason: str
 
 
 @dataclass(frozen=True)
 class GrantsPresented:
-    """A caller has handed in grants; what it may do has changed, except for those refused."""
+    """A caller has presented grants, of which some may be `refused`; its rights have changed."""
 
     name: str
     refused: tuple[str, ...] = ()
@@ -37,14 +37,14 @@ class GrantsPresented:
 
 @dataclass(frozen=True)
 class RevocationsChanged:
-    """A newer revocation list, which `by` brought, is in force: enforce it and pass it on."""
+    """A newer revocation list, delivered by `by`, is in force: enforce it and distribute it."""
 
     by: str
 
 
 @dataclass(frozen=True)
 class Administered:
-    """Somebody changed what the master does, or what another node registered: for the audit."""
+    """An administrative change to the master or to another node's registrations: for the audit."""
 
     by: str
     what: str
@@ -52,7 +52,7 @@ class Administered:
 
 @dataclass(frozen=True)
 class Denied:
-    """A caller lacks a right on a name: what a complain log is made of."""
+    """A caller lacks a right on a name: for the denial log."""
 
     node: str
     right: Right
@@ -63,7 +63,7 @@ class Denied:
 class CallDenied:
     """A call was refused by rossec, alone or within a multicall: for the audit.
 
-    `taken_by` is the node that has the address, if that was the reason.
+    `taken_by` is the node that registered the address, if that was the reason.
     """
 
     node: str
@@ -73,8 +73,8 @@ class CallDenied:
 
 
 @dataclass(frozen=True)
-class ParameterKept:
-    """A change to write down, so that it survives the master."""
+class PersistParameter:
+    """Write this change to the journal, so that it survives a restart."""
 
     change: ParameterChange
 
@@ -82,7 +82,7 @@ class ParameterKept:
 MasterEvent = (
     Event
     | ParameterChanged
-    | ParameterKept
+    | PersistParameter
     | StopMaster
     | GrantsPresented
     | RevocationsChanged
@@ -104,23 +104,23 @@ class Reply(NamedTuple):
 class CallRequest(NamedTuple):
     """One call whose arguments are checked and resolved; `arguments[0]` is the caller_id.
 
-    `near`: it comes from the master's own host.
+    `is_local`: the caller is on the master's host.
     """
 
     caller: Caller
     arguments: tuple[object, ...]
     now: int
-    near: bool = True
+    is_local: bool = True
 
     def text(self, index: int) -> str:
-        """An argument whose check returned text."""
+        """An argument that was checked to be text."""
         value = self.arguments[index]
         if not isinstance(value, str):
             raise TypeError(f"argument {index} is not text")
         return value
 
     def binary(self, index: int) -> bytes:
-        """An argument whose check returned bytes."""
+        """An argument that was checked to be bytes."""
         value = self.arguments[index]
         if not isinstance(value, bytes):
             raise TypeError(f"argument {index} is not bytes")
@@ -132,14 +132,14 @@ class CallRequest(NamedTuple):
 
 
 Steps = Generator[None, None, Reply]
-"""A query over all there is: yields wherever others may have their turn, returns the reply."""
+"""A filtered query: yields where other calls may be answered, returns the reply."""
 
 Handler = Callable[[CallRequest], Reply | Steps]
 
 
 @dataclass(frozen=True)
 class Method:
-    """One row of the method table: checks of the arguments after caller_id, default, handler."""
+    """An entry of the method table: checks of the arguments after caller_id, default, handler."""
 
     checks: tuple[Check, ...]
     default: object

@@ -1,8 +1,8 @@
 """`system.multicall`: each element is a call of its own, with its own rights. Pure.
 
-It is made in turns, so that one node with four thousand elements does not keep the others waiting;
-what the caller may do is asked anew each time. What is bounded: the elements, those that cost much,
-and how long all answers are together. Nesting is refused.
+It is processed in turns, so that four thousand elements of one node do not delay other calls; the
+caller's rights are evaluated again at each turn. Limited are the number of elements, the number of
+expensive ones, and the size of all answers together. Nesting is refused.
 """
 
 import xmlrpc.client
@@ -10,16 +10,16 @@ from collections.abc import Callable, Sequence
 from typing import Final
 
 from rossec.master.api.methods import GrantsPresented, MasterEvent, RevocationsChanged
-from rossec.master.api.turns import CallOutcome, Over, Work, advance
+from rossec.master.api.turns import CallOutcome, TurnExpired, Work, advance
 from rossec.master.rights.access_rules import RULES, Scope
-from rossec.master.state.parameter_values import weight
+from rossec.master.state.parameter_values import encoded_size
 from rossec.ros.xmlrpc import BODY_LIMIT
 
 Fault = xmlrpc.client.Fault
 MULTICALL: Final = "system.multicall"
 MULTICALL_LIMIT: Final = 4096  # roslaunch sets every parameter of a launch file in one
-MULTICALL_QUERIES: Final = 16  # answers over the whole graph; more in one call only amplifies
-MULTICALL_ANSWER: Final = BODY_LIMIT  # bytes, about; else 4096 questions for one large parameter
+MULTICALL_QUERIES: Final = 16  # queries of the whole graph; more would be amplification
+MULTICALL_ANSWER: Final = BODY_LIMIT  # bytes, about; else 4096 requests for one large parameter
 MULTICALL_ONCE: Final = frozenset(  # each of these costs signatures or carries a whole list
     {
         "rossec.presentGrants", "rossec.renewGrants", "rossec.updateDelegation",
@@ -30,16 +30,16 @@ MULTICALL_ONCE: Final = frozenset(  # each of these costs signatures or carries 
 )  # fmt: skip
 
 
-_RIGHTS: Final = (RevocationsChanged, GrantsPresented)
-Make = Callable[[str, Sequence[object]], CallOutcome | Work]
-"""Makes one call, or begins to, or raises `Fault`."""
+_RIGHTS_CHANGED: Final = (RevocationsChanged, GrantsPresented)
+BeginCall = Callable[[str, Sequence[object]], CallOutcome | Work]
+"""Answers one call, or begins to, or raises `Fault`."""
 
 
 class Multicall:
-    """One multicall: `step` until `done`, then `answer` is what to answer.
+    """One multicall: call `step` until `done`, then `answer` is its answer.
 
     Raises:
-        Fault: it is none, or asks for too much.
+        Fault: the multicall is malformed or exceeds a limit.
     """
 
     def __init__(self, params: Sequence[object]) -> None:
@@ -50,76 +50,76 @@ class Multicall:
             raise Fault(1, f"rossec: more than {MULTICALL_QUERIES} state queries in a multicall")
         self._calls: list[object] = calls
         self._answers: list[object] = []
-        self._once: dict[str, int] = {}  # where the first of each is
-        self._room = MULTICALL_ANSWER
-        self._work: Work | None = None  # the element that is being made
+        self._first_index: dict[str, int] = {}  # by method, of those allowed once
+        self._bytes_left = MULTICALL_ANSWER
+        self._work: Work | None = None  # the element in progress
 
     @property
     def done(self) -> bool:
-        """Whether nothing is left to be made."""
-        return self._room < 0 or len(self._answers) == len(self._calls)
+        """Whether no element is left."""
+        return self._bytes_left < 0 or len(self._answers) == len(self._calls)
 
     @property
     def answer(self) -> object:
-        """The answers made so far; a fault when they are too long, though what was made is made."""
-        if self._room >= 0:
+        """The answers so far; a fault when they are too long: the calls made remain in effect."""
+        if self._bytes_left >= 0:
             return self._answers
         made = f"{len(self._answers)} of its {len(self._calls)} calls were made"
         text = "the answers of this multicall are too long"
         return Fault(1, f"rossec: {text}: {made}, ask for less at a time")
 
-    def step(self, make: Make, over: Over) -> tuple[MasterEvent, ...]:
-        """Make calls until the turn is `over`; returns what is to be delivered for them."""
+    def step(self, begin: BeginCall, expired: TurnExpired) -> tuple[MasterEvent, ...]:
+        """Process elements until the turn has `expired`; returns the events to deliver."""
         events: list[MasterEvent] = []
         while not self.done:
-            outcome = self._next(make, over)
+            outcome = self._run_element(begin, expired)
             if outcome is None:
                 break
             self._answers.append(outcome.answer)
-            self._room -= weight(outcome.answer)
+            self._bytes_left -= encoded_size(outcome.answer)
             events += outcome.events
-            if over() or (events and isinstance(events[-1], _RIGHTS)):
-                break  # what follows from it must have followed before the next one is made
+            if expired() or (events and isinstance(events[-1], _RIGHTS_CHANGED)):
+                break  # its effects must come before the next element
         return tuple(events)
 
-    def begin_again(self) -> None:
-        """What the element that is being made has found so far does not count any more."""
+    def restart_element(self) -> None:
+        """Discard the partial result of the element in progress."""
         self._work = None
 
-    def _next(self, make: Make, over: Over) -> CallOutcome | None:
-        """Make one element; None: there is more to do."""
+    def _run_element(self, begin: BeginCall, expired: TurnExpired) -> CallOutcome | None:
+        """Process one element; None: it is not finished."""
         try:
-            begun = self._begun(make) if self._work is None else self._work
-            made = begun if isinstance(begun, CallOutcome) else advance(begun, over)
+            begun = self._begin_next(begin) if self._work is None else self._work
+            outcome = begun if isinstance(begun, CallOutcome) else advance(begun, expired)
         except Fault as fault:
-            made = CallOutcome({"faultCode": fault.faultCode, "faultString": fault.faultString})
+            outcome = CallOutcome({"faultCode": fault.faultCode, "faultString": fault.faultString})
         else:
-            if made is None:
+            if outcome is None:
                 self._work = None if isinstance(begun, CallOutcome) else begun
                 return None
-            made = CallOutcome([made.answer], made.events)
+            outcome = CallOutcome([outcome.answer], outcome.events)
         self._work = None
-        return made
+        return outcome
 
-    def _begun(self, make: Make) -> CallOutcome | Work:
+    def _begin_next(self, begin: BeginCall) -> CallOutcome | Work:
         element = self._calls[len(self._answers)]
         self._check_once(element)
-        return _made(element, make)
+        return _begin_element(element, begin)
 
     def _check_once(self, element: object) -> None:
         method, at = _method_of(element), len(self._answers)
-        if method in MULTICALL_ONCE and self._once.setdefault(method, at) != at:
+        if method in MULTICALL_ONCE and self._first_index.setdefault(method, at) != at:
             raise Fault(1, f"rossec: more than one {method} in a multicall")
 
 
-def _made(element: object, make: Make) -> CallOutcome | Work:
+def _begin_element(element: object, begin: BeginCall) -> CallOutcome | Work:
     method = element.get("methodName") if isinstance(element, dict) else None
     params = element.get("params") if isinstance(element, dict) else None
     if not isinstance(method, str) or not isinstance(params, list):
         raise Fault(1, "rossec: a multicall element needs methodName and params")
     if method == MULTICALL:
         raise Fault(1, "rossec: a multicall inside a multicall")
-    return make(method, params)
+    return begin(method, params)
 
 
 def _method_of(element: object) -> str:

@@ -1,7 +1,7 @@
 """The Parameter Server's calls. Pure; texts are stock's.
 
 A right must cover what a call reaches: for a tree every parameter in it, before and after. So
-`setParam("/", ...)` or `getParam("/ns")` is no way around a missing right on one of them.
+`setParam("/", ...)` or `getParam("/ns")` does not circumvent a missing right on one of them.
 """
 
 import xmlrpc.client
@@ -16,16 +16,16 @@ from rossec.master.api.methods import (
     Method,
     Methods,
     ParameterChanged,
-    ParameterKept,
+    PersistParameter,
     Reply,
     Steps,
 )
-from rossec.master.rights.access_rules import Caller, require_address, require_room
+from rossec.master.rights.access_rules import Caller, require_address, require_capacity
 from rossec.master.rights.parameter_trees import (
-    Place,
-    looked_in_turns,
-    may_all,
-    named,
+    ParameterItem,
+    decisions_across_turns,
+    has_right_on_all,
+    parameter_names,
     require_tree,
 )
 from rossec.master.state import parameter_values
@@ -35,8 +35,8 @@ from rossec.master.state.parameters import SIZE_LIMIT, ParameterMissing, Paramet
 from rossec.master.state.registry import Kind, NodeRef, Registry
 from rossec.ros.xmlrpc import BODY_LIMIT
 
-_TOO_LONG: Final = 2 * BODY_LIMIT  # in `values.weight`, which is about the length of an answer
-_LONGER: Final = f"rossec: an answer of more than {BODY_LIMIT} bytes: ask for less at a time"
+_MAX_ENCODED: Final = 2 * BODY_LIMIT  # by `encoded_size`, about the length of an answer
+_TOO_LONG: Final = f"rossec: an answer of more than {BODY_LIMIT} bytes: ask for less at a time"
 
 Fault = xmlrpc.client.Fault
 
@@ -45,7 +45,7 @@ class ParameterCalls:
     """Handlers over one parameter tree.
 
     Args:
-        caller_of: what a subscriber may read when an update goes out; None: nothing any more.
+        caller_of: a subscriber with its rights when an update is sent; None: its key is revoked.
         limit: bytes of all parameters together.
     """
 
@@ -60,10 +60,10 @@ class ParameterCalls:
         self._limit = limit
         self._registry = registry
         self._caller_of = caller_of
-        self._grown: Counter[bytes] = Counter()  # by key, bytes that it added
+        self._bytes_added: Counter[bytes] = Counter()  # by key, net of what it deleted
 
     def methods(self) -> Methods:
-        """The rows of the method table."""
+        """The entries of the method table."""
         key, api = arg.key("key"), arg.uri("caller_api", "http")
         return {
             "getParam": Method((key,), 0, self._get),
@@ -71,128 +71,132 @@ class ParameterCalls:
             "setParam": Method((key, arg.not_none("value")), 0, self._set),
             "deleteParam": Method((key,), 0, self._delete),
             "searchParam": Method((arg.search_key("key"),), 0, self._search),
-            "getParamNames": Method((), [], self._names),
+            "getParamNames": Method((), [], self._parameter_names),
             "subscribeParam": Method((api, key), 0, self._subscribe),
             "unsubscribeParam": Method((api, key), 0, self._unsubscribe),
         }
 
     def _get(self, request: CallRequest) -> Reply:
         key = request.text(1)
-        place = self._parameters.place(key)
-        require_tree(request.caller, Right.PARAM_GET, key, place)
-        if place[1] is None:  # which no parameter can be
+        item = self._parameters.item(key)
+        require_tree(request.caller, Right.PARAM_GET, key, item)
+        if item[1] is None:  # no parameter has this value
             return Reply(0, f"Parameter [{key}] is not set", -1)
-        return Reply(_carried(place[1]), f"Parameter [{key}]")
+        return Reply(_sendable(item[1]), f"Parameter [{key}]")
 
     def _has(self, request: CallRequest) -> Reply:
         key = request.text(1)
-        require_tree(request.caller, Right.PARAM_GET, key, self._parameters.place(key))
+        require_tree(request.caller, Right.PARAM_GET, key, self._parameters.item(key))
         return Reply(self._parameters.has(key), key)
 
     def _set(self, request: CallRequest) -> Reply:
         key, value = request.text(1), request.arguments[2]
         try:
             parameter_state.check_names(key, value)
-            require_tree(request.caller, Right.PARAM_SET, key, *self._places(key, value))
-            self._set_within_share(request.caller, key, value)
+            require_tree(request.caller, Right.PARAM_SET, key, *self._affected_items(key, value))
+            self._set_within_quota(request.caller, key, value)
         except (TypeError, ValueError) as error:
             return Reply(0, f"Error: invalid arguments: {error}", -1)
-        kept = ParameterKept(ParameterChange(key, value))
+        persist = PersistParameter(ParameterChange(key, value))
         events = self._updates(key, value, request, setter=request.caller.name)
-        return Reply(0, f"parameter {key} set", events=(kept, *events))
+        return Reply(0, f"parameter {key} set", events=(persist, *events))
 
-    def _places(self, key: str, value: object) -> list[Place]:
-        """What is there before and after `key` is set to `value`."""
-        before = self._parameters.reach(key)  # the last of them is `key` itself
+    def _affected_items(self, key: str, value: object) -> list[ParameterItem]:
+        """The items that setting `key` to `value` reaches, before and after."""
+        before = self._parameters.items_affected(key)  # the last of them is `key` itself
         has_tree = isinstance(value, dict) or isinstance(before[-1][1], dict)
         return [*before, (key, value)] if has_tree else before
 
-    def _set_within_share(self, caller: Caller, key: str, value: object) -> None:
-        """Nobody fills the room that is for all: one key has half of it, so long as it lives.
+    def _set_within_quota(self, caller: Caller, key: str, value: object) -> None:
+        """Set a parameter; the net additions of one key in this run are at most half of the limit.
 
-        What was set before the master was started is nobody's.
+        What was set before the master was started counts for no key.
         """
-        before, share = self._parameters.size, self._limit // 2
-        own = min(self._grown[caller.thumbprint], before)  # others may have deleted it
+        before, quota = self._parameters.size, self._limit // 2
+        own = min(self._bytes_added[caller.thumbprint], before)  # others may have deleted it
         try:
-            self._parameters.set(key, value, min(self._limit, before + max(0, share - own)))
+            self._parameters.set(key, value, min(self._limit, before + max(0, quota - own)))
         except TooLarge as error:
             if error.size > self._limit:
                 raise TooLarge(error.size, self._limit) from error
             raise ValueError(
-                f"the parameters that {caller.identity} has set would take more than {share} bytes"
+                f"the parameters that {caller.identity} has set would take more than {quota} bytes"
             ) from error
         self._account(caller, before)
 
     def _account(self, caller: Caller, before: int) -> None:
-        """Count what a caller added since the size was `before`; less than nothing is nothing."""
+        """Count what a caller added since the size was `before`, at least 0 in total."""
         key = caller.thumbprint
-        self._grown[key] = min(self._grown[key], before) + self._parameters.size - before
-        if self._grown[key] <= 0:
-            del self._grown[key]
+        self._bytes_added[key] = (
+            min(self._bytes_added[key], before) + self._parameters.size - before
+        )
+        if self._bytes_added[key] <= 0:
+            del self._bytes_added[key]
 
     def _delete(self, request: CallRequest) -> Reply:
         key = request.text(1)
-        require_tree(request.caller, Right.PARAM_SET, key, self._parameters.place(key))
+        require_tree(request.caller, Right.PARAM_SET, key, self._parameters.item(key))
         before = self._parameters.size
         try:
             self._parameters.delete(key)
         except ParameterMissing:
             return Reply(0, f"parameter [{key}] is not set", -1)
         self._account(request.caller, before)
-        kept = ParameterKept(ParameterChange(key, deleted=True))
+        persist = PersistParameter(ParameterChange(key, deleted=True))
         events = self._updates(key, {}, request, setter=None)
-        return Reply(0, f"parameter {key} deleted", events=(kept, *events))
+        return Reply(0, f"parameter {key} deleted", events=(persist, *events))
 
     def _search(self, request: CallRequest) -> Steps:
         key = request.text(1)
         try:
-            places = parameter_state.places_to_search(request.caller.name, key)
+            candidates = parameter_state.search_candidates(request.caller.name, key)
         except ValueError as error:
             return Reply(0, f"Internal failure: {error}", 0)
-        for place, found in places:
-            if self._parameters.has(place) and (yield from self._is_shown(request.caller, place)):
+        for candidate, found in candidates:
+            if not self._parameters.has(candidate):
+                continue
+            if (yield from self._is_readable(request.caller, candidate)):
                 return Reply(found, f"Found [{found}]")
         return Reply("", f"Cannot find parameter [{key}] in an upwards search", -1)
 
-    def _is_shown(self, caller: Caller, key: str) -> Generator[None, None, bool]:
-        """Whether the caller may read anything there."""
-        looks = looked_in_turns(caller, Right.PARAM_GET, self._parameters.place(key))
-        at_once = caller.looks_at_once
-        for count, look in enumerate(looks, 1):
-            if look.covered:
+    def _is_readable(self, caller: Caller, key: str) -> Generator[None, None, bool]:
+        """Whether the caller may read anything at or below `key`."""
+        results = decisions_across_turns(caller, Right.PARAM_GET, self._parameters.item(key))
+        at_once = caller.names_per_yield
+        for count, decision in enumerate(results, 1):
+            if decision.covered:
                 return True
             if not count % at_once:
                 yield
         return False
 
-    def _names(self, request: CallRequest) -> Steps:
-        shown, room, at_once = list[str](), _TOO_LONG, request.caller.looks_at_once
-        for count, name in enumerate(self._listed(request.caller), 1):
+    def _parameter_names(self, request: CallRequest) -> Steps:
+        shown, bytes_left, at_once = list[str](), _MAX_ENCODED, request.caller.names_per_yield
+        for count, name in enumerate(self._readable_names(request.caller), 1):
             if name is not None:
                 shown.append(name)
-                room -= parameter_values.weight(name)
-            if room < 0:
-                raise Fault(1, _LONGER)
+                bytes_left -= parameter_values.encoded_size(name)
+            if bytes_left < 0:
+                raise Fault(1, _TOO_LONG)
             if not count % at_once:
                 yield
         return Reply(shown, "Parameter names")
 
-    def _listed(self, caller: Caller) -> Iterator[str | None]:
-        """Every parameter the caller may read, and None where it was looked for one in vain."""
-        for look in looked_in_turns(caller, Right.PARAM_GET, self._parameters.place("/")):
-            if look.covered:
-                yield from named(look.place)
+    def _readable_names(self, caller: Caller) -> Iterator[str | None]:
+        """Every parameter the caller may read, and None for each name it may not."""
+        for decision in decisions_across_turns(caller, Right.PARAM_GET, self._parameters.item("/")):
+            if decision.covered:
+                yield from parameter_names(decision.item)
             else:
                 yield None
 
     def _subscribe(self, request: CallRequest) -> Reply:
         node, key = request.node(1), request.text(2)
-        require_tree(request.caller, Right.PARAM_GET, key, self._parameters.place(key))
-        require_address(self._registry, request.caller, node.uri, near=request.near)
+        require_tree(request.caller, Right.PARAM_GET, key, self._parameters.item(key))
+        require_address(self._registry, request.caller, node.uri, is_local=request.is_local)
         subscription = parameter_state.subscription_key(key)
-        require_room(self._registry, Kind.PARAMETER, subscription, node)
-        value = _carried(self._parameters.get(key)) if self._parameters.has(key) else {}
+        require_capacity(self._registry, Kind.PARAMETER, subscription, node)
+        value = _sendable(self._parameters.get(key)) if self._parameters.has(key) else {}
         events = self._registry.register_parameter(subscription, node)
         return Reply(value, f"Subscribed to parameter [{key}]", events=tuple(events))
 
@@ -205,30 +209,30 @@ class ParameterCalls:
         self, key: str, value: object, request: CallRequest, setter: str | None
     ) -> tuple[ParameterChanged, ...]:
         subscriptions = self._registry.keys(Kind.PARAMETER)
-        heard: dict[tuple[bytes, str], bool] = {}  # a key that is many nodes is judged once
+        allowed: dict[tuple[bytes, str], bool] = {}  # by key: it may have many nodes
 
-        def may_hear(node: NodeRef, update: parameter_state.ParameterUpdate) -> bool:
+        def may_receive(node: NodeRef, update: parameter_state.ParameterUpdate) -> bool:
             about = node.thumbprint, update.key
-            if about not in heard:
-                heard[about] = self._may_hear(node, update.key, update.value, request.now)
-            return heard[about]
+            if about not in allowed:
+                allowed[about] = self._may_receive(node, update.key, update.value, request.now)
+            return allowed[about]
 
         return tuple(
             ParameterChanged(node, update.key, update.value)
             for update in parameter_state.updates(subscriptions, key, value)
-            for node in self._registry.members(Kind.PARAMETER, update.subscription)
-            if (update.to_setter or node.name != setter) and may_hear(node, update)
+            for node in self._registry.registered_nodes(Kind.PARAMETER, update.subscription)
+            if (update.to_setter or node.name != setter) and may_receive(node, update)
         )
 
-    def _may_hear(self, node: NodeRef, key: str, value: object, now: int) -> bool:
+    def _may_receive(self, node: NodeRef, key: str, value: object, now: int) -> bool:
         caller = self._caller_of(node, now)
         if caller is None:
             return False
-        return may_all(caller, Right.PARAM_GET, [(key.removesuffix("/") or key, value)])
+        return has_right_on_all(caller, Right.PARAM_GET, [(key.removesuffix("/") or key, value)])
 
 
-def _carried(value: object) -> object:
-    """The value, unless it is far too long to be sent: to write it out would take long as well."""
-    if isinstance(value, dict) and parameter_values.exceeds(value, _TOO_LONG):
-        raise Fault(1, _LONGER)
+def _sendable(value: object) -> object:
+    """The value, unless it is far too long: encoding it would already take long."""
+    if isinstance(value, dict) and parameter_values.exceeds(value, _MAX_ENCODED):
+        raise Fault(1, _TOO_LONG)
     return value

@@ -1,9 +1,9 @@
-"""What the master still says to an identity that is revoked: the list, and nothing else. Pure.
+"""The calls that a revoked identity may still make: it receives the revocations only. Pure.
 
-Both ends of a connection may be revoked at once, as below a revoked intermediate; nobody would then
-be left to cut it but the two themselves, and they learn of it here alone. They are told what is
-revoked, and never that nothing else is: without a confirmation a node ends all it has, also one
-that cannot find itself in a tree (`ca.revocation.tree`).
+Both ends of a connection may be revoked at once, as below a revoked intermediate; then no peer but
+these two can close it, and only the master can inform them. It sends the list without a timestamp:
+without that confirmation a node closes all its connections, even if it cannot find itself in a tree
+(`ca.revocation.tree`).
 """
 
 from collections import Counter
@@ -14,35 +14,37 @@ from rossec.errors import HangUp
 from rossec.master.api.statement_calls import PROOF_LIMIT
 from rossec.master.rights.interfaces import Statements
 
-MOMENT: Final = 5.0  # seconds that a connection of a revoked identity may last
-MOST: Final = 4  # such connections of one identity
-MOST_BELOW: Final = 32  # of all below one intermediate, whose holder makes as many as he likes
-CALLS: Final = 16  # on one connection; a node makes two or three
-_ANSWERED: Final = frozenset({"rossec.revocations", "rossec.revocationsSince"})
+CONNECTION_SECONDS: Final = 5.0  # seconds that a connection of a revoked identity may last
+MAX_CONNECTIONS: Final = 4  # such connections of one identity
+MAX_BELOW_INTERMEDIATE: Final = 32  # of all identities below one intermediate
+MAX_CALLS: Final = 16  # on one connection; a node makes two or three
+_LIST_METHODS: Final = frozenset({"rossec.revocations", "rossec.revocationsSince"})
 _UNCONFIRMED: Final = b""
 
 
 class RevokedConnections:
-    """How many connections each revoked key has."""
+    """Counts the connections of each revoked key."""
 
     def __init__(self) -> None:
-        self._held: Counter[bytes] = Counter()
+        self._counts: Counter[bytes] = Counter()
 
     def admit(self, keys: tuple[bytes, ...]) -> bool:
-        """Count one more of the identity with these keys, its own first; False: no room."""
-        own, *above = keys
-        full = self._held[own] >= MOST or any(self._held[key] >= MOST_BELOW for key in above)
+        """Count one more of the identity with these keys, its own first; False: too many."""
+        own, *issuers = keys
+        full = self._counts[own] >= MAX_CONNECTIONS or any(
+            self._counts[key] >= MAX_BELOW_INTERMEDIATE for key in issuers
+        )
         if not full:
-            self._held.update(keys)
+            self._counts.update(keys)
         return not full
 
-    def leave(self, keys: tuple[bytes, ...]) -> None:
-        """One that was admitted has ended."""
-        self._held -= Counter(keys)  # which keeps no zeros
+    def release(self, keys: tuple[bytes, ...]) -> None:
+        """An admitted connection has ended."""
+        self._counts -= Counter(keys)  # drops zeros
 
 
 class RevokedCalls:
-    """Answers the calls of a revoked identity on one connection; few, for each brings a whole list.
+    """Answers few calls of a revoked identity on one connection: an answer may be a whole list.
 
     Args:
         now: seconds since the epoch.
@@ -51,13 +53,13 @@ class RevokedCalls:
     def __init__(self, statements: Statements, now: Callable[[], int]) -> None:
         self._statements = statements
         self._now = now
-        self._left = CALLS
+        self._calls_left = MAX_CALLS
 
     def answer(self, method: str, params: tuple[object, ...], _: object) -> list[object]:
-        """As `answer_revoked`, for a while."""
-        self._left -= 1
-        if self._left < 0:
-            raise HangUp("the identity is revoked, and has heard it")
+        """As `answer_revoked`, for `MAX_CALLS` calls."""
+        self._calls_left -= 1
+        if self._calls_left < 0:
+            raise HangUp("the identity is revoked, and has been sent the list")
         return answer_revoked(self._statements, self._now(), method, params)
 
 
@@ -67,11 +69,11 @@ def answer_revoked(
     """Answer a call of a revoked identity.
 
     Raises:
-        HangUp: it is none of those by which a node hears that it is revoked.
+        HangUp: any call but those by which a node learns that it is revoked.
     """
     match params:
-        case (str(), *_) if method in _ANSWERED:
-            # Whole, also if it is held: an empty list says that there is none.
+        case (str(), *_) if method in _LIST_METHODS:
+            # Always whole: an empty list would mean that there is none.
             return [1, "revocations", [statements.current(now)[0], _UNCONFIRMED]]
         case (str(), list() as entries) if method == "rossec.revocationProofs":
             known = [entry for entry in entries[:PROOF_LIMIT] if isinstance(entry, bytes)]

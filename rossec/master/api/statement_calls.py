@@ -1,7 +1,7 @@
-"""The calls about what the authority has said: grants, delegations, revocations. Pure.
+"""The calls about the authority's statements: grants, delegations, revocations. Pure.
 
-Lists and delegations carry the authority's signature, so any authenticated node may bring one.
-Answers to RFC 9770 queries show a node what concerns it, an administrator everything.
+Lists and delegations carry the authority's signature, so any authenticated node may deliver one.
+Answers to RFC 9770 queries contain what pertains to a node, and all entries for an administrator.
 """
 
 from collections.abc import Sequence
@@ -34,7 +34,7 @@ class StatementCalls:
     """Handlers over one `Statements`.
 
     Args:
-        registry: to know what a caller has to do with.
+        registry: to find the names that a caller is registered for.
         master: the master's own certified name; ADMIN is a right on this name.
         started: when this run of the master began, seconds since the epoch.
     """
@@ -48,14 +48,16 @@ class StatementCalls:
         self._queries = RevocationQueries(started)
 
     def methods(self) -> Methods:
-        """The rows of the method table."""
+        """The entries of the method table."""
         grants = arg.binaries("grants", PRESENT_LIMIT)
         renewed = arg.binaries("grants", RENEW_LIMIT)
         return {
             "rossec.presentGrants": Method((grants,), 0, self._present),
             "rossec.renewGrants": Method((renewed,), [], self._renew),
             "rossec.renewIdentity": Method((arg.binary("request"),), b"", self._renew_identity),
-            "rossec.updateDelegation": Method((arg.binary("delegation"),), 0, self._delegated),
+            "rossec.updateDelegation": Method(
+                (arg.binary("delegation"),), 0, self._update_delegation
+            ),
             "rossec.revocations": Method((), [], self._revocations),
             "rossec.revocationsSince": Method((arg.binary("digest"),), [], self._since),
             "rossec.updateRevocations": Method((arg.binary("list"),), 0, self._update),
@@ -73,8 +75,8 @@ class StatementCalls:
             request.caller, _binaries(request.arguments[1]), request.now
         )
         refused = "; ".join(presented.refused)
-        # No error even if all are refused: a node whose grants have expired keeps its session, in
-        # which it will present new ones.
+        # No error even if all are refused: a node whose grants have expired keeps its session and
+        # presents new ones in it.
         status = f"grants presented, but refused: {refused}" if refused else "grants accepted"
         event = GrantsPresented(request.caller.identity, presented.refused)
         return Reply(presented.held, status, events=(event,))
@@ -89,37 +91,39 @@ class StatementCalls:
         return Reply(list(renewed.tokens), status, events=(event,))
 
     def _renew_identity(self, request: CallRequest) -> Reply:
-        asked = request.binary(1)
+        data = request.binary(1)
         try:
-            bundle = self._statements.renew_identity(request.caller, asked, request.now)
+            bundle = self._statements.renew_identity(request.caller, data, request.now)
         except HintedError as error:
             raise _refusal(error) from error
         return Reply(bundle, "identity renewed")
 
-    def _delegated(self, request: CallRequest) -> Reply:
+    def _update_delegation(self, request: CallRequest) -> Reply:
         try:
-            newer = self._statements.delegated(request.binary(1))
+            newer = self._statements.update_delegation(request.binary(1))
         except HintedError as error:
             raise _refusal(error) from error
         if not newer:
             return Reply(0, "not newer than the delegation held")
-        brought = Administered(request.caller.identity, "brought a delegation to renew grants")
-        return Reply(1, "delegated", events=(brought,))
+        delivered = Administered(request.caller.identity, "delivered a delegation to renew grants")
+        return Reply(1, "delegated", events=(delivered,))
 
     def _revocations(self, request: CallRequest) -> Reply:
         return Reply(list(self._statements.current(request.now)), "revocations")
 
     def _since(self, request: CallRequest) -> Reply:
-        """The list only if it is not the one the caller says it holds."""
-        self._statements.held_by(request.caller, request.binary(1))
-        return Reply(list(self._statements.news_for(request.caller, request.now)), "revocations")
+        """The list, unless the caller says that it holds the same."""
+        self._statements.record_held_list(request.caller, request.binary(1))
+        return Reply(
+            list(self._statements.revocations_for(request.caller, request.now)), "revocations"
+        )
 
     def _update(self, request: CallRequest) -> Reply:
         try:
             newer = self._statements.update(request.binary(1), request.now)
         except HintedError as error:
             raise _refusal(error) from error
-        return _taken(newer, request)
+        return _update_reply(newer, request)
 
     def _update_tree(self, request: CallRequest) -> Reply:
         tree, entries = request.binary(1), request.binary(2)
@@ -127,7 +131,7 @@ class StatementCalls:
             newer = self._statements.update_tree(tree, entries, request.now)
         except HintedError as error:
             raise _refusal(error) from error
-        return _taken(newer, request)
+        return _update_reply(newer, request)
 
     def _proofs(self, request: CallRequest) -> Reply:
         return Reply(self._statements.proofs(_binaries(request.arguments[1])), "proofs")
@@ -146,12 +150,12 @@ class StatementCalls:
             raise _refusal(error) from error
 
     def _names_of(self, node: str) -> list[str]:
-        """What a node is registered for; whoever subscribes to all parameters names none."""
+        """The names a node is registered for; a subscription to all parameters names none."""
         keys = (key for kind in Kind for key in self._registry.keys_of(node, kind))
         return [name for key in keys if (name := key.removesuffix("/"))]
 
 
-def _taken(newer: bool, request: CallRequest) -> Reply:
+def _update_reply(newer: bool, request: CallRequest) -> Reply:
     if not newer:
         return Reply(0, "not newer than the list in force")
     changed = RevocationsChanged(request.caller.identity)

@@ -1,7 +1,7 @@
-"""Work that others must not wait for: done in turns, each of which ends by time. Pure.
+"""Long calls are processed in turns of limited time, so that they do not delay others. Pure.
 
-A count bounds nothing here, since one call may cost ten thousand times another. What is worked at
-yields wherever it can be left; `over`, which asks the caller's clock, says when it must be.
+A count would not limit the time, since one call may cost ten thousand times as much as another. A
+generator yields where it can be suspended; `expired`, which reads the caller's clock, says when.
 """
 
 from collections.abc import Callable, Generator
@@ -9,14 +9,14 @@ from typing import Final, NamedTuple, TypeAlias
 
 from rossec.master.api.methods import MasterEvent
 
-TURN: Final = 0.005  # seconds that one peer may keep the loop before others are answered
+TURN: Final = 0.005  # seconds that one call may occupy the loop
 
-Over = Callable[[], bool]
-"""Whether the turn has lasted long enough."""
+TurnExpired = Callable[[], bool]
+"""Whether the turn has expired."""
 
 
 class CallOutcome(NamedTuple):
-    """What to answer and what to deliver."""
+    """The answer and the events to deliver."""
 
     answer: object
     events: tuple[MasterEvent, ...] = ()
@@ -27,37 +27,37 @@ Work: TypeAlias = Generator[None, None, CallOutcome]
 
 
 class Turns:
-    """Hands out turns of `length` seconds, by a clock that only goes forward."""
+    """Begins turns of `length` seconds by a monotonic clock."""
 
     def __init__(self, clock: Callable[[], float], length: float = TURN) -> None:
         self._clock = clock
         self._length = length
 
-    def begin(self) -> Over:
-        """A turn that begins now."""
+    def begin(self) -> TurnExpired:
+        """Begin a turn now; returns whether it has expired."""
         end = self._clock() + self._length
         return lambda: self._clock() >= end
 
 
-def never() -> bool:
-    """For what is done to its end."""
+def never_expires() -> bool:
+    """A turn without a limit."""
     return False
 
 
-def advance(work: Work, over: Over) -> CallOutcome | None:
-    """Work for one turn; None: it is not at its end."""
+def advance(work: Work, expired: TurnExpired) -> CallOutcome | None:
+    """Run `work` for one turn; None: it is not finished."""
     try:
         while True:
             next(work)
-            if over():
+            if expired():
                 return None
     except StopIteration as end:
         outcome: CallOutcome = end.value
         return outcome
 
 
-def finished(work: Work) -> CallOutcome:
-    """Work to the end."""
-    while (outcome := advance(work, never)) is None:
+def run_to_end(work: Work) -> CallOutcome:
+    """Run `work` to its end."""
+    while (outcome := advance(work, never_expires)) is None:
         pass
     return outcome

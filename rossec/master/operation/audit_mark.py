@@ -1,9 +1,9 @@
-"""The line with which a file of the audit begins: signed with the master's key. Pure.
+"""The first line of an audit file: signed with the master's key. Pure.
 
-The chain of hashes shows what is missing between two lines, not what is missing before the first.
-So each file begins with a line that says from which hash it goes on (the audit's very first from
-none), and only the master can write it: whoever cuts off the beginning of a file cuts this off, and
-cannot put another there. Parts that were removed whole are known by the hash it names.
+The hash chain shows what is missing between two lines, not what is missing before the first. So
+each file begins with a line that names the hash from which it continues, or none in the very first
+file. Only the master can sign it: without the beginning of a file it is missing, too, and cannot be
+forged. A file that was removed is detected by the hash that the next one names.
 """
 
 from typing import Any, Final
@@ -20,10 +20,10 @@ from rossec.errors import ConfigurationError
 
 FIRST: Final = "0" * 64
 _KEY, _SIGNATURE = "key", "signature"
-_BEGINS: Final = "the audit begins"
-_GOES_ON: Final = "the audit goes on in a new file"
+_FIRST_FILE: Final = "the audit begins"
+_NEXT_FILE: Final = "the audit goes on in a new file"
 _COORDINATE: Final = 32
-_PARTS: Final = (
+_HINT: Final = (
     "name the parts before it, the oldest first; where they are gone, the last hash that you noted"
     " of them with --after"
 )
@@ -32,44 +32,46 @@ Entry = dict[str, Any]
 
 
 def mark(signer: Signer, before: str, at: float) -> Entry:
-    """The line that begins a file, not yet chained; `before` is the hash it goes on from."""
-    text = _BEGINS if before == FIRST else _GOES_ON
+    """The first line of a file, not yet chained; `before` is the hash it continues from."""
+    text = _FIRST_FILE if before == FIRST else _NEXT_FILE
     point = signer.public_key.public_bytes(Encoding.X962, PublicFormat.UncompressedPoint)
     entry: Entry = {"at": at, "before": before, "level": "info", "text": text, _KEY: point.hex()}
     return {**entry, _SIGNATURE: signer.sign(_signed(entry)).hex()}
 
 
 def check_beginning(first: Entry, key: bytes | None = None, after: str | None = None) -> str:
-    """Return what is to be said of how an audit begins: a line, empty when it is whole.
+    """Check the beginning of an audit; returns a remark, empty when it is complete.
 
     Args:
-        first: its first line, as the chain found it unchanged.
+        first: the first line, whose hash was verified.
         key: thumbprint of the master's key, if it is known.
-        after: the hash that is known to come before.
+        after: the hash of the line before, if it is known.
 
     Raises:
-        ConfigurationError: its beginning is missing, or somebody else wrote it.
+        ConfigurationError: the beginning is missing or forged.
     """
     before = first.get("before")
     if _SIGNATURE in first:
-        begun = _key_of(first)
-        if key is not None and begun != key:
+        signed_by = _key_of(first)
+        if key is not None and signed_by != key:
             raise ConfigurationError(
-                f"the audit begins with a line of another key, {begun.hex()}",
-                "if the master had that key then, say so: --key",
+                f"the audit begins with a line of another key, {signed_by.hex()}",
+                "if the master had that key then, name it with --key",
             )
-        unknown = "" if key is not None else f"; whose key {begun.hex()} is, is not known here"
-        whole = before in {FIRST, after}
-        return f"{'' if whole else f'it goes on from {before}, not among these files'}{unknown}"
+        unknown = "" if key is not None else f"; the key {signed_by.hex()} is not known here"
+        complete = before in {FIRST, after}
+        return (
+            f"{'' if complete else f'it continues from {before}, not among these files'}{unknown}"
+        )
     if before == after:
         return ""
     if before == FIRST:
-        return "its first line is not signed: an older master began it"
-    raise ConfigurationError("the beginning of the audit is missing", _PARTS)
+        return "its first line is not signed: it is of an older version"
+    raise ConfigurationError("the beginning of the audit is missing", _HINT)
 
 
 def _key_of(entry: Entry) -> bytes:
-    """The thumbprint of the key that signed it."""
+    """The thumbprint of the key that signed the entry."""
     try:
         key = ec.EllipticCurvePublicKey.from_encoded_point(
             ec.SECP256R1(), bytes.fromhex(entry[_KEY])
@@ -78,7 +80,7 @@ def _key_of(entry: Entry) -> bytes:
         r, s = (int.from_bytes(half) for half in (raw[:_COORDINATE], raw[_COORDINATE:]))
         key.verify(encode_dss_signature(r, s), _signed(entry), ec.ECDSA(hashes.SHA256()))
     except (InvalidSignature, ValueError, TypeError, KeyError) as error:
-        raise ConfigurationError("the first line of the audit is forged", _PARTS) from error
+        raise ConfigurationError("the first line of the audit is forged", _HINT) from error
     return thumbprint(key)
 
 

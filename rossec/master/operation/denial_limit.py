@@ -1,10 +1,10 @@
-"""How many lines of the log nodes can cause. Pure but for the clock it is given.
+"""Rate limit for log lines that nodes cause: token buckets. Pure except for the given clock.
 
-Whoever is denied a thousand times a second must fill neither the disk nor the audit, and must not
-drown what others do: lines are counted for each node, and for all. Some nodes together could use up
-what all have, so each also has a little that is its own. What an administrator does is never left
-out; so what nodes cause at will has a logger of its own, below that of the audit. How many lines of
-a node were left out stands in the next one of it that is not.
+A node that is denied a thousand times a second must neither fill the disk nor hide the lines of
+others: there is a bucket for each node and one for all. Several nodes together could empty the
+common one, so each also has a small bucket in reserve. Lines of administrators are never limited;
+so the lines that nodes cause have their own logger, a child of the audit's. The number of lines
+that were left out is recorded in the next line of that node.
 """
 
 import logging
@@ -22,68 +22,65 @@ MOST_NODES: Final = 4096
 
 @dataclass
 class LineBucket:
-    """Room for `burst` lines, filled again at `rate` a second."""
+    """A token bucket of `burst` lines, refilled at `rate` a second."""
 
     burst: float
     rate: float
-    room: float
+    tokens: float
     at: float
 
     @classmethod
     def full(cls, burst: float, rate: float, now: float) -> "LineBucket":
-        """One that nothing was taken from."""
+        """A full bucket."""
         return cls(burst, rate, burst, now)
 
-    def fill(self, now: float) -> bool:
-        """Whether there is room for a line now."""
-        self.room = min(self.burst, self.room + max(0.0, now - self.at) * self.rate)
+    def refill(self, now: float) -> bool:
+        """Refill the bucket; whether it has a token for a line."""
+        self.tokens = min(self.burst, self.tokens + max(0.0, now - self.at) * self.rate)
         self.at = now
-        return self.room >= 1
+        return self.tokens >= 1
 
 
 @dataclass
-class Share:
-    """What one node may cause, what of it does not depend on others, and what it did in vain."""
+class NodeBudget:
+    """The limit of one node, its reserve, and the number of lines left out."""
 
-    most: LineBucket
-    own: LineBucket
+    limit: LineBucket
+    reserved: LineBucket
     left_out: int = 0
 
 
 class DenialRateLimit(logging.Filter):
-    """Lets a line through while its node, the first argument of the line, and all have room."""
+    """Passes a line while the buckets of its node (its first argument) and of all have tokens."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         super().__init__()
         self._clock = clock
-        self._all = LineBucket.full(1000, 50, clock())
-        self._nodes: OrderedDict[str, Share] = OrderedDict()
+        self._common = LineBucket.full(1000, 50, clock())
+        self._nodes: OrderedDict[str, NodeBudget] = OrderedDict()
 
     def filter(self, record: logging.LogRecord) -> bool:
-        """Whether the line is written; it says then how many before it were not."""
+        """Whether the line is written; if so, it records how many before it were not."""
         now = self._clock()
-        share = self._of(_node_of(record), now)
-        common = self._all if self._all.fill(now) else share.own
-        if not (share.most.fill(now) and common.fill(now)):
-            share.left_out += 1
+        args = record.args
+        budget = self._budget(str(args[0]) if isinstance(args, tuple) and args else "", now)
+        common = self._common if self._common.refill(now) else budget.reserved
+        if not (budget.limit.refill(now) and common.refill(now)):
+            budget.left_out += 1
             return False
-        share.most.room -= 1
-        common.room -= 1
-        if share.left_out:
-            setattr(record, LEFT_OUT, share.left_out)
-            share.left_out = 0
+        budget.limit.tokens -= 1
+        common.tokens -= 1
+        if budget.left_out:
+            setattr(record, LEFT_OUT, budget.left_out)
+            budget.left_out = 0
         return True
 
-    def _of(self, node: str, now: float) -> Share:
-        share = self._nodes.get(node)
-        if share is None:
-            most, own = LineBucket.full(200, 10, now), LineBucket.full(10, 0.1, now)
-            share = self._nodes[node] = Share(most, own)
+    def _budget(self, node: str, now: float) -> NodeBudget:
+        budget = self._nodes.get(node)
+        if budget is None:
+            limit, reserved = LineBucket.full(200, 10, now), LineBucket.full(10, 0.1, now)
+            budget = self._nodes[node] = NodeBudget(limit, reserved)
             if len(self._nodes) > MOST_NODES:
                 self._nodes.popitem(last=False)
         self._nodes.move_to_end(node)
-        return share
-
-
-def _node_of(record: logging.LogRecord) -> str:
-    return str(record.args[0]) if isinstance(record.args, tuple) and record.args else ""
+        return budget

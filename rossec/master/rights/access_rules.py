@@ -1,9 +1,9 @@
 """Which right each master call needs, and what a caller may see. Pure, default deny.
 
-The table is the whole policy of the master: a method that is not in it is refused whatever it does.
-Rights come from grants; whether a grant is valid now is decided behind `CallerAccess`. A refusal
-tells the caller which right is missing, never whether the thing exists: what a caller may not see
-answers as if it were absent.
+The table is the whole policy of the master: a method that is not in it is refused. Rights come from
+grants; whether a grant is valid now is decided behind `CallerAccess`. A refusal names the missing
+right and does not reveal whether the name exists: for a caller that may not see a name, the answer
+is the same as if it did not exist.
 """
 
 from collections.abc import Mapping
@@ -14,27 +14,29 @@ from typing import Final, Protocol
 from ca import names
 from ca.errors import HintedError
 from grants.model import Right
-from rossec.master.state.addresses import endpoint, is_here
-from rossec.master.state.registry import KEYS_LIMIT, Kind, NodeRef, Registry
+from rossec.master.state.addresses import endpoint, is_loopback_host
+from rossec.master.state.registry import REGISTRATIONS_LIMIT, Kind, NodeRef, Registry
 
-ASK: Final = "ask the authority's operator for a grant"
-LOOKS_AT_ONCE: Final = 64
-SEES_TOPICS: Final = Right.PUBLISH | Right.SUBSCRIBE | Right.CALL | Right.PROVIDE | Right.GRAPH
+ASK_OPERATOR: Final = "ask the authority's operator for a grant"
+NAMES_PER_YIELD: Final = 64
+VISIBILITY_RIGHTS: Final = (
+    Right.PUBLISH | Right.SUBSCRIBE | Right.CALL | Right.PROVIDE | Right.GRAPH
+)
 
 
 class Refused(Exception):
     """The status text to answer with, after `rossec: `.
 
-    `wanted` is the right that is missing, and the name it is missing on, if that was the reason.
+    `missing` is the right that is missing, and the name it is missing on, if that was the reason.
     """
 
-    def __init__(self, text: str, wanted: tuple[Right, str] | None = None) -> None:
+    def __init__(self, text: str, missing: tuple[Right, str] | None = None) -> None:
         super().__init__(text)
-        self.wanted = wanted
+        self.missing = missing
 
 
 class AddressTaken(Refused):
-    """The slave API is registered by `owner`, which may be gone: whoever answers there is right."""
+    """The slave API is registered by `owner`, which may be gone: only a probe can tell."""
 
     def __init__(self, owner: NodeRef) -> None:
         super().__init__("this slave API URI is registered by another node")
@@ -42,10 +44,10 @@ class AddressTaken(Refused):
 
 
 class CallerAccess(Protocol):
-    """What one identity may do at one moment, from the grants it presented."""
+    """The rights of one identity at one time, from the grants it presented."""
 
     def require(self, right: Right, name: str) -> None:
-        """Raise a `HintedError` unless some valid grant covers `right` on `name`."""
+        """Raise a `HintedError` unless a valid grant covers `right` on `name`."""
 
     def covers(self, right: Right, name: str) -> bool:
         """Whether `require` would return."""
@@ -53,18 +55,18 @@ class CallerAccess(Protocol):
     def covers_any(self, rights: Right, name: str) -> bool:
         """Whether `require` would return for one of `rights`."""
 
-    def covers_below(self, right: Right, space: str) -> bool:
-        """Whether `right`, one of parameters, is given on every name below `space` (`/`: all)."""
+    def covers_below(self, right: Right, namespace: str) -> bool:
+        """Whether `right`, one of parameters, covers every name below `namespace` (`/`: all)."""
 
-    def touches(self, right: Right, space: str) -> bool:
-        """Whether `right`, one of parameters, is given on `space` or on any name below it."""
+    def touches(self, right: Right, namespace: str) -> bool:
+        """Whether `right`, one of parameters, covers `namespace` or any name below it."""
 
     def patterns(self, right: Right) -> int:
-        """How many patterns must be asked one by one whether they give `right`."""
+        """How many patterns must be matched one by one for `right`."""
 
 
 class Peer(Protocol):
-    """A certified name and its key: what is used of `ca.certificates.Identity`, or a `NodeRef`."""
+    """A certified name and its key: a `ca.certificates.Identity` or a `NodeRef`."""
 
     @property
     def name(self) -> str:
@@ -76,7 +78,7 @@ class Peer(Protocol):
 
 
 class Certified(Peer, Protocol):
-    """A peer as its certificate shows it: `ca.certificates.Identity` is one."""
+    """A peer with its certificate: `ca.certificates.Identity` is one."""
 
     @property
     def wildcard(self) -> bool:
@@ -84,15 +86,15 @@ class Certified(Peer, Protocol):
 
     @property
     def keys(self) -> tuple[bytes, ...]:
-        """Thumbprints of every key whose revocation ends this identity, its own first."""
+        """Thumbprints of every key whose revocation revokes this identity, its own first."""
 
     def covers(self, name: str) -> bool:
-        """Whether the peer may go by `name`."""
+        """Whether the certificate covers `name`."""
 
 
 @dataclass(frozen=True)
 class Caller:
-    """Who calls, and what it may do.
+    """A caller and its rights.
 
     Attributes:
         name: the certified name; within a call the name of the node, see `acting_as`.
@@ -108,8 +110,8 @@ class Caller:
     certified: str = ""
 
     @property
-    def title(self) -> str:
-        """Who it is, for people."""
+    def display_name(self) -> str:
+        """The names, for people."""
         return f"{self.name} (certified as {self.certified})" if self.certified else self.name
 
     @property
@@ -118,7 +120,7 @@ class Caller:
         return self.certified or self.name
 
     def acting_as(self, name: str) -> "Caller":
-        """The caller as the node `name`, which has entries of its own in the registry.
+        """The caller as the node `name`, which has its own entries in the registry.
 
         Raises:
             Refused: its identity does not cover `name`.
@@ -133,26 +135,26 @@ class Caller:
         """Whether a grant covers `right` on `name`."""
         return self.access.covers(right, name)
 
-    def may_all_below(self, right: Right, space: str) -> bool:
-        """Whether grants cover `right`, one of parameters, on every name below `space`."""
-        return self.access.covers_below(right, space)
+    def may_all_below(self, right: Right, namespace: str) -> bool:
+        """Whether grants cover `right`, one of parameters, on every name below `namespace`."""
+        return self.access.covers_below(right, namespace)
 
-    def may_some_below(self, right: Right, space: str) -> bool:
-        """Whether a grant covers `right`, one of parameters, at `space` or anywhere below."""
-        return self.access.touches(right, space)
+    def may_some_below(self, right: Right, namespace: str) -> bool:
+        """Whether a grant covers `right`, one of parameters, at `namespace` or anywhere below."""
+        return self.access.touches(right, namespace)
 
     def patterns(self, right: Right) -> int:
-        """How many patterns must be asked one by one about each name."""
+        """How many patterns must be matched one by one against each name."""
         return self.access.patterns(right)
 
     @property
-    def looks_at_once(self) -> int:
-        """How many names a query looks at between two of its yields: fewer where one costs more."""
-        return max(1, LOOKS_AT_ONCE // (1 + sum(map(self.access.patterns, Right)) // 8))
+    def names_per_yield(self) -> int:
+        """How many names a query checks between two yields: fewer where each costs more."""
+        return max(1, NAMES_PER_YIELD // (1 + sum(map(self.access.patterns, Right)) // 8))
 
     def may_see(self, name: str) -> bool:
         """Whether a topic, service or node name may appear in an answer to this caller."""
-        return self.access.covers_any(SEES_TOPICS, name)
+        return self.access.covers_any(VISIBILITY_RIGHTS, name)
 
 
 class Scope(Enum):
@@ -160,10 +162,10 @@ class Scope(Enum):
 
     NAMED = "one name, an argument"
     TREE = "a parameter and all its descendants"
-    OWN = "only what the caller itself registered"
-    FILTERED = "the whole graph, of which the caller is shown its part"
+    OWN = "only registrations of the caller itself"
+    FILTERED = "the whole graph, filtered by what the caller may see"
     MASTER = "the master itself"
-    OPEN = "nothing that needs a right"
+    OPEN = "no right is needed"
 
 
 @dataclass(frozen=True)
@@ -196,7 +198,7 @@ RULES: Final[Mapping[str, AccessRule]] = {
     "getTopicTypes": AccessRule(Scope.FILTERED),
     "getPublishedTopics": AccessRule(Scope.FILTERED),
     "getUri": AccessRule(Scope.OPEN),
-    "getPid": AccessRule(Scope.OPEN),  # roscpp asks for it to learn whether the master lives
+    "getPid": AccessRule(Scope.OPEN),  # roscpp calls it to check whether the master is alive
     "shutdown": AccessRule(Scope.MASTER, Right.ADMIN),
     "getParam": AccessRule(Scope.TREE, Right.PARAM_GET),
     "hasParam": AccessRule(Scope.TREE, Right.PARAM_GET),
@@ -206,37 +208,31 @@ RULES: Final[Mapping[str, AccessRule]] = {
     "getParamNames": AccessRule(Scope.FILTERED),
     "setParam": AccessRule(Scope.TREE, Right.PARAM_SET),
     "deleteParam": AccessRule(Scope.TREE, Right.PARAM_SET),
-    "rossec.watchGraph": AccessRule(Scope.MASTER, Right.GRAPH),  # of which it is shown its part
+    "rossec.watchGraph": AccessRule(Scope.MASTER, Right.GRAPH),  # and the answer is filtered
     "rossec.presentGrants": AccessRule(Scope.OPEN),
-    "rossec.renewGrants": AccessRule(Scope.OPEN),  # what is renewed is the caller's own, or refused
-    "rossec.renewIdentity": AccessRule(
-        Scope.OPEN
-    ),  # the request is signed by the key that is renewed
-    "rossec.updateDelegation": AccessRule(
-        Scope.OPEN
-    ),  # as a list, it carries the authority's signature
+    "rossec.renewGrants": AccessRule(Scope.OPEN),  # only grants of the caller itself are renewed
+    "rossec.renewIdentity": AccessRule(Scope.OPEN),  # the request is signed with the key to renew
+    "rossec.updateDelegation": AccessRule(Scope.OPEN),  # signed by the authority
     "rossec.revocations": AccessRule(Scope.OPEN),
     "rossec.revocationsSince": AccessRule(Scope.OPEN),
     "rossec.updateRevocationTree": AccessRule(Scope.OPEN),
-    "rossec.revocationProofs": AccessRule(Scope.OPEN),  # whoever can ask about an entry knows it
-    "rossec.trl": AccessRule(
-        Scope.FILTERED
-    ),  # what concerns the caller; all with ADMIN on the master
-    "rossec.updateRevocations": AccessRule(
-        Scope.OPEN
-    ),  # the list carries the authority's signature
+    "rossec.revocationProofs": AccessRule(Scope.OPEN),  # the caller must know an entry to query it
+    "rossec.trl": AccessRule(Scope.FILTERED),  # all entries with ADMIN on the master
+    "rossec.updateRevocations": AccessRule(Scope.OPEN),  # signed by the authority
 }
 
 
-CLEANUP: Final = frozenset({"unregisterPublisher", "unregisterSubscriber", "unregisterService"})
-"""What an administrator may do in the name of a node: `rosnode cleanup`, after it died."""
+CLEANUP_METHODS: Final = frozenset(
+    {"unregisterPublisher", "unregisterSubscriber", "unregisterService"}
+)
+"""What an administrator may call as another node: `rosnode cleanup`, after it died."""
 
 
 class AccessControl:
-    """Decides on calls whose arguments are already resolved.
+    """Authorizes calls whose arguments are already resolved.
 
     Args:
-        registry: to know which slave API belongs to whom.
+        registry: to find the node that registered a slave API.
         master: the master's own certified name; ADMIN is a right on this name.
     """
 
@@ -244,17 +240,21 @@ class AccessControl:
         self._registry = registry
         self._master = master
 
-    def acting(self, method: str, caller: Caller, caller_id: str) -> Caller:
-        """The caller as the node `caller_id`: itself, or a node it cleans up after.
+    def acting_caller(self, method: str, caller: Caller, caller_id: str) -> Caller:
+        """The caller as the node `caller_id`: itself, or a node whose registrations it cleans up.
 
         Raises:
-            Refused: its identity does not cover that name, and it may not administer that node.
+            Refused: its identity does not cover that name, nor has it ADMIN on that node.
         """
         try:
             return caller.acting_as(caller_id)
         except Refused:
             node = self._registry.node(caller_id)
-            if method not in CLEANUP or node is None or not caller.may(Right.ADMIN, caller_id):
+            if (
+                method not in CLEANUP_METHODS
+                or node is None
+                or not caller.may(Right.ADMIN, caller_id)
+            ):
                 raise
             return replace(
                 caller,
@@ -265,11 +265,11 @@ class AccessControl:
             )
 
     def check(
-        self, method: str, caller: Caller, arguments: tuple[object, ...], *, near: bool = True
+        self, method: str, caller: Caller, arguments: tuple[object, ...], *, is_local: bool = True
     ) -> None:
-        """The rule of `method`; of TREE the parameters, which know the reach, judge the rest.
+        """Check the rule of `method`; that of TREE is checked by `parameter_trees`.
 
-        `near`: the caller is on the master's host.
+        `is_local`: the caller is on the master's host.
 
         Raises:
             Refused: no rule, a right is missing, or the slave API is another node's.
@@ -282,16 +282,16 @@ class AccessControl:
         if rule.scope is Scope.MASTER and rule.right is not None:
             require(caller, rule.right, self._master)
         if rule.api is not None and rule.scope is not Scope.TREE:
-            require_address(self._registry, caller, str(arguments[rule.api]), near=near)
+            require_address(self._registry, caller, str(arguments[rule.api]), is_local=is_local)
 
-    def nodes_shown(self, caller: Caller, key: str, nodes: tuple[str, ...]) -> tuple[str, ...]:
-        """Which of the nodes registered for `key` the caller is shown."""
+    def visible_nodes(self, caller: Caller, key: str, nodes: tuple[str, ...]) -> tuple[str, ...]:
+        """Which of the nodes registered for `key` the caller may see."""
         if caller.may_see(key):
             return nodes
         return (caller.name,) if caller.name in nodes else ()
 
-    def node_shown(self, caller: Caller, name: str) -> bool:
-        """A node is shown to itself, with a right to see it, and to those who share a topic."""
+    def is_node_visible(self, caller: Caller, name: str) -> bool:
+        """Whether the caller is the node, or may see it or one of its topics and services."""
         if name == caller.name or caller.may(Right.GRAPH, name):
             return True
         kinds = (Kind.PUBLISHER, Kind.SUBSCRIBER, Kind.SERVICE)
@@ -300,24 +300,24 @@ class AccessControl:
 
 
 def require(caller: Caller, right: Right, name: str) -> None:
-    """Raise `Refused`, with what is missing, unless `caller` has `right` on `name`."""
+    """Raise `Refused`, which names the missing right, unless `caller` has `right` on `name`."""
     try:
         caller.access.require(right, name)
     except HintedError as error:
         hint = f" ({error.hint})" if error.hint else ""
-        wanted = f"{caller.title} needs the right {label(right)} on {name}"
-        raise Refused(f"{wanted}: {error}{hint}", (right, name)) from error
+        needs = f"{caller.display_name} needs the right {label(right)} on {name}"
+        raise Refused(f"{needs}: {error}{hint}", (right, name)) from error
 
 
-def require_address(registry: Registry, caller: Caller, uri: str, *, near: bool) -> None:
+def require_address(registry: Registry, caller: Caller, uri: str, *, is_local: bool) -> None:
     """Raise `Refused` unless the slave API may be the caller's.
 
-    After the right was judged: who has none does not hear which addresses are registered.
+    To be called after the right was checked: without it a caller must not learn addresses.
     """
-    if not near and is_here(endpoint(uri)[0]):
+    if not is_local and is_loopback_host(endpoint(uri)[0]):
         raise Refused(
             "this slave API URI is on the master's host, and the caller is not: "
-            "set ROS_IP or ROS_HOSTNAME to an address at which others reach it"
+            "set ROS_IP or ROS_HOSTNAME to an address that is reachable from other hosts"
         )
     owner = registry.owner(uri)
     node = None if owner is None or owner == caller.name else registry.node(owner)
@@ -325,18 +325,19 @@ def require_address(registry: Registry, caller: Caller, uri: str, *, near: bool)
         raise AddressTaken(node)
 
 
-def require_room(registry: Registry, kind: Kind, key: str, node: NodeRef) -> None:
-    """Raise `Refused` when a node has as many registrations, or a key as many nodes, as may be."""
-    if not registry.has_room(kind, key, node):
+def require_capacity(registry: Registry, kind: Kind, key: str, node: NodeRef) -> None:
+    """Raise `Refused` when a node has the most registrations, or a key the most nodes."""
+    if not registry.has_capacity(kind, key, node):
         if registry.is_current(node):
             raise Refused(
-                f"{node.name} has {KEYS_LIMIT} registrations as {kind.value}, the most of a node"
+                f"{node.name} has {REGISTRATIONS_LIMIT} registrations as {kind.value}, "
+                "the limit of a node"
             )
         raise Refused(
-            f"the identity of {node.name} has {registry.nodes_limit} nodes, the most of one key"
+            f"the identity of {node.name} has {registry.nodes_limit} nodes, the limit of one key"
         )
 
 
 def label(right: Right) -> str:
-    """The right as grants write it."""
+    """The right as grants spell it."""
     return (right.name or str(int(right))).lower().replace("_", "-")

@@ -1,9 +1,8 @@
 """Renewing grants for the authority, within what it delegated. Pure.
 
-The authority's delegation names the master's key, the trust domain, and how long a ticket may hold.
-A ticket is signed for a grant that its holder hands in, whether or not it has expired by now, as
-long as neither its cap is reached nor anything revoked. What is signed is first judged as every
-node will judge it.
+The authority's delegation names the master's key, the trust domain, and the longest validity of a
+ticket. A ticket is signed for a grant that its holder presents, expired or not, as long as its cap
+is not reached and nothing is revoked. The renewed grant is first verified as every node will.
 """
 
 from collections.abc import Callable
@@ -14,23 +13,23 @@ from ca.keys.publickey import thumbprint
 from ca.keys.signer import Signer
 from ca.revocation.state import SKEW
 from grants import renewal
-from grants.decision import Check
+from grants.decision import RevocationCheck
 from grants.document import verify
 from grants.errors import GrantNotHeld, RenewalForOther, RenewalNotInTime, RenewalTooWide
 from grants.model import Grant
 from grants.renewal import OpenDelegation, Ticket, open_delegation, sign_ticket
 from grants.token import pack, unpack
-from grants.validity import moment
+from grants.validity import format_time
 
 _HINT: Final = "at the authority: rossec master delegate"
 
 
-def forget(_: bytes) -> None:
+def discard(_: bytes) -> None:
     """Persist nothing."""
 
 
 class Delegate:
-    """Signs tickets as long as the authority lets it.
+    """Signs tickets while the authority has delegated that.
 
     Args:
         anchor: the authority.
@@ -39,7 +38,7 @@ class Delegate:
     """
 
     def __init__(
-        self, anchor: TrustAnchor, signer: Signer, persist: Callable[[bytes], None] = forget
+        self, anchor: TrustAnchor, signer: Signer, persist: Callable[[bytes], None] = discard
     ) -> None:
         self._anchor = anchor
         self._signer = signer
@@ -49,7 +48,7 @@ class Delegate:
         self._held: OpenDelegation | None = None
 
     def take(self, data: bytes) -> bool:
-        """Take a delegation; returns whether it is newer than the one held.
+        """Accept a delegation; returns whether it is newer than the one held.
 
         Raises:
             RenewalForged, RenewalMalformed: not a delegation of the authority.
@@ -68,38 +67,42 @@ class Delegate:
 
     @property
     def id(self) -> bytes | None:
-        """The id of the delegation held, by which it can be revoked."""
+        """The id of the delegation held, by which it is revoked; None: none is held."""
         return None if self._held is None else self._held.id
 
     def renew(
-        self, token: bytes, holder: bytes, now: int, *, seq: int, check: Check
+        self, token: bytes, holder: bytes, now: int, *, seq: int, check: RevocationCheck
     ) -> tuple[Grant, bytes]:
         """The renewed grant in `token` and its new token.
 
         Raises:
-            GrantError: the leaf that says why not.
+            GrantError: a subclass that names the reason.
         """
         if self._held is None:
-            raise RenewalNotInTime("the authority has not let this master renew grants", _HINT)
+            raise RenewalNotInTime("the authority has not delegated renewal to this master", _HINT)
         data = unpack(token).grant
         grant = verify(data, self._anchor.public_key, domain=self._anchor.domain)
         if grant.holder != holder:
-            raise GrantNotHeld("a grant bound to another key", f"it was given to {grant.subject}")
+            raise GrantNotHeld(
+                "the grant is bound to another key", f"it was issued to {grant.subject}"
+            )
         ticket = sign_ticket(self._signer, self._ticket(grant, self._held, now, seq))
         key = self._signer.public_key
         renewed = renewal.renew(grant, ticket, self._held, key, now=now, seq=seq, check=check)
         return renewed, pack(data, ticket, self._data)
 
     def _ticket(self, grant: Grant, held: OpenDelegation, now: int, seq: int) -> Ticket:
-        """From a moment ago: clocks that lag by no more than `SKEW` take it at once."""
+        """Valid from `SKEW` ago: nodes whose clocks lag by less accept it at once."""
         if now >= grant.cap:
             raise RenewalTooWide(
-                f"grant {grant.short_id} has reached its cap, {moment(grant.cap)}",
+                f"grant {grant.short_id} has reached its cap, {format_time(grant.cap)}",
                 "ask the authority for a new grant",
             )
         if now >= held.expires:
-            raise RenewalNotInTime(f"the delegation expired at {moment(held.expires)}", _HINT)
+            raise RenewalNotInTime(f"the delegation expired at {format_time(held.expires)}", _HINT)
         ends = min(now - SKEW + held.max_ttl, grant.cap, held.expires)
         if ends <= grant.expires:
-            raise RenewalTooWide(f"grant {grant.short_id} outlives any ticket: ask again later")
+            raise RenewalTooWide(
+                f"grant {grant.short_id} expires later than any ticket would: ask again later"
+            )
         return Ticket(grant.id, now - SKEW, ends, seq)

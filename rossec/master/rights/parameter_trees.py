@@ -1,83 +1,89 @@
-"""What a caller may do with trees of parameters, judged without listing them. Pure.
+"""Rights on trees of parameters, checked without listing them where possible. Pure.
 
-A right that covers all below a namespace answers for it at once, and so does one that touches
-nothing there; only between the two is a tree looked at, name by name. What must be decided in one
-go ends at the first name without the right, and looks at `LOOKS` names at most, fewer for who holds
-many patterns: beyond that the answer is no. What is shown in part may take many turns, between
-which the tree may change.
+Where a right covers everything below a namespace, or nothing there, its names are not checked one
+by one. A check of a whole tree ends at the first name without the right, and covers at most
+`MAX_NAMES_CHECKED` names, fewer for a caller with many patterns: a larger tree is refused. A
+filtered query may take many turns, between which the tree may change.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, Final, NamedTuple, TypeAlias
 
 from grants.model import Right
-from rossec.master.rights.access_rules import ASK, Caller, Refused, label
+from rossec.master.rights.access_rules import ASK_OPERATOR, Caller, Refused, label
 from rossec.ros import names
 
-LOOKS: Final = 8192  # names that one call may have looked at, namespaces too
-PATTERNS: Final = 2 * LOOKS  # and how often a pattern with wildcards may be held against one
+MAX_NAMES_CHECKED: Final = 8192  # names checked for one call, namespaces included
+MAX_PATTERN_MATCHES: Final = 2 * MAX_NAMES_CHECKED  # of patterns with wildcards against names
 
-Place: TypeAlias = tuple[str, object]
-"""A key and the value there; a dict is a namespace."""
-
-
-class Look(NamedTuple):
-    """What was decided about a parameter, or about all below a namespace."""
-
-    place: Place
-    covered: bool | None  # None: of a namespace, in which what is below is looked at
+ParameterItem: TypeAlias = tuple[str, object]
+"""A key and its value; a dict is a namespace."""
 
 
-def require_tree(caller: Caller, right: Right, key: str, *places: Place) -> None:
-    """Raise `Refused` unless `caller` has `right` on all that is in `places`; nothing means no.
+class TreeDecision(NamedTuple):
+    """Whether a parameter, or everything below a namespace, is covered."""
 
-    The text depends on `key` alone, which the caller knows: the leaf that is missing, the grants
-    that nearly cover it, or how much there is, would tell which parameters exist.
+    item: ParameterItem
+    covered: bool | None  # None: a namespace whose names are checked one by one
+
+
+def require_tree(caller: Caller, right: Right, key: str, *items: ParameterItem) -> None:
+    """Raise `Refused` unless `caller` has `right` on everything in `items`, which is not empty.
+
+    The text depends on `key` alone, which the caller knows: the uncovered name, the grants that
+    nearly cover it, or the size of the tree would reveal which parameters exist.
     """
-    if not places or not may_all(caller, right, places):
-        wanted = f"{caller.title} needs the right {label(right)} on {key}"
-        raise Refused(f"{wanted}: no grant covers it and all below it ({ASK})", (right, key))
+    if not items or not has_right_on_all(caller, right, items):
+        needs = f"{caller.display_name} needs the right {label(right)} on {key}"
+        raise Refused(
+            f"{needs}: no grant covers it and all below it ({ASK_OPERATOR})", (right, key)
+        )
 
 
-def may_all(caller: Caller, right: Right, places: Sequence[Place]) -> bool:
-    """Whether `caller` has `right` on every parameter in `places`, and they are not too many."""
-    if len(places) == 1 and not isinstance(places[0][1], dict):  # nearly always
-        return caller.may(right, places[0][0])
-    most = min(LOOKS, PATTERNS // max(1, caller.patterns(right)))
-    looks = (look for place in places for look in looked(caller, right, place))
-    return all(count <= most and look.covered is not False for count, look in enumerate(looks, 1))
+def has_right_on_all(caller: Caller, right: Right, items: Sequence[ParameterItem]) -> bool:
+    """Whether `caller` has `right` on every parameter in `items`, and `items` are not too large."""
+    if len(items) == 1 and not isinstance(items[0][1], dict):  # the usual case
+        return caller.may(right, items[0][0])
+    limit = min(MAX_NAMES_CHECKED, MAX_PATTERN_MATCHES // max(1, caller.patterns(right)))
+    results = (decision for item in items for decision in decisions(caller, right, item))
+    return all(
+        count <= limit and decision.covered is not False
+        for count, decision in enumerate(results, 1)
+    )
 
 
-def looked_in_turns(caller: Caller, right: Right, place: Place) -> Iterator[Look]:
-    """As `looked`, of a tree that may change meanwhile."""
-    return looked(caller, right, place, lambda tree: tuple(tree.items()))
+def decisions_across_turns(
+    caller: Caller, right: Right, item: ParameterItem
+) -> Iterator[TreeDecision]:
+    """As `decisions`, for a tree that may change meanwhile."""
+    return decisions(caller, right, item, lambda tree: tuple(tree.items()))
 
 
-def looked(
+def decisions(
     caller: Caller,
     right: Right,
-    place: Place,
-    items: Callable[[dict[str, object]], Iterable[Any]] = dict.items,
-) -> Iterator[Look]:
-    """What `right` covers in `place` and what not, in the order of the tree."""
-    key, value = place
+    item: ParameterItem,
+    entries: Callable[[dict[str, object]], Iterable[Any]] = dict.items,
+) -> Iterator[TreeDecision]:
+    """Which parts of `item` are covered by `right`, in the order of the tree."""
+    key, value = item
     if not isinstance(value, dict) or not value:
-        yield Look(place, caller.may(right, key))
+        yield TreeDecision(item, caller.may(right, key))
     elif caller.may_all_below(right, key):
-        yield Look(place, covered=True)
+        yield TreeDecision(item, covered=True)
     elif not caller.may_some_below(right, key):
-        yield Look(place, covered=False)
+        yield TreeDecision(item, covered=False)
     else:
-        yield Look(place, covered=None)
-        for name, below in items(value):
-            yield from looked(caller, right, (names.join(key, name), below), items)
+        yield TreeDecision(item, covered=None)
+        for name, below in entries(value):
+            yield from decisions(caller, right, (names.join(key, name), below), entries)
 
 
-def named(place: Place) -> Iterator[str]:
-    """Every parameter in `place` that has a value, in stock's order; the tree may change."""
-    key, value = place
+def parameter_names(item: ParameterItem) -> Iterator[str]:
+    """The name of every parameter in `item`, in stock's order; the tree may change meanwhile."""
+    key, value = item
     if not isinstance(value, dict):
         yield key
         return
     for name, below in tuple(value.items()):
-        yield from named((names.join(key, name), below))
+        yield from parameter_names((names.join(key, name), below))

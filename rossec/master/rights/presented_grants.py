@@ -1,7 +1,7 @@
-"""The grants that one key has shown to the master, and what they reach. Pure.
+"""The grants that one key has presented to the master, and the rights they give. Pure.
 
-Verified once by whoever puts them here; bounded in number and size; what they reach is worked out
-anew when the second, the revocations or the grants change.
+The caller of `put` has verified them; their number and size are bounded; the rights are evaluated
+again when the second, the revocations or the grants change.
 """
 
 import hashlib
@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 
 from ca.errors import HintedError
 from ca.revocation.state import Revocations
-from grants.decision import Check, authorize
+from grants.decision import RevocationCheck, authorize
 from grants.model import Grant, Right
 from grants.reach import Reach
 from grants.validity import check_time
@@ -20,53 +20,53 @@ from rossec.master.rights.access_rules import Caller, Peer
 MAX_HELD: Final = 64
 MAX_HELD_BYTES: Final = 256 * 1024
 MAX_FAILURES: Final = 256  # refused grants of one key in FAILURES_WITHIN; each costs a verification
-FAILURES_WITHIN: Final = 60  # seconds
-NOTHING: Final = Reach(())
+FAILURE_WINDOW: Final = 60  # seconds
+EMPTY_REACH: Final = Reach(())
 
 
-class Moment(NamedTuple):
-    """A second, and the list in force: in one moment the same grants hold."""
+class EvaluationContext(NamedTuple):
+    """The time and the revocation list for which grants are evaluated."""
 
     now: int
     revocations: bytes
     fresh_until: int
 
 
-NEVER: Final = Moment(-1, b"", 0)
+NOT_EVALUATED: Final = EvaluationContext(-1, b"", 0)
 
 
 @dataclass(frozen=True)
 class GrantAccess:
-    """What one key may do at one moment: `reach` is of those `grants` that hold at `now`."""
+    """The rights of one key: `reach` is that of the `grants` that are valid at `now`."""
 
     grants: Collection[Grant]
     reach: Reach
     holder: bytes
     now: int
-    check: Check
+    check: RevocationCheck
 
     def covers(self, right: Right, name: str) -> bool:
-        """Whether a grant that holds covers `right` on `name`."""
+        """Whether a valid grant covers `right` on `name`."""
         return self.reach.covers(right, name)
 
     def covers_any(self, rights: Right, name: str) -> bool:
-        """Whether a grant that holds covers one of `rights` on `name`."""
+        """Whether a valid grant covers one of `rights` on `name`."""
         return self.reach.covers_any(rights, name)
 
-    def covers_below(self, right: Right, space: str) -> bool:
-        """Whether grants that hold cover `right` on every parameter below `space`."""
-        return self.reach.covers_below(right, space)
+    def covers_below(self, right: Right, namespace: str) -> bool:
+        """Whether valid grants cover `right` on every parameter below `namespace`."""
+        return self.reach.covers_below(right, namespace)
 
-    def touches(self, right: Right, space: str) -> bool:
-        """Whether a grant that holds covers `right` on any parameter at or below `space`."""
-        return self.reach.touches(right, space)
+    def touches(self, right: Right, namespace: str) -> bool:
+        """Whether a valid grant covers `right` on any parameter at or below `namespace`."""
+        return self.reach.touches(right, namespace)
 
     def patterns(self, right: Right) -> int:
         """As of `Reach`."""
         return self.reach.patterns(right)
 
     def require(self, right: Right, name: str) -> None:
-        """Raise the `GrantError` that says what is missing."""
+        """Raise a `GrantError` that names what is missing, unless a grant covers it."""
         if not self.reach.covers(right, name):
             authorize(self.grants, right, name, holder=self.holder, now=self.now, check=self.check)
 
@@ -80,55 +80,55 @@ class PresentedGrants:
     failures: int = 0
     failing_since: int = 0
     version: int = 0
-    _reach: Reach = NOTHING
-    _worked_out: tuple[Moment, int] | None = None
-    _holding: tuple[bytes, ...] = ()
+    _reach: Reach = EMPTY_REACH
+    _evaluated_for: tuple[EvaluationContext, int] | None = None
+    _valid_ids: tuple[bytes, ...] = ()
     _caller: Caller | None = None
 
     def caller(
-        self, peer: Peer, moment: Moment, revocations: Revocations, *, wildcard: bool
+        self, peer: Peer, context: EvaluationContext, revocations: Revocations, *, wildcard: bool
     ) -> Caller:
-        """Who calls; the very same as before while neither the moment nor a grant has changed."""
+        """The caller; the same object while neither the context nor a grant has changed."""
         caller = self._caller
-        if self._worked_out != (moment, self.version):
-            self._work_out(moment, revocations)
+        if self._evaluated_for != (context, self.version):
+            self._evaluate(context, revocations)
             caller = None
         if caller is None or caller.name != peer.name or caller.wildcard is not wildcard:
             access = GrantAccess(
-                self.grants.values(), self._reach, peer.thumbprint, moment.now, revocations.check
+                self.grants.values(), self._reach, peer.thumbprint, context.now, revocations.check
             )
             caller = self._caller = Caller(peer.name, peer.thumbprint, access, wildcard)
         return caller
 
-    def _work_out(self, moment: Moment, revocations: Revocations) -> None:
-        """What the grants that hold now reach."""
+    def _evaluate(self, context: EvaluationContext, revocations: Revocations) -> None:
+        """Compute the rights of the grants that are valid in `context`."""
         grants = self.grants.values()
-        held = [grant for grant in grants if _holds(grant, moment.now, revocations)]
-        holding = tuple(grant.id for grant in held)
-        if holding != self._holding:
-            self._reach = Reach(permission for grant in held for permission in grant.permissions)
-        self._worked_out, self._holding = (moment, self.version), holding
+        valid = [grant for grant in grants if _is_valid(grant, context.now, revocations)]
+        ids = tuple(grant.id for grant in valid)
+        if ids != self._valid_ids:
+            self._reach = Reach(permission for grant in valid for permission in grant.permissions)
+        self._evaluated_for, self._valid_ids = (context, self.version), ids
 
     def drop_expired(self, now: int) -> None:
-        """Forget what has ended."""
+        """Remove expired grants."""
         for key in [key for key, grant in self.grants.items() if grant.expires <= now]:
             del self.grants[key], self.sizes[key]
             self.version += 1
 
     def count_failure(self, now: int) -> None:
-        """A grant of this key was refused."""
+        """Count a refused grant of this key."""
         self.failures += 1
         if self.failures == 1:
             self.failing_since = now
 
     def has_failed_too_often(self, now: int) -> bool:
-        """Whether no more of its grants are looked at for now."""
-        if not 0 <= now - self.failing_since < FAILURES_WITHIN:
+        """Whether the grants of this key are not verified for now."""
+        if not 0 <= now - self.failing_since < FAILURE_WINDOW:
             self.failures = 0
         return self.failures >= MAX_FAILURES
 
     def put(self, token: bytes, grant: Grant) -> None:
-        """Keep a grant, in place of what was known of it: it may have been renewed."""
+        """Add a grant, in place of an older version of it: it may have been renewed."""
         for key in [key for key, other in self.grants.items() if other.id == grant.id]:
             if self.grants[key].expires > grant.expires:
                 return
@@ -138,12 +138,12 @@ class PresentedGrants:
         self.version += 1
 
     def is_full_for(self, size: int) -> bool:
-        """Whether a grant of `size` bytes finds no room."""
+        """Whether a grant of `size` bytes would exceed a limit."""
         return len(self.grants) >= MAX_HELD or sum(self.sizes.values()) + size > MAX_HELD_BYTES
 
 
-def _holds(grant: Grant, now: int, revocations: Revocations) -> bool:
-    """Whether `grants.decision` would take the grant now; it is bound to its holder already."""
+def _is_valid(grant: Grant, now: int, revocations: Revocations) -> bool:
+    """Whether `grants.decision` would accept the grant now; its holder was checked before."""
     try:
         check_time(grant, now)
         for entry in (grant.id, *grant.via):

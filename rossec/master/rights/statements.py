@@ -1,9 +1,9 @@
-"""What the authority has said and what the nodes have shown: revocations and grants. Pure.
+"""The authority's revocations and the nodes' grants, as the master holds them. Pure.
 
-The master is its own source of freshness: it holds the list, so it confirms it to itself and signs
-the timestamps by which nodes know that nothing newer is being held back. Without a list, or with
-an expired one, identities may still connect (somebody must be able to bring a list), but no grant
-holds. Grants are kept per key, verified once, bounded in number and size.
+The master is its own source of freshness: it confirms the list it holds, and signs the timestamps
+that prove to nodes that no newer list is being withheld. Without a list, or with an expired one,
+identities may still connect (one of them may deliver a list), but no grant is valid. Grants are
+stored per key, verified once, bounded in number and size.
 """
 
 import hashlib
@@ -14,29 +14,29 @@ from ca.certificates import TrustAnchor
 from ca.errors import HintedError, RenewalRefused, RevocationRefused, Revoked
 from ca.keys.signer import Signer
 from ca.revocation.state import MAX_AGE, Revocations, Timestamp, digest, sign_timestamp
-from ca.revocation.tree import Listing, is_tree, open_tree
-from grants.decision import Check
+from ca.revocation.tree import TreeEntries, is_tree, open_tree
+from grants.decision import RevocationCheck
 from grants.errors import GrantError, GrantNotHeld
 from grants.model import Grant
 from grants.token import Verifier
 from rossec.master.rights.access_rules import Caller, Certified, Peer
-from rossec.master.rights.delegation import Delegate, forget
+from rossec.master.rights.delegation import Delegate, discard
 from rossec.master.rights.interfaces import Presented, Renewed
 from rossec.master.rights.presented_grants import (
-    FAILURES_WITHIN,
+    EMPTY_REACH,
+    FAILURE_WINDOW,
     MAX_HELD,
-    NEVER,
-    NOTHING,
+    NOT_EVALUATED,
+    EvaluationContext,
     GrantAccess,
-    Moment,
     PresentedGrants,
 )
 
 _PUBLISH: Final = "deliver it with: rossec ca publish"
-MAX_NAMES: Final = 16 * 1024  # nodes of which is known which list they hold
+MAX_HELD_LISTS: Final = 16 * 1024  # nodes whose list is recorded
 
 
-Renewer = Callable[[bytes, int, Check], bytes]
+Renewer = Callable[[bytes, int, RevocationCheck], bytes]
 """Answers a renewal request (`ca.renewal`) with the node's new bundle."""
 
 
@@ -48,8 +48,8 @@ class TrustState:
         signer: the master's own identity key; signs timestamps.
         revocations: loaded with what was persisted, if anything.
         persist: makes a list durable; called before the list takes effect.
-        delegate: renews grants; by default the authority has not delegated that.
-        renewer: answers a request to renew an identity, `check` says what is revoked; None: nobody.
+        delegate: renews grants; by default without a delegation.
+        renewer: renews identities; None: this master renews none.
         persist_entries: makes the entries of a tree durable, before the tree itself.
     """
 
@@ -60,7 +60,7 @@ class TrustState:
         revocations: Revocations,
         persist: Callable[[bytes], None],
         delegate: Delegate | None = None,
-        persist_entries: Callable[[bytes], None] = forget,
+        persist_entries: Callable[[bytes], None] = discard,
         renewer: Renewer | None = None,
     ) -> None:
         self._anchor = anchor
@@ -69,36 +69,36 @@ class TrustState:
         self._persist = persist
         self._persist_entries = persist_entries
         self._renewer = renewer
-        self._listing: Listing | None = None
+        self._listing: TreeEntries | None = None
         self._delegate = Delegate(anchor, signer) if delegate is None else delegate
         self._held: dict[bytes, PresentedGrants] = {}
-        self._ended: dict[bytes, Grant] = {}
+        self._revoked_grants: dict[bytes, Grant] = {}
         self._lists: dict[tuple[str, bytes], bytes] = {}
-        self._chains: dict[bytes, tuple[bytes, ...]] = {}  # by the first key: all of an identity
-        self._stamp: tuple[int, bytes] = (-1, b"")
-        self._moment = NEVER
+        self._identity_keys: dict[bytes, tuple[bytes, ...]] = {}  # by the identity's own key
+        self._timestamp_cache: tuple[int, bytes] = (-1, b"")
+        self._context = NOT_EVALUATED
 
     def caller(self, peer: Certified, now: int) -> Caller:
-        """Who calls and what it may do now.
+        """The caller with its rights now.
 
         Raises:
-            Revoked: the key is revoked, or that of the intermediate it hangs on.
+            Revoked: the key is revoked, or that of the intermediate that issued its certificate.
         """
-        keys = self._chains[peer.thumbprint] = peer.keys
+        keys = self._identity_keys[peer.thumbprint] = peer.keys
         if self._is_revoked(keys):
             raise Revoked(f"the key of {peer.name} is revoked", "enroll the node with a new key")
         return self._caller(peer, now, wildcard=peer.wildcard)
 
     def caller_of(self, peer: Peer, now: int) -> Caller | None:
-        """What a name and key seen before may do now; None: the key is revoked."""
-        if self._is_revoked(self._chains.get(peer.thumbprint, (peer.thumbprint,))):
+        """A name and key seen before, with its rights now; None: the key is revoked."""
+        if self._is_revoked(self._identity_keys.get(peer.thumbprint, (peer.thumbprint,))):
             return None
         return self._caller(peer, now)
 
     def present(self, caller: Caller, tokens: Sequence[bytes], now: int) -> Presented:
-        """Verify and keep grants; one that is refused does not spoil the others.
+        """Verify and store grants; a refused one does not affect the others.
 
-        Nothing is kept for a key that the tokens are not bound to.
+        A grant bound to another key is refused.
         """
         self._confirm(now)
         held = self._held.setdefault(caller.thumbprint, PresentedGrants())
@@ -106,35 +106,37 @@ class TrustState:
         refused: list[str] = []
         for token in tokens:
             try:
-                self._keep(held, caller, token, now)
+                self._add(held, caller, token, now)
             except HintedError as error:
                 held.count_failure(now)
                 refused.append(str(error))
         return Presented(len(held.grants), tuple(refused))
 
     def revoked(self) -> frozenset[bytes]:
-        """The whole list."""
+        """All revoked entries."""
         return self._revocations.entries
 
     def pertaining(
         self, caller: Caller, names: Iterable[str]
     ) -> Generator[None, None, frozenset[bytes]]:
-        """What of the list concerns a caller that is registered for `names`.
+        """The revoked entries that pertain to a caller that is registered for `names`.
 
-        Its own grants; grants for these names, whoever holds them, and their holders' keys; what
-        renews grants. The master knows of grants that were presented to it: of others nobody here
-        could say whom they concern. Yields wherever others may have their turn.
+        Its own grants; grants of any holder for these names, and the keys of these holders; the
+        delegation of renewal. Only grants that were presented to the master are considered: it
+        does not know the others. Yields where other calls may be answered.
         """
         keys, entries = frozenset(names), self._revocations.entries
-        concerned = {caller.thumbprint, self._delegate.id}
-        revoked = [item for item in self._known() if not entries.isdisjoint((item.id, item.holder))]
+        pertaining = {caller.thumbprint, self._delegate.id}
+        revoked = [
+            item for item in self._known_grants() if not entries.isdisjoint((item.id, item.holder))
+        ]
         for grant in revoked:
-            if grant.holder == caller.thumbprint or (yield from _reaches(grant, keys)):
-                concerned |= {grant.id, grant.holder}
-        return entries & concerned
+            if grant.holder == caller.thumbprint or (yield from _names_any(grant, keys)):
+                pertaining |= {grant.id, grant.holder}
+        return entries & pertaining
 
     def renew(self, caller: Caller, tokens: Sequence[bytes], now: int) -> Renewed:
-        """Tokens that hold longer, in the same order, empty where one is not renewed."""
+        """Renewed tokens, in the same order, empty where one is refused."""
         self._confirm(now)
         held = self._held.setdefault(caller.thumbprint, PresentedGrants())
         held.drop_expired(now)
@@ -150,10 +152,10 @@ class TrustState:
         return Renewed(tuple(renewed), tuple(refused))
 
     def renew_identity(self, caller: Caller, request: bytes, now: int) -> bytes:
-        """The bundle that succeeds an identity, by the intermediate of this host.
+        """The bundle of a renewed identity, signed by the intermediate of this host.
 
         Raises:
-            CAError: not in order, or there is no intermediate here.
+            CAError: the request is refused, or there is no intermediate here.
         """
         if self._renewer is None:
             raise RenewalRefused("this master renews no identities", "ask the authority's operator")
@@ -167,35 +169,35 @@ class TrustState:
             raise
 
     def check(self, entry: bytes, now: int) -> None:
-        """As `Revocations.check`, by what the master holds now."""
+        """As `Revocations.check`, against the list in force."""
         self._confirm(now)
         self._revocations.check(entry, now)
 
-    def delegated(self, data: bytes) -> bool:
-        """Take leave of the authority to renew grants; returns whether it is newer.
+    def update_delegation(self, data: bytes) -> bool:
+        """Accept a delegation to renew grants; returns whether it is newer.
 
         Raises:
-            GrantError: not the authority's, or not for this master.
+            GrantError: not signed by the authority, or not for this master.
         """
         return self._delegate.take(data)
 
     def current(self, now: int) -> tuple[bytes, bytes]:
         """The list and a timestamp of this second; empty while there is no list."""
-        revocations = self._revocations.held
+        revocations = self._revocations.current
         if revocations is None:
             return b"", b""
-        if self._stamp[0] != now:
-            self._stamp = now, sign_timestamp(self._signer, self._timestamp(now))
-        return self._revocations.data, self._stamp[1]
+        if self._timestamp_cache[0] != now:
+            self._timestamp_cache = now, sign_timestamp(self._signer, self._timestamp(now))
+        return self._revocations.data, self._timestamp_cache[1]
 
-    def held_by(self, peer: Peer, held: bytes) -> None:
-        """A node says which list it holds, by its digest; believed only to spare it the list."""
-        if len(self._lists) >= MAX_NAMES:  # a wildcard identity goes by as many as it likes
+    def record_held_list(self, peer: Peer, digest: bytes) -> None:
+        """Record which list a node says it holds, by its digest; used only not to send it again."""
+        if len(self._lists) >= MAX_HELD_LISTS:  # a wildcard identity has as many names as it wants
             self._lists.clear()
-        self._lists[peer.name, peer.thumbprint] = held
+        self._lists[peer.name, peer.thumbprint] = digest
 
-    def news_for(self, peer: Peer, now: int) -> tuple[bytes, bytes]:
-        """As `current`, but without the list for a node that has said that it holds it."""
+    def revocations_for(self, peer: Peer, now: int) -> tuple[bytes, bytes]:
+        """As `current`, but without the list if the node has said that it holds it."""
         data, stamp = self.current(now)
         return (
             b"" if self._lists.get((peer.name, peer.thumbprint)) == digest(data) else data
@@ -204,25 +206,25 @@ class TrustState:
     @property
     def number(self) -> int:
         """Sequence number of the list in force; 0: none."""
-        return 0 if self._revocations.held is None else self._revocations.held.seq
+        return 0 if self._revocations.current is None else self._revocations.current.seq
 
     def update(self, data: bytes, now: int) -> bool:
-        """Take a list signed by the authority; returns whether it differs from the one held.
+        """Accept a list signed by the authority; returns whether it differs from the one held.
 
         Raises:
             RevocationRefused: forged, malformed, or older than one seen.
         """
         if is_tree(data):
-            raise RevocationRefused("a tree of revocations comes with its entries", _PUBLISH)
+            raise RevocationRefused("a revocation tree needs its entries", _PUBLISH)
         before = self._revocations.data
         self._revocations.update(data, now, self._persist)
         self._listing = None
-        return self._updated(before)
+        return self._list_replaced(before)
 
     def update_tree(self, data: bytes, entries: bytes, now: int) -> bool:
-        """Take a tree signed by the authority, and all it was made of; as `update`."""
-        signed = open_tree(data, self._anchor.public_key)  # before anything is done for a stranger
-        listing = Listing.read(entries)
+        """Accept a tree signed by the authority, with all its entries; as `update`."""
+        signed = open_tree(data, self._anchor.public_key)  # first: the sender may be unauthorized
+        listing = TreeEntries.read(entries)
         listing.check(signed)
         before = self._revocations.data
 
@@ -233,29 +235,31 @@ class TrustState:
         if data == before:  # after a restart without the entries
             self._persist_entries(entries)
         self._revocations.update(data, now, persist)
-        self._revocations.complete(listing)
+        self._revocations.set_entries(listing)
         self._listing = listing
-        return self._updated(before)
+        return self._list_replaced(before)
 
     def proofs(self, entries: Sequence[bytes]) -> list[bytes]:
-        """What the tree shows of each entry; nothing while the whole list is at hand."""
+        """The proof of each entry in the tree in force; empty while a list is in force."""
         return [] if self._listing is None else [self._listing.prove(item) for item in entries]
 
-    def _updated(self, before: bytes) -> bool:
-        """Forget what followed from the statement `before`; returns whether it is another now."""
-        self._ended = {
+    def _list_replaced(self, before: bytes) -> bool:
+        """Reset what depends on the list; returns whether it differs from `before`."""
+        self._revoked_grants = {
             grant.id: grant
-            for grant in self._known()
+            for grant in self._known_grants()
             if not self._revocations.entries.isdisjoint((grant.id, grant.holder))
         }
-        self._stamp, self._moment = (-1, b""), NEVER
+        self._timestamp_cache, self._context = (-1, b""), NOT_EVALUATED
         return self._revocations.data != before
 
     def keep_only(self, thumbprints: frozenset[bytes], now: int) -> None:
-        """Forget the grants of all other keys, and what has expired of these."""
+        """Discard the grants of all other keys, and the expired grants of these."""
         self._held = {key: held for key, held in self._held.items() if key in thumbprints}
         self._lists = {key: held for key, held in self._lists.items() if key[1] in thumbprints}
-        self._chains = {key: keys for key, keys in self._chains.items() if key in thumbprints}
+        self._identity_keys = {
+            key: keys for key, keys in self._identity_keys.items() if key in thumbprints
+        }
         for held in self._held.values():
             held.drop_expired(now)
 
@@ -266,17 +270,17 @@ class TrustState:
         self._confirm(now)
         held = self._held.get(peer.thumbprint)
         if held is not None:
-            return held.caller(peer, self._moment, self._revocations, wildcard=wildcard)
-        access = GrantAccess((), NOTHING, peer.thumbprint, now, self._revocations.check)
+            return held.caller(peer, self._context, self._revocations, wildcard=wildcard)
+        access = GrantAccess((), EMPTY_REACH, peer.thumbprint, now, self._revocations.check)
         return Caller(peer.name, peer.thumbprint, access, wildcard)
 
-    def _known(self) -> Iterator[Grant]:
-        """Grants presented by those who are here, and those remembered because of the list."""
-        yield from self._ended.values()
+    def _known_grants(self) -> Iterator[Grant]:
+        """The grants held, and those that the list in force has revoked."""
+        yield from self._revoked_grants.values()
         for held in self._held.values():
             yield from held.grants.values()
 
-    def _keep(self, held: PresentedGrants, caller: Caller, token: bytes, now: int) -> None:
+    def _add(self, held: PresentedGrants, caller: Caller, token: bytes, now: int) -> None:
         key = hashlib.sha256(token).digest()
         if key in held.grants:
             return
@@ -285,7 +289,9 @@ class TrustState:
             raise GrantError(f"the master holds at most {MAX_HELD} grants of one node")
         grant = self._verifier().open(token, now)
         if grant.holder != caller.thumbprint:
-            raise GrantNotHeld("a grant bound to another key", f"it was given to {grant.subject}")
+            raise GrantNotHeld(
+                "the grant is bound to another key", f"it was issued to {grant.subject}"
+            )
         held.put(token, grant)
 
     def _renew(self, held: PresentedGrants, caller: Caller, token: bytes, now: int) -> bytes:
@@ -294,7 +300,7 @@ class TrustState:
         grant, renewed = self._delegate.renew(
             token, caller.thumbprint, now, seq=self.number, check=check
         )
-        if not held.is_full_for(len(renewed)):  # else its holder presents it when it has room
+        if not held.is_full_for(len(renewed)):  # else the node presents it later
             held.put(renewed, grant)
         return renewed
 
@@ -302,7 +308,7 @@ class TrustState:
     def _check_failures(held: PresentedGrants, now: int) -> None:
         if held.has_failed_too_often(now):
             raise GrantError(
-                "too many grants of this node were refused", f"wait {FAILURES_WITHIN} s"
+                "too many grants of this node were refused", f"wait {FAILURE_WINDOW} s"
             )
 
     def _verifier(self) -> Verifier:
@@ -313,20 +319,20 @@ class TrustState:
         )  # fmt: skip
 
     def _confirm(self, now: int) -> None:
-        """Confirm the list to ourselves, once in each second and for each list."""
-        moment, revocations = self._moment, self._revocations
-        if moment.now != now or moment.revocations is not revocations.data:
-            if revocations.held is not None:
+        """Confirm the list to this process, once in each second and for each list."""
+        context, revocations = self._context, self._revocations
+        if context.now != now or context.revocations is not revocations.data:
+            if revocations.current is not None:
                 revocations.confirm(self._timestamp(now), now)
-            self._moment = Moment(now, revocations.data, revocations.fresh_until)
+            self._context = EvaluationContext(now, revocations.data, revocations.fresh_until)
 
     def _timestamp(self, now: int) -> Timestamp:
         return Timestamp(self.number, digest(self._revocations.data), now, MAX_AGE)
 
 
-def _reaches(grant: Grant, names: frozenset[str]) -> Generator[None, None, bool]:
+def _names_any(grant: Grant, names: frozenset[str]) -> Generator[None, None, bool]:
     for permission in grant.permissions:
-        if any(permission.names(name, permission.rights) for name in names):
+        if any(permission.matches(name, permission.rights) for name in names):
             return True
         yield
     return False

@@ -1,11 +1,11 @@
-"""Queries of the revocation list as RFC 9770 has them: full, the last changes, and by cursor. Pure.
+"""Token revocation list (TRL) queries of RFC 9770: full query, diff query, with a cursor. Pure.
 
-For each requester there is a series of updates of *its* list, numbered; a query gets all of the
-list, or the updates after a cursor. An update is noted when the requester asks and its list differs
-from the last time, which keeps nothing for those who never ask. Numbers begin with the start of the
-master, so a cursor from an earlier run is too old, not somebody else's place.
+Each requester has a numbered series of updates of *its* part of the TRL; the answer is that part,
+or the updates after a cursor. An update is recorded when the requester queries and its part has
+changed since, so nothing is stored for peers that never query. The first number is taken from the
+start time of the master, so a cursor from an earlier run is recognized as too old.
 
-This is news, not proof: what a node relies on is the list signed by the authority.
+The answer is information, not proof: nodes rely on the list signed by the authority.
 """
 
 from collections import OrderedDict, deque
@@ -15,9 +15,9 @@ from ca.encoding import Value, decode, encode
 from ca.errors import EncodingError
 from rossec.errors import QueryRefused
 
-MAX_N: Final = 64  # updates kept of one requester
+MAX_N: Final = 64  # updates stored for one requester
 MAX_DIFF_BATCH: Final = 16  # updates in one answer
-MAX_HASHES: Final = 4096  # and their hashes, unless one update alone has more
+MAX_HASHES: Final = 4096  # token hashes in one answer, unless one update alone has more
 MAX_REQUESTERS: Final = 1024
 MAX_QUERY: Final = 64  # bytes
 
@@ -34,7 +34,7 @@ class TrlUpdate(NamedTuple):
 
 
 class Query(NamedTuple):
-    """What is asked for; without `diff` the whole list."""
+    """A query; without `diff` a full query."""
 
     diff: int | None = None
     cursor: int | None = None
@@ -49,7 +49,7 @@ class Series:
         self._updates: deque[TrlUpdate] = deque(maxlen=MAX_N)
 
     def note(self, entries: frozenset[bytes]) -> None:
-        """The list is this now."""
+        """Record that the part of this requester is now `entries`."""
         if entries == self._entries:
             return
         removed, added = sorted(self._entries - entries), sorted(entries - self._entries)
@@ -61,7 +61,7 @@ class Series:
         """The answer to a query.
 
         Raises:
-            QueryRefused: a cursor from the future.
+            QueryRefused: a cursor that was never sent.
         """
         last = self._updates[-1].number if self._updates else None
         if query.diff is None:
@@ -69,10 +69,10 @@ class Series:
         if query.cursor is None:
             wanted = list(self._updates)[-min(query.diff or MAX_N, MAX_N) :]
         elif last is None or query.cursor < self._updates[0].number - 1:
-            # Nothing to go on from: the requester is to ask for all (`more` tells it so).
+            # The cursor is too old: `more` tells the requester to send a full query.
             return {_DIFF_SET: [], _CURSOR: None, _MORE: last is not None}
         elif query.cursor > last:
-            raise QueryRefused("a cursor that was never given out (2)")
+            raise QueryRefused("a cursor that was never sent (2)")
         else:
             wanted = [update for update in self._updates if update.number > query.cursor]
             wanted = wanted[: query.diff or MAX_N]
@@ -83,23 +83,23 @@ class Series:
 
 
 class RevocationQueries:
-    """The series of all requesters; the one that has not asked for longest is forgotten.
+    """The series of all requesters; the least recently used one is discarded.
 
     Args:
         start: when the master was started, seconds since the epoch.
     """
 
     def __init__(self, start: int) -> None:
-        self._first = start << 20  # a million updates a second would be needed to be overtaken
+        self._first = start << 20  # reached by a later run only after a million updates a second
         self._series: OrderedDict[bytes, Series] = OrderedDict()
 
     def answer(self, requester: bytes, entries: frozenset[bytes], query: bytes) -> bytes:
-        """Answer one query of the requester whose list is `entries`.
+        """Answer one query of the requester whose part of the TRL is `entries`.
 
         Raises:
-            QueryRefused: no query, or for something that cannot be had.
+            QueryRefused: the query is malformed, or its cursor is invalid.
         """
-        asked = read(query)
+        parsed = read(query)
         series = self._series.get(requester)
         if series is None:
             series = self._series[requester] = Series(self._first, entries)
@@ -107,14 +107,14 @@ class RevocationQueries:
                 self._series.popitem(last=False)
         self._series.move_to_end(requester)
         series.note(entries)
-        return encode(series.answer(asked))
+        return encode(series.answer(parsed))
 
 
 def read(query: bytes) -> Query:
     """Read a query: the map {? "diff": uint, ? "cursor": uint}; a cursor needs diff.
 
     Raises:
-        QueryRefused: it is none; the number at the end is RFC 9770's error code.
+        QueryRefused: it is malformed; the number at the end is RFC 9770's error code.
     """
     try:
         value = decode(query, limit=MAX_QUERY)
@@ -123,14 +123,14 @@ def read(query: bytes) -> Query:
     if not isinstance(value, dict) or value.keys() - {"diff", "cursor"}:
         raise QueryRefused("a query is a map of diff and cursor (1)")
     if any(type(number) is not int or number < 0 for number in value.values()):
-        raise QueryRefused("diff and cursor are numbers that are not negative (0)")
+        raise QueryRefused("diff and cursor are non-negative integers (0)")
     if "cursor" in value and "diff" not in value:
         raise QueryRefused("a cursor without diff (1)")
     return Query(**value)  # type: ignore[arg-type]
 
 
 def _batch(updates: list[TrlUpdate]) -> list[TrlUpdate]:
-    """The eldest of them that fit into one answer."""
+    """The oldest updates that fit into one answer."""
     batch: list[TrlUpdate] = []
     hashes = 0
     for update in updates[:MAX_DIFF_BATCH]:

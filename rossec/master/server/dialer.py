@@ -1,7 +1,7 @@
-"""Calling a node: whoever answers at a slave API must be the node that registered it. A shell.
+"""Connecting to a slave API: the peer must be the node that registered it. A shell.
 
-The one place from which the master connects to nodes. Nothing is said to somebody else, and who
-registered the address of another is reported. When to call and what to say is not known here.
+The only module from which the master connects to nodes. Nothing is sent to any other peer, and a
+node that registered the address of another is reported. What is called is up to the caller.
 """
 
 import asyncio
@@ -22,19 +22,19 @@ from rossec.ros.settings import parse_uri
 
 
 class SlaveDialer:
-    """Connects as the master; `doubted` are those who are being asked whether they are there.
+    """Connects as the master; `probed` are the nodes that are being probed.
 
     Args:
-        credentials, verify: the master's own identity, and who may answer.
-        on_other: called with the node called and the peer that answered in its place.
-        limits, suites, known: as for connections that come in.
+        credentials, verify: the master's own identity, and verification of the peer's.
+        on_mismatch: called with the node and the other peer that answered at its address.
+        limits, suites, known: as for accepted connections.
     """
 
     def __init__(
         self,
         credentials: OwnCredential,
         verify: Verify[ChannelPeer],
-        on_other: Callable[[NodeRef, ChannelPeer], None],
+        on_mismatch: Callable[[NodeRef, ChannelPeer], None],
         *,
         limits: ChannelLimits,
         suites: tuple[int, ...],
@@ -42,18 +42,18 @@ class SlaveDialer:
     ) -> None:
         self._credentials = credentials
         self._verify = verify
-        self._on_other = on_other
+        self._on_mismatch = on_mismatch
         self._limits = limits
         self._suites = suites
         self._known = known
-        self.doubted: Final[set[NodeRef]] = set()
+        self.probed: Final[set[NodeRef]] = set()
 
     async def dial(self, node: NodeRef) -> RpcClient:
-        """Connect to a slave API; whoever answers must be the node that registered.
+        """Connect to a slave API; the peer must be the node that registered it.
 
         Raises:
-            CallerMismatch: it is another.
-            RossecError, OSError: nobody can be reached there.
+            CallerMismatch: it is another node.
+            RossecError, OSError: the node cannot be reached.
         """
         host, port = parse_uri(node.uri, "the slave API")
         stream = await connect(
@@ -68,16 +68,16 @@ class SlaveDialer:
         )
         if not stream.peer.covers(node.name) or stream.peer.thumbprint != node.thumbprint:
             stream.abort("not the node that was registered")
-            self._on_other(node, stream.peer)
+            self._on_mismatch(node, stream.peer)
             raise CallerMismatch(f"{stream.peer.name} answers at the slave API of {node.name}")
         return RpcClient(stream)
 
-    async def doubt(self, node: NodeRef) -> None:
-        """Call `node` to say nothing: if somebody else answers there, that is reported."""
-        self.doubted.add(node)
+    async def probe(self, node: NodeRef) -> None:
+        """Connect to `node` and disconnect: if another peer answers, that is reported."""
+        self.probed.add(node)
         try:
             with contextlib.suppress(RossecError, OSError, TimeoutError):
                 async with asyncio.timeout(CALL_DEADLINE):
                     await (await self.dial(node)).close()
         finally:
-            self.doubted.discard(node)
+            self.probed.discard(node)

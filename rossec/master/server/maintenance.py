@@ -1,8 +1,8 @@
-"""What must hold although nobody calls: rights enforced, lists confirmed. A shell.
+"""Maintenance: rights are enforced and lists confirmed, in rounds. A shell.
 
-It is looked after at every beat, and at once when a revocation list comes in: what follows from a
-list is done before the call that brought it is answered, but for what would take too long. A fault
-of one round does not end the rounds.
+A round runs at every interval, and at once when a revocation list is delivered: the list is
+enforced before that call is answered, except for what would take too long. An exception in one
+round does not end the rounds.
 """
 
 import asyncio
@@ -21,124 +21,126 @@ from rossec.master.server.effects import MasterState
 from rossec.net.aio.tasks import TaskSet
 from rossec.ros.text import printable
 
-_WENT_BACK: Final = (
-    "the host's clock went back: the master goes on by the seconds that have passed"
+_CLOCK_SET_BACK: Final = (
+    "the host's clock went back: the master counts the seconds that have passed instead"
     " (set the clock right; if it is right now, restart the master)"
 )
-AT_ONCE: Final = 1024  # steps of judging before the next call is answered; more follow after it
+STEPS_AT_ONCE: Final = 1024  # enforcement steps before the next call is answered
 
 _log = logging.getLogger("rossec.master.upkeep")
 _audit = logging.getLogger("rossec.audit")
 
 
 class Maintenance:
-    """Looks after the rights in `state`, from `begin` to `close`.
+    """Runs rounds of maintenance on `state`, from `start` to `close`.
 
     Args:
-        deliver: makes events happen (`Effects.deliver`).
-        every: seconds between two beats.
-        looks: called with the time at every beat.
+        deliver: performs the effect of an event (`Effects.deliver`).
+        interval: seconds between two rounds.
+        checks: called with the time in each round.
     """
 
     def __init__(
         self,
         state: MasterState,
         deliver: Callable[[MasterEvent], None],
-        every: float,
-        looks: Sequence[Callable[[int], None]],
+        interval: float,
+        checks: Sequence[Callable[[int], None]],
     ) -> None:
         self._state = state
         self._deliver = deliver
-        self._every = every
-        self._looks = looks
+        self._interval = interval
+        self._checks = checks
         self._api: MasterApi | None = None
         self._setbacks = Setbacks()
         self._tasks = TaskSet()
-        self._changed = asyncio.Event()  # revocations: what follows must not wait for the beat
+        self._changed = asyncio.Event()  # revocations: the next round must not wait
 
-    def begin(self, api: MasterApi) -> None:
-        """Look after what `api` answers for."""
+    def start(self, api: MasterApi) -> None:
+        """Begin the rounds; `api` stores state that is to be pruned."""
         self._api = api
-        self._tasks.spawn(self._beat(), name="rossec master timestamps")
+        self._tasks.spawn(self._run(), name="rossec master maintenance")
 
     async def close(self) -> None:
-        """End the beat."""
+        """End the rounds."""
         await self._tasks.close()
 
     def revocations_changed(self) -> None:
-        """A list came in: do now what can be done at once, and the rest soon."""
-        for _ in islice(self._enforcing(), AT_ONCE):
+        """Enforce a new list: as much as possible now, the rest soon."""
+        for _ in islice(self._enforcement(), STEPS_AT_ONCE):
             pass
-        self._cut_revoked()  # also what it was about to be told
-        self._push_revocations()
+        self._close_revoked()  # also their pending updates
+        self._send_revocations()
         self._changed.set()
 
-    async def _beat(self) -> None:
+    async def _run(self) -> None:
         while True:
             self._changed.clear()
             try:
-                await self._look_around()
-            except Exception:  # noqa: BLE001 - one fault must not end freshness and enforcement
-                _log.exception("looking after rights failed; it is done again")
+                await self._run_once()
+            except Exception:  # noqa: BLE001 - one failure must not end freshness and enforcement
+                _log.exception("maintenance failed; it is tried again")
             with contextlib.suppress(TimeoutError):
-                async with asyncio.timeout(self._every):
+                async with asyncio.timeout(self._interval):
                     await self._changed.wait()
 
-    async def _look_around(self) -> None:
+    async def _run_once(self) -> None:
         if self._setbacks.any_new():
-            _audit.warning(_WENT_BACK)
-        self._cut_revoked()
+            _audit.warning(_CLOCK_SET_BACK)
+        self._close_revoked()
         await self._enforce()
-        self._push_revocations()
-        self._forget_the_gone()
-        for look in self._looks:
-            look(self._state.now())
-        if self._state.memory is not None:
-            self._state.memory.sync()
+        self._send_revocations()
+        self._forget_absent()
+        for check in self._checks:
+            check(self._state.now())
+        if self._state.parameter_file is not None:
+            self._state.parameter_file.sync()
 
     async def _enforce(self) -> None:
-        """Drop what is no longer allowed, tell those concerned; others are answered meanwhile."""
-        for _ in self._enforcing():
-            self._state.news.tell(self._state.registry.version)
+        """Remove what is no longer authorized; other calls are answered meanwhile."""
+        for _ in self._enforcement():
+            self._state.graph_changes.notify(self._state.registry.version)
             await asyncio.sleep(0)
-        self._state.news.tell()  # what lapsed without a registration may still have been seen
+        self._state.graph_changes.notify()  # without a registration, too, a watcher may see less
 
-    def _enforcing(self) -> Iterator[None]:
-        """Judge all registrations, some at each step."""
+    def _enforcement(self) -> Iterator[None]:
+        """Enforce rights on all registrations, some in each step."""
         if self._api is not None:
             for step in steps(self._state.registry):
                 state = self._state
-                for event in enforce(state.registry, state.standing, step, state.now()):
+                for event in enforce(state.registry, state.trust, step, state.now()):
                     self._deliver(event)
                 yield
 
-    def _cut_revoked(self) -> None:
-        """Cut the connections of revoked identities, and tell them nothing more."""
+    def _close_revoked(self) -> None:
+        """Close the connections of revoked identities, and drop their updates."""
         now = self._state.now()
         for stream in tuple(self._state.streams):
             try:
-                self._state.standing.caller(stream.peer, now)
+                self._state.trust.caller(stream.peer, now)
             except HintedError as error:
-                _audit.warning("%s is cut off: %s", stream.peer.name, printable(error))
-                self._state.streams.discard(stream)  # its handler ends in a later turn of the loop
+                _audit.warning("%s is disconnected: %s", stream.peer.name, printable(error))
+                self._state.streams.discard(
+                    stream
+                )  # its handler ends in a later iteration of the loop
                 stream.abort(str(error))
         for node in self._state.updates.nodes:
-            if self._state.standing.caller_of(node, now) is None:
+            if self._state.trust.caller_of(node, now) is None:
                 self._state.updates.drop(node)
 
-    def _forget_the_gone(self) -> None:
+    def _forget_absent(self) -> None:
         nodes = frozenset(self._state.registry.nodes())
         self._state.updates.prune(nodes)
         registered = {node.thumbprint for node in nodes}
         connected = {stream.peer.thumbprint for stream in self._state.streams}
-        self._state.standing.keep_only(frozenset(registered | connected), self._state.now())
+        self._state.trust.keep_only(frozenset(registered | connected), self._state.now())
         if self._api is not None:
-            self._api.watching.keep_only(frozenset(connected))
+            self._api.watch_calls.keep_only(frozenset(connected))
 
-    def _push_revocations(self) -> None:
-        """Confirm the list to every node, and send it to those that do not hold it."""
+    def _send_revocations(self) -> None:
+        """Send every node a timestamp of the list, and the list to nodes that do not hold it."""
         now, key = self._state.now(), ("rossec.revocationUpdate", "")
         for node in self._state.registry.nodes():
-            revocations, timestamp = self._state.standing.news_for(node, now)
-            if timestamp and self._state.standing.caller_of(node, now) is not None:
+            revocations, timestamp = self._state.trust.revocations_for(node, now)
+            if timestamp and self._state.trust.caller_of(node, now) is not None:
                 self._state.updates.post(node, key, self._state.name, revocations, timestamp)

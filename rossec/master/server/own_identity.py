@@ -1,9 +1,9 @@
-"""The master's own identity while it runs: renewed where this host can, taken up when replaced.
+"""The master's own identity while it runs: renewed where possible, reloaded when replaced. A shell.
 
-A shell. A master runs for months, its certificate holds for one. So at every beat it looks whether
-another one lies in its home (`rossec node install`); it renews itself when there is an intermediate
-(`--renew-identities`); and it says so while nobody has renewed it and there is still time. The key
-stays: its signatures are what nodes know their master by.
+A master runs for months, its certificate is valid for one. So each maintenance round reloads a
+certificate that was installed (`rossec node install`), renews it when there is an intermediate
+(`--renew-identities`), or logs a warning while there is time to renew it. The key stays the same:
+nodes identify their master by it.
 """
 
 import logging
@@ -12,8 +12,8 @@ from typing import Final
 
 from ca.certificates import Identity, build_request
 from ca.errors import HintedError
-from ca.renewal import ask_again_in, renew_at, sign_renewal
-from grants.validity import moment
+from ca.renewal import renew_at, retry_delay, sign_renewal
+from grants.validity import format_time
 from rossec.channel.edhoc.credentials import LiveCredentials
 from rossec.errors import ConfigurationError
 from rossec.home import NodeHome
@@ -28,29 +28,29 @@ Renew = Callable[[bytes, int], bytes]
 
 
 class OwnIdentity:
-    """What the master shows, and looks after with `look`.
+    """The credentials of the master; `check` keeps them current.
 
     Raises:
-        CertificateRefused: the identity in `home` has expired, or is not in order.
-        ConfigurationError: there is none, or it is another node's.
+        CertificateRefused: the identity in `home` has expired, or is invalid.
+        ConfigurationError: there is no identity, or it is another node's.
     """
 
     def __init__(self, home: NodeHome, now: int) -> None:
         self._home = home
         self._identity = home.identity(now)
-        self._seen = self._stamp()
-        self._again = 0
+        self._loaded_version = self._file_version()
+        self._next_attempt = 0
         self.renew: Renew | None = None
         self.credentials = LiveCredentials(home.credentials())
 
-    def look(self, now: int) -> None:
-        """Take up what lies in the home, and renew what is due; whatever fails is tried again."""
-        self._attempt(self._take_up, now)
+    def check(self, now: int) -> None:
+        """Reload a replaced identity, and renew one that is due; a failure is tried again."""
+        self._attempt(self._reload, now)
         held = self._identity
-        if now >= max(self._again, renew_at(held.not_before, held.not_after)):
+        if now >= max(self._next_attempt, renew_at(held.not_before, held.not_after)):
             longest = _HOUR if self.renew is None else _RETRY
-            self._again = now + ask_again_in(held.not_before, held.not_after, longest)
-            self._attempt(self._renew, now)
+            self._next_attempt = now + retry_delay(held.not_before, held.not_after, longest)
+            self._attempt(self._renew_if_possible, now)
 
     def _attempt(self, action: Callable[[int], None], now: int) -> None:
         try:
@@ -59,34 +59,34 @@ class OwnIdentity:
             hint = f" ({error.hint})" if isinstance(error, HintedError) and error.hint else ""
             _log.warning("the master's own identity: %s%s", printable(error), hint)
 
-    def _take_up(self, now: int) -> None:
-        stamp = self._stamp()
-        if stamp == self._seen:
+    def _reload(self, now: int) -> None:
+        version = self._file_version()
+        if version == self._loaded_version:
             return
-        self._seen = stamp
+        self._loaded_version = version
         found = self._home.identity(now)
         if found.thumbprint != self._identity.thumbprint:
-            raise ConfigurationError("it is for another key now", "restart the master")
-        self._hold(found)
+            raise ConfigurationError("the installed identity has another key", "restart the master")
+        self._replace(found)
 
-    def _hold(self, identity: Identity) -> None:
+    def _replace(self, identity: Identity) -> None:
         self.credentials.current = self._home.credentials()
-        self._identity, self._again = identity, 0
-        _log.info("the master's own identity holds until %s", moment(identity.not_after))
+        self._identity, self._next_attempt = identity, 0
+        _log.info("the master's own identity is valid until %s", format_time(identity.not_after))
 
-    def _renew(self, now: int) -> None:
+    def _renew_if_possible(self, now: int) -> None:
         own, held = self.credentials.current, self._identity
         if self.renew is None:
-            verb = "ends" if now < held.not_after else "ended"
+            verb = "expires" if now < held.not_after else "expired"
             raise ConfigurationError(
-                f"it {verb} {moment(held.not_after)}, and then no node may connect",
+                f"it {verb} {format_time(held.not_after)}, after which no node connects",
                 f"rossec ca renew {held.name}, then rossec node install FILE here; no restart",
             )
         csr = build_request(own.signer, held.domain, held.name)
         bundle = self.renew(sign_renewal(own.signer, own.chain, csr, now), now)
-        self._hold(self._home.install(bundle, now))
-        self._seen = self._stamp()
+        self._replace(self._home.install(bundle, now))
+        self._loaded_version = self._file_version()
 
-    def _stamp(self) -> tuple[int, int, int]:
+    def _file_version(self) -> tuple[int, int, int]:
         found = (self._home.path / "node.pem").stat()
         return found.st_ino, found.st_mtime_ns, found.st_size

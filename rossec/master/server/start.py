@@ -1,4 +1,4 @@
-"""Making a master from the directory of its node."""
+"""Creating a master from the directory of its node."""
 
 import contextlib
 import logging
@@ -11,11 +11,11 @@ from ca.revocation.state import Revocations
 from ca.revocation.tree import is_tree
 from rossec.channel.edhoc.suites import PRODUCTION
 from rossec.home import NodeHome
-from rossec.master.operation.denial_log import OnDenial, unheard
+from rossec.master.operation.denial_log import OnDenial, ignore_denial
 from rossec.master.operation.limits import MasterLimits
 from rossec.master.rights.delegation import Delegate
 from rossec.master.rights.statements import Renewer, TrustState
-from rossec.master.server.local_authority import Find, nothing
+from rossec.master.server.local_authority import FindRevocations, no_authority
 from rossec.master.server.own_identity import OwnIdentity
 from rossec.master.server.parameter_file import ParameterFile
 from rossec.master.server.saved_list import ListFile
@@ -37,89 +37,89 @@ def master_of(
     now: int,
     entries: bytes | None = None,
     renewer: Renewer | None = None,
-    complain: OnDenial = unheard,
+    on_denial: OnDenial = ignore_denial,
     limits: MasterLimits = _LIMITS,
     suites: tuple[int, ...] = PRODUCTION,
-    news: Find = nothing,
+    find_revocations: FindRevocations = no_authority,
 ) -> MasterServer:
     """The master whose identity is in `home`, not yet started.
 
     Args:
         host: address to advertise (ROS_HOSTNAME or ROS_IP), and to listen on alone when it is
             loopback, as in ROS; None: this machine's name, and any address.
-        newest: a revocation list that may be newer than the one saved, when the authority lives on
-            this host; otherwise the master waits until one is published.
+        newest: a revocation list that may be newer than the one saved, from an authority on this
+            host; otherwise the master waits until one is published.
         renewer: renews identities with an intermediate; never the root, whose key stays offline.
-        entries: where `newest` is a tree, all it was made of.
-        complain: hears of every right that somebody lacks.
-        limits: what one peer may cost.
+        entries: where `newest` is a tree, its entries.
+        on_denial: called for every right that a caller lacks.
+        limits: limits on what one peer may use.
         suites: the post-quantum policy (`rossec.channel.suite_selection`).
-        news: what an authority on this host has signed meanwhile.
+        find_revocations: reads what an authority on this host has signed.
 
     Raises:
         ConfigurationError: the node is not enrolled.
-        CertificateRefused: its identity has expired: nobody would connect.
-        RevocationRefused: a list that is not the authority's, or older than the one saved.
+        CertificateRefused: its identity has expired: no node would connect.
+        RevocationRefused: `newest` is not signed by the authority, or older than the one saved.
     """
-    anchor, own, kept = home.anchor(), OwnIdentity(home, now), ListFile(home)
-    signer = own.credentials.current.signer
+    anchor, own_identity, saved_list = home.anchor(), OwnIdentity(home, now), ListFile(home)
+    signer = own_identity.credentials.current.signer
     revocations = saved_revocations(home, anchor, now)
     if newest is not None:
-        revocations.update(newest, now, kept.save)
+        revocations.update(newest, now, saved_list.save)
     delegate = Delegate(anchor, signer, home.save_delegation)
     delegation = home.load_delegation()
     if delegation is not None:
-        _take(delegate, delegation)
+        _load_delegation(delegate, delegation)
     trust = TrustState(
         anchor,
         signer,
         revocations,
-        kept.save,
+        saved_list.save,
         delegate,
-        kept.save_entries,
+        saved_list.save_entries,
         renewer,
     )
-    _complete(trust, revocations, (entries, home.load_entries()), now)
+    _load_entries(trust, revocations, (entries, home.load_entries()), now)
     if renewer is not None:
-        own.renew = partial(_renewed, renewer, trust)
+        own_identity.renew = partial(_renew_own, renewer, trust)
     return MasterServer(
-        own.credentials,
+        own_identity.credentials,
         anchor.verify,
         trust,
         name=home.name,
         host=host if host is not None and is_loopback(host) else None,
         port=port,
         advertise=host or socket.gethostname(),
-        complain=complain,
-        memory=ParameterFile(home.path / "parameters.journal"),
+        on_denial=on_denial,
+        parameter_file=ParameterFile(home.path / "parameters.journal"),
         limits=limits,
         suites=suites,
-        look_after_self=partial(_look_after, own, kept),
-        news=news,
+        check_own_identity=partial(_maintain, own_identity, saved_list),
+        find_revocations=find_revocations,
     )
 
 
-def _look_after(own: OwnIdentity, kept: ListFile, now: int) -> None:
-    own.look(now)
-    kept.retry()
+def _maintain(own_identity: OwnIdentity, saved_list: ListFile, now: int) -> None:
+    own_identity.check(now)
+    saved_list.retry()
 
 
-def _renewed(renewer: Renewer, trust: TrustState, request: bytes, now: int) -> bytes:
+def _renew_own(renewer: Renewer, trust: TrustState, request: bytes, now: int) -> bytes:
     return renewer(request, now, trust.check)
 
 
-def _take(delegate: Delegate, data: bytes) -> None:
-    """A master with a new key starts all the same; it just cannot renew until told so anew."""
+def _load_delegation(delegate: Delegate, data: bytes) -> None:
+    """A master with a new key starts all the same, without a valid delegation."""
     try:
         delegate.take(data)
     except HintedError as error:
         _log.warning("grants are not renewed: %s", error)
 
 
-def _complete(
+def _load_entries(
     trust: TrustState, revocations: Revocations, found: tuple[bytes | None, ...], now: int
 ) -> None:
-    """A tree is of use with its entries: those saved, or the authority's own, whichever fit."""
+    """Complete a tree with its entries: those of the authority or those saved."""
     if not is_tree(revocations.data):
         return
     for entries in found:

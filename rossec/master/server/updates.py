@@ -1,9 +1,9 @@
-"""Telling nodes what changed: one client per slave API, none of which can delay another.
+"""Sending updates to nodes: one client per slave API, none of which can delay another.
 
-Stock rosmaster shares three threads between all nodes, so three dead ones hold up everybody
-(ros_comm#1555). Here each node has its own task, its own connection and its own deadline. What is
-not sent yet is coalesced: only the newest publisher list of a topic, the newest value of a
-parameter, the newest revocation list. So a slow node costs a bounded amount of memory.
+Stock rosmaster shares three threads between all nodes, so three dead nodes delay all updates
+(ros_comm#1555). Here each node has its own task, its own connection and its own deadline. Pending
+updates are coalesced: only the newest publisher list of a topic, the newest value of a parameter,
+the newest revocation list. So a slow node costs a bounded amount of memory.
 """
 
 import asyncio
@@ -13,7 +13,7 @@ from collections.abc import Awaitable, Callable, Collection
 from typing import Final
 
 from rossec.errors import AnswerRefused, RossecError
-from rossec.master.state.parameter_values import weight
+from rossec.master.state.parameter_values import encoded_size
 from rossec.master.state.registry import NodeRef
 from rossec.net.aio.tasks import TaskSet
 from rossec.net.rpc.client import RpcClient
@@ -21,18 +21,18 @@ from rossec.ros.text import printable
 from rossec.ros.xmlrpc import Fault
 
 PENDING_LIMIT: Final = 1024
-PENDING_BYTES: Final = 8 * 1024 * 1024  # unless one update alone has more
-LEAVING: Final = 8  # slave APIs of one key that are being told goodbye
-CALL_DEADLINE: Final = 5.0  # seconds, for connecting and for each call
-_RETRY_AFTER: Final = (0.2, 1.0, 3.0)  # seconds; then the update is given up
+PENDING_BYTES: Final = 8 * 1024 * 1024  # unless one update alone is larger
+MAX_CLOSING: Final = 8  # slave APIs of one key that are being sent `shutdown`
+CALL_DEADLINE: Final = 5.0  # seconds, for connecting and each call
+_RETRY_AFTER: Final = (0.2, 1.0, 3.0)  # seconds; then the update is dropped
 
 _log = logging.getLogger("rossec.master.updates")
 
 Dial = Callable[[NodeRef], Awaitable[RpcClient]]
-"""Connects to a slave API, or raises `RossecError` (also when somebody else answers there)."""
+"""Connects to a slave API, or raises `RossecError`, also when another peer answers there."""
 
 Key = tuple[str, str]
-"""Method and what it is about: of two pending updates with one key only the newer is sent."""
+"""Method and subject: of two pending updates with one key only the newer is sent."""
 
 
 class NodeClient:
@@ -51,60 +51,60 @@ class NodeClient:
         self._deadline = deadline
         self._retry_after = retry_after
         self._pending: dict[Key, tuple[object, ...]] = {}
-        self._weights: dict[Key, int] = {}
-        self._wake = asyncio.Event()
+        self._encoded_sizes: dict[Key, int] = {}
+        self._posted = asyncio.Event()
         self._client: RpcClient | None = None
         self._failures = 0
 
     @property
     def idle(self) -> bool:
-        """Nothing is waiting to be sent."""
+        """No update is pending."""
         return not self._pending
 
     def post(self, key: Key, *params: object) -> None:
-        """Send `key[0](*params)` soon, in place of an older one with the same key."""
-        self._pending[key], self._weights[key] = params, weight(params)
-        while len(self._pending) > PENDING_LIMIT or self._is_too_much():
-            self._forget(next(iter(self._pending)))
-        self._wake.set()
+        """Send `key[0](*params)` soon, in place of a pending update with the same key."""
+        self._pending[key], self._encoded_sizes[key] = params, encoded_size(params)
+        while len(self._pending) > PENDING_LIMIT or self._is_oversized():
+            self._discard(next(iter(self._pending)))
+        self._posted.set()
 
-    def _is_too_much(self) -> bool:
-        return len(self._pending) > 1 and sum(self._weights.values()) > PENDING_BYTES
+    def _is_oversized(self) -> bool:
+        return len(self._pending) > 1 and sum(self._encoded_sizes.values()) > PENDING_BYTES
 
-    def _forget(self, key: Key) -> None:
-        del self._pending[key], self._weights[key]
+    def _discard(self, key: Key) -> None:
+        del self._pending[key], self._encoded_sizes[key]
 
     async def run(self) -> None:
         """Deliver until cancelled."""
         try:
             while True:
-                await self._wake.wait()
-                self._wake.clear()
+                await self._posted.wait()
+                self._posted.clear()
                 await self._deliver_all()
         finally:
-            await self._hang_up()
+            await self._disconnect()
 
     async def _deliver_all(self) -> None:
         while self._pending:
             key, params = next(iter(self._pending.items()))
             if await self._deliver(key[0], params):
                 self._failures = 0
-                self._done(key, params)
+                self._sent(key, params)
             elif self._failures >= len(self._retry_after):
-                _log.warning("gave up telling %s about %s", self.node.name, key[0])
+                _log.warning("gave up sending %s to %s", key[0], self.node.name)
                 self._failures = 0
                 self._pending.clear()
-                self._weights.clear()
+                self._encoded_sizes.clear()
             else:
                 await asyncio.sleep(self._retry_after[self._failures])
                 self._failures += 1
 
-    def _done(self, key: Key, params: tuple[object, ...]) -> None:
-        if self._pending.get(key) is params:  # else a newer one arrived while this was sent
-            self._forget(key)
+    def _sent(self, key: Key, params: tuple[object, ...]) -> None:
+        if self._pending.get(key) is params:  # else a newer one was posted meanwhile
+            self._discard(key)
 
     async def _deliver(self, method: str, params: tuple[object, ...]) -> bool:
-        """Whether the node has the update; what it thinks of it is its own business."""
+        """Whether the update was delivered, whatever the node answers."""
         try:
             async with asyncio.timeout(self._deadline):
                 if self._client is None or self._client.closed:
@@ -114,11 +114,11 @@ class NodeClient:
             _log.info("%s answers %s: %s", self.node.name, method, printable(error))
         except (RossecError, OSError, TimeoutError) as error:
             _log.info("cannot reach %s for %s: %s", self.node.name, method, printable(error))
-            await self._hang_up()
+            await self._disconnect()
             return False
         return True
 
-    async def _hang_up(self) -> None:
+    async def _disconnect(self) -> None:
         client, self._client = self._client, None
         if client is not None:
             with contextlib.suppress(RossecError, OSError, TimeoutError):
@@ -130,24 +130,27 @@ class Updates:
     """All node clients. `post` never waits.
 
     Args:
-        most: clients for one key at a time. A node can say where it is as often as it likes, each
-            time elsewhere; the master must neither run out of connections nor call on everybody.
+        max_clients: clients for one key at a time. A node can register any number of addresses, one
+            after another; the master must neither run out of connections nor be used for a scan.
     """
 
     def __init__(
-        self, dial: Dial, most: int = 64 + LEAVING, *, deadline: float = CALL_DEADLINE
+        self, dial: Dial, max_clients: int = 64 + MAX_CLOSING, *, deadline: float = CALL_DEADLINE
     ) -> None:
         self._dial = dial
-        self._most = most
+        self._max_clients = max_clients
         self._deadline = deadline
         self._clients: dict[NodeRef, tuple[NodeClient, TaskSet]] = {}
-        self._leaving = TaskSet()
+        self._closing = TaskSet()
 
     def post(self, node: NodeRef, key: Key, *params: object) -> None:
-        """Tell `node`, unless too many of its key are being told."""
+        """Send an update to `node`, unless its key has too many clients."""
         if node not in self._clients:
-            if sum(other.thumbprint == node.thumbprint for other in self._clients) >= self._most:
-                _log.info("%s changes its address too often: not told of %s", node.name, key[0])
+            if (
+                sum(other.thumbprint == node.thumbprint for other in self._clients)
+                >= self._max_clients
+            ):
+                _log.info("%s changes its address too often: no %s is sent", node.name, key[0])
                 return
             client, tasks = NodeClient(node, self._dial, deadline=self._deadline), TaskSet()
             tasks.spawn(client.run(), f"updates to {node.name}")
@@ -155,7 +158,7 @@ class Updates:
         self._clients[node][0].post(key, *params)
 
     def prune(self, registered: Collection[NodeRef]) -> None:
-        """Hang up on nodes that are gone and have nothing left to be told."""
+        """Disconnect from nodes that are not registered and have no pending update."""
         gone = [
             node
             for node, (client, _) in self._clients.items()
@@ -163,21 +166,21 @@ class Updates:
         ]
         for node in gone:
             _, tasks = self._clients.pop(node)
-            self._leaving.spawn(tasks.close(), f"hanging up on {node.name}")
+            self._closing.spawn(tasks.close(), f"disconnecting from {node.name}")
 
     @property
     def nodes(self) -> tuple[NodeRef, ...]:
-        """The nodes there is a client for, registered or not."""
+        """The nodes that have a client, registered or not."""
         return tuple(self._clients)
 
     def drop(self, node: NodeRef) -> None:
-        """Hang up now, whatever was to be told (its key is revoked, or it is somebody else's)."""
+        """Disconnect now, with updates pending (the key is revoked, or the address another's)."""
         client = self._clients.pop(node, None)
         if client is not None:
-            self._leaving.spawn(client[1].close(), f"dropping {node.name}")
+            self._closing.spawn(client[1].close(), f"dropping {node.name}")
 
     async def close(self) -> None:
         """Stop all clients."""
         clients, self._clients = self._clients, {}
         await asyncio.gather(*(tasks.close() for _, tasks in clients.values()))
-        await self._leaving.close()
+        await self._closing.close()

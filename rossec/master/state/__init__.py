@@ -1,1 +1,1 @@
-"""What the master knows: registrations and parameters. Pure."""
+"""The state of the master: registrations and parameters. Pure."""

@@ -1,9 +1,9 @@
-"""Parameter changes as records: what a master writes down to survive its own death. Pure.
+"""The journal of parameter changes, from which a restarted master restores them. Pure.
 
 A record is length and CRC-32 (4 bytes each, big endian), then the call that makes the change, as
-XML-RPC: what a client could set can be written, and what is read passes the same limits. A record
-that is cut short or damaged ends the journal: it was being written when the power failed. The CRC
-finds accidents; whoever can write the file needs no right any more.
+XML-RPC: every value a client can set can be written, and reading applies the same limits. A record
+that is truncated or damaged ends the journal: it was being written when the power failed. The CRC
+detects accidents, not attacks: the file is writable for its owner alone.
 """
 
 import zlib
@@ -17,11 +17,11 @@ from rossec.ros import xmlrpc
 MAGIC: Final = b"rossec parameters 1\n"
 _SET: Final = "setParam"
 _DELETE: Final = "deleteParam"
-_HEAD: Final = 8
+_HEADER_SIZE: Final = 8
 
 
 class ParameterChange(NamedTuple):
-    """A parameter, or a tree, was set; `deleted`: it is gone, and `value` means nothing."""
+    """A parameter or a tree was set, or, with `deleted`, deleted; then `value` is unused."""
 
     key: str
     value: object = None
@@ -32,7 +32,7 @@ def encode(change: ParameterChange) -> bytes:
     """One record.
 
     Raises:
-        XmlRpcRefused: the value cannot be carried; no client can have set it.
+        XmlRpcRefused: XML-RPC cannot encode the value; no client can have set it.
     """
     if change.deleted:
         call = xmlrpc.dump_call(_DELETE, (change.key,))
@@ -42,23 +42,25 @@ def encode(change: ParameterChange) -> bytes:
 
 
 def decode(data: bytes) -> tuple[list[ParameterChange], int]:
-    """The changes in a journal, and how many of its bytes are good."""
+    """The changes in a journal, and the length of its undamaged part."""
     changes: list[ParameterChange] = []
-    good = len(MAGIC) if data.startswith(MAGIC) else 0
-    if good:
-        for change, end in _records(data, good):
+    valid = len(MAGIC) if data.startswith(MAGIC) else 0
+    if valid:
+        for change, end in _records(data, valid):
             changes.append(change)
-            good = end
-    return changes, good
+            valid = end
+    return changes, valid
 
 
 def _records(data: bytes, at: int) -> Iterator[tuple[ParameterChange, int]]:
-    while len(data) - at >= _HEAD:
+    while len(data) - at >= _HEADER_SIZE:
         length = int.from_bytes(data[at : at + 4])
-        call = data[at + _HEAD : at + _HEAD + length]
-        if len(call) != length or zlib.crc32(call) != int.from_bytes(data[at + 4 : at + _HEAD]):
+        call = data[at + _HEADER_SIZE : at + _HEADER_SIZE + length]
+        if len(call) != length or zlib.crc32(call) != int.from_bytes(
+            data[at + 4 : at + _HEADER_SIZE]
+        ):
             return
-        at += _HEAD + length
+        at += _HEADER_SIZE + length
         try:
             change = _change(xmlrpc.load_call(call, limit=length))
         except XmlRpcRefused:
@@ -79,7 +81,7 @@ def _change(call: xmlrpc.Call) -> ParameterChange | None:
 
 
 def replay(parameters: Parameters, changes: list[ParameterChange]) -> None:
-    """Make the changes again, in their order; one that is impossible now was so then."""
+    """Apply the changes in order; one that fails now failed then, too."""
     for change in changes:
         try:
             if change.deleted:
@@ -91,7 +93,7 @@ def replay(parameters: Parameters, changes: list[ParameterChange]) -> None:
 
 
 def snapshot(parameters: Parameters) -> bytes:
-    """A journal that leads to these parameters by the shortest way."""
+    """The shortest journal of these parameters."""
     tree = parameters.get("/")
     keys = list(tree) if isinstance(tree, dict) else []
     records = (encode(ParameterChange(f"/{key}", parameters.get(f"/{key}"))) for key in keys)

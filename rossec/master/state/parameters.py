@@ -1,9 +1,9 @@
 """The parameter tree, pure; semantics of stock rosmaster's paramserver.py.
 
 Values are XML-RPC values, a dict is a namespace. Keys arrive resolved. Rights are not decided here
-(`rossec.master.rights.parameter_trees`), but which places a call reaches is said here: `place` and
-`reach`. Stricter than stock: a name inside a tree is one segment (stock stores `{"a/b": 1}` where
-nobody finds it again), and the depth is bounded by what can be sent back.
+(`rossec.master.rights.parameter_trees`); `item` and `items_affected` say which parameters a call
+reaches. Stricter than stock: a name inside a tree is one segment (stock stores `{"a/b": 1}` under a
+key that no call can read), and the depth is bounded by what can be encoded.
 """
 
 from collections.abc import Collection, Iterator
@@ -16,12 +16,12 @@ from rossec.master.state import parameter_values
 from rossec.master.state.parameter_values import DEPTH_LIMIT, Tree
 from rossec.ros import names
 
-_SHOWN: Final = 80  # characters of a name in an error
+_NAME_SHOWN: Final = 80  # characters of a name in an error
 SIZE_LIMIT: Final = 64 * 1024 * 1024  # bytes of all parameters together
 
 
 class ParameterMissing(KeyError):
-    """Nothing is set under this key."""
+    """This key is not set."""
 
 
 class TooLarge(ValueError):
@@ -33,20 +33,20 @@ class TooLarge(ValueError):
 
 
 class ParameterUpdate(NamedTuple):
-    """What subscribers of `subscription` must be told: `key` now has this value ({}: unset)."""
+    """The update for subscribers of `subscription`: `key` now has this value ({}: unset)."""
 
     subscription: str
     key: str
     value: object
-    to_setter: bool  # stock tells the setter itself only about exact keys inside a tree
+    to_setter: bool  # stock notifies the setter itself only about exact keys inside a tree
 
 
 class Parameters:
-    """All parameters."""
+    """The tree of all parameters."""
 
     def __init__(self) -> None:
         self._top: Tree = {"": {}}  # the root has no name
-        self.size = parameter_values.weight(self._top)
+        self.size = parameter_values.encoded_size(self._top)
 
     def get(self, key: str) -> object:
         """The value, or the tree, at `key`; a live reference.
@@ -70,33 +70,33 @@ class Parameters:
         return True
 
     def set(self, key: str, value: object, limit: int | None = None) -> None:
-        """Set a value, or replace a whole tree; values on the way become namespaces.
+        """Set a value, or replace a whole tree; values on the path become namespaces.
 
         Raises:
             TypeError: the root must stay a tree.
-            ValueError: not the value of a parameter.
+            ValueError: not a valid parameter.
             TooLarge: all together would take more than `limit`.
         """
         segments = _segments(key)
         parameter_values.check(value, DEPTH_LIMIT - len(segments))
         if not segments and not isinstance(value, dict):
             raise TypeError("cannot set root of parameter tree to non-dictionary")
-        parent, name, new = self._place(["", *segments], value)
-        size = self.size + parameter_values.entry_weight(name, new)
+        parent, name, new = self._insertion_point(["", *segments], value)
+        size = self.size + parameter_values.member_size(name, new)
         if name in parent:
-            size -= parameter_values.entry_weight(name, parent[name])
+            size -= parameter_values.member_size(name, parent[name])
         if limit is not None and size > max(limit, self.size):
             raise TooLarge(size, limit)
         parent[name] = new
         self.size = size
 
-    def _place(self, path: list[str], value: object) -> tuple[Tree, str, object]:
-        """Where a change begins: the namespace, the name in it, and what will be there."""
+    def _insertion_point(self, path: list[str], value: object) -> tuple[Tree, str, object]:
+        """Where a value is inserted: the namespace, the name in it, and its new value."""
         node = self._top
-        for place, name in enumerate(path[:-1], 1):
+        for depth, name in enumerate(path[:-1], 1):
             below = node.get(name)
             if not isinstance(below, dict):
-                for missing in reversed(path[place:]):
+                for missing in reversed(path[depth:]):
                     value = {missing: value}
                 return node, name, value
             node = below
@@ -112,17 +112,17 @@ class Parameters:
         parent = self.get(head)
         if not isinstance(parent, dict) or last not in parent:
             raise ParameterMissing(key)
-        self.size -= parameter_values.entry_weight(last, parent.pop(last))
+        self.size -= parameter_values.member_size(last, parent.pop(last))
 
-    def place(self, key: str) -> tuple[str, object]:
-        """What a call on `key` reaches: it, with what is there, if anything."""
+    def item(self, key: str) -> tuple[str, object]:
+        """`key` and its value, or None: the item that a call on `key` reaches."""
         try:
             return key, self.get(key)
         except ParameterMissing:
             return key, None
 
-    def reach(self, key: str) -> list[tuple[str, object]]:
-        """What setting `key` changes: what is there, or a value above, which becomes a tree."""
+    def items_affected(self, key: str) -> list[tuple[str, object]]:
+        """The items that setting `key` changes: its own, or a value above, which becomes a tree."""
         segments = _segments(key)
         value: object = self._top[""]
         for depth, segment in enumerate(segments):
@@ -135,10 +135,10 @@ class Parameters:
         return [(key, value)]
 
 
-def places_to_search(space: str, key: str) -> list[tuple[str, str]]:
-    """Where a search for `key` from `space` looks, nearest first, and what it finds there.
+def search_candidates(namespace: str, key: str) -> list[tuple[str, str]]:
+    """The keys that a search for `key` from `namespace` tries, nearest first, and their results.
 
-    What is looked for is the first segment of `key`, upwards from `space`.
+    The search is for the first segment of `key`, upwards from `namespace`.
 
     Raises:
         ValueError: `key` is empty or private.
@@ -147,42 +147,42 @@ def places_to_search(space: str, key: str) -> list[tuple[str, str]]:
         raise ValueError("invalid key")
     if key.startswith(names.SEPARATOR):
         return [(key, key)]
-    return list(names.upwards(space, key))
+    return list(names.search_paths(namespace, key))
 
 
 def check_names(key: str, value: object) -> None:
-    """Return if every name in a tree that is to be set at `key` is one that can be asked for.
+    """Check that every name in a tree that is to be set at `key` is a valid name.
 
     Raises:
-        ValueError: which one is not.
+        ValueError: names the invalid one.
     """
     if not isinstance(value, dict):
         return
     for name, below in value.items():
-        inner = _slashed(key) + name
+        inner = _with_slash(key) + name
         if names.SEPARATOR in name or not _is_name(inner):
-            raise ValueError(f"{name[:_SHOWN]!r} cannot be the name of a parameter in a tree")
+            raise ValueError(f"{name[:_NAME_SHOWN]!r} cannot be the name of a parameter in a tree")
         check_names(inner, below)
 
 
 def updates(subscriptions: Collection[str], key: str, value: object) -> list[ParameterUpdate]:
     """Which subscriptions a change of `key` to `value` concerns (keys of both end with '/').
 
-    A subscriber hears of anything at, above or below what it subscribed to; what a replaced tree
-    no longer holds is reported as unset. All `subscriptions` are looked at only where a tree is
-    set: they are of others, and may be many.
+    A subscriber is notified of any change at, above or below its key; a key that a replaced tree
+    no longer contains is reported as unset. All `subscriptions` are searched only when a tree is
+    set: other nodes may have made many.
     """
     if not subscriptions:
         return []
-    changed = _slashed(key)
+    changed = _with_slash(key)
     value = deepcopy(value)  # the event is delivered later, when the tree may have changed
     result = [
-        ParameterUpdate(space, changed, value, to_setter=False)
-        for space in _spaces(changed)
-        if space in subscriptions
+        ParameterUpdate(namespace, changed, value, to_setter=False)
+        for namespace in _namespaces(changed)
+        if namespace in subscriptions
     ]
     if isinstance(value, dict):
-        inside = dict(_inside(changed, value))
+        inside = dict(_descendants(changed, value))
         below = (name for name in subscriptions if name != changed and name.startswith(changed))
         result += [
             ParameterUpdate(name, name, inside.get(name, {}), to_setter=True) for name in below
@@ -191,11 +191,11 @@ def updates(subscriptions: Collection[str], key: str, value: object) -> list[Par
 
 
 def subscription_key(key: str) -> str:
-    """The form under which subscriptions to `key` are kept."""
-    return _slashed(names.canonical(key))
+    """The form in which subscriptions to `key` are stored."""
+    return _with_slash(names.canonical(key))
 
 
-def _slashed(key: str) -> str:
+def _with_slash(key: str) -> str:
     return key if key.endswith(names.SEPARATOR) else key + names.SEPARATOR
 
 
@@ -207,7 +207,7 @@ def _is_name(key: str) -> bool:
     return True
 
 
-def _spaces(changed: str) -> list[str]:
+def _namespaces(changed: str) -> list[str]:
     """`/`, `/a/`, `/a/b/` of `/a/b/`."""
     ends = [at for at, letter in enumerate(changed, 1) if letter == names.SEPARATOR]
     return [changed[:end] for end in ends]
@@ -217,9 +217,9 @@ def _segments(key: str) -> list[str]:
     return [segment for segment in key.split(names.SEPARATOR) if segment]
 
 
-def _inside(key: str, value: Tree) -> Iterator[tuple[str, object]]:
+def _descendants(key: str, value: Tree) -> Iterator[tuple[str, object]]:
     for name, below in value.items():
-        inner = _slashed(key + name)
+        inner = _with_slash(key + name)
         yield inner, below
         if isinstance(below, dict):
-            yield from _inside(inner, below)
+            yield from _descendants(inner, below)

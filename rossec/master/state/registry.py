@@ -1,10 +1,10 @@
-"""Who publishes, subscribes, provides and listens: the master's state, pure.
+"""The registrations of publishers, subscribers, services and parameter subscribers. Pure.
 
-Answers as stock `rosmaster` (registrations.py) gives them, in its order. Nothing here decides who
-may ask: that is the gatekeeper's. Every change that somebody must hear of is an event; the shell
-delivers it. `version` grows with every change of state, so two equal versions mean equal state.
+Answers as stock `rosmaster` (registrations.py) gives them, in its order. Rights are checked before
+(`rossec.master.rights.access_rules`). A change of which nodes must be notified returns events; the
+shell delivers them. `version` grows with every change, so equal versions mean equal state.
 
-Beyond stock: when a node is replaced or removed, the subscribers of its topics are told (stock
+Beyond stock: when a node is replaced or removed, the subscribers of its topics are notified (stock
 leaves them with a dead publisher), and lookups by node are indexed.
 """
 
@@ -17,7 +17,7 @@ from typing import Final, NamedTuple
 from rossec.master.state.addresses import endpoint
 
 ANY_TYPE: Final = "*"
-KEYS_LIMIT: Final = 1024  # registrations of one kind of one node
+REGISTRATIONS_LIMIT: Final = 1024  # registrations of one kind of one node
 NODES_LIMIT: Final = 64  # nodes of one key
 REPLACED: Final = "new node registered with same name"
 
@@ -25,7 +25,7 @@ REPLACED: Final = "new node registered with same name"
 class Kind(Enum):
     """What a node can be registered as, for a name."""
 
-    __hash__ = object.__hash__  # members are alone of their kind; Enum's own is no C function
+    __hash__ = object.__hash__  # members are singletons; Enum's own is slower, in Python
 
     PUBLISHER = "publisher"
     SUBSCRIBER = "subscriber"
@@ -47,7 +47,7 @@ class NodeRef(NamedTuple):
 
 @dataclass(frozen=True)
 class PublishersChanged:
-    """Tell `subscribers` that `topic` now has exactly these publishers."""
+    """Notify `subscribers` that `topic` now has exactly these publishers."""
 
     topic: str
     subscribers: tuple[NodeRef, ...]
@@ -56,7 +56,7 @@ class PublishersChanged:
 
 @dataclass(frozen=True)
 class ShutdownNode:
-    """Tell the slave API at `node.uri` to stop: another node has taken its name."""
+    """Shut down the node at `node.uri`: another node has registered with its name."""
 
     node: NodeRef
     reason: str
@@ -85,33 +85,33 @@ class Registry:
     """All registrations. Methods that change it return the events to deliver."""
 
     def __init__(self, nodes_limit: int = NODES_LIMIT) -> None:
-        """`nodes_limit`: how many nodes one key may be, which only a wildcard identity's can."""
+        """`nodes_limit`: nodes of one key; only a wildcard identity can have more than one."""
         self.version = 0
         self._nodes: dict[str, _Node] = {}
         self._names: dict[Kind, dict[str, dict[str, None]]] = {kind: {} for kind in Kind}
         self._service_uris: dict[str, str] = {}
         self._types: dict[str, str] = {}
         self._owners: dict[tuple[str, int | None], str] = {}
-        self._of_key: Counter[bytes] = Counter()
+        self._nodes_per_key: Counter[bytes] = Counter()
         self.nodes_limit = nodes_limit
         self._had_service = False
 
     def register_publisher(self, topic: str, type_name: str, node: NodeRef) -> list[Event]:
-        """A publisher; its real type replaces `*` and what subscribers guessed."""
+        """Register a publisher; its type, unless `*`, replaces that of subscribers."""
         events = self._register(Kind.PUBLISHER, topic, node)
         if type_name != ANY_TYPE or topic not in self._types:
             self._set_type(topic, type_name)
         return [*events, self._publishers_changed(topic)]
 
     def register_subscriber(self, topic: str, type_name: str, node: NodeRef) -> list[Event]:
-        """A subscriber; its type counts only while there is none."""
+        """Register a subscriber; its type counts only while the topic has none."""
         events = self._register(Kind.SUBSCRIBER, topic, node)
         if type_name != ANY_TYPE and topic not in self._types:
             self._set_type(topic, type_name)
         return events
 
     def register_service(self, service: str, service_uri: str, node: NodeRef) -> list[Event]:
-        """A provider; the last one to register a service has it."""
+        """Register a service; the last provider to register replaces the one before."""
         for other in [
             name for name in self._names[Kind.SERVICE].get(service, ()) if name != node.name
         ]:
@@ -124,11 +124,11 @@ class Registry:
         return events
 
     def register_parameter(self, key: str, node: NodeRef) -> list[Event]:
-        """A node that wants to hear of changes under a parameter."""
+        """Register a subscriber to changes at or below a parameter."""
         return self._register(Kind.PARAMETER, key, node)
 
     def unregister(self, kind: Kind, key: str, node: NodeRef) -> tuple[Unregistered, list[Event]]:
-        """Forget a publisher, subscriber or parameter subscriber, if name and URI match."""
+        """Remove a publisher, subscriber or parameter subscriber, if name, URI and key match."""
         known = self._nodes.get(node.name)
         if known is None:
             return Unregistered(f"[{node.name}] is not a registered node", 0), []
@@ -141,7 +141,7 @@ class Registry:
     def unregister_service(
         self, service: str, name: str, service_uri: str, thumbprint: bytes
     ) -> Unregistered:
-        """Forget a provider; name, key and service URI must match."""
+        """Remove a service; name, key and service URI must match."""
         node = self._nodes.get(name)
         if node is None or node.ref.thumbprint != thumbprint:
             return Unregistered(f"[{name}] is not a registered node", 0)
@@ -155,7 +155,7 @@ class Registry:
         return Unregistered(f"Unregistered [{name}] as provider of [{service}]", 1)
 
     def remove_node(self, name: str) -> list[Event]:
-        """Forget everything a node registered; its subscribers hear of it."""
+        """Remove all registrations of a node; subscribers of its topics are notified."""
         node = self._nodes.get(name)
         if node is None:
             return []
@@ -166,14 +166,14 @@ class Registry:
         return [self._publishers_changed(topic) for topic in topics]
 
     def remove(self, kind: Kind, key: str, name: str) -> list[Event]:
-        """Forget one registration of a node, whatever its URI (a right was revoked)."""
+        """Remove one registration of a node, whatever its URI (a right was revoked)."""
         if not self.is_registered(kind, key, name):
             return []
         self._discard(kind, key, name)
         return [self._publishers_changed(key)] if kind is Kind.PUBLISHER else []
 
     def node_uri(self, name: str) -> str | None:
-        """The slave API of a node that has registered something."""
+        """The slave API URI of a registered node."""
         node = self._nodes.get(name)
         return None if node is None else node.ref.uri
 
@@ -182,26 +182,26 @@ class Registry:
         node = self._nodes.get(name)
         return None if node is None else node.ref
 
-    def has_room(self, kind: Kind, key: str, node: NodeRef) -> bool:
-        """Whether a node may register for `key`: it already has, or has not too many."""
+    def has_capacity(self, kind: Kind, key: str, node: NodeRef) -> bool:
+        """Whether a node may register for `key`: it has done so, or is below the limits."""
         if not self.is_current(node):
             known = self._nodes.get(node.name)
             replaces = known is not None and known.ref.thumbprint == node.thumbprint
-            return replaces or self._of_key[node.thumbprint] < self.nodes_limit
+            return replaces or self._nodes_per_key[node.thumbprint] < self.nodes_limit
         keys = self._nodes[node.name].keys[kind]
-        return key in keys or len(keys) < KEYS_LIMIT
+        return key in keys or len(keys) < REGISTRATIONS_LIMIT
 
     def is_current(self, node: NodeRef) -> bool:
-        """Whether this very node, with this URI and key, is the one registered."""
+        """Whether a node with this name, URI and key is registered."""
         known = self._nodes.get(node.name)
         return known is not None and known.ref == node
 
     def owner(self, uri: str) -> str | None:
-        """The node that registered a slave API at this host and port, however spelt."""
+        """The node that registered a slave API at this host and port, in any spelling."""
         return self._owners.get(endpoint(uri))
 
     def nodes(self) -> Iterator[NodeRef]:
-        """All nodes that have registered something."""
+        """All registered nodes."""
         return (node.ref for node in self._nodes.values())
 
     def keys_of(self, name: str, kind: Kind) -> tuple[str, ...]:
@@ -213,17 +213,17 @@ class Registry:
         """Whether a node is registered for a name."""
         return name in self._names[kind].get(key, ())
 
-    def members(self, kind: Kind, key: str) -> tuple[NodeRef, ...]:
-        """The nodes registered for a name, first come first."""
+    def registered_nodes(self, kind: Kind, key: str) -> tuple[NodeRef, ...]:
+        """The nodes registered for a name, in order of registration."""
         names = self._names[kind].get(key, ())
         return tuple(self._nodes[name].ref for name in names)
 
     def uris(self, kind: Kind, key: str) -> list[str]:
-        """The slave APIs of the nodes registered for a name."""
-        return [node.uri for node in self.members(kind, key)]
+        """The slave API URIs of the nodes registered for a name."""
+        return [node.uri for node in self.registered_nodes(kind, key)]
 
     def entries(self, kind: Kind) -> Iterator[tuple[str, tuple[str, ...]]]:
-        """All names of one kind as they are now, each with its nodes as they are then."""
+        """All names of one kind as of now, each with its nodes as of when it is yielded."""
         return ((key, tuple(names)) for key, names in tuple(self._names[kind].items()))
 
     def keys(self, kind: Kind) -> Collection[str]:
@@ -235,11 +235,11 @@ class Registry:
         return self._service_uris.get(service)
 
     def topic_types(self) -> Iterable[tuple[str, str]]:
-        """Every registered topic whose type is known; stock also keeps those that are gone."""
+        """Every registered topic whose type is known; stock also keeps removed topics."""
         return tuple(self._types.items())
 
     def topic_type(self, topic: str) -> str:
-        """The type of a topic, `*` while nobody said."""
+        """The type of a topic, `*` while it is unknown."""
         return self._types.get(topic, ANY_TYPE)
 
     def _register(self, kind: Kind, key: str, ref: NodeRef) -> list[Event]:
@@ -247,7 +247,7 @@ class Registry:
         old = self._nodes.get(ref.name)
         if old is not None and old.ref != ref:
             events = self.remove_node(ref.name)
-            if old.ref.uri != ref.uri:  # else the new node itself is what answers there
+            if old.ref.uri != ref.uri:  # else the new node itself listens there
                 events.append(ShutdownNode(old.ref, REPLACED))
             old = None
         node = old or self._add_node(ref)
@@ -259,7 +259,7 @@ class Registry:
 
     def _add_node(self, ref: NodeRef) -> _Node:
         node = self._nodes[ref.name] = _Node(ref)
-        self._of_key[ref.thumbprint] += 1
+        self._nodes_per_key[ref.thumbprint] += 1
         self._owners[endpoint(ref.uri)] = ref.name
         return node
 
@@ -273,12 +273,12 @@ class Registry:
             if kind is Kind.SERVICE:
                 del self._service_uris[key]
             if not any(key in self._names[each] for each in (Kind.PUBLISHER, Kind.SUBSCRIBER)):
-                self._types.pop(key, None)  # or one node could fill the memory with types
+                self._types.pop(key, None)  # else one node could fill the memory with types
         if node.is_empty():
             del self._nodes[name]
-            self._of_key[node.ref.thumbprint] -= 1
-            if self._of_key[node.ref.thumbprint] == 0:
-                del self._of_key[node.ref.thumbprint]
+            self._nodes_per_key[node.ref.thumbprint] -= 1
+            if self._nodes_per_key[node.ref.thumbprint] == 0:
+                del self._nodes_per_key[node.ref.thumbprint]
             if self.owner(node.ref.uri) == name:
                 del self._owners[endpoint(node.ref.uri)]
 
@@ -288,5 +288,7 @@ class Registry:
 
     def _publishers_changed(self, topic: str) -> PublishersChanged:
         return PublishersChanged(
-            topic, self.members(Kind.SUBSCRIBER, topic), tuple(self.uris(Kind.PUBLISHER, topic))
+            topic,
+            self.registered_nodes(Kind.SUBSCRIBER, topic),
+            tuple(self.uris(Kind.PUBLISHER, topic)),
         )

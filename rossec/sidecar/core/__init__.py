@@ -1,1 +1,1 @@
-"""What a sidecar decides about programs' calls and connections. Pure."""
+"""Decisions of a sidecar on programs' calls and connections. Pure."""

@@ -1,8 +1,7 @@
-"""What a layer can ask the shell to do. One page, nothing else.
+"""The commands a layer can yield, and nothing else.
 
-Inside is loopback, where the programs are; outside is the network, where every connection is a
-secured one. A layer can reach a program only at a loopback port and a peer only through the
-channel: there is no command that would send in clear to another host.
+Programs are reached only at loopback ports, peers only through the secure channel: no command
+sends plaintext to another host.
 """
 
 from collections.abc import Mapping
@@ -14,17 +13,17 @@ from rossec.sidecar.core.endpoints import Endpoint
 
 @dataclass(frozen=True)
 class OpenIngress:
-    """Open a door to the network for a program's endpoint, always the same one. -> Opened"""
+    """Open a network port for a program's endpoint; always the same port. -> Opened"""
 
     local: Endpoint
 
 
 @dataclass(frozen=True)
 class OpenEgress:
-    """Open a door on loopback to a peer's endpoint, always the same one. -> Opened
+    """Open a loopback port for a peer's endpoint; always the same port. -> Opened
 
-    With `probe` it opens only if somebody answers there; else its number is kept, and callers are
-    refused by the kernel as by a dead node.
+    With `probe` it listens only if the peer answers; otherwise the port stays reserved and the
+    kernel refuses callers, as for a dead node.
     """
 
     remote: Endpoint
@@ -33,22 +32,22 @@ class OpenEgress:
 
 @dataclass(frozen=True)
 class Suspend:
-    """The program behind this endpoint is gone: refuse callers, keep the number. -> Done"""
+    """The program at this endpoint has ended: refuse callers, keep the port. -> CommandDone"""
 
     local: Endpoint
 
 
 @dataclass(frozen=True)
-class AskMaster:
-    """Call the secured master. -> Answered, Silent"""
+class CallMaster:
+    """Call the secured master. -> Answered, NoAnswer"""
 
     method: str
     params: tuple[object, ...]
 
 
 @dataclass(frozen=True)
-class AskLocal:
-    """Call a program's slave API. -> Answered; Passed if not `parse`; Silent"""
+class CallProgram:
+    """Call a program's slave API. -> Answered; RawResponse if not `parse`; NoAnswer"""
 
     local: Endpoint
     method: str
@@ -57,10 +56,10 @@ class AskLocal:
 
 
 @dataclass(frozen=True)
-class AskRemote:
-    """Call a peer's slave API, after showing the grants for `right` on it.
+class CallPeer:
+    """Call a peer's slave API, after presenting the grants for `right` on it.
 
-    -> Answered; Passed if not `parse`; Silent
+    -> Answered; RawResponse if not `parse`; NoAnswer
     """
 
     remote: Endpoint
@@ -72,14 +71,14 @@ class AskRemote:
 
 @dataclass(frozen=True)
 class Probe:
-    """See whether the program still listens. -> Done, Silent"""
+    """Check whether the program still listens. -> CommandDone, NoAnswer"""
 
     local: Endpoint
 
 
 @dataclass(frozen=True)
 class ConnectProgram:
-    """Connect to a program for TCPROS and send this header. -> HeaderArrived, Silent"""
+    """Connect to a program for TCPROS and send this header. -> HeaderArrived, NoAnswer"""
 
     local: Endpoint
     fields: Mapping[str, bytes]
@@ -87,11 +86,11 @@ class ConnectProgram:
 
 @dataclass(frozen=True)
 class ConnectPeer:
-    """Connect to a peer for TCPROS and send this header. -> HeaderArrived, Silent"""
+    """Connect to a peer for TCPROS and send this header. -> HeaderArrived, NoAnswer"""
 
     remote: Endpoint
     fields: Mapping[str, bytes]
 
 
-Question = AskMaster | AskLocal | AskRemote | Probe | ConnectProgram | ConnectPeer
-Command = OpenIngress | OpenEgress | Suspend | Question
+Request = CallMaster | CallProgram | CallPeer | Probe | ConnectProgram | ConnectPeer
+Command = OpenIngress | OpenEgress | Suspend | Request

@@ -1,10 +1,10 @@
-"""Copies of one message: a program sends one to each connection, also where the key is the same.
+"""Copies of one message: a program sends one to each connection, also to those of one key.
 
-Pure. To be let through once is to be let through on all connections of the key. What arrives beside
-a message that was let through, and equals it, is taken for its copy: once on each connection that
-was open then, and within `WINDOW` seconds, since a constant message would otherwise go on passing.
-A latching program's newcomer is shown what its key was last let see, unless the rate has room for
-what comes now. So whether a message changed cannot be found out by connecting.
+Pure. A message that passed once passes on all connections of the key. A message equal to one that
+passed counts as its copy: once on each connection that was open at that time, and within `WINDOW`
+seconds, since a constant message would otherwise keep passing. A new connection to a latching
+program gets the last message that passed for its key, unless the rate limit has room for a new
+one. So connecting does not reveal whether a message changed.
 """
 
 from collections.abc import Iterator
@@ -19,36 +19,36 @@ from grants.memory import Memory
 WINDOW: Final = 1  # seconds by a clock of whole seconds
 
 
-class Judge(Protocol):
-    """What stands between a program and a peer: a guard, or one that knows of copies."""
+class MessageGuard(Protocol):
+    """Filters the messages between a program and a peer: a guard, or one that handles copies."""
 
     def check(self, now: int) -> None:
         """As of `Guard`."""
 
-    def treat(self, message: bytes, now: int) -> list[Buffer] | None:
+    def apply(self, message: bytes, now: int) -> list[Buffer] | None:
         """As of `Guard`."""
 
 
-class _Passed:
-    """The message that was let through last, and which connections still lack it."""
+class _LastMessage:
+    """The last message that passed, and the connections that have not had it yet."""
 
-    def __init__(self, message: bytes, mark: object, now: int, lacking: set["Outlet"]) -> None:
+    def __init__(self, message: bytes, mark: object, now: int, pending: set["SharedGuard"]) -> None:
         self.message = message
         self.mark = mark
         self.at = now
-        self.lacking = lacking
+        self.pending = pending
 
 
 class _Group:
     """The connections of one key for one topic of one program."""
 
     def __init__(self) -> None:
-        self.open: set[Outlet] = set()
-        self.last: _Passed | None = None
+        self.open: set[SharedGuard] = set()
+        self.last: _LastMessage | None = None
 
 
-class Outlet:
-    """One of them."""
+class SharedGuard:
+    """The guard of one connection of a group."""
 
     def __init__(self, guard: Guard, group: _Group, *, latching: bool) -> None:
         self._guard = guard
@@ -59,52 +59,52 @@ class Outlet:
         """As of `Guard`."""
         self._guard.check(now)
 
-    def opening(self, now: int) -> list[Buffer]:
-        """What the key was let see, where the rate allows nothing newer."""
+    def initial_message(self, now: int) -> list[Buffer]:
+        """The last message that passed for the key, if the rate limit allows no newer one."""
         last = self._group.last
         if last is None or not self._latching or self._guard.ready(now):
             return []
-        return self._guard.treat(last.message, now, last.mark) or []
+        return self._guard.apply(last.message, now, last.mark) or []
 
-    def treat(self, message: bytes, now: int) -> list[Buffer] | None:
+    def apply(self, message: bytes, now: int) -> list[Buffer] | None:
         """As of `Guard`."""
         last = self._group.last
         if last is not None and self._is_copy(last, message, now):
-            last.lacking.discard(self)
-            return self._guard.treat(message, now, last.mark)
+            last.pending.discard(self)
+            return self._guard.apply(message, now, last.mark)
         mark = object()
-        pieces = self._guard.treat(message, now, mark)
+        pieces = self._guard.apply(message, now, mark)
         if pieces is not None:
-            self._group.last = _Passed(message, mark, now, self._group.open - {self})
+            self._group.last = _LastMessage(message, mark, now, self._group.open - {self})
         return pieces
 
-    def _is_copy(self, last: _Passed, message: bytes, now: int) -> bool:
-        return self in last.lacking and now - last.at <= WINDOW and message == last.message
+    def _is_copy(self, last: _LastMessage, message: bytes, now: int) -> bool:
+        return self in last.pending and now - last.at <= WINDOW and message == last.message
 
 
-class Copies:
-    """What the connections of each key have in common; of one identity."""
+class CopyTracker:
+    """The state that the connections of each key share; of one identity."""
 
     def __init__(self) -> None:
         self._groups: WeakKeyDictionary[Memory, _Group] = WeakKeyDictionary()
 
     @contextmanager
-    def shared(
+    def share(
         self, guard: Guard | None, now: int, *, latching: bool
-    ) -> Iterator[tuple[Judge | None, list[Buffer]]]:
-        """What judges the messages of one connection while the block runs (None: nothing does).
+    ) -> Iterator[tuple[MessageGuard | None, list[Buffer]]]:
+        """The guard of one connection while the block runs; None: the connection is unrestricted.
 
-        With it what the peer is shown first, in pieces, if there is something.
+        With it the first message for the peer, in pieces; empty: none.
         """
         if guard is None or guard.memory is None:
             yield guard, []
             return
         group = self._groups.setdefault(guard.memory, _Group())
-        outlet = Outlet(guard, group, latching=latching)
-        group.open.add(outlet)
+        shared_guard = SharedGuard(guard, group, latching=latching)
+        group.open.add(shared_guard)
         try:
-            yield outlet, outlet.opening(now)
+            yield shared_guard, shared_guard.initial_message(now)
         finally:
-            group.open.discard(outlet)
+            group.open.discard(shared_guard)
             if not (group.open or latching):
-                group.last = None  # nobody will be shown it
+                group.last = None  # no connection will need it

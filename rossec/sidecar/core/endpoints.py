@@ -1,9 +1,9 @@
-"""Endpoints, and which door stands for which: the two tables every rewriting goes through. Pure.
+"""Endpoints and the two mapping tables for rewriting addresses. Pure.
 
-A program keeps its loopback port, and gets a door to the network (export); a peer keeps its
-address, and gets a door on loopback (import). A program's own URI is given back to it byte for
-byte: roscpp compares it so to recognise itself. An endpoint on this host is its port, whatever host
-a program writes; programs are told the one by which they reach loopback.
+A program keeps its loopback port and gets a network port (ingress); a peer keeps its address and
+gets a loopback port (egress). A program's own URI is returned to it byte for byte: roscpp compares
+it so to recognize itself. An endpoint on this host is identified by its port, whatever host a
+program writes; programs get the host name by which they reach loopback.
 """
 
 from dataclasses import dataclass, replace
@@ -15,7 +15,7 @@ from rossec.ros.settings import parse_uri
 
 
 class Loopback(NamedTuple):
-    """Where programs and their sidecar meet: the address, and how URIs name it."""
+    """The loopback address of programs and sidecar, and its host name in URIs."""
 
     address: str
     host: str
@@ -27,99 +27,99 @@ _SCHEMES: Final = {WireProtocol.HTTP: "http", WireProtocol.TCPROS: "rosrpc"}
 
 @dataclass(frozen=True)
 class Endpoint:
-    """Where somebody listens, for XML-RPC (HTTP) or for topics and services (TCPROS).
+    """A listening address, for XML-RPC (HTTP) or for topics and services (TCPROS).
 
     Attributes:
-        asked: `port` is that of a program's slave API, which says where its topics are.
+        via_slave_api: `port` is the slave API's; the topic port is requested from it.
     """
 
-    flavour: WireProtocol
+    protocol: WireProtocol
     host: str
     port: int
-    asked: bool = False
+    via_slave_api: bool = False
 
     @property
     def uri(self) -> str:
         """As in ROS: `http://host:port/` or `rosrpc://host:port`."""
         host = f"[{self.host}]" if ":" in self.host else self.host
-        end = "/" if self.flavour is WireProtocol.HTTP else ""
-        return f"{_SCHEMES[self.flavour]}://{host}:{self.port}{end}"
+        end = "/" if self.protocol is WireProtocol.HTTP else ""
+        return f"{_SCHEMES[self.protocol]}://{host}:{self.port}{end}"
 
 
-def inside(flavour: WireProtocol, port: int) -> Endpoint:
-    """The endpoint of a program of this host."""
-    return Endpoint(flavour, LOOPBACK.host, port)
+def local_endpoint(protocol: WireProtocol, port: int) -> Endpoint:
+    """The endpoint of a program on this host."""
+    return Endpoint(protocol, LOOPBACK.host, port)
 
 
-def topics_of(api: Endpoint) -> Endpoint:
-    """Where the topics of the program with this slave API are: it is asked when somebody comes."""
-    return Endpoint(WireProtocol.TCPROS, api.host, api.port, asked=True)
+def topic_endpoint(api: Endpoint) -> Endpoint:
+    """The topic endpoint of a program; its slave API is asked for the port on each connection."""
+    return Endpoint(WireProtocol.TCPROS, api.host, api.port, via_slave_api=True)
 
 
-def endpoint(uri: object, flavour: WireProtocol) -> Endpoint | None:
-    """The endpoint a URI names; None: it is not one of this kind."""
-    head = f"{_SCHEMES[flavour]}://"
+def parse_endpoint(uri: object, protocol: WireProtocol) -> Endpoint | None:
+    """The endpoint that a URI names; None: invalid, or of another protocol."""
+    head = f"{_SCHEMES[protocol]}://"
     if not isinstance(uri, str) or not uri.startswith(head):
         return None
     try:
-        return Endpoint(flavour, *parse_uri("http://" + uri.removeprefix(head)))
+        return Endpoint(protocol, *parse_uri("http://" + uri.removeprefix(head)))
     except HintedError:
         return None
 
 
 class EndpointMap:
-    """The doors of one identity.
+    """The endpoint mapping of one identity.
 
     Args:
         host: where peers reach this host.
-        near: where programs reach it.
+        loopback_host: where programs reach it.
     """
 
-    def __init__(self, host: str, near: str = LOOPBACK.host) -> None:
+    def __init__(self, host: str, loopback_host: str = LOOPBACK.host) -> None:
         self.host = host
-        self._near = near
-        self._exported: dict[Endpoint, Endpoint] = {}  # outside -> inside
-        self._imported: dict[int, Endpoint] = {}  # loopback port -> remote
-        self._spelt: dict[Endpoint, str] = {}
+        self._loopback_host = loopback_host
+        self._ingress: dict[Endpoint, Endpoint] = {}  # network -> loopback
+        self._egress: dict[int, Endpoint] = {}  # loopback port -> remote
+        self._own_uris: dict[Endpoint, str] = {}
 
-    def opened_outside(self, local: Endpoint, port: int) -> Endpoint:
-        """A door to the network for `local`; returns what peers are told."""
-        outside = Endpoint(local.flavour, self.host, port)
-        self._exported[_folded(outside)] = local
+    def add_ingress(self, local: Endpoint, port: int) -> Endpoint:
+        """Map a network port to `local`; returns the endpoint for peers."""
+        outside = Endpoint(local.protocol, self.host, port)
+        self._ingress[_casefolded(outside)] = local
         return outside
 
-    def opened_inside(self, remote: Endpoint, port: int) -> Endpoint:
-        """A loopback door to `remote`; returns what programs are told."""
-        self._imported[port] = remote
-        return Endpoint(remote.flavour, self._near, port)
+    def add_egress(self, remote: Endpoint, port: int) -> Endpoint:
+        """Map a loopback port to `remote`; returns the endpoint for programs."""
+        self._egress[port] = remote
+        return Endpoint(remote.protocol, self._loopback_host, port)
 
-    def closed_outside(self, local: Endpoint, port: int) -> None:
-        """The door to the network at `port` for `local` is gone."""
-        self._exported.pop(_folded(Endpoint(local.flavour, self.host, port)), None)
-        self._spelt.pop(local, None)
+    def remove_ingress(self, local: Endpoint, port: int) -> None:
+        """Forget the network port `port` for `local`."""
+        self._ingress.pop(_casefolded(Endpoint(local.protocol, self.host, port)), None)
+        self._own_uris.pop(local, None)
 
-    def closed_inside(self, port: int) -> None:
-        """The loopback door at `port` is gone; the number may become a program's."""
-        self._imported.pop(port, None)
+    def remove_egress(self, port: int) -> None:
+        """Forget the loopback port `port`; a program may bind it later."""
+        self._egress.pop(port, None)
 
-    def spell(self, local: Endpoint, uri: str) -> None:
-        """Remember how a program writes its own URI."""
-        self._spelt[local] = uri
+    def set_own_uri(self, local: Endpoint, uri: str) -> None:
+        """Store a program's own URI as the program writes it."""
+        self._own_uris[local] = uri
 
-    def spelling(self, local: Endpoint) -> str:
+    def own_uri(self, local: Endpoint) -> str:
         """The program's own URI, byte for byte."""
-        return self._spelt.get(local, replace(local, host=self._near).uri)
+        return self._own_uris.get(local, replace(local, host=self._loopback_host).uri)
 
-    def program_behind(self, outside: Endpoint) -> Endpoint | None:
-        """The program of this identity that a peer's address leads back to."""
-        return self._exported.get(_folded(outside))
+    def program_at(self, outside: Endpoint) -> Endpoint | None:
+        """The program of this identity at a network endpoint."""
+        return self._ingress.get(_casefolded(outside))
 
-    def peer_behind(self, local: Endpoint) -> Endpoint | None:
-        """The peer a loopback door leads to."""
-        found = self._imported.get(local.port)
-        return found if found is not None and found.flavour is local.flavour else None
+    def peer_at(self, local: Endpoint) -> Endpoint | None:
+        """The peer at a loopback endpoint."""
+        found = self._egress.get(local.port)
+        return found if found is not None and found.protocol is local.protocol else None
 
 
-def _folded(place: Endpoint) -> Endpoint:
-    """Host names are the same in any case, and a URI that was parsed has lost its own."""
-    return replace(place, host=place.host.lower())
+def _casefolded(endpoint: Endpoint) -> Endpoint:
+    """Host names are case-insensitive, and a parsed URI is in lower case."""
+    return replace(endpoint, host=endpoint.host.lower())

@@ -1,7 +1,7 @@
-"""What can happen to a layer: the answers to its commands. One page, nothing else.
+"""The events that answer a layer's commands, and nothing else.
 
-A layer is a generator that yields commands and is sent one of these for each. What does not fit
-the command is a mistake of the shell and ends the layer, and with it the connection.
+A layer is a generator: it yields commands and is sent one event for each. An event that does not
+fit the command is a bug of the shell; it ends the layer and its connection.
 """
 
 from collections.abc import Mapping
@@ -12,7 +12,7 @@ from ca.certificates import Identity
 
 @dataclass(frozen=True)
 class Opened:
-    """This port is open: to the network for `OpenIngress`, on loopback for `OpenEgress`."""
+    """The port that was opened: on the network for `OpenIngress`, on loopback for `OpenEgress`."""
 
     port: int
 
@@ -25,8 +25,8 @@ class Answered:
 
 
 @dataclass(frozen=True)
-class Passed:
-    """An XML-RPC response that nobody parsed, to be handed on as it is."""
+class RawResponse:
+    """An unparsed XML-RPC response, to be forwarded unchanged."""
 
     body: bytes
 
@@ -35,7 +35,7 @@ class Passed:
 class HeaderArrived:
     """The connection header that the other end answered with, at `now`.
 
-    `peer` is who it is if it came from the network, None for a program of this host.
+    `peer` is the identity of a peer; None for a program of this host.
     """
 
     fields: Mapping[str, bytes]
@@ -45,7 +45,7 @@ class HeaderArrived:
 
 @dataclass(frozen=True)
 class NoAnswer:
-    """No answer. `dead`: nobody listens there any more, as opposed to slow or broken."""
+    """No answer. `dead`: nothing listens there any more, as opposed to slow or broken."""
 
     reason: str
     dead: bool = False
@@ -53,7 +53,7 @@ class NoAnswer:
 
 @dataclass(frozen=True)
 class CommandDone:
-    """It is done; there is nothing to say about it."""
+    """The command was executed; it has no result."""
 
 
-Event = Opened | Answered | Passed | HeaderArrived | NoAnswer | CommandDone
+Event = Opened | Answered | RawResponse | HeaderArrived | NoAnswer | CommandDone

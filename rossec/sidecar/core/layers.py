@@ -1,7 +1,7 @@
-"""What all layers share: the identity they act for, its doors and registrations. Pure.
+"""State shared by all layers: the identity they act for, its endpoints and registrations. Pure.
 
-A layer is a generator: it yields a command, is sent the event, and returns the outcome. Whatever a
-layer raises closes the connection it was for; nothing passes because of a mistake.
+A layer is a generator: it yields a command, is sent the event, and returns the outcome. Any
+exception of a layer closes its connection; errors fail closed.
 """
 
 from collections.abc import Generator
@@ -12,10 +12,10 @@ from ca.certificates import Identity
 from rossec.channel.opening import WireProtocol
 from rossec.errors import RossecError
 from rossec.participant.access import Access
-from rossec.participant.definitions import Known
+from rossec.participant.definitions import FindDefinition
 from rossec.participant.publisher_grace import PublisherGrace
 from rossec.sidecar.core.commands import Command, OpenEgress, OpenIngress
-from rossec.sidecar.core.endpoints import Endpoint, EndpointMap, endpoint, inside
+from rossec.sidecar.core.endpoints import Endpoint, EndpointMap, local_endpoint, parse_endpoint
 from rossec.sidecar.core.events import Event, Opened
 
 Outcome = TypeVar("Outcome")
@@ -23,12 +23,12 @@ Layer: TypeAlias = Generator[Command, Event, Outcome]
 
 
 class UnexpectedEvent(RossecError):
-    """The shell answered a command with an event that does not fit: a mistake of ours."""
+    """The shell answered a command with an event of the wrong type: a bug."""
 
 
 @dataclass
 class Program:
-    """A program's slave API: the name it registered under, and what it has registered."""
+    """A program's slave API: the name it registered under, and its registrations."""
 
     name: str
     registrations: dict[tuple[str, str], tuple[object, ...]] = field(default_factory=dict)
@@ -39,75 +39,75 @@ class AgentState:
     """One identity the sidecar acts for.
 
     Attributes:
-        identity: who it is.
-        access: what it can prove, and what it lets others do.
-        doors: which address stands for which.
+        identity: its certificate data.
+        access: its own grants, and the authorization of peers.
+        endpoints: the mapping of network and loopback endpoints.
         master_uri: the loopback master, as programs know it.
-        known: what this host knows of a message type.
-        named: the publishers of each topic that its programs follow.
+        known_types: finds a message type that this host knows.
+        publisher_grace: the publishers of each topic that its programs subscribe to.
         programs: the slave APIs of its programs.
     """
 
     identity: Identity
     access: Access
-    doors: EndpointMap
+    endpoints: EndpointMap
     master_uri: str
-    known: Known
-    named: PublisherGrace
+    known_types: FindDefinition
+    publisher_grace: PublisherGrace
     programs: dict[Endpoint, Program] = field(default_factory=dict)
 
     def name_for(self, caller: str) -> str:
-        """The name peers hear: the program's own if the identity covers it, else the certified one.
+        """The caller_id for peers: the program's own if the identity covers it, else the identity.
 
-        So the answer to "who asks" is always a certified name (attack L7).
+        So it is always a certified name (attack L7).
         """
         return caller if self.covers(caller) else self.identity.name
 
     def covers(self, name: str) -> bool:
-        """Whether a program may go by `name`."""
+        """Whether a program may use `name`."""
         return self.identity.covers(name)
 
-    def export(self, local: Endpoint) -> Layer[Endpoint]:
-        """The address under which peers reach the program at `local`."""
-        return self.doors.opened_outside(local, opened((yield OpenIngress(local))))
+    def ingress_endpoint(self, local: Endpoint) -> Layer[Endpoint]:
+        """The endpoint at which peers reach the program at `local`."""
+        return self.endpoints.add_ingress(local, opened_port((yield OpenIngress(local))))
 
-    def bring(
+    def egress_uri(
         self, remote: Endpoint, own: Endpoint | None = None, *, probe: bool = False
     ) -> Layer[str]:
-        """The URI under which a program reaches `remote`; its own it gets back as it wrote it."""
-        local = self.doors.program_behind(remote)
+        """The URI at which a program reaches `remote`; its own URI is returned as it wrote it."""
+        local = self.endpoints.program_at(remote)
         if local is not None and local == own:
-            return self.doors.spelling(local)
-        port = opened((yield OpenEgress(remote, probe=probe)))
-        return self.doors.opened_inside(remote, port).uri
+            return self.endpoints.own_uri(local)
+        port = opened_port((yield OpenEgress(remote, probe=probe)))
+        return self.endpoints.add_egress(remote, port).uri
 
-    def publishers_are(self, topic: object, uris: object) -> list[str]:
-        """The publishers to follow of those the master names, and of those it may yet name."""
+    def followed_publishers(self, topic: object, uris: object) -> list[str]:
+        """The publishers to connect to: those the master names, and those in their grace period."""
         named = [uri for uri in uris if isinstance(uri, str)] if isinstance(uris, list) else []
-        return self.named.are(topic, named) if isinstance(topic, str) else named
+        return self.publisher_grace.update(topic, named) if isinstance(topic, str) else named
 
-    def bring_all(self, uris: object, own: Endpoint | None) -> Layer[list[str]]:
-        """`bring` for a list of slave API URIs; what is no URI is left out."""
+    def egress_uris(self, uris: object, own: Endpoint | None) -> Layer[list[str]]:
+        """`egress_uri` for a list of slave API URIs; invalid ones are left out."""
         found = []
         for uri in uris if isinstance(uris, list) else []:
-            remote = endpoint(uri, WireProtocol.HTTP)
+            remote = parse_endpoint(uri, WireProtocol.HTTP)
             if remote is not None:
-                found.append((yield from self.bring(remote, own)))
+                found.append((yield from self.egress_uri(remote, own)))
         return found
 
     def forget(self, local: Endpoint) -> None:
-        """The program at `local` is gone: a restarted master need not hear of it."""
+        """The program at `local` has ended: do not register it with a restarted master."""
         self.programs.pop(local, None)
 
 
-def opened(event: Event) -> int:
-    """The port of a door."""
+def opened_port(event: Event) -> int:
+    """The port of an `Opened` event."""
     if not isinstance(event, Opened):
-        raise UnexpectedEvent(f"no door but {type(event).__name__}")
+        raise UnexpectedEvent(f"no port but {type(event).__name__}")
     return event.port
 
 
 def own_endpoint(uri: object) -> Endpoint | None:
-    """The slave API of the calling program: on this host, whatever host name it writes."""
-    found = endpoint(uri, WireProtocol.HTTP)
-    return None if found is None else inside(WireProtocol.HTTP, found.port)
+    """The slave API endpoint of the calling program: on this host, whatever host it writes."""
+    found = parse_endpoint(uri, WireProtocol.HTTP)
+    return None if found is None else local_endpoint(WireProtocol.HTTP, found.port)

@@ -1,8 +1,8 @@
 """Calls of programs to their master, rewritten for the secured one. Pure layers.
 
 The table says where a call carries an address: the program's slave API, its service, or one in the
-answer. A method that is not in it is not passed on. Elements of a multicall are calls of their
-own. What a program registers is remembered, so that a restarted master hears of it again.
+answer. A method that is not in it is not forwarded. Elements of a multicall are handled as single
+calls. Registrations are stored, to be made again with a restarted master.
 """
 
 from dataclasses import dataclass
@@ -12,19 +12,19 @@ from typing import Final
 from rossec.channel.opening import WireProtocol
 from rossec.errors import HangUp
 from rossec.participant.caller_names import (
-    RELATIVE,
+    RELATIVE_NAME,
     SEARCH,
-    as_meant,
-    nowhere,
-    places,
-    searched,
-    settled,
+    not_found,
+    resolve_params,
+    search_places,
+    search_result,
+    searched_key,
 )
 from rossec.participant.slave_api import without_caller
 from rossec.ros.text import printable
 from rossec.ros.xmlrpc import Fault
-from rossec.sidecar.core.commands import AskLocal, AskMaster, Probe, Suspend
-from rossec.sidecar.core.endpoints import Endpoint, endpoint, inside
+from rossec.sidecar.core.commands import CallMaster, CallProgram, Probe, Suspend
+from rossec.sidecar.core.endpoints import Endpoint, local_endpoint, parse_endpoint
 from rossec.sidecar.core.events import Answered, Event, NoAnswer
 from rossec.sidecar.core.layers import AgentState, Layer, Program, UnexpectedEvent, own_endpoint
 
@@ -34,7 +34,7 @@ MASTER: Final = "/master"
 
 
 class Result(Enum):
-    """What a successful answer holds."""
+    """The value of a successful answer."""
 
     PLAIN = "no address"
     NODES = "a list of slave API URIs"
@@ -50,25 +50,25 @@ class CallRule:
     Attributes:
         api: the caller's slave API URI.
         service: a service URI of the caller.
-        undoes: the registration it takes back.
-        default: the value of a refusal, stock's.
+        unregisters: the method whose registration it removes.
+        default: the value of a refusal, as of the stock master.
     """
 
     api: int | None = None
     service: int | None = None
     result: Result = Result.PLAIN
-    undoes: str | None = None
+    unregisters: str | None = None
     default: object = 0
 
     @property
-    def place(self) -> int:
-        """Where a registration says its address: a service's own, else the slave API."""
+    def address_index(self) -> int:
+        """The index of a registration's address: the service's, else the slave API's."""
         return next(index for index in (self.service, self.api) if index is not None)
 
     @property
     def registers(self) -> bool:
-        """Whether others will know the program by this name and address."""
-        return self.api is not None and self.undoes is None
+        """Whether the call registers the program under its name and address."""
+        return self.api is not None and self.unregisters is None
 
 
 _SUBSCRIBE: Final = "registerSubscriber"
@@ -77,10 +77,10 @@ RULES: Final = {
     _SUBSCRIBE: CallRule(api=3, result=Result.NODES, default=[]),
     "registerService": CallRule(api=3, service=2),
     "subscribeParam": CallRule(api=1),
-    "unregisterPublisher": CallRule(api=2, undoes="registerPublisher"),
-    "unregisterSubscriber": CallRule(api=2, undoes=_SUBSCRIBE),
-    "unregisterService": CallRule(service=2, undoes="registerService"),
-    "unsubscribeParam": CallRule(api=1, undoes="subscribeParam"),
+    "unregisterPublisher": CallRule(api=2, unregisters="registerPublisher"),
+    "unregisterSubscriber": CallRule(api=2, unregisters=_SUBSCRIBE),
+    "unregisterService": CallRule(service=2, unregisters="registerService"),
+    "unsubscribeParam": CallRule(api=1, unregisters="subscribeParam"),
     "lookupNode": CallRule(result=Result.NODE, default=""),
     "lookupService": CallRule(result=Result.SERVICE, default=""),
     "getUri": CallRule(result=Result.MASTER, default=""),
@@ -98,35 +98,35 @@ RULES: Final = {
 }
 
 
-def call(tenant: AgentState, method: str, params: tuple[object, ...]) -> Layer[object]:
+def handle_call(agent: AgentState, method: str, params: tuple[object, ...]) -> Layer[object]:
     """Answer one call of a program.
 
     Raises:
         Fault: no such method.
-        HangUp: the master is out of reach; the program will try again.
+        HangUp: the master is unreachable; the program will try again.
     """
     if method == MULTICALL:
-        return (yield from _multicall(tenant, params))
+        return (yield from _multicall(agent, params))
     rule = rule_of(method)
     refused = without_caller(params, rule.default)
     if refused is not None:
         return refused
     caller = str(params[0])
-    if rule.registers and not tenant.covers(caller):
-        return [-1, _not_covered(tenant, caller), 0]
-    outside = yield from _outward(tenant, method, rule, caller, params)
-    if outside is None:
+    if rule.registers and not agent.covers(caller):
+        return [-1, _not_covered(agent, caller), 0]
+    master_params = yield from _params_for_master(agent, method, rule, caller, params)
+    if master_params is None:
         return [-1, "rossec: this address is not the program's own", 0]
-    key = None if outside[0] == caller else searched(method, params)
+    key = None if master_params[0] == caller else searched_key(method, params)
     if key is None:
-        answer = yield from _ask(method, outside)
+        answer = yield from _call_master(method, master_params)
     else:
-        answer = yield from _search(caller, outside[0], key)
+        answer = yield from _search(caller, master_params[0], key)
     if answer[0] == 1:
-        _remember(tenant, method, rule, params, outside)
+        _record_registration(agent, method, rule, params, master_params)
         if method == _SUBSCRIBE:
-            answer[2] = tenant.publishers_are(outside[RELATIVE[method]], answer[2])
-        return (yield from _inward(tenant, rule, _own(rule, params), answer))
+            answer[2] = agent.followed_publishers(master_params[RELATIVE_NAME[method]], answer[2])
+        return (yield from _answer_for_program(agent, rule, _own_api(rule, params), answer))
     return answer
 
 
@@ -142,8 +142,8 @@ def rule_of(method: str) -> CallRule:
     return rule
 
 
-def _ask(method: str, params: tuple[object, ...]) -> Layer[list[object]]:
-    event = yield AskMaster(method, params)
+def _call_master(method: str, params: tuple[object, ...]) -> Layer[list[object]]:
+    event = yield CallMaster(method, params)
     if not isinstance(event, Answered):
         raise HangUp(event.reason) if isinstance(event, NoAnswer) else UnexpectedEvent(method)
     answer = event.value
@@ -152,197 +152,207 @@ def _ask(method: str, params: tuple[object, ...]) -> Layer[list[object]]:
     return answer
 
 
-def _search(asker: str, name: object, key: str) -> Layer[list[object]]:
-    """Search from the namespace of `asker`; the master would, from that of `name`."""
-    for place, found in places(asker, key):
-        answer = settled((yield from _ask(SEARCH, (name, place))), found)
+def _search(caller: str, name: object, key: str) -> Layer[list[object]]:
+    """Search from the namespace of `caller`; the master would search from that of `name`."""
+    for place, found in search_places(caller, key):
+        answer = search_result((yield from _call_master(SEARCH, (name, place))), found)
         if answer is not None:
             return answer
-    return nowhere(key)
+    return not_found(key)
 
 
-def _multicall(tenant: AgentState, params: tuple[object, ...]) -> Layer[object]:
+def _multicall(agent: AgentState, params: tuple[object, ...]) -> Layer[object]:
     calls = params[0] if len(params) == 1 else None
     if not isinstance(calls, list) or len(calls) > MULTICALL_LIMIT:
         raise Fault(1, f"rossec: a multicall is one list of at most {MULTICALL_LIMIT} calls")
     answers: list[object] = []
     for element in calls:
         try:
-            answers.append([(yield from _element(tenant, element))])
+            answers.append([(yield from _element(agent, element))])
         except Fault as fault:
             answers.append({"faultCode": fault.faultCode, "faultString": fault.faultString})
     return answers
 
 
-def _element(tenant: AgentState, element: object) -> Layer[object]:
+def _element(agent: AgentState, element: object) -> Layer[object]:
     match element:
         case {"methodName": str() as method, "params": list() as params} if method != MULTICALL:
-            return (yield from call(tenant, method, tuple(params)))
+            return (yield from handle_call(agent, method, tuple(params)))
         case _:
             raise Fault(1, "rossec: a multicall element needs methodName and params")
 
 
-def _outward(
-    tenant: AgentState, method: str, rule: CallRule, caller: str, params: tuple[object, ...]
+def _params_for_master(
+    agent: AgentState, method: str, rule: CallRule, caller: str, params: tuple[object, ...]
 ) -> Layer[tuple[object, ...] | None]:
-    """The parameters for the secured master; None: an address that is not the program's."""
+    """The parameters for the secured master; None: the address is not the program's own."""
     name = caller
-    if rule.undoes is None:  # `rosnode cleanup` speaks for dead nodes; the master judges that
-        name = tenant.name_for(caller)
-    changed = list(params if name == caller else as_meant(method, params, caller))
+    if rule.unregisters is None:  # `rosnode cleanup` names dead nodes; the master authorizes it
+        name = agent.name_for(caller)
+    changed = list(params if name == caller else resolve_params(method, params, caller))
     changed[0] = name
-    for index, flavour in ((rule.api, WireProtocol.HTTP), (rule.service, WireProtocol.TCPROS)):
+    for index, protocol in ((rule.api, WireProtocol.HTTP), (rule.service, WireProtocol.TCPROS)):
         if index is None or index >= len(params):
             continue
-        given = endpoint(params[index], flavour)
+        given = parse_endpoint(params[index], protocol)
         if given is None:
-            continue  # the master says what is wrong with it
-        address = yield from _address(tenant, rule, given)
+            continue  # the master refuses it with a reason
+        address = yield from _address(agent, rule, given)
         if address is None:
             return None
         changed[index] = address
-    own = _own(rule, params)
+    own = _own_api(rule, params)
     if own is not None and rule.registers:
-        tenant.doors.spell(own, str(params[rule.api or 0]))
-        known = tenant.programs.get(own)
-        if known is None or known.name != caller:  # a dead one's port may be another's now
-            tenant.programs[own] = Program(caller)
+        agent.endpoints.set_own_uri(own, str(params[rule.api or 0]))
+        known = agent.programs.get(own)
+        if known is None or known.name != caller:  # the port may have been reused
+            agent.programs[own] = Program(caller)
     return tuple(changed)
 
 
-def _address(tenant: AgentState, rule: CallRule, given: Endpoint) -> Layer[str | None]:
-    """What the master knows an endpoint by that a program names.
+def _address(agent: AgentState, rule: CallRule, given: Endpoint) -> Layer[str | None]:
+    """The address, for the master, of an endpoint that a program names.
 
-    A door on loopback is a peer's: `rosnode cleanup` gives back what `lookupNode` answered. Nobody
-    can register one as its own, or the sidecar would call itself.
+    An egress port stands for a peer: `rosnode cleanup` sends the URI that `lookupNode` returned. No
+    program can register one as its own; the sidecar would call itself.
     """
-    local = inside(given.flavour, given.port)
-    remote = tenant.doors.peer_behind(local)
+    local = local_endpoint(given.protocol, given.port)
+    remote = agent.endpoints.peer_at(local)
     if remote is not None:
         return None if rule.registers else remote.uri
-    return (yield from tenant.export(local)).uri
+    return (yield from agent.ingress_endpoint(local)).uri
 
 
-def _own(rule: CallRule, params: tuple[object, ...]) -> Endpoint | None:
+def _own_api(rule: CallRule, params: tuple[object, ...]) -> Endpoint | None:
     if rule.api is None or rule.api >= len(params):
         return None
     return own_endpoint(params[rule.api])
 
 
-def _remember(
-    tenant: AgentState,
+def _record_registration(
+    agent: AgentState,
     method: str,
     rule: CallRule,
     params: tuple[object, ...],
-    outside: tuple[object, ...],
+    master_params: tuple[object, ...],
 ) -> None:
-    key = str(outside[RELATIVE[method]]) if method in RELATIVE else ""
-    own = _own(rule, params)
+    key = str(master_params[RELATIVE_NAME[method]]) if method in RELATIVE_NAME else ""
+    own = _own_api(rule, params)
     if rule.registers and own is not None:
-        program = tenant.programs.setdefault(own, Program(str(params[0])))
-        program.registrations[method, key] = outside
-    elif rule.undoes is not None:
-        _forget(tenant, rule, rule.undoes, key, outside)
+        program = agent.programs.setdefault(own, Program(str(params[0])))
+        program.registrations[method, key] = master_params
+    elif rule.unregisters is not None:
+        _remove_registration(agent, rule, rule.unregisters, key, master_params)
 
 
-def _forget(
-    tenant: AgentState, rule: CallRule, undone: str, key: str, outside: tuple[object, ...]
+def _remove_registration(
+    agent: AgentState,
+    rule: CallRule,
+    registered_by: str,
+    key: str,
+    master_params: tuple[object, ...],
 ) -> None:
-    """The address says whose registration it was: a successor of the same name keeps its own."""
-    place, made_at = rule.place, RULES[undone].place
-    for program in tenant.programs.values():
-        made = program.registrations.get((undone, key))
-        if made is not None and len(outside) > place and made[made_at] == outside[place]:
-            del program.registrations[undone, key]
+    """Remove the registration with this address; a new program of the same name keeps its own."""
+    index, registered_index = rule.address_index, RULES[registered_by].address_index
+    for program in agent.programs.values():
+        made = program.registrations.get((registered_by, key))
+        if (
+            made is not None
+            and len(master_params) > index
+            and made[registered_index] == master_params[index]
+        ):
+            del program.registrations[registered_by, key]
 
 
-def _inward(
-    tenant: AgentState, rule: CallRule, own: Endpoint | None, answer: list[object]
+def _answer_for_program(
+    agent: AgentState, rule: CallRule, own: Endpoint | None, answer: list[object]
 ) -> Layer[list[object]]:
-    """A successful answer of the master, as the program must see it."""
+    """A successful answer of the master, rewritten for the program."""
     code, status, value = answer
     match rule.result:
         case Result.NODES:
-            value = yield from tenant.bring_all(value, own)
+            value = yield from agent.egress_uris(value, own)
         case Result.NODE:
-            remote = endpoint(value, WireProtocol.HTTP)
-            value = "" if remote is None else (yield from _node(tenant, remote))
+            remote = parse_endpoint(value, WireProtocol.HTTP)
+            value = "" if remote is None else (yield from _node(agent, remote))
         case Result.SERVICE:
-            remote = endpoint(value, WireProtocol.TCPROS)
-            value = "" if remote is None else (yield from tenant.bring(remote))
+            remote = parse_endpoint(value, WireProtocol.TCPROS)
+            value = "" if remote is None else (yield from agent.egress_uri(remote))
             status = f"rosrpc URI: [{value}]"
         case Result.MASTER:
-            value = tenant.master_uri
+            value = agent.master_uri
         case Result.PLAIN:
             pass
     return [code, status, value]
 
 
-def _node(tenant: AgentState, remote: Endpoint) -> Layer[str]:
-    """A node of the same identity is met directly: it is the caller itself, or its like."""
-    own = tenant.doors.program_behind(remote)
-    return (yield from tenant.bring(remote, own, probe=True))
+def _node(agent: AgentState, remote: Endpoint) -> Layer[str]:
+    """The URI of a node; a node of the same identity is reached directly."""
+    own = agent.endpoints.program_at(remote)
+    return (yield from agent.egress_uri(remote, own, probe=True))
 
 
-def _not_covered(tenant: AgentState, caller: str) -> str:
-    name = tenant.identity.name
+def _not_covered(agent: AgentState, caller: str) -> str:
+    name = agent.identity.name
     return (
         f"rossec: a program with the identity of {name} calls itself {printable(caller, 255)}:"
         f" start it with __name:={name.rpartition('/')[2]}, or with an identity of its own"
     )
 
 
-def restore(tenant: AgentState) -> Layer[None]:
-    """Make every registration again, for a master that was restarted; the dead are left out.
+def restore(agent: AgentState) -> Layer[None]:
+    """Make every registration again with a restarted master, except those of dead programs.
 
-    They might come back in the place of a successor of the same name, which the master would end.
+    A dead program could replace a new one of the same name, which the master would shut down.
     """
-    for own, program in tuple(tenant.programs.items()):
-        if (yield from _is_gone(tenant, own, (yield Probe(own)))):
+    for own, program in tuple(agent.programs.items()):
+        if (yield from _is_gone(agent, own, (yield Probe(own)))):
             continue
         for (method, key), params in tuple(program.registrations.items()):
-            yield from _again(tenant, own, method, key, params)
+            yield from _register_again(agent, own, method, key, params)
 
 
-def resubscribe(tenant: AgentState, topic: str) -> Layer[None]:
-    """Name the publishers of `topic` again to who subscribes: rospy gives up what has ended."""
-    for own, program in tuple(tenant.programs.items()):
+def resubscribe(agent: AgentState, topic: str) -> Layer[None]:
+    """Send the publishers of `topic` to its subscribers again: rospy needs it to reconnect."""
+    for own, program in tuple(agent.programs.items()):
         params = program.registrations.get((_SUBSCRIBE, topic))
         if params is not None:
-            yield from _again(tenant, own, _SUBSCRIBE, topic, params)
+            yield from _register_again(agent, own, _SUBSCRIBE, topic, params)
 
 
-def _again(
-    tenant: AgentState, own: Endpoint, method: str, key: str, params: tuple[object, ...]
+def _register_again(
+    agent: AgentState, own: Endpoint, method: str, key: str, params: tuple[object, ...]
 ) -> Layer[None]:
-    event = yield AskMaster(method, params)
+    event = yield CallMaster(method, params)
     match event:
         case Answered(value=[1, _, value]) if method == _SUBSCRIBE:
-            uris = yield from tenant.bring_all(tenant.publishers_are(key, value), own)
-            yield from tell(tenant, own, "publisherUpdate", (MASTER, key, uris))
+            uris = yield from agent.egress_uris(agent.followed_publishers(key, value), own)
+            yield from notify_program(agent, own, "publisherUpdate", (MASTER, key, uris))
         case NoAnswer(reason=reason):
             raise HangUp(reason)
         case _:
             pass
 
 
-def let_go(tenant: AgentState) -> Layer[None]:
-    """Name to programs who is left of publishers that the master did not name again in time."""
-    for topic in tenant.named.overdue():
-        for own, program in tuple(tenant.programs.items()):
+def drop_overdue_publishers(agent: AgentState) -> Layer[None]:
+    """Update the subscribers of topics whose publishers the master did not name again in time."""
+    for topic in agent.publisher_grace.expired_topics():
+        for own, program in tuple(agent.programs.items()):
             if (_SUBSCRIBE, topic) in program.registrations:
-                uris = yield from tenant.bring_all(tenant.named.to_follow(topic), own)
-                yield from tell(tenant, own, "publisherUpdate", (MASTER, topic, uris))
+                uris = yield from agent.egress_uris(agent.publisher_grace.to_follow(topic), own)
+                yield from notify_program(agent, own, "publisherUpdate", (MASTER, topic, uris))
 
 
-def tell(tenant: AgentState, own: Endpoint, method: str, params: tuple[object, ...]) -> Layer[None]:
-    """Call a program that may be gone."""
-    yield from _is_gone(tenant, own, (yield AskLocal(own, method, params)))
+def notify_program(
+    agent: AgentState, own: Endpoint, method: str, params: tuple[object, ...]
+) -> Layer[None]:
+    """Call a program that may have ended."""
+    yield from _is_gone(agent, own, (yield CallProgram(own, method, params)))
 
 
-def _is_gone(tenant: AgentState, own: Endpoint, event: Event) -> Layer[bool]:
+def _is_gone(agent: AgentState, own: Endpoint, event: Event) -> Layer[bool]:
     if isinstance(event, NoAnswer) and event.dead:
-        tenant.forget(own)
+        agent.forget(own)
         yield Suspend(own)
         return True
     return False

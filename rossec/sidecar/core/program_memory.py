@@ -1,71 +1,73 @@
-"""Where programs behind a sidecar remember: as many places as programs live at a time.
+"""Memory of limits per program behind a sidecar: one for each program that runs at a time.
 
-Pure. A program has a place of its own, also if others publish the same topic: values of theirs in
-between would set its hysteresis anew. But there is no place for each name, since `rostopic pub`
-and `rosbag play` have a new one in each run: who comes goes on where one that is gone has stopped,
-best where it has stopped itself. Whether a program is gone is never in the hand of a subscriber.
+Pure. Each program has its own memory, also if others publish the same topic: their values would
+reset its hysteresis. Memories are not kept per name, since `rostopic pub` and `rosbag play` use a
+new name in each run: a new program reuses the memory of one that has ended, preferably of the same
+name. A subscriber cannot influence whether a program counts as ended.
 """
 
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field
 from typing import Generic, TypeVar
 
-from grants.memory import Recall
+from grants.memory import MemoryScope
 
 HolderT = TypeVar("HolderT", bound=Hashable)
 
 
 @dataclass(eq=False)
 class _ProgramMemory(Generic[HolderT]):
-    """Who has it, under which name; the name stays when nobody has it any more."""
+    """The holders of a memory and their name; the name stays when there is no holder."""
 
     name: str
     holders: set[HolderT] = field(default_factory=set)
 
 
 class ProgramMemories(Generic[HolderT]):
-    """Those of one identity.
+    """The memories of one identity.
 
     Args:
-        recall: what the identity remembers.
-        gone: whether a holder, that has not left, has ended.
+        scope: the memory scope of the identity.
+        has_ended: whether a holder that was not released has ended.
     """
 
-    def __init__(self, recall: Recall, gone: Callable[[HolderT], bool] = lambda _: False) -> None:
-        self._recall = recall
-        self._gone = gone
-        self._places: list[_ProgramMemory[HolderT]] = []
+    def __init__(
+        self, scope: MemoryScope, has_ended: Callable[[HolderT], bool] = lambda _: False
+    ) -> None:
+        self._scope = scope
+        self._has_ended = has_ended
+        self._memories: list[_ProgramMemory[HolderT]] = []
 
-    def take(self, name: str, holder: HolderT) -> Recall:
-        """What `holder`, a program by that name, has let each key use up."""
-        place = self._held_by(holder) or self._named(name) or self._freed() or self._new()
-        self._let_go(place)
-        if not place.holders:
-            place.name = name
-        place.holders.add(holder)
-        return self._recall.apart(str(self._places.index(place)))
+    def acquire(self, name: str, holder: HolderT) -> MemoryScope:
+        """The memory scope of `holder`, a program of this name."""
+        memory = self._held_by(holder) or self._with_name(name) or self._released() or self._new()
+        self._drop_ended(memory)
+        if not memory.holders:
+            memory.name = name
+        memory.holders.add(holder)
+        return self._scope.child(str(self._memories.index(memory)))
 
-    def leave(self, holder: HolderT) -> None:
+    def release(self, holder: HolderT) -> None:
         """`holder` has ended."""
-        for place in self._places:
-            place.holders.discard(holder)
+        for memory in self._memories:
+            memory.holders.discard(holder)
 
     def _held_by(self, holder: HolderT) -> _ProgramMemory[HolderT] | None:
-        return next((place for place in self._places if holder in place.holders), None)
+        return next((memory for memory in self._memories if holder in memory.holders), None)
 
-    def _named(self, name: str) -> _ProgramMemory[HolderT] | None:
-        return next((place for place in self._places if place.name == name), None)
+    def _with_name(self, name: str) -> _ProgramMemory[HolderT] | None:
+        return next((memory for memory in self._memories if memory.name == name), None)
 
-    def _freed(self) -> _ProgramMemory[HolderT] | None:
-        for place in self._places:
-            self._let_go(place)
-            if not place.holders:
-                return place
+    def _released(self) -> _ProgramMemory[HolderT] | None:
+        for memory in self._memories:
+            self._drop_ended(memory)
+            if not memory.holders:
+                return memory
         return None
 
-    def _let_go(self, place: _ProgramMemory[HolderT]) -> None:
-        place.holders = {holder for holder in place.holders if not self._gone(holder)}
+    def _drop_ended(self, memory: _ProgramMemory[HolderT]) -> None:
+        memory.holders = {holder for holder in memory.holders if not self._has_ended(holder)}
 
     def _new(self) -> _ProgramMemory[HolderT]:
-        self._places.append(_ProgramMemory(""))
-        return self._places[-1]
+        self._memories.append(_ProgramMemory(""))
+        return self._memories[-1]

@@ -1,12 +1,12 @@
 """Calls between nodes: a peer's to a program's slave API, and a program's to a peer's. Pure layers.
 
-Both directions are default deny and drop UDPROS, which would leave the channel (attack N10). A
-peer is judged before the program hears of it. `requestTopic` is answered here, with the same door
-for every topic: the program is asked when somebody with the right comes to it (N5, `headers`).
-Answers are parsed and written anew, and hold a value only if the code is 1: rospy takes any
-positive one for success, and stock parsers read what ours refuses, so that an address the sidecar
-did not see would be dialled in clear. The one answer that travels as it is, is that of
-`getBusStats`, where roscpp's is malformed; it holds no address.
+Both directions are default deny and drop UDPROS, which would bypass the channel (attack N10). A
+peer is authorized before the program is called. `requestTopic` is answered here, with the same port
+for every topic: the program is asked once an authorized peer connects to it (N5, `tcpros`).
+Answers are parsed and serialized again, and hold a value only if the code is 1: rospy takes any
+positive code for success, and stock parsers accept what ours refuses; a program would connect in
+plaintext to an address that the sidecar did not see. Only the answer of `getBusStats` is forwarded
+unparsed: roscpp's is malformed, and it holds no address.
 """
 
 from typing import Final
@@ -15,68 +15,76 @@ from ca.certificates import Identity
 from rossec.channel.opening import WireProtocol
 from rossec.errors import HangUp
 from rossec.participant.slave_api import NO_TRANSPORT, RULES, TCPROS, offers_tcpros, without_caller
-from rossec.participant.slave_rights import OPEN, PRESENT, SLAVE_CALLS, STEERING, check_slave_call
+from rossec.participant.slave_rights import (
+    MASTER_ONLY,
+    OPEN,
+    PRESENT,
+    SLAVE_CALLS,
+    check_slave_call,
+)
 from rossec.ros.text import printable
 from rossec.ros.xmlrpc import Encoded, Fault
-from rossec.sidecar.core.commands import AskLocal, AskRemote, Probe, Suspend
-from rossec.sidecar.core.endpoints import Endpoint, endpoint, topics_of
-from rossec.sidecar.core.events import Answered, Event, NoAnswer, Passed
+from rossec.sidecar.core.commands import CallPeer, CallProgram, Probe, Suspend
+from rossec.sidecar.core.endpoints import Endpoint, parse_endpoint, topic_endpoint
+from rossec.sidecar.core.events import Answered, Event, NoAnswer, RawResponse
 from rossec.sidecar.core.layers import AgentState, Layer, UnexpectedEvent, own_endpoint
 
 _UNPARSED: Final = frozenset({"getBusStats"})
 REQUEST_TOPIC: Final = "requestTopic"
-_INWARD: Final = "i"
-_MOST_DOORS: Final = 64  # that one answer of a peer may have opened
+_INBOUND: Final = "i"
+_MAX_EGRESS: Final = 64  # ports that one answer of a peer can open
 
 
-def ask_program(
-    tenant: AgentState,
+def handle_peer_call(
+    agent: AgentState,
     local: Endpoint,
     peer: Identity,
     method: str,
     params: tuple[object, ...],
-    shown: bytes | None,
+    grants: bytes | None,
     now: int,
 ) -> Layer[object]:
     """Answer a peer's call to the program at `local`.
 
     Raises:
-        CallRefused, GrantError, CAError: the peer may not.
+        CallRefused, GrantError, CAError: the peer is not authorized.
         HangUp: the program does not answer.
     """
-    node = tenant.identity.name
+    node = agent.identity.name
     if method == PRESENT:
-        tenant.access.check_peer(peer, now)
-        yield from _gone(tenant, local, (yield Probe(local)))
+        agent.access.check_peer(peer, now)
+        yield from _require_alive(agent, local, (yield Probe(local)))
         return [1, "", 0]
-    check_slave_call(method, peer, node, shown, tenant.access, now)
-    unnamed = without_caller(params, RULES[method].default)
-    if unnamed is not None:
-        return unnamed
+    check_slave_call(method, peer, node, grants, agent.access, now)
+    refused = without_caller(params, RULES[method].default)
+    if refused is not None:
+        return refused
     if method == REQUEST_TOPIC:
-        return (yield from _offer(tenant, local, params))
-    changed = yield from _for_program(tenant, local, method, params)
-    event = yield AskLocal(local, method, changed, parse=method not in _UNPARSED)
-    yield from _gone(tenant, local, event)
+        return (yield from _answer_request_topic(agent, local, params))
+    changed = yield from _params_for_program(agent, local, method, params)
+    event = yield CallProgram(local, method, changed, parse=method not in _UNPARSED)
+    yield from _require_alive(agent, local, event)
     match event:
-        case Passed(body=body) if method in _UNPARSED:
+        case RawResponse(body=body) if method in _UNPARSED:
             return Encoded(body)
         case Answered(value=[code, str() as status, value]) if succeeded(code):
-            return (yield from _program_says(tenant, local, method, status, value))
+            return (yield from _answer_for_peer(agent, local, method, status, value))
         case Answered(value=value):
             return _refusal(value)
         case _:
             raise UnexpectedEvent(method)
 
 
-def _offer(tenant: AgentState, local: Endpoint, params: tuple[object, ...]) -> Layer[object]:
-    """Where the topics of a program are, whatever the topic; a dead one is found out as ever."""
-    refused = _no_topic(params)
+def _answer_request_topic(
+    agent: AgentState, local: Endpoint, params: tuple[object, ...]
+) -> Layer[object]:
+    """The answer to `requestTopic`, the same for every topic; a dead program does not answer."""
+    refused = _invalid_request_topic(params)
     if refused is not None:
         return refused
-    yield from _gone(tenant, local, (yield Probe(local)))
-    door = yield from tenant.export(topics_of(local))
-    return [1, "ready", [TCPROS, door.host, door.port]]
+    yield from _require_alive(agent, local, (yield Probe(local)))
+    ingress = yield from agent.ingress_endpoint(topic_endpoint(local))
+    return [1, "ready", [TCPROS, ingress.host, ingress.port]]
 
 
 def succeeded(code: object) -> bool:
@@ -85,7 +93,7 @@ def succeeded(code: object) -> bool:
 
 
 def _refusal(answer: object) -> list[object]:
-    """An answer that is none, or does not say success: without its value, whatever that is."""
+    """An unsuccessful or invalid answer, without its value."""
     match answer:
         case [(-1 | 0) as code, str() as status, _]:
             return [code, status, 0]
@@ -95,26 +103,26 @@ def _refusal(answer: object) -> list[object]:
             return [-1, "rossec: an answer that is not [code, status, value]", 0]
 
 
-def _gone(tenant: AgentState, local: Endpoint, event: Event) -> Layer[None]:
-    """Refuse from now on in the name of a program that is gone."""
+def _require_alive(agent: AgentState, local: Endpoint, event: Event) -> Layer[None]:
+    """Hang up if the program did not answer; suspend its port if it has ended."""
     if isinstance(event, NoAnswer):
         if event.dead:
-            tenant.forget(local)
+            agent.forget(local)
             yield Suspend(local)
         raise HangUp(event.reason)
 
 
-def _for_program(
-    tenant: AgentState, local: Endpoint, method: str, params: tuple[object, ...]
+def _params_for_program(
+    agent: AgentState, local: Endpoint, method: str, params: tuple[object, ...]
 ) -> Layer[tuple[object, ...]]:
     if method == "publisherUpdate" and len(params) == 3:
-        followed = tenant.publishers_are(params[1], params[2])
-        return (*params[:2], (yield from tenant.bring_all(followed, local)))
+        followed = agent.followed_publishers(params[1], params[2])
+        return (*params[:2], (yield from agent.egress_uris(followed, local)))
     return params
 
 
-def _no_topic(params: tuple[object, ...]) -> list[object] | None:
-    """What to answer to a `requestTopic` that cannot be one for TCPROS; None: it can."""
+def _invalid_request_topic(params: tuple[object, ...]) -> list[object] | None:
+    """The refusal of a `requestTopic` without TCPROS or with invalid parameters; None: valid."""
     if len(params) != 3:
         return [-1, "Error: bad call arity", []]
     if not isinstance(params[1], str) or not params[1]:
@@ -122,39 +130,41 @@ def _no_topic(params: tuple[object, ...]) -> list[object] | None:
     return None if offers_tcpros(params[2]) else [-1, NO_TRANSPORT, []]
 
 
-def _program_says(
-    tenant: AgentState, local: Endpoint, method: str, status: object, value: object
+def _answer_for_peer(
+    agent: AgentState, local: Endpoint, method: str, status: object, value: object
 ) -> Layer[object]:
-    """The program's answer as a peer must see it: with doors in place of loopback ports."""
+    """A program's answer, rewritten for a peer: ingress ports in place of loopback ports."""
     match method, value:
         case "getUri", _:
-            return [1, status, (yield from tenant.export(local)).uri]
+            return [1, status, (yield from agent.ingress_endpoint(local)).uri]
         case "getMasterUri", _:
             return [1, status, ""]
         case "getBusInfo", list() as entries:
-            return [1, status, (yield from _connections(tenant, local, entries))]
+            return [1, status, (yield from _program_bus_info(agent, local, entries))]
         case _:
             return [1, status, value]
 
 
-def _connections(tenant: AgentState, local: Endpoint, entries: list[object]) -> Layer[list[object]]:
-    """A program's connections; of incoming ones it names the URI of the publisher, maybe itself."""
+def _program_bus_info(
+    agent: AgentState, local: Endpoint, entries: list[object]
+) -> Layer[list[object]]:
+    """A program's bus info; an incoming connection names its publisher, maybe the program."""
     found: list[object] = []
     for entry in entries:
         match entry:
             case [number, str() as uri, "i", *rest]:
-                place = endpoint(uri, WireProtocol.HTTP)
-                remote = None if place is None else tenant.doors.peer_behind(place)
+                place = parse_endpoint(uri, WireProtocol.HTTP)
+                remote = None if place is None else agent.endpoints.peer_at(place)
                 if own_endpoint(uri) == local:
-                    remote = yield from tenant.export(local)
-                found.append([number, uri if remote is None else remote.uri, _INWARD, *rest])
+                    remote = yield from agent.ingress_endpoint(local)
+                found.append([number, uri if remote is None else remote.uri, _INBOUND, *rest])
             case _:
                 found.append(entry)
     return found
 
 
-def ask_peer(
-    tenant: AgentState, remote: Endpoint, method: str, params: tuple[object, ...]
+def handle_program_call(
+    agent: AgentState, remote: Endpoint, method: str, params: tuple[object, ...]
 ) -> Layer[object]:
     """Answer a program's call to the peer at `remote`.
 
@@ -162,23 +172,23 @@ def ask_peer(
         Fault: no such method.
         HangUp: the peer does not answer.
     """
-    if method not in OPEN | STEERING | SLAVE_CALLS.keys():
+    if method not in OPEN | MASTER_ONLY | SLAVE_CALLS.keys():
         raise Fault(1, f"<class 'Exception'>:method \"{printable(method, 80)}\" is not supported")
     refused = without_caller(params, RULES[method].default)
     if refused is None and method == REQUEST_TOPIC:
-        refused = _no_topic(params)
+        refused = _invalid_request_topic(params)
     if refused is not None:
         return refused
-    changed = (tenant.name_for(str(params[0])), *params[1:])
+    changed = (agent.name_for(str(params[0])), *params[1:])
     if method == REQUEST_TOPIC:
         changed = (*changed[:2], [[TCPROS]])
     parse = method not in _UNPARSED
-    event = yield AskRemote(remote, method, changed, SLAVE_CALLS.get(method), parse)
+    event = yield CallPeer(remote, method, changed, SLAVE_CALLS.get(method), parse)
     match event:
-        case Passed(body=body) if method in _UNPARSED:
+        case RawResponse(body=body) if method in _UNPARSED:
             return Encoded(body)
         case Answered(value=[code, str() as status, value]) if succeeded(code):
-            return (yield from _peer_says(tenant, remote, method, status, value))
+            return (yield from _answer_for_program(agent, remote, method, status, value))
         case Answered(value=value):
             return _refusal(value)
         case NoAnswer(reason=reason):
@@ -187,47 +197,47 @@ def ask_peer(
             raise UnexpectedEvent(method)
 
 
-def _peer_says(
-    tenant: AgentState, remote: Endpoint, method: str, status: object, value: object
+def _answer_for_program(
+    agent: AgentState, remote: Endpoint, method: str, status: object, value: object
 ) -> Layer[object]:
-    """A peer's answer as the program must see it: with doors in place of addresses."""
+    """A peer's answer, rewritten for a program: egress ports in place of addresses."""
     match method, value:
         case "requestTopic", ["TCPROS", str() as host, int() as port] if (
             host and 0 < port < 1 << 16
-        ) and not _leads_back(tenant, remote, Endpoint(WireProtocol.TCPROS, host, port)):
-            uri = yield from tenant.bring(Endpoint(WireProtocol.TCPROS, host, port))
-            door = endpoint(uri, WireProtocol.TCPROS)
-            return [1, "ready", ["TCPROS", door.host, door.port]] if door else [-1, "", []]
+        ) and not _leads_back(agent, remote, Endpoint(WireProtocol.TCPROS, host, port)):
+            uri = yield from agent.egress_uri(Endpoint(WireProtocol.TCPROS, host, port))
+            egress = parse_endpoint(uri, WireProtocol.TCPROS)
+            return [1, "ready", ["TCPROS", egress.host, egress.port]] if egress else [-1, "", []]
         case "requestTopic", _:
             return [-1, NO_TRANSPORT, []]
         case "getUri", _:
-            return [1, status, (yield from tenant.bring(remote))]
+            return [1, status, (yield from agent.egress_uri(remote))]
         case "getMasterUri", _:
-            return [1, status, tenant.master_uri]
+            return [1, status, agent.master_uri]
         case "getBusInfo", list() as entries:
-            return [1, status, (yield from _peers_connections(tenant, entries))]
+            return [1, status, (yield from _peer_bus_info(agent, entries))]
         case _:
             return [1, status, value]
 
 
-def _leads_back(tenant: AgentState, remote: Endpoint, place: Endpoint) -> bool:
-    """Whether another node names a place of this identity's own: nobody may be led to itself."""
-    behind = tenant.doors.program_behind
+def _leads_back(agent: AgentState, remote: Endpoint, place: Endpoint) -> bool:
+    """Whether another node names an endpoint of this identity (reflection)."""
+    behind = agent.endpoints.program_at
     return behind(place) is not None and behind(remote) is None
 
 
-def _peers_connections(tenant: AgentState, entries: list[object]) -> Layer[list[object]]:
-    """A peer's connections, with the URIs that `lookupNode` gives: tools compare the two."""
-    doors: dict[str, str] = {}
+def _peer_bus_info(agent: AgentState, entries: list[object]) -> Layer[list[object]]:
+    """A peer's bus info, with the URIs that `lookupNode` returns: tools compare them."""
+    uris: dict[str, str] = {}
     found: list[object] = []
     for entry in entries:
         match entry:
             case [number, str() as uri, "i", *rest]:
-                remote = endpoint(uri, WireProtocol.HTTP)
-                if remote is not None and uri not in doors and len(doors) < _MOST_DOORS:
-                    own = tenant.doors.program_behind(remote)
-                    doors[uri] = yield from tenant.bring(remote, own)
-                found.append([number, doors.get(uri, uri), _INWARD, *rest])
+                remote = parse_endpoint(uri, WireProtocol.HTTP)
+                if remote is not None and uri not in uris and len(uris) < _MAX_EGRESS:
+                    own = agent.endpoints.program_at(remote)
+                    uris[uri] = yield from agent.egress_uri(remote, own)
+                found.append([number, uris.get(uri, uri), _INBOUND, *rest])
             case _:
                 found.append(entry)
     return found

@@ -1,9 +1,9 @@
 """The TCPROS handshake between a program and a peer, both directions. Pure layers.
 
-The header of the one end is read once, judged, given to the other end, and its answer judged in
-turn; grants are added towards the network and taken out towards the program. Where a topic is the
-program is asked only for a peer that may subscribe to it. What comes back says how the bytes that
-follow must be treated: a guard for outgoing messages that are restricted, nothing else.
+The header of one end is read once, authorized and sent to the other end, and its answer is
+authorized in turn; grants are added towards the network and removed towards the program. A program
+is asked for its topic port only for an authorized subscriber. The result says how to handle the
+bytes that follow: a guard for restricted messages, otherwise none.
 """
 
 from collections.abc import Callable, Mapping
@@ -13,114 +13,118 @@ from typing import TypeAlias
 from ca.certificates import Identity
 from grants.decision import Decision
 from grants.guard import Guard
-from grants.memory import Recall
+from grants.memory import MemoryScope
 from grants.model import Right
 from rossec.channel.opening import WireProtocol
 from rossec.errors import ConnectionHeaderRefused, HangUp
 from rossec.participant import service_handshake, topic_handshake
 from rossec.participant.access import FIELD
 from rossec.participant.definitions import (
-    as_received,
-    as_sent,
-    described,
+    definition_fields,
     from_header,
+    receiver_definition,
+    reported_definition,
+    sender_definition,
     size_of,
-    told,
 )
 from rossec.participant.header_fields import Fields, text
 from rossec.participant.slave_api import TCPROS
 from rossec.participant.topic_guard import FilterKey, guard_for
-from rossec.sidecar.core.commands import AskLocal, ConnectPeer, ConnectProgram, Suspend
-from rossec.sidecar.core.endpoints import Endpoint, inside
+from rossec.sidecar.core.commands import CallProgram, ConnectPeer, ConnectProgram, Suspend
+from rossec.sidecar.core.endpoints import Endpoint, local_endpoint
 from rossec.sidecar.core.events import Answered, Event, HeaderArrived, NoAnswer
 from rossec.sidecar.core.layers import AgentState, Layer, UnexpectedEvent
 from rossec.sidecar.core.slave_calls import REQUEST_TOPIC, succeeded
 
 _CALLER = "callerid"
 _LONGEST_NAME = 255
-FindRecall: TypeAlias = Callable[[str], Recall]  # of a program that calls itself so
+FindMemoryScope: TypeAlias = Callable[[str], MemoryScope]  # by the program's caller_id
 
 
 @dataclass(frozen=True)
 class AdmittedConnection:
-    """Two ends that may now exchange messages.
+    """A connection whose two ends may exchange messages.
 
     Attributes:
         answer: the header for the end that asked.
-        decision: what the peer may do; when it ends, the connection does.
-        guard: treats each message before it is passed on; None: bytes pass as they are.
+        decision: the authorization of the peer; the connection ends with it.
+        guard: filters each message before it is forwarded; None: bytes are forwarded unchanged.
         service: both directions carry data; else only from publisher to subscriber.
-        size: of every message to a program, if they are all alike and that is known.
+        message_size: of every message to a program, if the size is fixed and known.
     """
 
     answer: Mapping[str, bytes]
     decision: Decision
     guard: Guard | None
     service: bool
-    size: int | None = None
+    message_size: int | None = None
 
     @property
     def latching(self) -> bool:
-        """Whether the publisher shows its last message to whoever connects."""
+        """Whether the publisher sends its last message to new subscribers."""
         return self.answer.get("latching") == b"1"
 
 
 def admit_peer(
-    tenant: AgentState,
+    agent: AgentState,
     local: Endpoint,
     fields: Mapping[str, bytes],
     peer: Identity,
     filter_key: FilterKey,
-    recall_of: FindRecall,
+    memory_scope_of: FindMemoryScope,
     now: int,
 ) -> Layer[AdmittedConnection]:
     """A peer subscribes to a topic of the program at `local`, or calls its service.
 
     Raises:
-        ConnectionHeaderRefused, GrantError, CAError: it may not, or the program refuses it.
+        ConnectionHeaderRefused, GrantError, CAError: the peer or the program is refused.
         HangUp: the program does not answer.
     """
-    service = _asks_for_service(fields)
-    if service is local.asked:
+    service = _is_service(fields)
+    if service is local.via_slave_api:
         raise ConnectionHeaderRefused(f"this port is not for {'services' if service else 'topics'}")
     if service:
-        decision = service_handshake.admit_caller(fields, peer, tenant.access, now)
+        decision = service_handshake.admit_caller(fields, peer, agent.access, now)
         decision.require_unrestricted()
-        place = local
+        target = local
     else:
-        decision = topic_handshake.admit_subscriber(fields, peer, tenant.access, now)
-        place = yield from _place_of(tenant, local, fields)
-    event = yield ConnectProgram(place, without_grants(fields))
+        decision = topic_handshake.admit_subscriber(fields, peer, agent.access, now)
+        target = yield from _request_topic(agent, local, fields)
+    event = yield ConnectProgram(target, without_grants(fields))
     if isinstance(event, NoAnswer) and event.dead:
         yield Suspend(local)
-    arrived = _arrived(event)
-    answer = _own_answer(tenant, fields, arrived.fields)
+    arrived = _require_header(event)
+    answer = _answer_for_peer(agent, fields, arrived.fields)
     guard = None
     if decision.restrictions:
-        kind = as_sent(from_header(answer), decision, tenant.known)
-        guard = guard_for(kind, decision, filter_key, recall_of(_program(arrived.fields)))
+        kind = sender_definition(from_header(answer), decision, agent.known_types)
+        guard = guard_for(
+            kind, decision, filter_key, memory_scope_of(_program_name(arrived.fields))
+        )
     return AdmittedConnection(
-        {**answer, **_proof(tenant, fields, arrived.now)}, decision, guard, service
+        {**answer, **_own_proof(agent, fields, arrived.now)}, decision, guard, service
     )
 
 
-def _place_of(tenant: AgentState, local: Endpoint, fields: Mapping[str, bytes]) -> Layer[Endpoint]:
-    """Where the program has the topic, as its slave API says it.
+def _request_topic(
+    agent: AgentState, local: Endpoint, fields: Mapping[str, bytes]
+) -> Layer[Endpoint]:
+    """The endpoint of the topic, requested from the program's slave API.
 
     Raises:
-        ConnectionHeaderRefused: it does not publish it.
-        HangUp: it does not answer.
+        ConnectionHeaderRefused: the program does not publish the topic.
+        HangUp: the program does not answer.
     """
     topic = topic_handshake.requested_topic(fields)
-    asked = (text(fields, _CALLER), topic, [[TCPROS]])
-    event = yield AskLocal(inside(WireProtocol.HTTP, local.port), REQUEST_TOPIC, asked)
+    request = (text(fields, _CALLER), topic, [[TCPROS]])
+    event = yield CallProgram(local_endpoint(WireProtocol.HTTP, local.port), REQUEST_TOPIC, request)
     match event:
         case Answered(value=[code, _, [str(protocol), str(), int() as port]]) if (
             succeeded(code) and protocol == TCPROS and 0 < port < 1 << 16
         ):
-            return inside(WireProtocol.TCPROS, port)
+            return local_endpoint(WireProtocol.TCPROS, port)
         case Answered():
-            raise ConnectionHeaderRefused(f"{tenant.identity.name} does not publish {topic}")
+            raise ConnectionHeaderRefused(f"{agent.identity.name} does not publish {topic}")
         case NoAnswer(dead=True, reason=reason):
             yield Suspend(local)
             raise HangUp(reason)
@@ -130,9 +134,9 @@ def _place_of(tenant: AgentState, local: Endpoint, fields: Mapping[str, bytes]) 
             raise UnexpectedEvent(type(event).__name__)
 
 
-def _asks_for_service(fields: Mapping[str, bytes]) -> bool:
-    """What a header is for. Both would be judged as one and served as the other: roscpp and rospy
-    look for the topic first.
+def _is_service(fields: Mapping[str, bytes]) -> bool:
+    """Whether a header is for a service. One with both fields would be authorized as one and served
+    as the other: roscpp and rospy check the topic first.
 
     Raises:
         ConnectionHeaderRefused: not exactly one of the two.
@@ -142,58 +146,58 @@ def _asks_for_service(fields: Mapping[str, bytes]) -> bool:
     return "service" in fields
 
 
-def _own_answer(
-    tenant: AgentState, asked: Mapping[str, bytes], answer: Mapping[str, bytes]
+def _answer_for_peer(
+    agent: AgentState, request: Mapping[str, bytes], answer: Mapping[str, bytes]
 ) -> dict[str, bytes]:
     """The program's answer under a certified name; rospy's publishers leave out the topic."""
     if "error" in answer:
         raise ConnectionHeaderRefused(text(answer, "error"))
-    completed = {**without_grants(answer), _CALLER: _caller(tenant, answer)}
-    if "topic" in asked:
-        completed["topic"] = asked["topic"]
+    completed = {**without_grants(answer), _CALLER: _caller_name(agent, answer)}
+    if "topic" in request:
+        completed["topic"] = request["topic"]
     return completed
 
 
-def _program(fields: Mapping[str, bytes]) -> str:
-    """What a program calls itself."""
+def _program_name(fields: Mapping[str, bytes]) -> str:
+    """The caller_id of a program."""
     return text(fields, _CALLER)[:_LONGEST_NAME] if _CALLER in fields else ""
 
 
-def _caller(tenant: AgentState, fields: Mapping[str, bytes]) -> bytes:
+def _caller_name(agent: AgentState, fields: Mapping[str, bytes]) -> bytes:
     given = text(fields, _CALLER) if _CALLER in fields else ""
-    return tenant.name_for(given).encode()
+    return agent.name_for(given).encode()
 
 
-def _proof(tenant: AgentState, asked: Mapping[str, bytes], now: int) -> Fields:
-    if "service" in asked:
-        return service_handshake.provider_proof(text(asked, "service"), tenant.access, now)
-    return {FIELD: tenant.access.present(Right.PUBLISH, text(asked, "topic"), now)}
+def _own_proof(agent: AgentState, request: Mapping[str, bytes], now: int) -> Fields:
+    if "service" in request:
+        return service_handshake.provider_proof(text(request, "service"), agent.access, now)
+    return {FIELD: agent.access.present(Right.PUBLISH, text(request, "topic"), now)}
 
 
-def reach_peer(
-    tenant: AgentState,
+def connect_to_peer(
+    agent: AgentState,
     remote: Endpoint,
     fields: Mapping[str, bytes],
     filter_key: FilterKey,
-    recall_of: FindRecall,
+    memory_scope_of: FindMemoryScope,
     now: int,
 ) -> Layer[AdmittedConnection]:
     """A program subscribes to a topic of the peer at `remote`, or calls its service.
 
     Raises:
-        ConnectionHeaderRefused, GrantError, CAError: the peer refuses, or may not publish or
-        provide. HangUp: the peer does not answer.
+        ConnectionHeaderRefused, GrantError, CAError: the peer refuses, or is not authorized to
+        publish or provide. HangUp: the peer does not answer.
     """
-    service = _asks_for_service(fields)
-    asked = {**without_grants(fields), _CALLER: _caller(tenant, fields)}
-    guard = size = None
+    service = _is_service(fields)
+    request = {**without_grants(fields), _CALLER: _caller_name(agent, fields)}
+    guard = message_size = None
     if service:
         name = service_handshake.requested_service(fields)
-        asked |= service_handshake.caller_proof(name, tenant.access, now)
-        event = yield ConnectPeer(remote, asked)
+        request |= service_handshake.caller_proof(name, agent.access, now)
+        event = yield ConnectPeer(remote, request)
         arrived, peer = _from_peer(event)
         decision = service_handshake.admit_provider(
-            arrived.fields, peer, name, tenant.access, arrived.now
+            arrived.fields, peer, name, agent.access, arrived.now
         )
         decision.require_unrestricted()
         answer = without_grants(arrived.fields)
@@ -202,28 +206,28 @@ def reach_peer(
         expected = topic_handshake.ExpectedTopic(
             topic_handshake.requested_topic(fields), own.name, own.md5sum
         )
-        asked[FIELD] = tenant.access.present(Right.SUBSCRIBE, expected.topic, now)
-        arrived, peer = _from_peer((yield ConnectPeer(remote, asked)))
+        request[FIELD] = agent.access.present(Right.SUBSCRIBE, expected.topic, now)
+        arrived, peer = _from_peer((yield ConnectPeer(remote, request)))
         decision = topic_handshake.admit_publisher(
-            arrived.fields, peer, expected, tenant.access, arrived.now
+            arrived.fields, peer, expected, agent.access, arrived.now
         )
-        said = from_header(arrived.fields)
-        kind = as_received(own, said, decision, tenant.known)
+        sent = from_header(arrived.fields)
+        kind = receiver_definition(own, sent, decision, agent.known_types)
         if decision.restrictions:
-            guard = guard_for(kind, decision, filter_key, recall_of(_program(fields)))
-        answer = without_grants(arrived.fields) | told(kind, decision)
-        size = size_of(described(kind, said))
-    return AdmittedConnection(answer, decision, guard, service, size)
+            guard = guard_for(kind, decision, filter_key, memory_scope_of(_program_name(fields)))
+        answer = without_grants(arrived.fields) | definition_fields(kind, decision)
+        message_size = size_of(reported_definition(kind, sent))
+    return AdmittedConnection(answer, decision, guard, service, message_size)
 
 
 def _from_peer(event: Event) -> tuple[HeaderArrived, Identity]:
-    arrived = _arrived(event)
+    arrived = _require_header(event)
     if arrived.peer is None:
         raise UnexpectedEvent("a peer without an identity")
     return arrived, arrived.peer
 
 
-def _arrived(event: Event) -> HeaderArrived:
+def _require_header(event: Event) -> HeaderArrived:
     if isinstance(event, NoAnswer):
         raise HangUp(event.reason)
     if not isinstance(event, HeaderArrived):
@@ -232,5 +236,5 @@ def _arrived(event: Event) -> HeaderArrived:
 
 
 def without_grants(fields: Mapping[str, bytes]) -> dict[str, bytes]:
-    """The header without what is between rossec and rossec."""
+    """The header without the grants field."""
     return {key: value for key, value in fields.items() if key != FIELD}

@@ -14,6 +14,7 @@ from ca.enrollment.messages import (
 )
 from ca.errors import (
     AcknowledgementRefused,
+    ConflictingOffer,
     EnrollmentExpired,
     EnrollmentMessageRefused,
     EnrollmentOver,
@@ -21,7 +22,6 @@ from ca.errors import (
     ForeignCertificate,
     RequestRefused,
     RequestSwapped,
-    RivalOffer,
 )
 from tests.support.enrolling import WINDOW, Robot, acknowledged, compared, fresh, offered, scanned
 from tests.support.pki import NOW, Site, new_signer
@@ -96,7 +96,7 @@ def test_nothing_is_offered_without_a_yes() -> None:
     robot = Robot()
     enrollment = compared(robot.enrollment())
     leaf = SITE.authority.issue(robot.csr, now=NOW, serial=1)
-    with pytest.raises(EnrollmentOver, match="not while the authority the request fits the code"):
+    with pytest.raises(EnrollmentOver, match="in state 'request verified'"):
         enrollment.offer([leaf], SITE.root, fresh(), NOW)
     enrollment.deny()
     with pytest.raises(EnrollmentOver):
@@ -121,7 +121,7 @@ def test_the_answer_of_another_key() -> None:
     node = Robot().enrollment()
     authority, offer = offered(node, SITE)
     node.receive(offer, NOW)
-    statement = transcript.acknowledge(new_signer(), node.pending.transcript, fresh())
+    statement = transcript.sign_acknowledgement(new_signer(), node.pending.transcript, fresh())
     with pytest.raises(AcknowledgementRefused, match="not signed by the node"):
         authority.receive(write(Acknowledgement(statement)), NOW)
     assert authority.state is AuthorityState.OVER
@@ -134,7 +134,7 @@ def test_a_replayed_answer() -> None:
     _, offer = offered(first, SITE)
     (recorded,) = first.receive(offer, NOW)
     later, _ = offered(robot.enrollment(), SITE)
-    with pytest.raises(AcknowledgementRefused, match="about another offer"):
+    with pytest.raises(AcknowledgementRefused, match="for another offer"):
         later.receive(recorded, NOW)
     assert later.state is AuthorityState.OVER
     assert later.digits == ""
@@ -147,7 +147,7 @@ def test_a_replayed_last_word() -> None:
     first.confirm(authority.digits, NOW)
     (recorded,) = first.activated()
     later, _ = acknowledged(robot.enrollment(), SITE)
-    with pytest.raises(AcknowledgementRefused, match="about another offer"):
+    with pytest.raises(AcknowledgementRefused, match="for another offer"):
         later.receive(recorded, NOW)
     assert later.state is AuthorityState.OVER
     authority.receive(recorded, NOW)
@@ -162,7 +162,9 @@ def test_the_last_word_before_the_answer_changes_nothing() -> None:
     (answer,) = node.receive(offer, NOW)
     node.confirm(node.pending.digits, NOW)
     (done,) = node.activated()
-    with pytest.raises(EnrollmentMessageRefused, match="no Done while waits for the node's"):
+    with pytest.raises(
+        EnrollmentMessageRefused, match="unexpected Done in state 'waiting for the ack"
+    ):
         authority.receive(done, NOW)
     for message in (answer, answer, done, answer):
         authority.receive(message, NOW)
@@ -172,7 +174,7 @@ def test_the_last_word_before_the_answer_changes_nothing() -> None:
 def test_a_second_different_answer() -> None:
     node = Robot().enrollment()
     authority, _ = acknowledged(node, SITE)
-    other = transcript.acknowledge(new_signer(), node.pending.transcript, fresh())
+    other = transcript.sign_acknowledgement(new_signer(), node.pending.transcript, fresh())
     with pytest.raises(AcknowledgementRefused, match="a second, different answer"):
         authority.receive(write(Acknowledgement(other)), NOW)
     assert authority.digits == node.pending.digits
@@ -183,7 +185,7 @@ def test_a_second_different_answer() -> None:
     [
         (Reason.REFUSED, EnrollmentOver, "refused the offer"),
         (Reason.OVER, EnrollmentOver, "has ended the enrollment"),
-        (Reason.RIVAL, RivalOffer, "two different offers"),
+        (Reason.CONFLICT, ConflictingOffer, "two different offers"),
     ],
 )
 def test_the_node_gives_up(reason: Reason, kind: type[Exception], message: str) -> None:

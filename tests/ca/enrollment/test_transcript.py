@@ -39,42 +39,44 @@ def test_the_tag_as_specified() -> None:
     secret = b"s" * 16
     expected = hmac.digest(secret, encode(["rossec-enroll-offer-v1", AGREED]), "sha256")
     assert t.tag(secret, AGREED) == expected
-    assert t.is_tag(secret, AGREED, expected)
-    assert not t.is_tag(secret, AGREED, b"")
-    assert not t.is_tag(bytes(16), AGREED, expected)
+    assert t.verify_tag(secret, AGREED, expected)
+    assert not t.verify_tag(secret, AGREED, b"")
+    assert not t.verify_tag(bytes(16), AGREED, expected)
 
 
 def test_the_digits_as_specified() -> None:
     number = int.from_bytes(digest(encode(["rossec-enroll-digits-v1", AGREED, CONTRIBUTION]))[:8])
     assert t.digits(AGREED, CONTRIBUTION) == str(number % 10**6).zfill(6)
     assert len({t.digits(AGREED, bytes([n]) * 16) for n in range(50)}) > 45
-    assert t.grouped("012345") == "012 345"
+    assert t.group_digits("012345") == "012 345"
 
 
 def test_an_acknowledgement_is_about_one_offer() -> None:
-    statement = t.acknowledge(SIGNER, AGREED, CONTRIBUTION)
+    statement = t.sign_acknowledgement(SIGNER, AGREED, CONTRIBUTION)
     assert t.open_acknowledgement(statement, SIGNER.public_key, AGREED) == CONTRIBUTION
-    with pytest.raises(AcknowledgementRefused, match="about another offer") as caught:
+    with pytest.raises(AcknowledgementRefused, match="for another offer") as caught:
         t.open_acknowledgement(statement, SIGNER.public_key, bytes(32))
     assert "do not confirm" in caught.value.hint
     with pytest.raises(AcknowledgementRefused, match="not signed by the node"):
         t.open_acknowledgement(statement, new_signer().public_key, AGREED)
     with pytest.raises(AcknowledgementRefused, match="not signed by the node"):
         t.open_acknowledgement(b"\xa0", SIGNER.public_key, AGREED)
-    short = t.acknowledge(SIGNER, AGREED, b"c")
-    with pytest.raises(AcknowledgementRefused, match="about another offer"):
+    short = t.sign_acknowledgement(SIGNER, AGREED, b"c")
+    with pytest.raises(AcknowledgementRefused, match="for another offer"):
         t.open_acknowledgement(short, SIGNER.public_key, AGREED)
 
 
 def test_the_last_word_is_about_one_offer() -> None:
-    statement = t.finish(SIGNER, AGREED)
+    statement = t.sign_done(SIGNER, AGREED)
     t.check_done(statement, SIGNER.public_key, AGREED)
-    with pytest.raises(AcknowledgementRefused, match="about another offer"):
+    with pytest.raises(AcknowledgementRefused, match="for another offer"):
         t.check_done(statement, SIGNER.public_key, bytes(32))
 
 
 def test_one_statement_is_never_taken_for_the_other() -> None:
     with pytest.raises(AcknowledgementRefused, match="not a statement of kind"):
-        t.check_done(t.acknowledge(SIGNER, AGREED, CONTRIBUTION), SIGNER.public_key, AGREED)
+        t.check_done(
+            t.sign_acknowledgement(SIGNER, AGREED, CONTRIBUTION), SIGNER.public_key, AGREED
+        )
     with pytest.raises(AcknowledgementRefused, match="not a statement of kind"):
-        t.open_acknowledgement(t.finish(SIGNER, AGREED), SIGNER.public_key, AGREED)
+        t.open_acknowledgement(t.sign_done(SIGNER, AGREED), SIGNER.public_key, AGREED)

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from ca.errors import PlaceRefused
+from ca.errors import PathRefused
 from ca.keys import ownership
 
 
@@ -21,12 +21,12 @@ def mine(tmp_path: Path) -> Path:
 
 
 def read(path: Path, *, link: bool = False) -> bytes:
-    with os.fdopen(ownership.open_own(path, link=link), "rb") as file:
+    with os.fdopen(ownership.open_trusted(path, link=link), "rb") as file:
         return file.read()
 
 
 def refused(path: Path, what: str, *, link: bool = False) -> str:
-    with pytest.raises(PlaceRefused, match=what) as caught:
+    with pytest.raises(PathRefused, match=what) as caught:
         read(path, link=link)
     return caught.value.hint
 
@@ -88,7 +88,7 @@ def test_what_is_to_be_made_in_a_sticky_directory_is_good(
     mine.chmod(0o1777)
     ownership.check_directory(mine.joinpath(*missing))
     mine.chmod(0o777)
-    with pytest.raises(PlaceRefused, match="home can be written by others"):
+    with pytest.raises(PathRefused, match="home can be written by others"):
         ownership.check_directory(mine.joinpath(*missing))
 
 
@@ -97,14 +97,14 @@ def test_a_link_to_the_directory_it_is_in(mine: Path, target: str) -> None:
     (mine / "here").symlink_to(target)
     ownership.check_directory(mine / "here")
     mine.chmod(0o1777)
-    with pytest.raises(PlaceRefused, match="home can be written by others"):
+    with pytest.raises(PathRefused, match="home can be written by others"):
         ownership.check_directory(mine / "here")
 
 
 def test_what_is_no_plain_file(mine: Path) -> None:
     os.mkfifo(mine / "pipe")
-    refused(mine / "pipe", "is not a plain file")
-    refused(mine, "is not a plain file")
+    refused(mine / "pipe", "is not a regular file")
+    refused(mine, "is not a regular file")
 
 
 def test_a_link_is_followed_only_where_it_may_be(mine: Path) -> None:
@@ -119,19 +119,19 @@ def test_a_file_is_judged_without_opening_it(mine: Path, monkeypatch: pytest.Mon
     """As if it was opened."""
     (mine / "link").symlink_to("ca.pem")
     monkeypatch.setattr(os, "open", lambda path, flags: pytest.fail("opened"))
-    ownership.check_own(mine / "ca.pem")
+    ownership.check_trusted(mine / "ca.pem")
     with pytest.raises(FileNotFoundError):
-        ownership.check_own(mine / "missing")
-    with pytest.raises(PlaceRefused, match="is a symbolic link"):
-        ownership.check_own(mine / "link")
-    with pytest.raises(PlaceRefused, match="is not a plain file"):
-        ownership.check_own(mine)
+        ownership.check_trusted(mine / "missing")
+    with pytest.raises(PathRefused, match="is a symbolic link"):
+        ownership.check_trusted(mine / "link")
+    with pytest.raises(PathRefused, match="is not a regular file"):
+        ownership.check_trusted(mine)
     (mine / "ca.pem").chmod(0o666)
-    with pytest.raises(PlaceRefused, match="can be written by others"):
-        ownership.check_own(mine / "ca.pem")
+    with pytest.raises(PathRefused, match="can be written by others"):
+        ownership.check_trusted(mine / "ca.pem")
     mine.chmod(0o777)
-    with pytest.raises(PlaceRefused, match="home can be written by others"):
-        ownership.check_own(mine / "missing")
+    with pytest.raises(PathRefused, match="home can be written by others"):
+        ownership.check_trusted(mine / "missing")
 
 
 def test_every_link_on_the_way_is_followed(mine: Path) -> None:
@@ -143,10 +143,10 @@ def test_every_link_on_the_way_is_followed(mine: Path) -> None:
         ownership.check_directory(mine / link)
     open_to_all.chmod(0o777)
     for link in ("up", "relative"):
-        with pytest.raises(PlaceRefused, match="open can be written by others"):
+        with pytest.raises(PathRefused, match="open can be written by others"):
             ownership.check_directory(mine / link)
     (mine / "round").symlink_to("round")
-    with pytest.raises(PlaceRefused, match="too many symbolic links"):
+    with pytest.raises(PathRefused, match="too many symbolic links"):
         ownership.check_directory(mine / "round")
 
 
@@ -161,7 +161,7 @@ def test_root_is_told_whose_it_is(mine: Path, monkeypatch: pytest.MonkeyPatch) -
     nobody = pwd.getpwnam("nobody")
     as_another(monkeypatch, nobody.pw_uid)
     monkeypatch.setattr(os, "geteuid", lambda: 0)
-    hint = refused(mine / "ca.pem", "belongs to nobody, and this is root")
+    hint = refused(mine / "ca.pem", "belongs to nobody, who could change what root trusts")
     assert "sudo -u nobody rossec" in hint
     assert "a ROSSEC_HOME that is root's" in hint
     as_another(monkeypatch)
@@ -184,13 +184,13 @@ def groups(monkeypatch: pytest.MonkeyPatch) -> list[SimpleNamespace]:
     monkeypatch.setattr(pwd, "getpwall", lambda: users)
     monkeypatch.setattr(pwd, "getpwuid", {5: users[0]}.__getitem__)
     monkeypatch.setattr(grp, "getgrgid", {77: group}.__getitem__)
-    ownership._is_alone.cache_clear()
+    ownership._is_user_private_group.cache_clear()
     return [group, *users]
 
 
 def test_a_group_of_ones_own_counts_as_oneself(groups: list[SimpleNamespace]) -> None:
     groups[0].gr_mem = ["robot", "root"]
-    assert ownership._is_alone(77, 5)
+    assert ownership._is_user_private_group(77, 5)
 
 
 @pytest.mark.parametrize("member", ["eve", "robot"])
@@ -202,28 +202,28 @@ def test_a_group_of_more_does_not(
     else:
         eve = SimpleNamespace(pw_name="eve", pw_uid=6, pw_gid=77)
         monkeypatch.setattr(pwd, "getpwall", lambda: [groups[1], eve])
-    assert not ownership._is_alone(77, 5)
+    assert not ownership._is_user_private_group(77, 5)
 
 
 def test_a_group_whose_users_are_not_listed_does_not(groups: list[SimpleNamespace]) -> None:
     """A directory service answers who a user is, and need not list who has a group."""
     groups[0].gr_name = "domain users"
-    assert not ownership._is_alone(77, 5)
+    assert not ownership._is_user_private_group(77, 5)
 
 
 @pytest.mark.parametrize("pair", [(78, 5), (77, 6)])
 def test_a_group_nobody_can_name_does_not(
     groups: list[SimpleNamespace], pair: tuple[int, int]
 ) -> None:
-    assert not ownership._is_alone(*pair)
+    assert not ownership._is_user_private_group(*pair)
 
 
 def test_a_file_for_the_group(mine: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (mine / "ca.pem").chmod(0o664)
-    monkeypatch.setattr(ownership, "_is_alone", lambda group, owner: True)
+    monkeypatch.setattr(ownership, "_is_user_private_group", lambda group, owner: True)
     assert read(mine / "ca.pem") == b"anchor"
     monkeypatch.setattr(os, "getxattr", lambda path, name: b"a list of users")
     refused(mine / "ca.pem", "can be written by others")
     monkeypatch.undo()
-    monkeypatch.setattr(ownership, "_is_alone", lambda group, owner: False)
+    monkeypatch.setattr(ownership, "_is_user_private_group", lambda group, owner: False)
     refused(mine / "ca.pem", "can be written by others")

@@ -14,7 +14,7 @@ from ca.revocation.state import (
     digest,
     sign_list,
 )
-from ca.revocation.tree import Listing, RevocationTree, sign_tree
+from ca.revocation.tree import RevocationTree, TreeEntries, sign_tree
 from tests.support.pki import NOW, new_signer
 
 SIGNER = new_signer()
@@ -62,8 +62,13 @@ def test_a_fresh_list_lets_others_pass() -> None:
 
 def test_nothing_known_means_no() -> None:
     state = Revocations(SIGNER.public_key)
-    assert (state.fresh_until, state.entries, state.data, state.held) == (0, frozenset(), b"", None)
-    with pytest.raises(RevocationsStale, match="no revocation list has arrived yet") as caught:
+    assert (state.fresh_until, state.entries, state.data, state.current) == (
+        0,
+        frozenset(),
+        b"",
+        None,
+    )
+    with pytest.raises(RevocationsStale, match="no revocation list was received yet") as caught:
         state.check(A, NOW)
     assert "master" in caught.value.hint
 
@@ -87,7 +92,7 @@ def test_a_confirmation_runs_out() -> None:
     state = fresh(A)
     assert state.fresh_until == NOW + MAX_AGE
     state.check(B, NOW + MAX_AGE)
-    with pytest.raises(RevocationsStale, match="the last confirmation ran out 1 s ago"):
+    with pytest.raises(RevocationsStale, match="the last confirmation expired 1 s ago"):
         state.check(B, NOW + MAX_AGE + 1)
 
 
@@ -155,7 +160,7 @@ def test_rollback() -> None:
     state.update(signed(5, A), NOW)
     with pytest.raises(RollbackRefused, match=r"revocation list 1\.4 is older than 1\.5") as caught:
         state.update(signed(4), NOW)
-    assert "replaying" in caught.value.hint
+    assert "replayed" in caught.value.hint
     assert state.entries == {A}
 
 
@@ -215,7 +220,9 @@ def test_confirmations_that_do_not_fit() -> None:
         state.confirm(stamp(1, data), NOW)
     state.update(data, NOW)
     for bad in (stamp(2, data), stamp(0, data), stamp(1, data + b"\0"), stamp(1, b"")):
-        with pytest.raises(RevocationRefused, match="is for another list than number 1 held here"):
+        with pytest.raises(
+            RevocationRefused, match="is for another list than the current number 1"
+        ):
             state.confirm(bad, NOW)
     with pytest.raises(RevocationRefused, match="the timestamp is from the future"):
         state.confirm(stamp(1, data, issued=NOW + SKEW + 1), NOW)
@@ -304,7 +311,7 @@ TestMoving.settings = settings(max_examples=30, stateful_step_count=20)
 
 
 ENTRIES = frozenset(n.to_bytes(16) for n in range(1, 40, 3))
-LISTING = Listing(ENTRIES)
+LISTING = TreeEntries(ENTRIES)
 
 
 def tree_data(seq: int = 9) -> bytes:
@@ -325,25 +332,25 @@ REVOKED_ONE, OTHER = (4).to_bytes(16), (5).to_bytes(16)
 def test_of_a_tree_each_entry_must_be_proved() -> None:
     state = with_tree()
     for entry in (REVOKED_ONE, OTHER, OTHER):
-        with pytest.raises(RevocationsStale, match="no proof has come yet"):
+        with pytest.raises(RevocationsStale, match="no proof received yet"):
             state.check(entry, NOW)
-    assert state.wanted == [REVOKED_ONE, OTHER]
-    assert state.known_until(OTHER) == NOW + MAX_AGE
+    assert state.unproved == [REVOKED_ONE, OTHER]
+    assert state.status_valid_until(OTHER) == NOW + MAX_AGE
     for entry in (REVOKED_ONE, OTHER):
-        state.prove(entry, LISTING.prove(entry))
-    assert state.wanted == []
+        state.add_proof(entry, LISTING.prove(entry))
+    assert state.unproved == []
     state.check(OTHER, NOW)
     with pytest.raises(Revoked):
         state.check(REVOKED_ONE, NOW)
     assert state.entries == {REVOKED_ONE}
     with pytest.raises(RevocationRefused):
-        state.prove(bytes(16), LISTING.prove(OTHER))
+        state.add_proof(bytes(16), LISTING.prove(OTHER))
 
 
 def test_what_was_proved_of_one_tree_is_not_of_the_next() -> None:
     state = with_tree()
     for entry in (REVOKED_ONE, OTHER):
-        state.prove(entry, LISTING.prove(entry))
+        state.add_proof(entry, LISTING.prove(entry))
     data = tree_data(10)
     assert state.update(data, NOW) == frozenset()
     state.confirm(Timestamp(10, digest(data), NOW + 60, MAX_AGE), NOW + 60)
@@ -351,21 +358,21 @@ def test_what_was_proved_of_one_tree_is_not_of_the_next() -> None:
         state.check(REVOKED_ONE, NOW + 60)
     with pytest.raises(RevocationsStale):
         state.check(OTHER, NOW + 60)
-    assert state.known_until(OTHER) == NOW + MAX_AGE
-    state.prove(OTHER, LISTING.prove(OTHER))
-    assert state.known_until(OTHER) == NOW + 60 + MAX_AGE
+    assert state.status_valid_until(OTHER) == NOW + MAX_AGE
+    state.add_proof(OTHER, LISTING.prove(OTHER))
+    assert state.status_valid_until(OTHER) == NOW + 60 + MAX_AGE
 
 
 def test_who_has_all_entries_needs_no_proof() -> None:
     state = with_tree()
     with pytest.raises(RevocationRefused, match="not those"):
-        state.complete(Listing([OTHER]))
-    state.complete(LISTING)
+        state.set_entries(TreeEntries([OTHER]))
+    state.set_entries(LISTING)
     state.check(OTHER, NOW)
     with pytest.raises(Revoked):
         state.check(REVOKED_ONE, NOW)
-    with pytest.raises(RevocationRefused, match="none is held"):
-        Revocations(SIGNER.public_key).complete(LISTING)
+    with pytest.raises(RevocationRefused, match="there is no tree"):
+        Revocations(SIGNER.public_key).set_entries(LISTING)
 
 
 def test_a_list_after_a_tree_says_it_all_again() -> None:
@@ -374,21 +381,21 @@ def test_a_list_after_a_tree_says_it_all_again() -> None:
         state.check(OTHER, NOW)
     listed = sign_list(SIGNER, RevocationList(1, 10, NOW, NOW + 10_000, frozenset({REVOKED_ONE})))
     assert state.update(listed, NOW) == {REVOKED_ONE}
-    state.prove(OTHER, b"which is late")
-    assert state.wanted == []
+    state.add_proof(OTHER, b"which is late")
+    assert state.unproved == []
     state.confirm(Timestamp(10, digest(listed), NOW, MAX_AGE), NOW)
     state.check(OTHER, NOW)
 
 
 def test_what_is_remembered_of_a_tree_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("ca.revocation.state.MAX_PROVED", 2)
+    monkeypatch.setattr("ca.revocation.state.MAX_PROOFS", 2)
     state = with_tree()
     for n in (2, 3, 5):
         with pytest.raises(RevocationsStale):
             state.check(n.to_bytes(16), NOW)
-    assert len(state.wanted) == 2
+    assert len(state.unproved) == 2
     for n in (2, 3, 5):
-        state.prove(n.to_bytes(16), LISTING.prove(n.to_bytes(16)))
+        state.add_proof(n.to_bytes(16), LISTING.prove(n.to_bytes(16)))
     state.check((5).to_bytes(16), NOW)
     with pytest.raises(RevocationsStale):
         state.check((2).to_bytes(16), NOW)
@@ -396,13 +403,13 @@ def test_what_is_remembered_of_a_tree_is_bounded(monkeypatch: pytest.MonkeyPatch
 
 def test_a_confirmation_that_is_doubted_lets_nobody_in_and_cuts_nobody() -> None:
     state = fresh(A)
-    state.doubt(NOW + 3)
+    state.expire_confirmation(NOW + 3)
     assert state.fresh_until == NOW + 3
     with pytest.raises(RevocationsStale, match="not confirmed"):
         state.check(B, NOW)
-    state.doubt(NOW + 9)
+    state.expire_confirmation(NOW + 9)
     assert state.fresh_until == NOW + 3, "doubt does not make it last"
     state.confirm(stamp(1, state.data), NOW)
     state.check(B, NOW)
-    state.doubt()
+    state.expire_confirmation()
     assert state.fresh_until == 0

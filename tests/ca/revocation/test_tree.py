@@ -17,8 +17,8 @@ from ca.revocation.merkle import EMPTY_ROOT
 from ca.revocation.tree import (
     MAX_LEAVES,
     TREE,
-    Listing,
     RevocationTree,
+    TreeEntries,
     is_revoked,
     is_tree,
     open_tree,
@@ -27,7 +27,7 @@ from ca.revocation.tree import (
 
 CA = KeySigner(generate())
 ENTRIES = frozenset(hashlib.sha256(bytes([n])).digest()[: 16 if n % 2 else 32] for n in range(21))
-LISTING = Listing(ENTRIES)
+LISTING = TreeEntries(ENTRIES)
 TREE_ = RevocationTree(1, 7, 1000, 2000, *LISTING.size_and_root)
 
 
@@ -48,7 +48,7 @@ def test_beyond_the_ends(entry: bytes) -> None:
 
 @given(st.frozensets(st.binary(min_size=16, max_size=16), min_size=1, max_size=9), st.data())
 def test_trees_of_every_size(entries: frozenset[bytes], data: Any) -> None:
-    listing = Listing(entries)
+    listing = TreeEntries(entries)
     tree = replace(TREE_, size=listing.size_and_root[0], root=listing.size_and_root[1])
     entry = data.draw(st.sampled_from(sorted(entries)) | st.binary(min_size=16, max_size=16))
     assert is_revoked(tree, entry, listing.prove(entry)) == (entry in entries)
@@ -87,7 +87,7 @@ def test_what_is_no_proof(broken: bytes) -> None:
 
 def test_a_proof_of_something_else() -> None:
     first, last = min(ENTRIES), max(ENTRIES)
-    with pytest.raises(RevocationRefused, match="shows nothing"):
+    with pytest.raises(RevocationRefused, match="does not show the status"):
         is_revoked(TREE_, sorted(ENTRIES)[3], LISTING.prove(last))
     with pytest.raises(RevocationRefused):
         is_revoked(replace(TREE_, root=bytes(32)), first, LISTING.prove(first))
@@ -132,12 +132,12 @@ def test_unknown_and_missing_fields() -> None:
 
 
 def test_a_listing_is_carried_whole() -> None:
-    again = Listing.read(LISTING.encoded())
+    again = TreeEntries.read(LISTING.encoded())
     assert again.entries == ENTRIES
     again.check(TREE_)
     with pytest.raises(RevocationRefused, match="not those of the signed tree"):
-        Listing(sorted(ENTRIES)[1:]).check(TREE_)
+        TreeEntries(sorted(ENTRIES)[1:]).check(TREE_)
     for broken in (b"", encode({}), encode([5]), encode([b"short"])):
         with pytest.raises(RevocationRefused):
-            Listing.read(broken)
-    assert Listing([]).size_and_root == (0, EMPTY_ROOT)
+            TreeEntries.read(broken)
+    assert TreeEntries([]).size_and_root == (0, EMPTY_ROOT)

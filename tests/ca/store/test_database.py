@@ -11,7 +11,7 @@ import pytest
 from ca.errors import RecordUnusable, StoreError
 from ca.store import database as module
 from ca.store.database import Database
-from ca.store.log import record
+from ca.store.log import append_entry
 
 NOW = 1_800_000_000
 
@@ -30,12 +30,12 @@ def database(path: Path) -> Iterator[Database]:
 
 
 def note(db: sqlite3.Connection, text: str) -> None:
-    record(db, NOW, "noted", text, "", b"")
+    append_entry(db, NOW, "noted", text, "", b"")
 
 
 def fail(database: Database, text: str) -> None:
     """Write, and fail before it is done."""
-    with database.changing() as db:
+    with database.transaction() as db:
         note(db, text)
         raise ValueError(text)
 
@@ -47,17 +47,17 @@ def noted(database: Database) -> list[str]:
 def test_nobody_writes_between_a_decision_and_its_record(
     path: Path, database: Database, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(module, "_PATIENCE", 0)
+    monkeypatch.setattr(module, "_BUSY_TIMEOUT", 0)
     other = Database.open(path)
-    with database.changing() as db:
+    with database.transaction() as db:
         assert noted(database) == []
         with (
             pytest.raises(RecordUnusable, match="another command is at work"),
-            other.changing(),
+            other.transaction(),
         ):
             pytest.fail("two are at work")
         note(db, "decided")
-    with other.changing() as db:
+    with other.transaction() as db:
         note(db, "then the other")
     assert noted(database) == ["decided", "then the other"]
     other.close()
@@ -75,7 +75,7 @@ def elsewhere(path: Path, script: str) -> str:
 
 def test_opening_it_once_more_gives_up_no_lock(path: Path, database: Database) -> None:
     """A process that closes any descriptor of a file loses its locks there (fcntl(2))."""
-    with database.changing() as db:
+    with database.transaction() as db:
         Database.open(path).close()
         assert "database is locked" in elsewhere(path, "db.execute('BEGIN IMMEDIATE')")
         note(db, "alone")
@@ -93,26 +93,26 @@ def test_another_process_that_ends_takes_nothing_away(path: Path, database: Data
         assert elsewhere(path, insert) == ""
         Database.open(path).close()
         assert len(database.rows("SELECT * FROM head")) == number + 1
-    with database.changing() as db:
+    with database.transaction() as db:
         note(db, "after them")
     database.check()
     assert elsewhere(path, "print(len(db.execute('SELECT * FROM log').fetchall()))") == "1\n"
 
 
 def test_a_part_that_fails_is_undone_alone(database: Database) -> None:
-    with database.changing() as db:
+    with database.transaction() as db:
         note(db, "first")
         with pytest.raises(ValueError, match="undone"):
             fail(database, "undone")
-        with database.changing():
+        with database.transaction():
             note(db, "second")
     assert noted(database) == ["first", "second"]
 
 
 def test_a_whole_that_fails_leaves_no_part(database: Database) -> None:
     def whole() -> None:
-        with database.changing():
-            with database.changing() as db:
+        with database.transaction():
+            with database.transaction() as db:
                 note(db, "part")
             fail(database, "another part")
 
@@ -123,14 +123,14 @@ def test_a_whole_that_fails_leaves_no_part(database: Database) -> None:
 
 def test_a_reader_sees_one_moment(path: Path, database: Database) -> None:
     other = Database.open(path)
-    with database.reading():
+    with database.read_transaction():
         assert noted(database) == []
-        with other.changing() as db:
+        with other.transaction() as db:
             note(db, "meanwhile")
-        with database.reading():
+        with database.read_transaction():
             assert noted(database) == []
     assert noted(database) == ["meanwhile"]
-    with database.changing() as db, database.reading():
+    with database.transaction() as db, database.read_transaction():
         note(db, "own")
         assert noted(database) == ["meanwhile", "own"]
     other.close()
@@ -145,7 +145,7 @@ def test_a_record_that_was_moved_aside_takes_nothing_in(
         Database.create(path).close()
     with (
         pytest.raises(StoreError, match="was replaced by another command, nothing") as caught,
-        database.changing(),
+        database.transaction(),
     ):
         pytest.fail("written into what was moved aside")
     assert "run the command again" in caught.value.hint

@@ -26,9 +26,9 @@ def row(serial: int, key: bytes, name: str = "/a") -> CertificateRow:
 def test_the_newest_key_may_name_its_successor(store: Store) -> None:
     store.add_certificate(row(2, NEW), NOW, renews=OLD)
     store.add_certificate(row(3, NEW), NOW, renews=NEW)
-    assert [found.serial for found in store.identities.of("/a")] == [1, 2, 3]
-    assert store.live_keys("/a", NOW) == {OLD, NEW}
-    assert store.live_certificate("/a", NOW).serial == 3
+    assert [found.serial for found in store.identities.by_name("/a")] == [1, 2, 3]
+    assert store.unrevoked_keys("/a", NOW) == {OLD, NEW}
+    assert store.valid_certificate("/a", NOW).serial == 3
 
 
 def test_an_older_key_may_not(store: Store) -> None:
@@ -56,6 +56,6 @@ def test_after_a_renewal_both_keys_are_known(store: Store) -> None:
 
 def test_a_renewal_is_answered_once(store: Store) -> None:
     store.add_certificate(row(2, NEW), NOW, request=b"r" * 32, renews=OLD)
-    assert store.identities.answer(b"r" * 32) == row(2, NEW)
+    assert store.identities.issued_for(b"r" * 32) == row(2, NEW)
     with pytest.raises(StoreError, match="has its certificate already"):
         store.add_certificate(row(3, THIRD), NOW, request=b"r" * 32, renews=NEW)

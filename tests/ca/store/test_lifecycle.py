@@ -3,7 +3,7 @@ import itertools
 import pytest
 
 from ca.errors import RequestClosed
-from ca.store.lifecycle import DAY, KEEP, OPEN, TRANSITIONS, RequestRow, RequestState, advance
+from ca.store.lifecycle import DAY, OPEN, RETENTION, TRANSITIONS, RequestRow, RequestState, advance
 
 NOW = 1_800_000_000
 WAYS = {
@@ -19,7 +19,7 @@ def row(state: RequestState = RequestState.PENDING) -> RequestRow:
 
 
 def test_every_state_has_its_ways_and_its_end() -> None:
-    assert set(TRANSITIONS) == set(KEEP) == set(RequestState)
+    assert set(TRANSITIONS) == set(RETENTION) == set(RequestState)
     assert {RequestState.PENDING, RequestState.APPROVED} == OPEN
     assert {(a, b) for a, following in TRANSITIONS.items() for b in following} == WAYS
 
@@ -41,7 +41,7 @@ def test_and_no_others(old: RequestState, new: RequestState) -> None:
 
 @pytest.mark.parametrize("state", sorted(OPEN))
 def test_its_time_ends(state: RequestState) -> None:
-    assert row(state).until == NOW + DAY
+    assert row(state).expires == NOW + DAY
     advance(row(state), RequestState.DENIED, NOW + DAY)
     with pytest.raises(RequestClosed, match=f"was {state} for too long and is void"):
         advance(row(state), RequestState.DENIED, NOW + DAY + 1)

@@ -11,7 +11,7 @@ from ca.errors import LogDamaged, StoreError
 from ca.requests import build_request, check_request
 from ca.revocation.merkle import EMPTY_ROOT
 from ca.store.lifecycle import DAY
-from ca.store.log_entries import grow, sign_head
+from ca.store.log_entries import extend_peaks, sign_head
 from ca.store.record import Store
 from ca.store.rows import CertificateRow, GrantRow
 from tests.support.pki import NOW, new_signer
@@ -39,16 +39,16 @@ def store(path: Path) -> Iterator[Store]:
     store.add_certificate(row._replace(serial=2, name="/d", thumbprint=b"d" * 32), NOW)
     store.add_grant(GrantRow(b"g" * 16, "/a", b"grant", NOW, NOW + DAY), NOW)
     store.save_list((1, 1), b"list", NOW)
-    store.journal.add_head(sign_head(KEY, store.journal.head(NOW)), NOW)
+    store.log.add_head(sign_head(KEY, store.log.head(NOW)), NOW)
     store.revoke(b"k" * 32, "lost", NOW)
     store.save_list((1, 2), b"list 2", NOW)
-    store.journal.add_head(sign_head(KEY, store.journal.head(NOW)), NOW)
+    store.log.add_head(sign_head(KEY, store.log.head(NOW)), NOW)
     yield store
     store.close()
 
 
 def audited(store: Store) -> None:
-    store.journal.audit(KEY.public_key)
+    store.log.audit(KEY.public_key)
 
 
 def tamper(path: Path, *statements: str) -> None:
@@ -64,16 +64,16 @@ def tamper(path: Path, *statements: str) -> None:
 
 def test_an_empty_log(tmp_path: Path) -> None:
     with closing(Store.create(tmp_path / "new.db")) as store:
-        assert store.journal.head(NOW).root == EMPTY_ROOT
-        assert store.journal.audit(KEY.public_key).size == 0
+        assert store.log.head(NOW).root == EMPTY_ROOT
+        assert store.log.audit(KEY.public_key).size == 0
 
 
 def test_a_record_in_order(store: Store) -> None:
-    newest = store.journal.audit(KEY.public_key)
-    assert newest.size == len(store.journal.entries()) == len(store.journal.tree())
-    assert newest.root == store.journal.tree().root()
-    store.note("restored", "record", "", NOW)
-    assert store.journal.audit(KEY.public_key) == newest  # covers what was signed
+    newest = store.log.audit(KEY.public_key)
+    assert newest.size == len(store.log.entries()) == len(store.log.tree())
+    assert newest.root == store.log.tree().root()
+    store.log_event("restored", "record", "", NOW)
+    assert store.log.audit(KEY.public_key) == newest  # covers what was signed
     store.requests.collect(NOW + 30 * DAY)
     audited(store)
     assert store.requests.all() == []
@@ -109,10 +109,10 @@ def rewrite(path: Path, change: str) -> None:
     """A careful forger computes everything anew, and has no key for the heads."""
     tamper(path, change)
     with closing(Store.open(path)) as store:
-        entries, peaks = store.journal.entries(), b""
+        entries, peaks = store.log.entries(), b""
     with closing(sqlite3.connect(path)) as db:
         for entry in entries:
-            peaks = grow(peaks, entry)
+            peaks = extend_peaks(peaks, entry)
             db.execute("UPDATE log SET peaks = ? WHERE number = ?", (peaks, entry.number))
         db.commit()
 
@@ -124,22 +124,22 @@ def test_a_rewritten_past_contradicts_the_heads(store: Store, path: Path) -> Non
 
 
 def test_a_cut_log_contradicts_a_head_kept_elsewhere(store: Store, path: Path) -> None:
-    kept = store.journal.heads()[-1]
-    size = store.journal.head(NOW).size
+    kept = store.log.heads()[-1]
+    size = store.log.head(NOW).size
     tamper(path, f"DELETE FROM log WHERE number = {size - 1}", "DELETE FROM head WHERE rowid = 2",
            "DELETE FROM list WHERE seq = 2")  # fmt: skip
     audited(store)  # a file alone cannot tell
     with pytest.raises(LogDamaged, match="its end is missing"):
-        store.journal.audit(KEY.public_key, kept)
+        store.log.audit(KEY.public_key, kept)
 
 
 def test_a_way_no_request_goes(store: Store, path: Path) -> None:
     for what in ("issued", "approved", "collected", "pending"):
         with closing(Store.create(path.with_name(what))) as other:
-            with other.database.changing() as db:
-                from ca.store.log import record
+            with other.database.transaction() as db:
+                from ca.store.log import append_entry
 
-                record(db, NOW, what, "/a", "", b"d" * 32)
+                append_entry(db, NOW, what, "/a", "", b"d" * 32)
             if what in {"issued", "approved"}:
                 with pytest.raises(LogDamaged, match="log entry 0 is no way a request can go"):
                     audited(other)
@@ -151,15 +151,15 @@ def test_a_way_no_request_goes(store: Store, path: Path) -> None:
 
 
 def test_heads_are_kept_once(store: Store) -> None:
-    before = store.journal.heads()
-    store.journal.add_head(before[-1], NOW)
-    assert store.journal.heads() == before
+    before = store.log.heads()
+    store.log.add_head(before[-1], NOW)
+    assert store.log.heads() == before
 
 
 def test_a_closed_record_has_no_journal(path: Path) -> None:
     store = Store.create(path)
     store.close()
     with pytest.raises(StoreError, match="cannot be used"):
-        store.journal.entries()
+        store.log.entries()
     with pytest.raises(StoreError, match="cannot be used"):
         store.snapshot()

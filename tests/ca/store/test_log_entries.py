@@ -13,7 +13,7 @@ from ca.store.log_entries import (
     check_entries,
     check_head,
     digest_of,
-    grow,
+    extend_peaks,
     open_head,
     sign_head,
 )
@@ -29,7 +29,7 @@ def entry(number: int, what: str = "grant") -> LogEntry:
 def recorded(size: int) -> list[tuple[LogEntry, bytes]]:
     rows, peaks = [], b""
     for number in range(size):
-        peaks = grow(peaks, entry(number))
+        peaks = extend_peaks(peaks, entry(number))
         rows.append((entry(number), peaks))
     return rows
 

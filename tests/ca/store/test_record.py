@@ -37,7 +37,7 @@ def grant(number: int = 1) -> GrantRow:
 
 
 def entries(store: Store) -> list[tuple[int, str, str, str]]:
-    return [entry[1:5] for entry in store.journal.entries()]
+    return [entry[1:5] for entry in store.log.entries()]
 
 
 def test_the_file_is_the_owners_alone(store: Store, path: Path) -> None:
@@ -67,7 +67,7 @@ def test_everything_is_there_after_reopening(store: Store, path: Path) -> None:
     assert again.grants() == [grant()]
     assert again.revoked_entries() == {OTHER}
     assert again.newest_list() == b"list"
-    assert [entry.what for entry in again.journal.entries()] == [
+    assert [entry.what for entry in again.log.entries()] == [
         "certificate",
         "grant",
         "revocation",
@@ -139,25 +139,25 @@ def test_a_revoked_key_is_not_certified_again(store: Store) -> None:
 
 def test_the_newest_live_certificate(store: Store) -> None:
     with pytest.raises(StoreError, match="/a has no valid identity here") as caught:
-        store.live_certificate("/a", NOW)
+        store.valid_certificate("/a", NOW)
     assert "rossec node request /a" in caught.value.hint
     store.add_certificate(certificate(), NOW)
     store.add_certificate(certificate(2), NOW)
     store.add_certificate(certificate(3, "/b", OTHER), NOW)
-    assert store.live_certificate("/a", NOW + DAY).serial == 2
+    assert store.valid_certificate("/a", NOW + DAY).serial == 2
     with pytest.raises(StoreError, match="no valid identity"):
-        store.live_certificate("/a", NOW + DAY + 1)
+        store.valid_certificate("/a", NOW + DAY + 1)
 
 
 def test_living_keys_are_neither_expired_nor_revoked(store: Store) -> None:
     store.add_certificate(certificate(), NOW)
     store.add_certificate(certificate(2, key=OTHER), NOW, renews=KEY)
     store.add_certificate(certificate(3, "/b", b"b" * 32), NOW)
-    assert store.live_keys("/a", NOW) == {KEY, OTHER}
+    assert store.unrevoked_keys("/a", NOW) == {KEY, OTHER}
     store.revoke(OTHER, "lost", NOW)
-    assert store.live_keys("/a", NOW) == {KEY}
-    assert store.live_certificate("/a", NOW).thumbprint == KEY
-    assert store.live_keys("/a", NOW + DAY + 1) == frozenset()
+    assert store.unrevoked_keys("/a", NOW) == {KEY}
+    assert store.valid_certificate("/a", NOW).thumbprint == KEY
+    assert store.unrevoked_keys("/a", NOW + DAY + 1) == frozenset()
 
 
 def test_lists_are_numbered(store: Store) -> None:
@@ -327,17 +327,17 @@ def test_the_name_an_anonymous_node_is_certified_under(store: Store) -> None:
     store.add_certificate(real(1, "/rviz", wildcard=True), NOW)
     store.add_certificate(real(2, "/plain", OTHER), NOW)
     names = {"/rviz": "/rviz", "/rviz_1": "/rviz", "/plain_1": "/plain_1", "/new": "/new"}
-    assert {name: store.certified(name, NOW) for name in names} == names
+    assert {name: store.certified_name(name, NOW) for name in names} == names
     with pytest.raises(StoreError, match="/rviz_1 has no valid identity") as caught:
-        store.live_certificate("/rviz_1", NOW)
+        store.valid_certificate("/rviz_1", NOW)
     assert caught.value.hint == "it is one of the anonymous nodes of /rviz: name that"
-    assert store.certified("/rviz_1", NOW + DAY + 1) == "/rviz_1"
+    assert store.certified_name("/rviz_1", NOW + DAY + 1) == "/rviz_1"
     store.revoke(KEY, "lost", NOW)
-    assert store.certified("/rviz_1", NOW) == "/rviz_1"
+    assert store.certified_name("/rviz_1", NOW) == "/rviz_1"
 
 
 def test_the_key_that_is_replaced_is_revoked_in_the_same_step(store: Store) -> None:
     store.add_certificate(certificate(1), NOW)
     store.add_certificate(certificate(2, key=OTHER), NOW, replace_key="/a")
     assert store.revoked_entries() == {certificate(1).thumbprint}
-    assert store.live_keys("/a", NOW) == {certificate(2, key=OTHER).thumbprint}
+    assert store.unrevoked_keys("/a", NOW) == {certificate(2, key=OTHER).thumbprint}

@@ -39,7 +39,7 @@ def issue(store: Store, request: IdentityRequest, serial: int = 1) -> None:
 
 
 def log_of(store: Store) -> list[tuple[str, str, str]]:
-    return [entry[2:5] for entry in store.journal.entries()]
+    return [entry[2:5] for entry in store.log.entries()]
 
 
 def test_from_pending_to_issued(store: Store) -> None:
@@ -47,10 +47,10 @@ def test_from_pending_to_issued(store: Store) -> None:
     (row,) = store.requests.all()
     assert (row.name, row.source, row.state) == ("/a", "192.0.2.7", RequestState.PENDING)
     assert store.requests.approve(request.digest, NOW + 1, "known").state is RequestState.APPROVED
-    assert store.identities.answer(request.digest) is None
+    assert store.identities.issued_for(request.digest) is None
     issue(store, request)
     assert store.requests.get(request.digest).state is RequestState.ISSUED
-    assert store.identities.answer(request.digest) == certificate(request)
+    assert store.identities.issued_for(request.digest) == certificate(request)
     assert log_of(store) == [
         ("pending", "/a", "192.0.2.7"), ("approved", "/a", "known"), ("issued", "/a", ""),
         ("certificate", "/a", request.thumbprint.hex()),
@@ -197,4 +197,4 @@ def test_a_faster_command_wins(store: Store, monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setattr(store.requests, "get", lambda _: stale)
     with pytest.raises(StoreError, match="a request does not go this way"):
         store.requests.approve(request.digest, NOW)
-    assert [entry.what for entry in store.journal.entries()] == ["pending", "denied"]
+    assert [entry.what for entry in store.log.entries()] == ["pending", "denied"]

@@ -44,7 +44,7 @@ def test_an_old_record_is_brought_up_without_loss(old: Path) -> None:
         assert [row.id for row in store.grants()] == [key[:16] for key in oldstore.KEYS]
         assert store.revoked_entries() == {key[:16] for key in oldstore.KEYS}
         assert store.next_number() == (1, count + 1)
-        entries = store.journal.entries()
+        entries = store.log.entries()
         assert [entry.what for entry in entries[:4]] == [
             "certificate",
             "grant",
@@ -54,9 +54,9 @@ def test_an_old_record_is_brought_up_without_loss(old: Path) -> None:
         assert [entry.number for entry in entries] == list(range(4 * count + 1))
         assert entries[0][1:5] == (oldstore.NOW, "certificate", "/node0", oldstore.KEYS[0].hex())
         assert entries[-1].what == "migrated"
-        store.journal.audit(new_signer().public_key)
+        store.log.audit(new_signer().public_key)
         store.revoke(b"n" * 32, "after", oldstore.NOW)
-        store.journal.audit(new_signer().public_key)
+        store.log.audit(new_signer().public_key)
 
 
 def test_both_ways_lead_to_the_same_tables(old: Path, new: sqlite3.Connection) -> None:
@@ -89,7 +89,7 @@ def test_an_empty_old_record(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setattr(oldstore, "KEYS", [])
     oldstore.write_version_1(tmp_path / "old.db")
     with closing(Store.open(tmp_path / "old.db")) as store:
-        assert [entry.at for entry in store.journal.entries()] == [0]
+        assert [entry.at for entry in store.log.entries()] == [0]
 
 
 @pytest.mark.parametrize(
@@ -152,19 +152,21 @@ def record() -> sqlite3.Connection:
 
 
 def test_a_record_of_ours_is_ours(record: sqlite3.Connection) -> None:
-    schema.check_alone(record)
+    schema.check_no_foreign_objects(record)
     record.execute("CREATE TABLE beside (x TEXT)")
     record.execute(
         "CREATE TRIGGER IF NOT EXISTS other_name BEFORE DELETE ON beside\n"
         "BEGIN SELECT RAISE(ABORT, 'the record is append-only'); END;"
     )
-    schema.check_alone(record)
+    schema.check_no_foreign_objects(record)
 
 
 def moves(record: sqlite3.Connection, ways: Iterable[str]) -> None:
     """Let the record's requests go these ways."""
     listed = ", ".join(f"'{way}'" for way in ways)
-    record.executescript("DROP TRIGGER csr_moves;" + schema._REQUEST_MOVES.format(allowed=listed))
+    record.executescript(
+        "DROP TRIGGER csr_moves;" + schema._REQUEST_TRANSITIONS.format(allowed=listed)
+    )
 
 
 WAYS = [f"{old}>{new}" for old, following in TRANSITIONS.items() for new in following]
@@ -174,14 +176,14 @@ WAYS = [f"{old}>{new}" for old, following in TRANSITIONS.items() for new in foll
 def test_the_ways_of_a_request_are_a_set(record: sqlite3.Connection, ways: tuple[str, ...]) -> None:
     """Older versions wrote them in the order of a frozenset: any, and another in each process."""
     moves(record, ways)
-    schema.check_alone(record)
+    schema.check_no_foreign_objects(record)
 
 
 @pytest.mark.parametrize("ways", [WAYS[1:], [*WAYS, "denied>issued"], [*WAYS[1:], WAYS[1]]])
 def test_a_set_of_other_ways_is_not_ours(record: sqlite3.Connection, ways: list[str]) -> None:
     moves(record, ways)
     with pytest.raises(StoreError, match="a trigger that is not rossec's: 'csr_moves'"):
-        schema.check_alone(record)
+        schema.check_no_foreign_objects(record)
 
 
 def test_every_process_makes_the_same_record() -> None:
@@ -214,7 +216,7 @@ def test_every_process_makes_the_same_record() -> None:
 def test_a_record_of_somebody_else(record: sqlite3.Connection, script: str, said: str) -> None:
     record.executescript(script)
     with pytest.raises(StoreError, match=said) as caught:
-        schema.check_alone(record)
+        schema.check_no_foreign_objects(record)
     assert "a backup of your own" in caught.value.hint
 
 
@@ -238,6 +240,6 @@ def test_a_state_that_is_none_is_told(tmp_path: Path) -> None:
         row = (b"d", "/a", b"t", b"der", "file", 0, "begun", "", 0, 0, 0)
         db.execute(f"INSERT INTO csr VALUES ({','.join('?' * len(row))})", row)
     with closing(Store.open(path)) as store:
-        for look in (store.requests.all, lambda: store.journal.audit(new_signer().public_key)):
+        for look in (store.requests.all, lambda: store.log.audit(new_signer().public_key)):
             with pytest.raises(StoreError, match="a state that is none: 'begun'"):
                 look()

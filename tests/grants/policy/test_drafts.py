@@ -11,7 +11,7 @@ from grants.model import Draft, FilterRule, Restriction, Right
 from grants.policy.decision import Decider, Verdict
 from grants.policy.drafts import approve, approximate, drafts, permissions, plan, shorten
 from grants.policy.model import DAY, HOUR, Effect, Policy
-from grants.request import Wish
+from grants.request import RequestedRight
 from tests.grants.authority import CA, NOW
 from tests.grants.policy.policies import HEADER, decide, node, rules
 
@@ -41,8 +41,9 @@ def made(*verdicts: Verdict) -> list[Draft]:
 
 def test_wishes_are_sorted_by_what_the_policy_says(policy: Policy) -> None:
     wishes = [
-        Wish(Right.CALL, "/door"), Wish(Right.CALL, "/lift"), Wish(Right.SUBSCRIBE, "/b"),
-        Wish(Right.SUBSCRIBE, "/b"), Wish(Right.SUBSCRIBE, "/unheard"),
+        RequestedRight(Right.CALL, "/door"), RequestedRight(Right.CALL, "/lift"),
+        RequestedRight(Right.SUBSCRIBE, "/b"),
+        RequestedRight(Right.SUBSCRIBE, "/b"), RequestedRight(Right.SUBSCRIBE, "/unheard"),
     ]  # fmt: skip
     sorted_ = plan(Decider(policy), X, wishes)
     assert [v.name for v in sorted_.allowed] == ["/b"]
@@ -124,6 +125,6 @@ def test_on_stale_reaches_the_grant_when_every_rule_says_keep() -> None:
     assert [item.restriction for item in permissions(kept)] == [Restriction(keep_when_stale=True)]
     [limited] = permissions(slow)
     assert limited.restriction == Restriction(rate=1, keep_when_stale=True)
-    assert "kept when news of revocations fails to arrive" in "".join(Decider(policy).explain(kept))
+    assert "kept while revocation data is stale" in "".join(Decider(policy).explain(kept))
     assert not cut.keep_when_stale
     assert not wish(policy, Right.CALL, "/none").keep_when_stale

@@ -7,7 +7,15 @@ from hypothesis import strategies as st
 from grants.model import ALL_RIGHTS, Right
 from grants.names import covers
 from grants.policy.index import Index, hits
-from grants.policy.model import Clause, Defaults, Effect, Policy, PolicyRule, Subject, Who
+from grants.policy.model import (
+    Clause,
+    Defaults,
+    Effect,
+    Policy,
+    PolicyRule,
+    Subject,
+    SubjectPattern,
+)
 
 KEYS = (bytes(32), bytes([1]) * 32)
 segment = st.sampled_from(["a", "b"])
@@ -17,8 +25,8 @@ pattern = st.lists(st.sampled_from(["a", "b", "*", "**"]), min_size=1, max_size=
 )
 key = st.sampled_from([None, *KEYS])
 who = st.one_of(
-    st.builds(Who, st.just("w"), pattern | name, key),
-    st.builds(Who, st.just("k"), st.none(), st.sampled_from(KEYS)),
+    st.builds(SubjectPattern, st.just("w"), pattern | name, key),
+    st.builds(SubjectPattern, st.just("k"), st.none(), st.sampled_from(KEYS)),
 )
 right = st.sampled_from(list(ALL_RIGHTS))
 clause = st.builds(Clause, right, pattern)
@@ -28,7 +36,7 @@ rule = st.builds(
     effect=st.sampled_from(Effect),
     who=st.lists(who, min_size=1, max_size=2).map(tuple),
     clauses=st.lists(clause, min_size=1, max_size=3).map(tuple),
-    spared=st.lists(who, max_size=1).map(tuple),
+    exceptions=st.lists(who, max_size=1).map(tuple),
 )
 subject = st.builds(Subject, name, st.sampled_from(KEYS))
 policies = st.lists(rule, max_size=8).map(lambda made: of(*made))
@@ -61,7 +69,9 @@ def test_a_right_nobody_speaks_about_finds_nothing() -> None:
 
 @pytest.mark.parametrize(("asked", "found"), [("/a", 1), ("/a/b", 1), ("/a/b/c", 1), ("/b", 0)])
 def test_a_denial_below_denies_the_parameter_above(asked: str, found: int) -> None:
-    deny = PolicyRule("d", Effect.DENY, (Who("x", "/x"),), (Clause(Right.PARAM_SET, "/a/b"),))
+    deny = PolicyRule(
+        "d", Effect.DENY, (SubjectPattern("x", "/x"),), (Clause(Right.PARAM_SET, "/a/b"),)
+    )
     index = Index(of(deny))
     assert len(index.find(Subject("/x", KEYS[0]), Right.PARAM_SET, asked)) == found
 
@@ -77,7 +87,9 @@ def test_the_work_does_not_grow_with_rules_about_other_names(
 
     monkeypatch.setattr(PolicyRule, "is_for", look)
     made = [
-        PolicyRule(f"r{n}", Effect.ALLOW, (Who("w", f"/n{n}"),), (Clause(Right.CALL, f"/s{n}"),))
+        PolicyRule(
+            f"r{n}", Effect.ALLOW, (SubjectPattern("w", f"/n{n}"),), (Clause(Right.CALL, f"/s{n}"),)
+        )
         for n in range(500)
     ]
     assert len(Index(of(*made)).find(Subject("/n7", KEYS[0]), Right.CALL, "/s7")) == 1

@@ -8,7 +8,7 @@ from grants.errors import PolicyRefused
 from grants.model import Right
 from grants.policy import learn as module
 from grants.policy.decision import Decider
-from grants.policy.learn import Seen, from_graph, from_log, learn, log_line
+from grants.policy.learn import Observation, from_graph, from_log, learn, log_line
 from tests.grants.policy.policies import SMALL, policy
 
 STATE = [
@@ -21,11 +21,11 @@ TYPES = [["/cmd_vel", "geometry_msgs/Twist"], ["/robot/pose", "geometry_msgs/Pos
 
 def test_the_graph() -> None:
     assert from_graph(STATE, TYPES) == [
-        Seen("/joy", Right.PUBLISH, "/cmd_vel", "geometry_msgs/Twist"),
-        Seen("/joy", Right.PUBLISH, "/robot/pose", "geometry_msgs/PoseStamped"),
-        Seen("/joy", Right.SUBSCRIBE, "/camera/image"),
-        Seen("/joy", Right.PROVIDE, "/lift"),
-        Seen("/nav/a", Right.PUBLISH, "/cmd_vel", "geometry_msgs/Twist"),
+        Observation("/joy", Right.PUBLISH, "/cmd_vel", "geometry_msgs/Twist"),
+        Observation("/joy", Right.PUBLISH, "/robot/pose", "geometry_msgs/PoseStamped"),
+        Observation("/joy", Right.SUBSCRIBE, "/camera/image"),
+        Observation("/joy", Right.PROVIDE, "/lift"),
+        Observation("/nav/a", Right.PUBLISH, "/cmd_vel", "geometry_msgs/Twist"),
     ]
 
 
@@ -46,8 +46,8 @@ def test_the_complain_log_is_read_as_it_is_written() -> None:
         log_line(7, "/joy", Right.CALL, "/lift"),
     ]
     assert from_log(lines) == [
-        Seen("/joy", Right.CALL, "/lift"),
-        Seen("/joy", Right.PARAM_GET, "/speed", "x/Y"),
+        Observation("/joy", Right.CALL, "/lift"),
+        Observation("/joy", Right.PARAM_GET, "/speed", "x/Y"),
     ]
 
 
@@ -70,7 +70,7 @@ def test_a_line_that_is_none_is_named(line: str) -> None:
 
 
 def test_a_log_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "MAX_SEEN", 2)
+    monkeypatch.setattr(module, "MAX_OBSERVATIONS", 2)
     with pytest.raises(PolicyRefused, match="more than 2"):
         from_log(log_line(1, f"/n{n}", Right.CALL, "/b") for n in range(5))
 
@@ -89,5 +89,5 @@ def test_only_what_no_rule_decides_is_learned() -> None:
 
 
 def test_what_a_pinned_key_may_is_not_learned_for_the_name() -> None:
-    seen = [Seen("/heating", Right.SUBSCRIBE, "/robot/pose")]
+    seen = [Observation("/heating", Right.SUBSCRIBE, "/robot/pose")]
     assert learn(SMALL, Decider(policy()), seen, "today")[1] == []

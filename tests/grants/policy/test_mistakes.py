@@ -3,7 +3,7 @@
 import pytest
 
 from grants.errors import PolicyRefused
-from grants.policy.mistakes import MAX_MISTAKES, Mistakes, nearest
+from grants.policy.mistakes import MAX_MISTAKES, Mistakes, suggest
 from grants.policy.source import YamlScalar
 
 
@@ -48,4 +48,4 @@ def test_their_number_is_bounded() -> None:
     ],
 )  # fmt: skip
 def test_the_nearest_word_or_a_choice(word: str, known: tuple[str, ...], hint: str) -> None:
-    assert nearest(word, known) == hint
+    assert suggest(word, known) == hint

@@ -3,11 +3,19 @@
 import pytest
 
 from grants.model import Right
-from grants.policy.model import Clause, Defaults, Effect, Policy, PolicyRule, Who, type_of
+from grants.policy.model import (
+    Clause,
+    Defaults,
+    Effect,
+    Policy,
+    PolicyRule,
+    SubjectPattern,
+    type_of,
+)
 from tests.grants.policy.policies import HEATING, HEATING_KEY, node
 
-NAMED = Who("heating", "/heating", HEATING_KEY)
-BY_KEY = Who("anywhere", None, HEATING_KEY)
+NAMED = SubjectPattern("heating", "/heating", HEATING_KEY)
+BY_KEY = SubjectPattern("anywhere", None, HEATING_KEY)
 
 
 @pytest.mark.parametrize(
@@ -19,31 +27,31 @@ BY_KEY = Who("anywhere", None, HEATING_KEY)
         (NAMED, "/other", bytes(32), False, False),
         (BY_KEY, "/other", HEATING_KEY, True, True),
         (BY_KEY, "/other", bytes(32), False, False),
-        (Who("nav", "/nav/**"), "/nav/a", bytes(32), True, True),
-        (Who("nav", "/nav/**"), "/navy/a", bytes(32), False, False),
+        (SubjectPattern("nav", "/nav/**"), "/nav/a", bytes(32), True, True),
+        (SubjectPattern("nav", "/nav/**"), "/navy/a", bytes(32), False, False),
     ],
 )
 def test_a_yes_needs_name_and_key_a_no_either(
-    who: Who, name: str, key: bytes, admitted: bool, suspected: bool
+    who: SubjectPattern, name: str, key: bytes, admitted: bool, suspected: bool
 ) -> None:
     assert who.admits(node(name, key)) is admitted
     assert who.suspects(node(name, key)) is suspected
 
 
-def rule(effect: Effect, *, spared: tuple[Who, ...] = ()) -> PolicyRule:
-    return PolicyRule("r", effect, (NAMED,), (), spared=spared)
+def rule(effect: Effect, *, exceptions: tuple[SubjectPattern, ...] = ()) -> PolicyRule:
+    return PolicyRule("r", effect, (NAMED,), (), exceptions=exceptions)
 
 
 def test_a_denial_hits_on_weaker_evidence_and_spares_only_on_full() -> None:
     assert rule(Effect.DENY).is_for(node("/heating"))
     assert not rule(Effect.ALLOW).is_for(node("/heating"))
     assert rule(Effect.ALLOW).is_for(HEATING)
-    assert not rule(Effect.DENY, spared=(NAMED,)).is_for(HEATING)
-    assert rule(Effect.DENY, spared=(NAMED,)).is_for(node("/heating"))
+    assert not rule(Effect.DENY, exceptions=(NAMED,)).is_for(HEATING)
+    assert rule(Effect.DENY, exceptions=(NAMED,)).is_for(node("/heating"))
 
 
 def test_words_for_people() -> None:
-    assert rule(Effect.DENY, spared=(BY_KEY,)).people == "heating except anywhere"
+    assert rule(Effect.DENY, exceptions=(BY_KEY,)).people == "heating except anywhere"
     assert rule(Effect.DENY).people == "heating"
     assert rule(Effect.DENY).reason == "rule r"
     assert Clause(Right.SUBSCRIBE, "/a", None, 0.5).lines() == ["at most 0.5 messages a second"]

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from grants.model import Right
 from grants.names import covers, covers_tree
-from grants.policy.patterns import concerns, gives, includes, meets, meets_tree
+from grants.policy.patterns import concerns, gives, includes, intersects, intersects_tree
 
 patterns = st.lists(st.sampled_from(["a", "b", "*", "**"]), min_size=1, max_size=3).map(
     lambda parts: "/" + "/".join(parts)
@@ -38,13 +38,13 @@ def test_includes_is_about_names(outer: str, inner: str) -> None:
 @given(patterns, patterns)
 def test_meets_is_about_names(one: str, other: str) -> None:
     expected = any(covers(one, name) and covers(other, name) for name in NAMES)
-    assert meets(one, other) is expected
+    assert intersects(one, other) is expected
 
 
 @given(patterns, patterns)
 def test_trees_meet_where_a_key_lies_in_both(one: str, other: str) -> None:
     expected = any(covers_tree(one, name) and covers_tree(other, name) for name in NAMES)
-    assert meets_tree(one, other) is expected
+    assert intersects_tree(one, other) is expected
 
 
 @given(patterns, patterns)

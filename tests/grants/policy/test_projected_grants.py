@@ -1,10 +1,10 @@
 from grants.policy.model import Subject
-from grants.policy.projected_grants import prospects
+from grants.policy.projected_grants import projected_grants
 from tests.grants.policy.policies import HEATING, OTHER_KEY, policy
 
 
 def test_what_a_name_would_get() -> None:
-    found = prospects(policy(), HEATING)
+    found = projected_grants(policy(), HEATING)
     assert found[0] == "allow subscribe /robot/pose (rule heating-room: Heating lowers rooms.)"
     assert "  pose.position: {round: 2.0}" in found or any(
         "pose.position" in line for line in found
@@ -15,5 +15,5 @@ def test_what_a_name_would_get() -> None:
 
 
 def test_a_pinned_rule_is_not_for_another_key() -> None:
-    found = prospects(policy(), Subject("/heating", OTHER_KEY))
+    found = projected_grants(policy(), Subject("/heating", OTHER_KEY))
     assert found == ["deny subscribe /camera/** (rule no-camera: no)"]

@@ -66,13 +66,13 @@ def test_words_stay_what_was_written(text: str, value: object) -> None:
         ("a: !mine [1]", "p.yaml:1:4: tags are not allowed"),
         ("%YAML 1.1\n---\na: no", "p.yaml:2:1: directives are not allowed"),
         ("%TAG ! tag:x,2000:\n---\na: 1", "p.yaml:2:1: directives are not allowed"),
-        ("a: 1\n---\nb: 2\n", "p.yaml:2:1: a second document"),
+        ("a: 1\n---\nb: 2\n", "p.yaml:2:1: more than one document"),
         ("[" * 20, "p.yaml:1:17: nested deeper than 16"),
         ("[" * 100_000, "p.yaml:1:17: nested deeper than 16"),
         ("a: [1\nb: 2", "p.yaml:2:2: not YAML: expected ',' or ']', but got ':'"),
         ("a: \x00", "p.yaml:1:1: not YAML: unacceptable character #x0000"),
         ("a: 1\nb: 2\na: 3", "p.yaml:3:1: 'a' again: it stands in line 1 already"),
-        ("? [a]\n: 1", "p.yaml:1:3: a key must be a word"),
+        ("? [a]\n: 1", "p.yaml:1:3: a key must be a scalar"),
     ],
 )
 def test_what_is_outside_the_subset_is_refused_with_its_place(text: str, message: str) -> None:

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from ca.encoding import decode
-from grants.claims import written
+from grants.claims import from_draft
 from grants.model import Draft, Right
 from grants.policy.drafts import drafts
 from tests.grants.authority import NOW
@@ -19,7 +19,7 @@ X = node("/x")
 
 
 def scope(draft: Draft) -> Any:
-    claims: Any = written(draft, bytes(32))
+    claims: Any = from_draft(draft, bytes(32))
     return json.loads(json.dumps(decode(claims[9])))
 
 

@@ -16,7 +16,7 @@ from ca.errors import (
     StoreError,
 )
 from ca.revocation.state import open_list
-from ca.revocation.tree import Listing, is_tree
+from ca.revocation.tree import TreeEntries, is_tree
 from rossec import files
 from rossec.authority import backup as backups
 from rossec.authority.backup import back_up, restore
@@ -59,8 +59,8 @@ def test_everything_comes_back(home: AuthorityHome, tmp_path: Path) -> None:
         public = path.is_dir() or path.name.endswith(".pem")
         assert path.stat().st_mode & 0o077 == 0 or public, path
     unlocked = done.home.unlock(PASSPHRASE)
-    unlocked.store.journal.audit(unlocked.signer.public_key)
-    assert [entry.what for entry in unlocked.store.journal.entries()[-2:]] == ["restored", "list"]
+    unlocked.store.log.audit(unlocked.signer.public_key)
+    assert [entry.what for entry in unlocked.store.log.entries()[-2:]] == ["restored", "list"]
 
 
 def test_a_new_epoch_beats_what_was_signed_since(home: AuthorityHome, tmp_path: Path) -> None:
@@ -80,7 +80,7 @@ def test_revocations_since_then_come_back_from_a_list(home: AuthorityHome, tmp_p
     newest = home.revocation_list()
     assert revoked(restore(tmp_path / "a", data, PASSPHRASE, NOW).home) == frozenset()
     done = restore(tmp_path / "b", data, PASSPHRASE, NOW, newest_list=newest)
-    assert done.revived == 1
+    assert done.restored_revocations == 1
     assert revoked(done.home) == {b"k" * 32}
 
 
@@ -90,20 +90,20 @@ def test_revocations_come_back_from_a_tree_with_its_entries(
     data = back_up(home, PASSPHRASE)
     monkeypatch.setattr("rossec.authority.signing.MAX_ENTRIES", 0)
     home.unlock(PASSPHRASE).revoke(b"k" * 32, "stolen", NOW)
-    tree, entries = home.revocation_list(), home.entries()
+    tree, entries = home.revocation_list(), home.tree_entries()
     assert is_tree(tree)
     with pytest.raises(BackupRefused, match="a tree, which does not say") as caught:
         restore(tmp_path / "a", data, PASSPHRASE, NOW, newest_list=tree)
     assert "--entries" in caught.value.hint
-    for wrong in (Listing([b"x" * 32]).encoded(), b"garbage"):
+    for wrong in (TreeEntries([b"x" * 32]).encoded(), b"garbage"):
         with pytest.raises(RevocationRefused):
             restore(tmp_path / "a", data, PASSPHRASE, NOW, newest_list=tree, entries=wrong)
     assert not list((tmp_path / "a").iterdir())
     done = restore(tmp_path / "b", data, PASSPHRASE, NOW, newest_list=tree, entries=entries)
-    assert done.revived == 1
+    assert done.restored_revocations == 1
     with closing(done.home.store()) as store:
         assert store.revoked_entries() == {b"k" * 32}
-    assert Listing.read(done.home.entries()).entries == {b"k" * 32}
+    assert TreeEntries.read(done.home.tree_entries()).entries == {b"k" * 32}
 
 
 def test_a_wrong_passphrase(home: AuthorityHome, tmp_path: Path) -> None:
@@ -167,7 +167,7 @@ def test_an_interrupted_restoration_changes_nothing(
         raise KeyboardInterrupt
 
     data = back_up(home, PASSPHRASE)
-    monkeypatch.setattr(files, "settle", interrupted)
+    monkeypatch.setattr(files, "commit_directory", interrupted)
     with pytest.raises(KeyboardInterrupt):
         restore(tmp_path / "new", data, PASSPHRASE, NOW)
     assert not list((tmp_path / "new").iterdir())
@@ -188,7 +188,7 @@ def test_at_the_command_line(shell: Shell, tmp_path: Path) -> None:
     newest.write_bytes(AuthorityHome.at(shell.root).revocation_list())
     over = ("ca", "restore", target, "--over", "home", "--forget", "6")
     done = shell.unlocked(*over, "--list", str(newest))
-    assert "1 revocations are newer than the backup and were taken over" in done.out
+    assert "1 revocations newer than the backup were taken over" in done.out
     assert "was revoked after the backup" not in done.err
     again = shell.unlocked("ca", "restore", target, "--over", "home", "--forget", "3")
     assert "what was revoked after the backup is valid again" in again.err
@@ -234,11 +234,11 @@ def test_the_entries_beside_a_tree_are_found(
     forget = shell.unlocked(*plain).err.partition("--forget ")[2].split()[0]
     over = (*plain, "--forget", forget, "--list", str(kept / "revocations.cose"))
     refused(shell.unlocked(*over), "a tree", "--entries")
-    (kept / "other").write_bytes(home.entries())
+    (kept / "other").write_bytes(home.tree_entries())
     refused(shell.unlocked(*over, "--entries", str(shell.secret)), "not a listing")
     (kept / "other").rename(kept / "revocations.entries")
     done = shell.unlocked(*over)
-    assert "1 revocations are newer than the backup" in done.out
+    assert "1 revocations newer than the backup" in done.out
 
 
 def test_nobody_revokes_into_a_record_that_is_being_replaced(
@@ -247,7 +247,7 @@ def test_nobody_revokes_into_a_record_that_is_being_replaced(
     """From the comparison with the backup until it has moved, and not into what was moved."""
     data, other = back_up(home, PASSPHRASE), home.unlock(PASSPHRASE)
     other.store.database.connection.execute("PRAGMA busy_timeout = 0")
-    check, refused = backups._check_over, list[str]()
+    check, refused = backups._check_replacement, list[str]()
 
     def meanwhile(*arguments: Any) -> None:
         check(*arguments)
@@ -255,7 +255,7 @@ def test_nobody_revokes_into_a_record_that_is_being_replaced(
             other.revoke(b"k" * 32, "meanwhile", NOW)
         refused.append(str(caught.value))
 
-    monkeypatch.setattr(backups, "_check_over", meanwhile)
+    monkeypatch.setattr(backups, "_check_replacement", meanwhile)
     restore(home.path.parent, data, PASSPHRASE, NOW, over="home")
     assert "another command is at work" in refused[0]
     with pytest.raises(StoreError, match="was replaced by another command"):

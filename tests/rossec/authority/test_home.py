@@ -5,7 +5,7 @@ import pytest
 from ca.errors import PassphraseRefused
 from ca.names import RESERVED
 from ca.revocation.state import RevocationList, open_list, open_statement
-from ca.revocation.tree import Listing, is_tree, open_tree
+from ca.revocation.tree import TreeEntries, is_tree, open_tree
 from grants import document
 from grants.model import Draft, Permission, Right
 from grants.renewal import open_delegation
@@ -40,7 +40,11 @@ def test_a_second_one_in_the_same_place_is_refused(home: AuthorityHome) -> None:
 
 @pytest.mark.parametrize(
     "step",
-    ["ca.store.record.Store.create", "ca.keys.key_files.write_private", "rossec.files.settle"],
+    [
+        "ca.store.record.Store.create",
+        "ca.keys.key_files.write_private",
+        "rossec.files.commit_directory",
+    ],
 )
 def test_an_interrupted_beginning_never_was(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, step: str
@@ -116,7 +120,7 @@ def test_a_revoked_grant_leaves_the_list_when_nothing_can_bring_it_back(
         "home", "/a", bytes(32), NOW, NOW + 10, NOW + 1000, bytes(16),
         (Permission("/t", Right.PUBLISH),),
     )  # fmt: skip
-    entry = document.grant_id(opened.grant(draft, NOW))
+    entry = document.grant_id(opened.issue_grant(draft, NOW))
     opened.revoke(bytes(32), "", NOW)
     assert opened.revoke(entry, "", NOW).entries == {entry, bytes(32)}
     assert entry in opened.sign_list(NOW + 1000).entries
@@ -127,16 +131,18 @@ def test_a_revoked_grant_leaves_the_list_when_nothing_can_bring_it_back(
 def test_what_is_delegated_is_recorded_until_it_is_withdrawn(tmp_path: Path) -> None:
     opened = AuthorityHome.create(tmp_path, "home", PASSPHRASE, NOW).unlock(PASSPHRASE)
     with pytest.raises(ConfigurationError, match="no delegation is in force"):
-        opened.withdraw("", NOW)
+        opened.revoke_delegations("", NOW)
     living, expired = (
-        open_delegation(opened.delegate(bytes(32), days * 86400, 60, NOW), opened.signer.public_key)
+        open_delegation(
+            opened.issue_delegation(bytes(32), days * 86400, 60, NOW), opened.signer.public_key
+        )
         for days in (2, 1)
     )
-    listed, count = opened.withdraw("", NOW + 86400)
+    listed, count = opened.revoke_delegations("", NOW + 86400)
     assert (listed.entries, count) == (frozenset({living.id}), 1)
     assert expired.id not in listed.entries
     with pytest.raises(ConfigurationError):
-        opened.withdraw("", NOW + 86400)
+        opened.revoke_delegations("", NOW + 86400)
 
 
 def test_too_many_revocations_become_a_tree(
@@ -144,14 +150,14 @@ def test_too_many_revocations_become_a_tree(
 ) -> None:
     home = AuthorityHome.create(tmp_path, "home", PASSPHRASE, NOW)
     with pytest.raises(ConfigurationError, match="are no tree"):
-        home.entries()
+        home.tree_entries()
     opened = home.unlock(PASSPHRASE)
     monkeypatch.setattr("rossec.authority.signing.MAX_ENTRIES", 1)
     assert not is_tree(opened_list(opened.revoke(bytes(32), "", NOW), home))
     listed = opened.revoke(bytes(16), "", NOW)
     tree = open_tree(opened_list(listed, home), home.anchor().public_key)
     assert (tree.number, tree.size) == (listed.number, 2)
-    Listing.read(home.entries()).check(tree)
+    TreeEntries.read(home.tree_entries()).check(tree)
 
 
 def opened_list(listed: RevocationList, home: AuthorityHome) -> bytes:

@@ -32,7 +32,7 @@ def opened(home: AuthorityHome) -> SigningAuthority:
 
 
 def missing(opened: SigningAuthority, now: int = NOW) -> frozenset[bytes]:
-    return list_contents.missing(opened.store, opened.signer.public_key, now)
+    return list_contents.missing_entries(opened.store, opened.signer.public_key, now)
 
 
 def lose(opened: SigningAuthority, entry: bytes) -> None:
@@ -45,7 +45,7 @@ def lose(opened: SigningAuthority, entry: bytes) -> None:
 
 def granted(opened: SigningAuthority, cap: int) -> bytes:
     draft = Draft("home", "/a", KEY, NOW, cap, cap, bytes(16), (Permission("/t", Right.PUBLISH),))
-    return document.grant_id(opened.grant(draft, NOW))
+    return document.grant_id(opened.issue_grant(draft, NOW))
 
 
 def test_what_the_newest_list_lacks(opened: SigningAuthority) -> None:
@@ -77,7 +77,7 @@ HEALS: dict[str, Callable[[SigningAuthority], object]] = {
     "grant": lambda opened: granted(opened, NOW + 100),
     "revoke another": lambda opened: opened.revoke(OTHER, "", NOW),
     "revoke again": lambda opened: opened.revoke_identity("/never", "", NOW),
-    "delegate": lambda opened: opened.delegate(bytes(32), 86400, 3600, NOW),
+    "delegate": lambda opened: opened.issue_delegation(bytes(32), 86400, 3600, NOW),
     "refresh": lambda opened: opened.refresh_list(NOW),
 }
 
@@ -103,19 +103,19 @@ def test_the_entries_of_a_tree_are_in_the_record(
     monkeypatch.setattr("rossec.authority.signing.MAX_ENTRIES", 0)
     opened.revoke(KEY, "", NOW)
     tree = open_tree(home.revocation_list(), home.own_key())
-    before = home.entries()
-    assert list_contents.entries_of(opened.store, tree).entries == {KEY}
+    before = home.tree_entries()
+    assert list_contents.tree_entries(opened.store, tree).entries == {KEY}
     opened.store.revoke(OTHER, "killed before it signed", NOW)
     with pytest.raises(RevocationRefused, match="are not those of the signed tree"):
-        list_contents.entries_of(opened.store, tree)
+        list_contents.tree_entries(opened.store, tree)
     assert missing(opened) == {KEY, OTHER}
     with pytest.raises(ConfigurationError, match="the entries of the tree are missing"):
-        home.entries()
+        home.tree_entries()
     (home.path / ENTRIES).write_bytes(before)  # where 180d0d3 kept them
-    assert home.entries() == before
-    assert home.unlisted(NOW) == 2
+    assert home.tree_entries() == before
+    assert home.count_unlisted(NOW) == 2
     opened.refresh_list(NOW)
-    assert home.unlisted(NOW) == 0
+    assert home.count_unlisted(NOW) == 0
 
 
 class SlowToken:

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from ca.revocation.state import open_list
-from ca.revocation.tree import Listing, is_tree, open_tree
+from ca.revocation.tree import TreeEntries, is_tree, open_tree
 from rossec.authority.home import AuthorityHome
 from rossec.authority.local_list import LocalList
 from rossec.errors import NotWritten
@@ -22,7 +22,7 @@ def shell(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Shell:
 def test_where_no_authority_is_there_is_nothing(tmp_path: Path) -> None:
     near = LocalList(tmp_path)
     assert near.newest() is None
-    assert near.news() is None
+    assert near.newest_if_changed() is None
 
 
 def test_a_new_list_is_news_once(shell: Shell) -> None:
@@ -30,14 +30,14 @@ def test_a_new_list_is_news_once(shell: Shell) -> None:
     first = near.newest()
     assert first is not None
     assert first[1] == b""
-    assert near.news() is None
+    assert near.newest_if_changed() is None
     shell.unlocked("ca", "refresh")
-    news = near.news()
+    news = near.newest_if_changed()
     assert news is not None
     assert open_list(news[0], key).seq == open_list(first[0], key).seq + 1
     for _ in range(3):
-        near.news()
-    assert near.news() is None
+        near.newest_if_changed()
+    assert near.newest_if_changed() is None
 
 
 def test_a_tree_comes_with_its_entries(shell: Shell, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -45,10 +45,10 @@ def test_a_tree_comes_with_its_entries(shell: Shell, monkeypatch: pytest.MonkeyP
     near, key = LocalList(shell.root), AuthorityHome.at(shell.root).anchor().public_key
     shell.enroll("/robot")
     shell.unlocked("ca", "revoke", "/robot")
-    found = near.news()
+    found = near.newest_if_changed()
     assert found is not None
     assert is_tree(found[0])
-    Listing.read(found[1]).check(open_tree(found[0], key))
+    TreeEntries.read(found[1]).check(open_tree(found[0], key))
 
 
 def test_what_could_not_be_read_is_read_again(
@@ -66,5 +66,5 @@ def test_what_could_not_be_read_is_read_again(
         full.setattr(AuthorityHome, "revocation_list", fail)
         for _ in range(2):
             with pytest.raises(NotWritten):
-                near.news()
-    assert near.news() is not None
+                near.newest_if_changed()
+    assert near.newest_if_changed() is not None

@@ -13,11 +13,11 @@ from ca.renewal import sign_renewal
 from ca.store.record import Store
 from rossec.authority.home import OWN_LIFETIME, AuthorityHome
 from rossec.authority.renewals import (
-    SEASON,
-    own_is_due,
+    INTERMEDIATE_LIFETIME,
+    own_node_is_due,
     renew,
     renew_by_name,
-    renew_own,
+    renew_own_node,
     sign_intermediate,
 )
 from rossec.authority.signing import OWN_NODE, SigningAuthority
@@ -58,7 +58,7 @@ def test_a_node_renews_itself(site: Site) -> None:
     key = KeySigner(home.credentials().signer._key)  # type: ignore[attr-defined]
     bundle = renew(site.authority, asks(home, key), LATER)
     assert home.install(bundle, LATER).not_after == LATER + LIFE
-    assert len(site.authority.store.identities.of("/robot")) == 2
+    assert len(site.authority.store.identities.by_name("/robot")) == 2
 
 
 def test_a_revoked_key_gets_no_successor(site: Site) -> None:
@@ -77,7 +77,7 @@ def test_one_renewal_one_answer(site: Site) -> None:
     asked = asks(home, key)
     first = renew(site.authority, asked, LATER)
     assert renew(site.authority, asked, LATER + 100) == first
-    assert len(site.authority.store.identities.of("/robot")) == 2
+    assert len(site.authority.store.identities.by_name("/robot")) == 2
     site.authority.revoke(check_request(build_request(key, "home", "/robot"), "home").thumbprint,
                           "lost", LATER)  # fmt: skip
     with pytest.raises(RequestClosed, match="not valid or meant any more"):
@@ -129,10 +129,12 @@ def test_an_intermediate_cannot_revoke(site: Site) -> None:
 
 def test_an_intermediate_is_recorded_and_revoked_by_name(site: Site) -> None:
     name, host = below(site)
-    assert site.authority.store.live_certificate(name, NOW).not_after == NOW + SEASON
+    assert (
+        site.authority.store.valid_certificate(name, NOW).not_after == NOW + INTERMEDIATE_LIFETIME
+    )
     listed, count = site.authority.revoke_identity(name, "stolen", NOW)
     assert (set(listed.entries), count) == ({host.authority.issuer.thumbprint}, 1)
-    site.authority.store.journal.audit(site.authority.signer.public_key)
+    site.authority.store.log.audit(site.authority.signer.public_key)
 
 
 def test_an_operator_renews_by_name(site: Site) -> None:
@@ -157,22 +159,22 @@ def test_the_authoritys_own_node(tmp_path: Path) -> None:
     passphrase = "four random words here"
     home = AuthorityHome.create(tmp_path, "home", passphrase, NOW)
     authority = home.unlock(passphrase)
-    assert not own_is_due(authority, NOW + OWN_LIFETIME // 2)
+    assert not own_node_is_due(authority, NOW + OWN_LIFETIME // 2)
     late = NOW + OWN_LIFETIME + DAY  # expired, while nobody looked
-    assert own_is_due(authority, late)
-    assert renew_own(authority, late) == late + OWN_LIFETIME
+    assert own_node_is_due(authority, late)
+    assert renew_own_node(authority, late) == late + OWN_LIFETIME
     assert home.node().identity(late).name == OWN_NODE
-    assert not own_is_due(authority, late)
+    assert not own_node_is_due(authority, late)
 
 
 def test_an_intermediates_host_has_no_such_node(site: Site) -> None:
-    assert not own_is_due(below(site)[1], NOW + 1000 * DAY)
+    assert not own_node_is_due(below(site)[1], NOW + 1000 * DAY)
 
 
 def test_bundles_with_an_intermediate_install(site: Site) -> None:
     home = site.enroll("/robot", LIFE)
     _, host = below(site)
-    der = host.authority.certify_again(
+    der = host.authority.reissue(
         site.identity("/robot"), site.identity("/robot").public_key,
         now=NOW, serial=secrets.randbits(127),
     )  # fmt: skip

@@ -10,7 +10,7 @@ from ca.errors import StoreError
 from ca.keys.signer import KeySigner
 from ca.store.record import Store
 from grants.model import Right
-from grants.request import GrantRequest, Wish, sign_request
+from grants.request import GrantRequest, RequestedRight, sign_request
 from rossec.authority import requests
 from rossec.authority.requests import GrantRequestStore
 from rossec.errors import ConfigurationError
@@ -18,8 +18,8 @@ from tests.support.oldstore import write_version_1
 
 NOW = 1_800_000_000
 NODE = KeySigner(ec.generate_private_key(ec.SECP256R1()))
-WISHES = (Wish(Right.CALL, "/lift"), Wish(Right.SUBSCRIBE, "/pose"))
-ASKED = GrantRequest("home", "/toaster", NOW, bytes(16), WISHES, "")
+RIGHTS = (RequestedRight(Right.CALL, "/lift"), RequestedRight(Right.SUBSCRIBE, "/pose"))
+ASKED = GrantRequest("home", "/toaster", NOW, bytes(16), RIGHTS, "")
 DATA = sign_request(NODE, ASKED)
 
 
@@ -30,20 +30,24 @@ def path(tmp_path: Path) -> Path:
 
 
 def test_a_request_is_answered_wish_by_wish(path: Path) -> None:
-    box = GrantRequestStore.of(path)
+    box = GrantRequestStore.open(path)
     box.add(ASKED, DATA, NOW + 5)
     first, second = box.unanswered()
-    assert (first.request, first.at, [first.wish, second.wish]) == (ASKED, NOW + 5, list(WISHES))
+    assert (first.request, first.at, [first.requested, second.requested]) == (
+        ASKED,
+        NOW + 5,
+        list(RIGHTS),
+    )
     assert first.short_id == ASKED.id.hex()[:8]
     box.answer(first, "granted", "policy", NOW)
     assert box.unanswered() == [second]
     box.close()
-    assert GrantRequestStore.of(path).unanswered() == [second]
+    assert GrantRequestStore.open(path).unanswered() == [second]
     Store.open(path / "ca.db").close()  # still a record
 
 
 def test_once(path: Path) -> None:
-    box = GrantRequestStore.of(path)
+    box = GrantRequestStore.open(path)
     box.add(ASKED, DATA, NOW)
     (first, _) = box.unanswered()
     box.answer(first, "denied", "", NOW)
@@ -56,7 +60,7 @@ def test_once(path: Path) -> None:
 @pytest.mark.parametrize("table", ["grant_request", "decision"])
 @pytest.mark.parametrize("change", ["DELETE FROM {}", "UPDATE {} SET at = 0"])
 def test_nothing_is_changed_or_deleted(path: Path, table: str, change: str) -> None:
-    box = GrantRequestStore.of(path)
+    box = GrantRequestStore.open(path)
     box.add(ASKED, DATA, NOW)
     box.answer(box.unanswered()[0], "granted", "", NOW)
     with pytest.raises(sqlite3.IntegrityError, match="append-only"):
@@ -64,28 +68,30 @@ def test_nothing_is_changed_or_deleted(path: Path, table: str, change: str) -> N
 
 
 def test_a_record_that_is_closed_cannot_be_written(path: Path) -> None:
-    box = GrantRequestStore.of(path)
+    box = GrantRequestStore.open(path)
     box.close()
     with pytest.raises(StoreError, match="cannot be used"):
         box.add(ASKED, DATA, NOW)
 
 
 def test_files_are_laid_and_found(path: Path) -> None:
-    assert requests.waiting(path) == []
-    laid = requests.lay(path, ASKED, DATA)
-    assert requests.waiting(path) == [laid]
-    assert requests.read(laid) == DATA
+    assert requests.inbox_files(path) == []
+    laid = requests.put_in_inbox(path, ASKED, DATA)
+    assert requests.inbox_files(path) == [laid]
+    assert requests.read_request(laid) == DATA
     laid.write_bytes(bytes(requests.MAX_FILE + 1))
     with pytest.raises(ConfigurationError, match="larger than"):
-        requests.read(laid)
+        requests.read_request(laid)
     with pytest.raises(ConfigurationError, match="there is no"):
-        requests.read(path / "absent")
+        requests.read_request(path / "absent")
 
 
 def test_an_inbox_in_an_older_record_stays(tmp_path: Path) -> None:
     write_version_1(tmp_path / "ca.db")
-    box = GrantRequestStore.of(tmp_path)
+    box = GrantRequestStore.open(tmp_path)
     box.add(ASKED, DATA, NOW)
     box.close()
     Store.open(tmp_path / "ca.db").close()
-    assert [asked.wish for asked in GrantRequestStore.of(tmp_path).unanswered()] == list(WISHES)
+    assert [asked.requested for asked in GrantRequestStore.open(tmp_path).unanswered()] == list(
+        RIGHTS
+    )

@@ -37,7 +37,7 @@ def test_an_authenticated_peer_gets_more_room() -> None:
     buffer = ReceiveBuffer()
     put(buffer, b"a stranger's")
     assert buffer.capacity == SMALL
-    buffer.trust()
+    buffer.enlarge()
     buffer.consume(len(buffer))
     assert len(buffer.free()) == OPEN
 

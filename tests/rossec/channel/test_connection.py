@@ -48,9 +48,9 @@ def names(end: End) -> list[str]:
 
 
 @pytest.mark.parametrize("step", [0, 1, 7])
-@pytest.mark.parametrize("flavour", list(WireProtocol))
-def test_a_connection_from_end_to_end(flavour: WireProtocol, step: int) -> None:
-    w = wire(alice(flavour), step=step).pump()
+@pytest.mark.parametrize("protocol", list(WireProtocol))
+def test_a_connection_from_end_to_end(protocol: WireProtocol, step: int) -> None:
+    w = wire(alice(protocol), step=step).pump()
     assert names(w.left) == ["/bob"]
     assert names(w.right) == ["/alice"]
     w.left.core.send_unit(b"hello ", bytearray(b"bob"))
@@ -65,7 +65,7 @@ def test_a_connection_from_end_to_end(flavour: WireProtocol, step: int) -> None:
     w.right.core.receive_eof()
     assert w.left.core.state is ConnectionState.CLOSED
     assert w.right.core.state is ConnectionState.CLOSED
-    assert w.right.core.flavour is flavour
+    assert w.right.core.protocol is protocol
     assert w.left.error is None
     assert w.right.error is None
 
@@ -77,6 +77,18 @@ def test_the_first_record_may_travel_with_message_3() -> None:
     w.left.core.send_unit(b"early")
     w.right.give(w.left.take())
     assert w.right.units == [b"early"]
+
+
+def test_a_state_that_is_not_in_the_table_ends_the_connection(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    w = joined()
+    monkeypatch.setattr(Connection, "_on_data_end", lambda *_: ConnectionState.CLOSING)
+    w.left.core.send_unit(b"x")
+    with pytest.raises(RuntimeError, match=r"_on_data_end led to state ConnectionState.CLOSING"):
+        w.right.give(w.left.take())
+    assert w.right.core.state is ConnectionState.CLOSED
+    assert w.right.core.data_to_send() == b""
 
 
 def test_large_units_of_many_pieces() -> None:
@@ -119,10 +131,10 @@ def test_a_peer_that_sends_a_unit_beyond_the_limit(size: int) -> None:
 
 
 def test_a_peer_is_given_more_room_once_it_is_welcome() -> None:
-    limits = ChannelLimits(unit=100, greeting=10)
+    limits = ChannelLimits(unit=100, preauth_limit=10)
     w = joined(right=bob(limits=limits))
     w.left.core.send_unit(b"x" * 10)
-    w.pump().right.core.welcome()
+    w.pump().right.core.raise_unit_limit()
     w.left.core.send_unit(b"y" * 100)
     assert w.pump().right.units == [b"x" * 10, b"y" * 100]
     w.left.core.send_unit(b"z" * 101)
@@ -131,18 +143,18 @@ def test_a_peer_is_given_more_room_once_it_is_welcome() -> None:
     w.left.core.send_unit(b"x" * 11)
     assert isinstance(w.pump().right.error, LimitExceeded)
     with pytest.raises(ChannelError):
-        wire().right.core.welcome()
+        wire().right.core.raise_unit_limit()
 
 
 def test_who_was_judged_is_given_what_its_messages_need() -> None:
     w = joined(right=bob(limits=ChannelLimits(unit=100)))
-    w.right.core.welcome(20)
+    w.right.core.raise_unit_limit(20)
     w.left.core.send_unit(b"x" * 20)
     assert w.pump().right.units == [b"x" * 20]
     w.left.core.send_unit(b"x" * 21)
     assert isinstance(w.pump().right.error, LimitExceeded)
     w = joined(right=bob(limits=ChannelLimits(unit=100)))
-    w.right.core.welcome(1000)
+    w.right.core.raise_unit_limit(1000)
     w.left.core.send_unit(b"x" * 101)
     assert isinstance(w.pump().right.error, LimitExceeded), "never more than the channel takes"
 
@@ -516,7 +528,7 @@ def test_secrets_do_not_appear_in_representations() -> None:
     assert session is not None
     assert repr(session._epochs._exporter) == "Exporter(...)"
     with pytest.raises(HandshakeFailed):  # an open connection needs it no more
-        _ = w.left.core._negotiation._side.exporter
+        _ = w.left.core._negotiation._edhoc.exporter
 
 
 def test_the_short_way_for_small_units() -> None:
@@ -572,7 +584,7 @@ def met() -> tuple[KnownCertificates, KnownCertificates]:
 
 def test_the_second_handshake_names_certificates_by_their_hashes() -> None:
     left, right = met()
-    w = wire(alice(known=left, brief=True), bob(known=right)).pump()
+    w = wire(alice(known=left, request_x5t=True), bob(known=right)).pump()
     assert names(w.left) == ["/bob"]
     assert names(w.right) == ["/alice"]
     assert sum(map(len, w.left.sent + w.right.sent)) <= 300
@@ -582,7 +594,7 @@ def test_the_second_handshake_names_certificates_by_their_hashes() -> None:
 
 def test_nothing_is_sent_before_a_named_certificate_is_accepted() -> None:
     left, right = met()
-    w = wire(alice(known=left, brief=True), bob(known=right))
+    w = wire(alice(known=left, request_x5t=True), bob(known=right))
     w.right.give(w.left.take())
     w.left.give(w.right.take())
     with pytest.raises(ChannelClosed):
@@ -593,7 +605,7 @@ def test_nothing_is_sent_before_a_named_certificate_is_accepted() -> None:
 
 def test_a_responder_that_forgot_says_so() -> None:
     left, _ = met()
-    w = wire(alice(known=left, brief=True), bob(known=KnownCertificates())).pump()
+    w = wire(alice(known=left, request_x5t=True), bob(known=KnownCertificates())).pump()
     assert isinstance(w.right.error, PeerCredentialUnknown)
     assert isinstance(w.left.error, OwnCredentialUnknown)
     left.forget_introductions()
@@ -602,7 +614,7 @@ def test_a_responder_that_forgot_says_so() -> None:
 
 def test_an_initiator_that_does_not_know_the_name_says_so() -> None:
     _, right = met()
-    w = wire(alice(known=KnownCertificates(), brief=True), bob(known=right)).pump()
+    w = wire(alice(known=KnownCertificates(), request_x5t=True), bob(known=right)).pump()
     assert isinstance(w.left.error, PeerCredentialUnknown)
     assert isinstance(w.right.error, OwnCredentialUnknown)
     assert names(w.left) == []
@@ -611,7 +623,7 @@ def test_an_initiator_that_does_not_know_the_name_says_so() -> None:
 def test_a_responder_without_a_memory_gets_the_certificate() -> None:
     """Alice was introduced to it, but it answers by value: it may not know references at all."""
     left, _ = met()
-    assert names(wire(alice(known=left, brief=True)).pump().right) == ["/alice"]
+    assert names(wire(alice(known=left, request_x5t=True)).pump().right) == ["/alice"]
 
 
 def test_only_verified_certificates_are_remembered() -> None:
@@ -626,7 +638,7 @@ def test_only_verified_certificates_are_remembered() -> None:
 @pytest.mark.parametrize("suites", [(-24,), (-24, 6)])
 def test_the_hybrid_suite(suites: tuple[int, ...]) -> None:
     w = wire(alice(suites=suites), bob(suites=suites)).pump()
-    assert w.right.core._negotiation._side.suite.number == -24
+    assert w.right.core._negotiation._edhoc.suite.number == -24
     w.left.core.send_unit(b"x")
     assert w.pump().right.units == [b"x"]
 

@@ -10,10 +10,10 @@ from rossec.channel.opening import (
     Accepted,
     PlainCaller,
     WireProtocol,
+    classify_answer,
+    classify_caller,
     first_bytes,
     http_refusal,
-    judge_answer,
-    judge_caller,
     refusal,
     tcpros_refusal,
 )
@@ -26,17 +26,17 @@ def test_the_bytes_of_the_tcpros_opening() -> None:
     assert first_bytes(WireProtocol.TCPROS) == b"\x0c\0\0\0\x08\0\0\0rossec=1"
 
 
-@pytest.mark.parametrize("flavour", list(WireProtocol))
+@pytest.mark.parametrize("protocol", list(WireProtocol))
 @pytest.mark.parametrize("tail", [b"", b"\x10\0\0\x05"])
-def test_our_own_opening_byte_by_byte_and_with_a_tail(flavour: WireProtocol, tail: bytes) -> None:
-    opening = first_bytes(flavour)
+def test_our_own_opening_byte_by_byte_and_with_a_tail(protocol: WireProtocol, tail: bytes) -> None:
+    opening = first_bytes(protocol)
     for count in range(len(opening)):
-        assert judge_caller(opening[:count]) is None
-    verdict = judge_caller(opening + tail)
+        assert classify_caller(opening[:count]) is None
+    verdict = classify_caller(opening + tail)
     assert isinstance(verdict, Accepted)
-    assert verdict.flavour is flavour
+    assert verdict.protocol is protocol
     assert verdict.consumed == len(opening)
-    assert verdict.reply == (SWITCH if flavour is WireProtocol.HTTP else b"")
+    assert verdict.reply == (SWITCH if protocol is WireProtocol.HTTP else b"")
 
 
 @pytest.mark.parametrize(
@@ -49,7 +49,7 @@ def test_our_own_opening_byte_by_byte_and_with_a_tail(flavour: WireProtocol, tai
     ],
 )
 def test_a_plain_tcpros_header(data: bytes, drain: int) -> None:
-    assert judge_caller(data) == PlainCaller(WireProtocol.TCPROS, drain)
+    assert classify_caller(data) == PlainCaller(WireProtocol.TCPROS, drain)
 
 
 @pytest.mark.parametrize(
@@ -68,7 +68,7 @@ def test_a_plain_tcpros_header(data: bytes, drain: int) -> None:
 )
 def test_garbage_gets_no_answer(data: bytes) -> None:
     with pytest.raises(ProtocolViolation):
-        judge_caller(data)
+        classify_caller(data)
 
 
 @pytest.mark.parametrize(
@@ -84,8 +84,8 @@ def test_garbage_gets_no_answer(data: bytes) -> None:
     ],
 )
 def test_plain_http(head: bytes, body: int) -> None:
-    assert judge_caller(head[:-1]) is None
-    assert judge_caller(head + b"tail") == PlainCaller(WireProtocol.HTTP, len(head) + body)
+    assert classify_caller(head[:-1]) is None
+    assert classify_caller(head + b"tail") == PlainCaller(WireProtocol.HTTP, len(head) + body)
 
 
 def test_the_refusals_are_valid_in_their_own_protocol() -> None:
@@ -104,19 +104,19 @@ def test_the_refusals_are_valid_in_their_own_protocol() -> None:
 
 
 def test_a_frame_is_no_preamble() -> None:
-    assert judge_answer(b"\x10\0\0", WireProtocol.TCPROS) is None
-    assert judge_answer(b"\x10\0\x02\0", WireProtocol.TCPROS) == 0
-    assert judge_answer(b"\x20\0\0\x05", WireProtocol.TCPROS) == 0
+    assert classify_answer(b"\x10\0\0", WireProtocol.TCPROS) is None
+    assert classify_answer(b"\x10\0\x02\0", WireProtocol.TCPROS) == 0
+    assert classify_answer(b"\x20\0\0\x05", WireProtocol.TCPROS) == 0
 
 
 def test_the_switch_of_protocols() -> None:
     for count in range(len(SWITCH)):
-        assert judge_answer(SWITCH[:count], WireProtocol.HTTP) is None
-    assert judge_answer(SWITCH + b"\x10", WireProtocol.HTTP) == len(SWITCH)
+        assert classify_answer(SWITCH[:count], WireProtocol.HTTP) is None
+    assert classify_answer(SWITCH + b"\x10", WireProtocol.HTTP) == len(SWITCH)
 
 
 @pytest.mark.parametrize(
-    ("answer", "flavour", "said"),
+    ("answer", "protocol", "said"),
     [
         (tcpros_refusal("no topic"), WireProtocol.TCPROS, "says: no topic"),
         (tcpros_refusal("a\nb\x1b[31m" + "x" * 500), WireProtocol.TCPROS, r"says: a b \[31mx+$"),
@@ -129,12 +129,12 @@ def test_the_switch_of_protocols() -> None:
         (b"\x10\0\x02\0", WireProtocol.HTTP, "does not answer in HTTP"),
     ],
 )
-def test_a_plain_peer_is_quoted(answer: bytes, flavour: WireProtocol, said: str) -> None:
+def test_a_plain_peer_is_quoted(answer: bytes, protocol: WireProtocol, said: str) -> None:
     with pytest.raises(PlainPeer, match=said) as caught:
-        judge_answer(answer, flavour)
+        classify_answer(answer, protocol)
     assert len(str(caught.value)) < 300
     assert "plain ROS node" in caught.value.hint
 
 
 def test_a_plain_answer_that_is_still_coming() -> None:
-    assert judge_answer(tcpros_refusal("no topic")[:-1], WireProtocol.TCPROS) is None
+    assert classify_answer(tcpros_refusal("no topic")[:-1], WireProtocol.TCPROS) is None

@@ -8,7 +8,7 @@ import pytest
 from rossec.channel.edhoc.handshake import Responder, WrongSuite
 from rossec.channel.edhoc.messages import Message1, decode_message_1, encode_error, suites_item
 from rossec.channel.edhoc.peer import EdhocConfig
-from rossec.channel.opening import Accepted, judge_caller
+from rossec.channel.opening import Accepted, classify_caller
 from rossec.errors import HandshakeFailed, ProtocolViolation
 from tests.support.wire import BOB, dice, trust
 from tests.vectors import make_wire
@@ -31,14 +31,14 @@ def test_the_files_are_what_the_program_writes() -> None:
 
 def verdict(data: bytes) -> dict[str, object]:
     try:
-        found = judge_caller(data)
+        found = classify_caller(data)
     except ProtocolViolation:
         return {"verdict": "refused"}
     if found is None:
         return {"verdict": "incomplete"}
     if isinstance(found, Accepted):
-        return {"verdict": "accepted", "flavour": found.flavour.value}
-    return {"verdict": "plain", "flavour": found.flavour.value, "drain": found.drain}
+        return {"verdict": "accepted", "flavour": found.protocol.value}
+    return {"verdict": "plain", "flavour": found.protocol.value, "drain": found.drain}
 
 
 @named("openings")

@@ -8,7 +8,13 @@ from ca.enrollment import qr
 from ca.enrollment.authority import AuthorityEnrollment, AuthorityState
 from ca.enrollment.messages import Abort, Fetch, Message, Reason, frame, read, write
 from ca.enrollment.node import NodeEnrollment, NodeState, Pending
-from ca.errors import DigitsRefused, EnrollmentExpired, EnrollmentLocked, EnrollmentOver, RivalOffer
+from ca.errors import (
+    ConflictingOffer,
+    DigitsRefused,
+    EnrollmentExpired,
+    EnrollmentLocked,
+    EnrollmentOver,
+)
 from rossec.enrollment import wire
 from rossec.enrollment.node import WaitingNode
 from tests.support.enrolling import WINDOW, Robot, fresh
@@ -142,9 +148,9 @@ async def test_a_rival_ends_it_for_both() -> None:
         _, _, first = await stage.offered()
         await first.hears()
         _, _, second = await stage.offered(OTHER)
-        assert await first.hears() == Abort(Reason.RIVAL)
-        assert await second.hears() == Abort(Reason.RIVAL)
-        with pytest.raises(RivalOffer):
+        assert await first.hears() == Abort(Reason.CONFLICT)
+        assert await second.hears() == Abort(Reason.CONFLICT)
+        with pytest.raises(ConflictingOffer):
             await stage.ends(NodeState.ENROLLED)
         assert await second.is_left()
     assert "127.0.0.1: two different offers" in stage.refused[0]

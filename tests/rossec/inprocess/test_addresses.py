@@ -27,14 +27,14 @@ def test_only_literals_without_brackets_get_them(uri: str, result: str) -> None:
         ("rosrpc://::1:80", ("::1", 80)),
     ],
 )
-def test_a_services_uri_is_read(uri: str, address: tuple[str, int]) -> None:
+def test_the_uri_of_a_service_is_parsed(uri: str, address: tuple[str, int]) -> None:
     assert parse_rosrpc(uri) == address
 
 
 @pytest.mark.parametrize(
     "uri", ["", "http://robot:80", "rosrpc://robot", "rosrpc://:80", "rosrpc://a:x"]
 )
-def test_what_is_no_services_uri_is_refused(uri: str) -> None:
-    with pytest.raises(ConfigurationError, match="no URI of a service") as caught:
+def test_an_invalid_uri_of_a_service_is_refused(uri: str) -> None:
+    with pytest.raises(ConfigurationError, match="not the URI of a service") as caught:
         parse_rosrpc(uri)
     assert "rosrpc://host:port" in caught.value.hint

@@ -21,7 +21,7 @@ from tests.support.site import Site
 HERE = "127.0.0.1"
 
 
-def test_only_what_is_named_is_allowed() -> None:
+def test_only_named_entries_are_allowed() -> None:
     plain = PlainPeers(["/open", "/far@192.168.1.7", "/six@::1"])
     assert plain
     assert not PlainPeers()
@@ -35,7 +35,7 @@ def test_only_what_is_named_is_allowed() -> None:
 
 
 @pytest.mark.parametrize("entry", ["", "*", "/**", "open", "/a@", "/a@robot", "/a@10.0.0.0/8"])
-def test_what_is_no_entry_is_refused(entry: str) -> None:
+def test_an_invalid_entry_is_refused(entry: str) -> None:
     with pytest.raises(ConfigurationError, match="allow_plain holds"):
         PlainPeers([entry])
 
@@ -78,8 +78,8 @@ rospy.spin()
 """
 
 
-async def introduce(site: Site, api: str, port: int) -> None:
-    """Register the plain node with the secured master, as somebody entitled would."""
+async def register_plain(site: Site, api: str, port: int) -> None:
+    """Register the plain node with the secured master, as a node with the rights would."""
     topics = ("/plain/words", "/plain/closed")
     entitle(site, "/plain", {Right.PUBLISH: topics, Right.PROVIDE: ("/plain/work",)})
     assert site.master is not None
@@ -94,8 +94,8 @@ async def introduce(site: Site, api: str, port: int) -> None:
         assert answer[0] == 1, answer
 
 
-async def besiege(api: str, port: int) -> None:
-    """N8: strangers who say nothing, or break off, keep no place; those who stay are few."""
+async def exhaust(api: str, port: int) -> None:
+    """N8: silent and aborted connections do not count for long; the others are limited."""
     port_of_api = int(api.rstrip("/").rpartition(":")[2])
     for where in (port_of_api, port):
         for _ in range(2 * HalfOpen().per_address):
@@ -106,20 +106,20 @@ async def besiege(api: str, port: int) -> None:
     assert isinstance(answer, list)
     assert answer[0] == 1
     fields = {"topic": "/robot/open", "md5sum": "*", "type": "*"}
-    guests = []
+    callers = []
     for number in range(PEER_CONNECTIONS + 1):
-        guest = socket.create_connection((HERE, port))
-        guest.settimeout(20)
-        guest.sendall(header.encode({**fields, "callerid": f"/guest{number}"}))
-        guests.append((guest, await asyncio.to_thread(guest.recv, 1 << 16)))
-    for guest, _ in guests:
-        guest.close()
-    assert b"message_definition" in guests[0][1]
-    assert f"{HERE} has {PEER_CONNECTIONS} connections already".encode() in guests[-1][1]
+        caller = socket.create_connection((HERE, port))
+        caller.settimeout(20)
+        caller.sendall(header.encode({**fields, "callerid": f"/caller{number}"}))
+        callers.append((caller, await asyncio.to_thread(caller.recv, 1 << 16)))
+    for caller, _ in callers:
+        caller.close()
+    assert b"message_definition" in callers[0][1]
+    assert f"{HERE} has {PEER_CONNECTIONS} connections already".encode() in callers[-1][1]
 
 
 @pytest.mark.ros
-async def test_what_is_named_stays_plain_loudly_and_nothing_else(tmp_path: Path) -> None:
+async def test_named_entries_stay_plain_with_a_warning(tmp_path: Path) -> None:
     async with Site(tmp_path / "site").running() as site, stock.rosmaster(tmp_path) as uri:
         entitle(
             site, "/robot",
@@ -134,7 +134,7 @@ async def test_what_is_named_stays_plain_loudly_and_nothing_else(tmp_path: Path)
         ):
             _, api, port = (await plain.hears("AT")).split()
             _, own, own_port = (await robot.hears("AT")).split()
-            await introduce(site, api, int(port))
+            await register_plain(site, api, int(port))
             with xmlrpc.client.ServerProxy(uri) as master:
                 for method, *params in (
                     ("registerPublisher", "/robot/open", "std_msgs/String", own),
@@ -152,9 +152,9 @@ async def test_what_is_named_stays_plain_loudly_and_nothing_else(tmp_path: Path)
                 answer = await asyncio.to_thread(ask, "/x", "/robot/closed", [["TCPROS"]])
                 assert answer == [-1, REFUSAL, 0]
                 assert await asyncio.to_thread(robot_api.getPid, "/x") == [-1, REFUSAL, 0]
-            await besiege(own, int(own_port))
+            await exhaust(own, int(own_port))
             said = robot.said
     assert "HEARD closed" not in said
     assert "HEARD secret" not in plain.said
-    assert "rossec: PLAIN: allow_plain leaves /plain/words open to anybody" in said
+    assert "rossec: PLAIN: allow_plain leaves /plain/words open to every peer" in said
     assert "rossec: PLAIN: /plain/words with 127.0.0.1, neither encrypted nor checked" in said

@@ -1,4 +1,4 @@
-"""A rospy process stays in good standing by itself: renewals, and an end when news stay away."""
+"""A rospy process renews what expires, and closes connections without fresh revocation data."""
 
 import time
 from pathlib import Path
@@ -35,16 +35,16 @@ import rossec.participant.connections
 from rossec.inprocess.process import SecuredProcess
 rossec.participant.connections.STALE_GRACE = 1
 take = SecuredProcess.take_revocations
-def take_and_tell(*news):
-    take(*news)
-    print("NEWS", flush=True)
-SecuredProcess.take_revocations = take_and_tell
+def take_and_print(*data):
+    take(*data)
+    print("UPDATED", flush=True)
+SecuredProcess.take_revocations = take_and_print
 """
     + LISTENER
 )
 
 
-async def test_what_has_ended_or_soon_will_is_renewed(tmp_path: Path) -> None:
+async def test_expired_grants_and_ageing_identities_are_renewed(tmp_path: Path) -> None:
     """A grant that expired while the program was off, an identity at two thirds of its life."""
     site = Site(tmp_path / "site", clock=lambda: BEGIN)
     for name in ("/robot", "/listener", "/master"):
@@ -75,7 +75,7 @@ async def test_what_has_ended_or_soon_will_is_renewed(tmp_path: Path) -> None:
     assert "Traceback" not in listener.said
 
 
-async def test_connections_end_when_nobody_confirms_the_list(
+async def test_connections_end_when_the_list_is_not_confirmed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     site = Site(tmp_path / "site")
@@ -88,11 +88,13 @@ async def test_connections_end_when_nobody_confirms_the_list(
             await listener.hears("HEARD hello")
             monkeypatch.setattr(statements, "MAX_AGE", 1)  # of what the master says from now on
             await robot._session.call("rossec.updateRevocations", site.revoke(bytes(32)))
-            await listener.hears("NEWS")
+            await listener.hears("UPDATED")
             assert site.master is not None
             await site.master.close()
-            cut = await listener.hears("cut /robot (/robot/words): ", within=90)
-            assert "the last confirmation ran out" in cut
+            closed = await listener.hears(
+                "closed the connection with /robot (/robot/words): ", within=90
+            )
+            assert "the last confirmation ran out" in closed
     assert "Traceback" not in listener.said
 
 
@@ -122,8 +124,8 @@ print("ENDED", flush=True)
 )
 
 
-async def test_what_is_refused_waits_for_a_grant_whenever_it_was_made(tmp_path: Path) -> None:
-    """Topics that rospy registers while it starts are no reason to end the program."""
+async def test_refused_registrations_are_repeated_with_a_grant(tmp_path: Path) -> None:
+    """Topics that rospy registers while it starts do not end the program."""
     site = Site(tmp_path / "site")
     site.enroll("/robot")
     site.subscribe("/listener", WORDS)
@@ -148,7 +150,7 @@ rospy.init_node("robot")
 rospy.Publisher("/robot/words", String, queue_size=1)
 def fail(process):
     raise RuntimeError("a fault of ours")
-SecuredProcess.cut = fail
+SecuredProcess.close_ended_connections = fail
 rospy.spin()
 try:
     rospy.get_param("/x")
@@ -158,20 +160,20 @@ except OSError as error:
 )
 
 
-async def test_a_guardian_that_crashes_ends_the_node_at_once(tmp_path: Path) -> None:
-    """It asks the master to forget the node, which must not wait for the guardian itself."""
+async def test_a_background_loop_that_crashes_ends_the_node(tmp_path: Path) -> None:
+    """It unregisters the node at the master, which must not wait for the loop itself."""
     site = Site(tmp_path / "site")
     site.publish("/robot", WORDS)
     async with site.running(), program(environment(site, tmp_path), CRASHING) as robot:
         assert await robot.ends(within=60) == 0
-    assert "the guardian failed, everything is cut: a fault of ours" in robot.said
-    assert "SAID [Errno 111] rossec: the guardian of this process has ended" in robot.said
+    assert "the background loop failed, all connections are closed: a fault of ours" in robot.said
+    assert "SAID [Errno 111] rossec: the background loop of this process has ended" in robot.said
 
 
-async def test_a_publisher_that_is_not_back_yet_is_connected_again(
+async def test_a_publisher_that_is_not_registered_again_yet_is_reconnected(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The master was started again and names nobody; then the connection breaks."""
+    """The master was restarted and names no publisher; then the connection breaks."""
     absent = Absent(monkeypatch)
     site = Site(tmp_path / "site")
     site.publish("/robot", WORDS)
@@ -185,8 +187,8 @@ async def test_a_publisher_that_is_not_back_yet_is_connected_again(
             await site.restart_master()
             assert site.master is not None
             registry = site.master._registry
-            await until(lambda: registry.members(Kind.SUBSCRIBER, WORDS))
+            await until(lambda: registry.registered_nodes(Kind.SUBSCRIBER, WORDS))
             for link in tuple(publisher.links):
                 link.stream.abort("a test")
             await listener.hears("HEARD hello")
-            assert registry.members(Kind.PUBLISHER, WORDS) == ()
+            assert registry.registered_nodes(Kind.PUBLISHER, WORDS) == ()

@@ -1,4 +1,4 @@
-"""A running node: whom it serves, whom it refuses, and what it says of it."""
+"""A running node: which callers it serves and refuses, and what it logs."""
 
 import asyncio
 import socket
@@ -37,8 +37,8 @@ async def victim(tmp_path_factory: pytest.TempPathFactory) -> AsyncIterator[Vict
         yield victim
 
 
-async def told(victim: Victim, **fields: str) -> str:
-    """The error a guest with every right hears for a header."""
+async def refusal(victim: Victim, **fields: str) -> str:
+    """The error that a visitor with every right gets for a header."""
     grants = encode(list(victim.site.enroll(GUEST).grants()))
     own = credentials(victim.site, GUEST)
     answer = await knock(victim.port, own, {"callerid": GUEST, FIELD: grants, **fields})
@@ -46,19 +46,19 @@ async def told(victim: Victim, **fields: str) -> str:
     return answer.error
 
 
-async def test_what_is_not_there_or_does_not_fit_is_refused(victim: Victim) -> None:
+async def test_an_unknown_name_or_another_type_is_refused(victim: Victim) -> None:
     any_type = {"md5sum": "*", "type": "*"}
-    assert await told(victim, topic="/robot/none", **any_type) == (
+    assert await refusal(victim, topic="/robot/none", **any_type) == (
         "rossec: /robot does not publish /robot/none"
     )
-    assert await told(victim, service="/robot/none", md5sum="*") == (
+    assert await refusal(victim, service="/robot/none", md5sum="*") == (
         "rossec: /robot does not provide /robot/none"
     )
-    assert "types do not match" in await told(
+    assert "types do not match" in await refusal(
         victim, topic=STATE, md5sum="0" * 32, type="std_msgs/Int32"
     )
-    assert "md5sums do not match" in await told(victim, service=SERVICE, md5sum="0" * 32)
-    assert "has no 'topic'" in await told(victim, **any_type)
+    assert "md5sums do not match" in await refusal(victim, service=SERVICE, md5sum="0" * 32)
+    assert "has no 'topic'" in await refusal(victim, **any_type)
 
 
 async def test_a_restriction_for_another_type_is_refused(victim: Victim) -> None:
@@ -77,7 +77,7 @@ async def test_a_restriction_for_another_type_is_refused(victim: Victim) -> None
     assert "restricted for messages of type geometry_msgs/PoseStamped" in answer.error
 
 
-async def test_callers_that_break_off_or_talk_nonsense_are_let_go(victim: Victim) -> None:
+async def test_callers_that_disconnect_or_send_garbage_are_dropped(victim: Victim) -> None:
     with socket.create_connection((HOST, victim.port)):
         pass
     own = credentials(victim.site, GUEST)
@@ -89,7 +89,7 @@ async def test_callers_that_break_off_or_talk_nonsense_are_let_go(victim: Victim
     await victim.goes_on()
 
 
-async def test_a_service_is_called_probed_and_kept(victim: Victim) -> None:
+async def test_a_service_is_probed_and_called_on_a_persistent_connection(victim: Victim) -> None:
     own = credentials(victim.site, GUEST)
     grants = encode(list(victim.site.enroll(GUEST).grants()))
     fields: Fields = {"callerid": GUEST, "service": SERVICE, "md5sum": "*", FIELD: grants}
@@ -98,17 +98,19 @@ async def test_a_service_is_called_probed_and_kept(victim: Victim) -> None:
     stream = await connect(HOST, victim.port, own, victim.site.anchor.verify)
     await stream.send(header.encode({**fields, "persistent": "1"}))
     await stream.receive()
-    for request in (b"", bytes(30_000)):  # rospy does not mind what follows a request
+    for request in (b"", bytes(30_000)):  # rospy ignores bytes after a request
         await stream.send(header.frame(request))
         assert (await stream.receive())[0] == 1
-    await stream.send(header.frame(bytes(300_000)))  # rossec does, where every request is alike
+    await stream.send(
+        header.frame(bytes(300_000))
+    )  # rossec does not, where all requests have one size
     with pytest.raises(ChannelError):
         await stream.receive()
     victim.program.said = victim.said.replace("RESET", "")
 
 
-async def test_a_large_request_passes_where_a_request_may_be_large(victim: Victim) -> None:
-    """Larger than a connection header: its caller was judged."""
+async def test_a_large_request_passes_if_its_type_allows_it(victim: Victim) -> None:
+    """Larger than a connection header: its caller is authorized."""
     own = credentials(victim.site, GUEST)
     grants = encode(list(victim.site.enroll(GUEST).grants()))
     service = "/robot/set_logger_level"
@@ -130,7 +132,7 @@ async def test_a_plain_caller_of_the_api_is_answered(victim: Victim) -> None:
     assert answer[0] == -1
 
 
-async def test_the_api_survives_nonsense(victim: Victim) -> None:
+async def test_the_api_survives_malformed_requests(victim: Victim) -> None:
     own = credentials(victim.site, GUEST)
     for data in (
         b"GET / HTTP/1.1\r\nHost: x\r\n\r\n",
@@ -164,8 +166,8 @@ async def test_the_master_changes_parameters_and_publishers(victim: Victim) -> N
         await until(lambda value=value: victim.last.endswith(f" {value}"))  # type: ignore[misc]
 
 
-async def test_a_publisher_that_goes_away_is_looked_for_and_given_up(victim: Victim) -> None:
-    """Lost in the middle, refused when it comes back, forgotten when the master forgets it."""
+async def test_a_publisher_that_goes_away_is_retried_then_dropped(victim: Victim) -> None:
+    """The connection breaks, is made again, and is dropped when the master names it no longer."""
     site = victim.site
     site.publish("/commander", "/robot/command")
     async with site.node("/commander") as commander:
@@ -186,7 +188,7 @@ async def test_a_publisher_that_goes_away_is_looked_for_and_given_up(victim: Vic
     await victim.goes_on()
 
 
-async def test_a_restricted_publisher_is_believed_no_further(victim: Victim) -> None:
+async def test_messages_of_a_restricted_publisher_are_filtered(victim: Victim) -> None:
     site = victim.site
     rules = filter_rules({"data": {"truncate": {"length": 2}}})
     restriction = Restriction(TYPE, ('msg.data != "stop"',), rules)
@@ -208,7 +210,7 @@ async def test_a_restricted_publisher_is_believed_no_further(victim: Victim) -> 
     await victim.goes_on()
 
 
-async def test_revocation_ends_what_it_must(victim: Victim) -> None:
+async def test_revocation_closes_connections(victim: Victim) -> None:
     site = victim.site
     grant = site.subscribe("/visitor", STATE)
     async with site.node("/visitor") as visitor:
@@ -218,7 +220,7 @@ async def test_revocation_ends_what_it_must(victim: Victim) -> None:
         site.revoke(site.identity("/eve").thumbprint)
         data = site.revoke(grant)
         await victim.viewer._session.call("rossec.updateRevocations", data)
-        await until(lambda: "cut /visitor" in victim.said, within=20)
+        await until(lambda: "closed the connection with /visitor" in victim.said, within=20)
         async with asyncio.timeout(20):
             await eve.wait_ended()
     await victim.goes_on()

@@ -102,8 +102,8 @@ print("DONE", flush=True)
 """
 
 
-async def test_where_no_name_is_known_the_error_says_what_to_do(site: Site, tmp_path: Path) -> None:
-    """`wait_for_service` waited for ever, and said nothing."""
+async def test_a_call_without_a_name_raises_with_a_hint(site: Site, tmp_path: Path) -> None:
+    """In stock rospy, `wait_for_service` would wait without end."""
     said = (
         "ConfigurationError this program has no name yet hint: call rospy.init_node first, or give"
         " the name it will have: rossec.secure('name'), or __name:=name on the command line"
@@ -122,11 +122,11 @@ rospy.init_node("other")
 """
 
 
-async def test_the_name_given_early_is_the_nodes(site: Site, tmp_path: Path) -> None:
+async def test_a_name_given_early_must_be_the_nodes(site: Site, tmp_path: Path) -> None:
     entitle(site, "/robot", {})
     async with program(environment(site, tmp_path), ANOTHER) as other:
         assert await other.ends() == 1
-        assert "is secured as /robot, and rospy.init_node calls it /other" in other.said
+        assert "is secured as /robot, but rospy.init_node names it /other" in other.said
 
 
 PROXIES = """
@@ -158,7 +158,7 @@ for odd in ("https://127.0.0.1:1/", "http://127.0.0.1/"):
 
 
 async def test_proxies_that_a_program_makes_itself(site: Site, tmp_path: Path) -> None:
-    """rostest asks the master so; the library's class is the same wherever it was imported."""
+    """As rostest does; the library's class is the same wherever it was imported."""
     entitle(
         site, "/operator",
         {
@@ -191,6 +191,6 @@ server.shutdown()
 """
 
 
-async def test_a_server_that_is_not_of_ros_is_met_as_ever(site: Site, tmp_path: Path) -> None:
+async def test_a_server_outside_ros_is_called_unsecured(site: Site, tmp_path: Path) -> None:
     async with program(environment(site, tmp_path), OTHERS) as other:
         await other.hears("HEARD plain")

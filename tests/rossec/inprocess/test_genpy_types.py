@@ -1,4 +1,4 @@
-"""Message types as the classes of a process have them."""
+"""Message types as the genpy classes of a process define them."""
 
 import pytest
 from geometry_msgs.msg import Twist
@@ -6,30 +6,35 @@ from rospy import AnyMsg
 from std_msgs.msg import String
 
 from rossec.channel.records import ChannelLimits
-from rossec.inprocess.genpy_types import described, installed, longest, room
-from rossec.net.bounds import JOINED
+from rossec.inprocess.genpy_types import (
+    definition_of,
+    installed_definition,
+    max_message_size,
+    max_unit_size,
+)
+from rossec.net.bounds import BATCH_LIMIT
 from rossec.participant.message_types import message_type
 from rossec.ros.header import HEADER_LIMIT
 
 pytestmark = pytest.mark.ros
 
 
-def test_a_class_says_what_it_reads() -> None:
-    own, known = described(Twist), message_type("geometry_msgs/Twist")
+def test_a_class_defines_name_checksum_and_layout() -> None:
+    own, known = definition_of(Twist), message_type("geometry_msgs/Twist")
     assert (own.name, own.md5sum) == (known.name, known.md5sum)
     assert own.layout.digest == known.layout.digest
-    assert described(AnyMsg).name == "*"
+    assert definition_of(AnyMsg).name == "*"
 
 
-def test_how_long_messages_may_be() -> None:
-    assert longest(Twist) == HEADER_LIMIT
-    assert room(Twist) == HEADER_LIMIT + JOINED
+def test_sizes_follow_the_type() -> None:
+    assert max_message_size(Twist) == HEADER_LIMIT
+    assert max_unit_size(Twist) == HEADER_LIMIT + BATCH_LIMIT
     for kind in (AnyMsg, String):
-        assert longest(kind) == ChannelLimits.unit
-        assert room(kind) > ChannelLimits.unit
+        assert max_message_size(kind) == ChannelLimits.unit
+        assert max_unit_size(kind) > ChannelLimits.unit
 
 
-def test_what_is_installed_is_known() -> None:
-    assert installed("geometry_msgs/Twist") == described(Twist)
+def test_only_installed_types_have_a_definition() -> None:
+    assert installed_definition("geometry_msgs/Twist") == definition_of(Twist)
     for name in ("geometry_msgs/Such", "no_such_package/Twist", "*", "", "Twist"):
-        assert installed(name) is None
+        assert installed_definition(name) is None

@@ -16,7 +16,7 @@ class Stream:
     peer: Identity
 
 
-def link(site: Site, member: Member, lifetime: int = DAY) -> LiveConnection:
+def live_connection(site: Site, member: Member, lifetime: int = DAY) -> LiveConnection:
     grant = site.grant(member, {"/t": Right.SUBSCRIBE}, lifetime=lifetime)
     opened = open_grant(grant, site.anchor.public_key, site.now, domain="home")
     decision = authorize(
@@ -26,56 +26,56 @@ def link(site: Site, member: Member, lifetime: int = DAY) -> LiveConnection:
     return LiveConnection(Stream(member.identity), decision)
 
 
-def test_those_with_a_reason_are_cut_and_no_others() -> None:
+def test_only_connections_with_a_reason_are_closed() -> None:
     site = Site()
-    a, b = (link(site, site.enroll(name)) for name in ("/a", "/b"))
-    cut: list[str] = []
-    links = LiveConnections()
-    links.add(a, lambda: cut.append("a"))
-    links.add(b, lambda: cut.append("b"))
-    assert len(links) == 2
-    ended = links.must_end(lambda each: "it is a" if each is a else None)
-    assert (ended, cut, len(links)) == ([(a, "it is a")], ["a"], 1)
-    links.discard(b)
-    links.discard(b)
-    assert links.soonest is None
-    assert links.streams() == []
+    a, b = (live_connection(site, site.enroll(name)) for name in ("/a", "/b"))
+    closed: list[str] = []
+    connections = LiveConnections()
+    connections.add(a, lambda: closed.append("a"))
+    connections.add(b, lambda: closed.append("b"))
+    assert len(connections) == 2
+    ended = connections.close_ended(lambda each: "it is a" if each is a else None)
+    assert (ended, closed, len(connections)) == ([(a, "it is a")], ["a"], 1)
+    connections.discard(b)
+    connections.discard(b)
+    assert connections.next_expiry is None
+    assert connections.streams() == []
 
 
-def test_the_soonest_end_is_known() -> None:
+def test_the_next_expiry_is_the_earliest() -> None:
     site = Site()
-    links = LiveConnections()
+    connections = LiveConnections()
     for name, lifetime in (("/a", 60), ("/b", 30)):
-        links.add(link(site, site.enroll(name), lifetime), lambda: None)
-    assert links.soonest == site.now + 30
+        connections.add(live_connection(site, site.enroll(name), lifetime), lambda: None)
+    assert connections.next_expiry == site.now + 30
 
 
-def test_one_peer_holds_only_so_many_connections() -> None:
+def test_the_connections_of_one_peer_are_limited() -> None:
     site = Site()
     eve, other = (site.enroll(name).identity for name in ("/eve", "/other"))
-    links = LiveConnections()
-    cut: list[object] = []
+    connections = LiveConnections()
+    closed: list[object] = []
     for number in range(PEER_CONNECTIONS):
-        links.admit(number, eve, lambda number=number: cut.append(number))  # type: ignore[misc]
+        connections.admit(number, eve, lambda number=number: closed.append(number))  # type: ignore[misc]
     with pytest.raises(LimitExceeded, match="/eve has 64 connections"):
-        links.admit("more", eve, lambda: None)
-    links.admit("other", other, lambda: cut.append("other"))
-    links.forget(0)
-    links.forget(0)
-    links.admit("again", eve, lambda: cut.append("again"))
-    links.cut_peers(lambda peer: peer is other)
-    assert cut == ["other"]
-    links.forget("other")
-    links.cut_peers(lambda _: True)
-    assert "other" not in cut[1:]
+        connections.admit("more", eve, lambda: None)
+    connections.admit("other", other, lambda: closed.append("other"))
+    connections.forget(0)
+    connections.forget(0)
+    connections.admit("again", eve, lambda: closed.append("again"))
+    connections.close_revoked(lambda peer: peer is other)
+    assert closed == ["other"]
+    connections.forget("other")
+    connections.close_revoked(lambda _: True)
+    assert "other" not in closed[1:]
 
 
-def test_a_plain_peer_is_known_by_its_address() -> None:
-    links = LiveConnections()
+def test_plain_connections_are_counted_by_address() -> None:
+    connections = LiveConnections()
     for number in range(PEER_CONNECTIONS):
-        links.admit_plain(number, "10.0.0.1")
+        connections.admit_plain(number, "10.0.0.1")
     with pytest.raises(LimitExceeded, match=r"10\.0\.0\.1 has 64 connections"):
-        links.admit_plain("more", "10.0.0.1")
-    links.admit_plain("other", "10.0.0.2")
-    links.forget(0)
-    links.admit_plain("again", "10.0.0.1")
+        connections.admit_plain("more", "10.0.0.1")
+    connections.admit_plain("other", "10.0.0.2")
+    connections.forget(0)
+    connections.admit_plain("again", "10.0.0.1")

@@ -1,4 +1,4 @@
-"""What goes to whom, with connections that only note it."""
+"""Which messages each subscriber is sent, with transports that only record them."""
 
 from io import BytesIO
 from types import SimpleNamespace
@@ -8,7 +8,7 @@ import pytest
 
 from grants.errors import GrantError
 from rossec.participant.latch import Sample
-from tests.support.rosconnection import connection
+from tests.support.rosconnection import transport
 
 pytestmark = pytest.mark.ros
 
@@ -16,19 +16,19 @@ publishing = pytest.importorskip("rossec.inprocess.publishing")
 exceptions = pytest.importorskip("rospy.exceptions")
 
 
-def test_nothing_for_a_connection_without_a_right() -> None:
-    bare, ended = connection(), connection(SimpleNamespace(ends=0, guard=None))
-    noted: list[bytes] = []
+def test_a_connection_without_a_right_gets_nothing() -> None:
+    bare, ended = transport(), transport(SimpleNamespace(ends=0, guard=None))
+    sent: list[bytes] = []
     for made in (bare, ended):
-        made.write_data = noted.append
-    assert publishing._offer(topic(), Sample(b"\1\0\0\0a"), [bare, ended]) == []
-    assert noted == []
+        made.write_data = sent.append
+    assert publishing._send(topic(), Sample(b"\1\0\0\0a"), [bare, ended]) == []
+    assert sent == []
     broken = SimpleNamespace(socket=None)
-    assert publishing._offer(topic(), Sample(b"\1\0\0\0a"), [broken]) == [broken]
+    assert publishing._send(topic(), Sample(b"\1\0\0\0a"), [broken]) == [broken]
 
 
 class Guard:
-    """Treats every message alike, and notes how often."""
+    """Filters every message alike, and records them."""
 
     def __init__(self, key: str, *pieces: bytes, error: GrantError | None = None) -> None:
         self.key = key
@@ -38,46 +38,48 @@ class Guard:
 
     memory = None
 
-    def treat(self, message: memoryview, _now: int, _mark: object) -> Any:
+    def apply(self, message: memoryview, _now: int, _mark: object) -> Any:
         self.seen.append(bytes(message))
         if self.error is not None:
             raise self.error
         return self.pieces
 
 
-def guarded(guard: Guard, noted: list[Any]) -> Any:
+def guarded(guard: Guard, sent: list[Any]) -> Any:
     stream = SimpleNamespace(peer=SimpleNamespace(name="/viewer"))
-    made = connection(SimpleNamespace(ends=1 << 40, guard=guard, stream=stream))
-    made.write_data = noted.append
+    made = transport(SimpleNamespace(ends=1 << 40, guard=guard, stream=stream))
+    made.write_data = sent.append
     return made
 
 
-def test_each_treatment_is_applied_once() -> None:
+def test_each_filter_is_applied_once() -> None:
     coarse, large = Guard("coarse", b"a", b"bc"), Guard("large", bytes(200_000), b"d")
-    noted: list[Any] = []
-    connections = [guarded(guard, noted) for guard in (coarse, large, coarse)]
-    assert publishing._offer(topic(), Sample(b"\1\0\0\0m"), connections) == []
+    sent: list[Any] = []
+    connections = [guarded(guard, sent) for guard in (coarse, large, coarse)]
+    assert publishing._send(topic(), Sample(b"\1\0\0\0m"), connections) == []
     small = b"\3\0\0\0abc"
-    assert noted == [small, ((200_001).to_bytes(4, "little"), bytes(200_000), b"d"), small]
+    assert sent == [small, ((200_001).to_bytes(4, "little"), bytes(200_000), b"d"), small]
     assert coarse.seen == large.seen == [b"m"], "without its length"
 
 
-def test_what_is_withheld(caplog: pytest.LogCaptureFixture) -> None:
-    noted: list[Any] = []
+def test_a_message_without_content_or_with_an_error_is_withheld(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    sent: list[Any] = []
     nothing, failing = Guard("nothing"), Guard("failing", error=GrantError("a NaN"))
-    connections = [guarded(guard, noted) for guard in (nothing, failing)]
+    connections = [guarded(guard, sent) for guard in (nothing, failing)]
     for _ in range(3):
-        assert publishing._offer(topic(), Sample(b"\1\0\0\0m"), connections) == []
-    assert noted == []
+        assert publishing._send(topic(), Sample(b"\1\0\0\0m"), connections) == []
+    assert sent == []
     assert caplog.text.count("/x: withheld from /viewer: a NaN") == 1
 
 
-def test_nothing_more_is_said_while_the_node_shuts_down(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_nothing_is_sent_while_the_node_shuts_down(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(publishing, "is_shutdown", lambda: True)
-    noted: list[Any] = []
-    taker = connection(SimpleNamespace(ends=1 << 40, guard=None))
-    taker.write_data = noted.append
-    made = topic(connections=[taker], is_latch=False)
+    sent: list[Any] = []
+    subscriber = transport(SimpleNamespace(ends=1 << 40, guard=None))
+    subscriber.write_data = sent.append
+    made = topic(connections=[subscriber], is_latch=False)
     publishing.publish(made, message())
     made.closed = True
     publishing.publish(made, message())
@@ -90,7 +92,7 @@ def test_nothing_more_is_said_while_the_node_shuts_down(monkeypatch: pytest.Monk
 
     made.has_connections = close
     publishing.publish(made, message())
-    assert noted == []
+    assert sent == []
 
 
 class Buffer:
@@ -117,7 +119,7 @@ def message(data: str = "hello") -> Any:
     return pytest.importorskip("std_msgs.msg").String(data)
 
 
-def test_publishing_is_rospys() -> None:
+def test_publish_behaves_as_rospys() -> None:
     made = topic()
     assert publishing.publish(made, message()) is False
     assert made.latch.data == "hello"
@@ -134,15 +136,15 @@ def test_publishing_is_rospys() -> None:
         publishing.publish(made, message())
 
 
-def test_memory_of_large_messages_is_used_again() -> None:
+def test_memory_of_large_messages_is_reused() -> None:
     got: list[bytes] = []
-    taker = connection(SimpleNamespace(ends=1 << 40, guard=None))
-    taker.write_data = got.append
-    made = topic(connections=[taker])
+    subscriber = transport(SimpleNamespace(ends=1 << 40, guard=None))
+    subscriber.write_data = got.append
+    made = topic(connections=[subscriber])
     made.buff = first = BytesIO()
     for letter in "ab":
         publishing.publish(made, message(letter * 200_000))
-    assert made.buff is not first, "its bytes are held"
+    assert made.buff is not first, "its bytes are still referenced"
     assert [data[8:] for data in got] == [b"a" * 200_000, b"b" * 200_000]
     got.clear()
     publishing.publish(made, message("c" * 150_000))
@@ -152,8 +154,8 @@ def test_memory_of_large_messages_is_used_again() -> None:
     assert [data[8:] for data in got] == [b"c" * 150_000, b"short", b"", b"d" * 200_000]
 
 
-def test_a_topic_closed_meanwhile_says_so() -> None:
-    made = topic(connections=[connection()])
+def test_publishing_to_a_topic_closed_meanwhile_raises() -> None:
+    made = topic(connections=[transport()])
     made.buff.inner.close()
     with pytest.raises(ValueError, match="closed file"):
         publishing.publish(made, message())

@@ -13,50 +13,50 @@ PARAMETER = ("subscribeParam", (ME, "http://me/", "/p"))
 NO = [-1, "rossec: no grant", 0]
 
 
-def noted(*calls: tuple[str, tuple[object, ...]], answer: object = None) -> Registrations:
+def recorded(*calls: tuple[str, tuple[object, ...]], answer: object = None) -> Registrations:
     registrations = Registrations(ME, time.time)
     for method, params in calls:
-        registrations.note(method, params, [1, "", 0] if answer is None else answer)
+        registrations.record(method, params, [1, "", 0] if answer is None else answer)
     return registrations
 
 
-def test_what_was_registered_is_registered_again_in_order() -> None:
-    registrations = noted(SUBSCRIBE, PROVIDE, PARAMETER, SUBSCRIBE)
+def test_registrations_are_repeated_in_order() -> None:
+    registrations = recorded(SUBSCRIBE, PROVIDE, PARAMETER, SUBSCRIBE)
     assert registrations.all() == [SUBSCRIBE, PROVIDE, PARAMETER]
     assert registrations.refused() == []
 
 
-def test_what_was_taken_back_is_forgotten() -> None:
-    registrations = noted(SUBSCRIBE, PROVIDE, PARAMETER)
-    registrations.note("unregisterSubscriber", (ME, "/t", "http://me/"), [1, "", 1])
-    registrations.note("unregisterService", (ME, "/s", "rosrpc://me:1"), [1, "", 1])
-    registrations.note("unsubscribeParam", (ME, "http://me/", "/p"), [1, "", 1])
+def test_an_unregistration_removes_the_registration() -> None:
+    registrations = recorded(SUBSCRIBE, PROVIDE, PARAMETER)
+    registrations.record("unregisterSubscriber", (ME, "/t", "http://me/"), [1, "", 1])
+    registrations.record("unregisterService", (ME, "/s", "rosrpc://me:1"), [1, "", 1])
+    registrations.record("unsubscribeParam", (ME, "http://me/", "/p"), [1, "", 1])
     assert registrations.all() == []
 
 
-def test_what_was_refused_is_tried_again_until_it_is_granted() -> None:
-    registrations = noted(SUBSCRIBE, PROVIDE, answer=NO)
+def test_a_refused_registration_is_repeated_until_granted() -> None:
+    registrations = recorded(SUBSCRIBE, PROVIDE, answer=NO)
     assert registrations.refused() == [SUBSCRIBE, PROVIDE]
-    registrations.note(*SUBSCRIBE, [1, "", ["http://a/"]])
+    registrations.record(*SUBSCRIBE, [1, "", ["http://a/"]])
     assert registrations.refused() == [PROVIDE]
-    registrations.note("unregisterService", (ME, "/s", "rosrpc://me:1"), [1, "", 0])
+    registrations.record("unregisterService", (ME, "/s", "rosrpc://me:1"), [1, "", 0])
     assert registrations.refused() == []
 
 
 @pytest.mark.parametrize("answer", [[-1, "Error: bad call arity", 0], "nonsense", [1, 2], None])
-def test_other_failures_are_not_kept(answer: object) -> None:
+def test_other_failures_are_not_stored(answer: object) -> None:
     registrations = Registrations(ME, time.time)
-    registrations.note(*SUBSCRIBE, answer)
-    registrations.note("getParam", (ME, "/x"), [1, "", 5])
+    registrations.record(*SUBSCRIBE, answer)
+    registrations.record("getParam", (ME, "/x"), [1, "", 5])
     assert registrations.all() == []
 
 
-def test_the_publishers_are_those_named_last() -> None:
-    registrations = noted(SUBSCRIBE, answer=[1, "", ["http://a/", 7]])
+def test_the_publishers_named_last_count() -> None:
+    registrations = recorded(SUBSCRIBE, answer=[1, "", ["http://a/", 7]])
     assert registrations.is_publisher("/t", "http://a/")
-    registrations.publishers_are("/t", ["http://b/"])
+    registrations.set_publishers("/t", ["http://b/"])
     assert not registrations.is_publisher("/t", "http://a/")
-    registrations.publishers_are("/t", 3)
+    registrations.set_publishers("/t", 3)
     assert registrations.is_publisher("/t", "http://b/")
     assert not registrations.is_publisher("/other", "http://b/")
 
@@ -74,13 +74,13 @@ def test_the_publishers_are_those_named_last() -> None:
         ("setParam", (ME, "/use_sim_time", True), False),
     ],
 )
-def test_what_rospy_asks_for_by_itself_is_known(
+def test_rospys_own_calls_are_recognized(
     method: str, params: tuple[object, ...], own: bool
 ) -> None:
     assert Registrations(ME, time.time).is_rospys_own(method, params) is own
 
 
-def test_threads_may_register_while_everything_is_registered_again() -> None:
+def test_threads_may_register_while_registrations_are_repeated() -> None:
     registrations = Registrations(ME, time.time)
     going = threading.Event()
 
@@ -88,8 +88,8 @@ def test_threads_may_register_while_everything_is_registered_again() -> None:
         number = 0
         while not going.is_set():
             number += 1
-            registrations.note("registerService", (ME, f"/s{number % 999}", "", ""), NO)
-            registrations.note("unregisterService", (ME, f"/s{number % 777}"), [1, "", 1])
+            registrations.record("registerService", (ME, f"/s{number % 999}", "", ""), NO)
+            registrations.record("unregisterService", (ME, f"/s{number % 777}"), [1, "", 1])
 
     thread = threading.Thread(target=register)
     thread.start()
@@ -101,30 +101,30 @@ def test_threads_may_register_while_everything_is_registered_again() -> None:
         thread.join()
 
 
-def test_nodes_that_the_master_has_named_are_known() -> None:
-    """The newest of them: a program that looks for ever must not fill the memory."""
+def test_nodes_that_the_master_named_are_stored() -> None:
+    """Only the newest: a program that looks up nodes in a loop must not fill the memory."""
     registrations = Registrations("/robot", time.time)
     for port in range(1, 1030):
         uri = f"http://h:{port}/"
-        registrations.note("lookupNode", ("/robot", "/n"), [1, "node api", uri])
+        registrations.record("lookupNode", ("/robot", "/n"), [1, "node api", uri])
     assert registrations.is_node(("h", 1029))
     assert registrations.is_node(("h", 6))
     assert not registrations.is_node(("h", 5))
     for answer in ([1, "", "no uri"], [-1, "unknown node [/n]", ""], [1, "", 7]):
-        registrations.note("lookupNode", ("/robot", "/n"), answer)
+        registrations.record("lookupNode", ("/robot", "/n"), answer)
     assert registrations.is_node(("h", 6))
 
 
-def test_a_publisher_is_one_while_it_may_yet_be_named_again() -> None:
+def test_a_publisher_counts_while_it_may_be_named_again() -> None:
     now = 0.0
     registrations = Registrations(ME, lambda: now)
-    registrations.note(*SUBSCRIBE, [1, "", ["http://a/", 7, "http://b/"]])
+    registrations.record(*SUBSCRIBE, [1, "", ["http://a/", 7, "http://b/"]])
     registrations.session_opened()
-    registrations.note(*SUBSCRIBE, [1, "", ["http://b/"]])
+    registrations.record(*SUBSCRIBE, [1, "", ["http://b/"]])
     assert [registrations.is_publisher("/t", f"http://{name}/") for name in "abc"] == [
         True, True, False,
     ]  # fmt: skip
-    registrations.publishers_are("/t", [])
-    assert not registrations.is_publisher("/t", "http://b/"), "it was taken away"
+    registrations.set_publishers("/t", [])
+    assert not registrations.is_publisher("/t", "http://b/"), "it was removed"
     now += GRACE
     assert not registrations.is_publisher("/t", "http://a/")

@@ -8,70 +8,70 @@ from rossec.inprocess.reporting import LogBridge, Reporter
 from tests.rossec.net.test_forks import in_child
 
 
-def test_each_cause_is_said_once_with_its_hint() -> None:
-    said: list[str] = []
-    reporter = Reporter(said.append)
+def test_each_cause_is_logged_once_with_its_hint() -> None:
+    written: list[str] = []
+    reporter = Reporter(written.append)
     for _ in range(3):
         reporter.warn("cannot publish /x", ConfigurationError("no\ngrant", "ask"))
         reporter.warn("plainly")
     reporter.close()
-    assert said == ["rossec: cannot publish /x: no\\u000agrant (hint: ask)", "rossec: plainly"]
+    assert written == ["rossec: cannot publish /x: no\\u000agrant (hint: ask)", "rossec: plainly"]
 
 
-def test_what_went_well_since_is_news_when_it_fails_again() -> None:
-    said: list[str] = []
-    reporter = Reporter(said.append)
+def test_a_failure_after_a_success_is_logged_again() -> None:
+    written: list[str] = []
+    reporter = Reporter(written.append)
     reporter.warn("cannot call /x", OSError("gone"))
     reporter.forget("cannot call /x")
     reporter.warn("cannot call /x", OSError("gone"))
     reporter.close()
-    assert len(said) == 2
+    assert len(written) == 2
 
 
 def test_memory_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("rossec.inprocess.reporting._REMEMBERED", 2)
-    said: list[str] = []
-    reporter = Reporter(said.append)
+    written: list[str] = []
+    reporter = Reporter(written.append)
     for text in ("a", "b", "c", "a"):
         reporter.warn(text)
     reporter.close()
-    assert len(said) == 4
+    assert len(written) == 4
 
 
-def test_warnings_of_our_loggers_are_said_too() -> None:
-    said: list[str] = []
-    reporter = Reporter(said.append)
+def test_warnings_of_our_loggers_are_written() -> None:
+    written: list[str] = []
+    reporter = Reporter(written.append)
     log = logging.getLogger("rossec.test_report")
     log.propagate = False
     log.addHandler(LogBridge(reporter))
     log.warning("%s is out of reach", "/master")
-    log.info("not said")
+    log.info("not written")
     reporter.close()
-    assert said == ["rossec: /master is out of reach"]
+    assert written == ["rossec: /master is out of reach"]
 
 
-def test_strangers_cannot_flood_the_log() -> None:
-    said: list[str] = []
-    reporter = Reporter(said.append)
+def test_unauthenticated_peers_cannot_flood_the_log() -> None:
+    written: list[str] = []
+    reporter = Reporter(written.append)
     for number in range(100):
         reporter.warn(f"refused /eve: {number}")
         reporter.warn(f"refused /mallory: {number}")
         reporter.warn(f"cannot call http://{number}")
-    assert len(said) <= 31
+    assert len(written) <= 31
     reporter.warn("lost /robot: gone")
     for number in range(100):
         reporter.warn(f"refused the caller from 10.0.0.{number}")
     reporter.close()
-    assert len(said) == 61
-    assert said.count("rossec: more different warnings than are written; some are left out") == 1
-    assert [sum(name in line for line in said) for name in ("/eve", "/mallory", "/robot")] == [
+    assert len(written) == 61
+    assert written.count("rossec: too many different warnings; some are suppressed") == 1
+    assert [sum(name in line for line in written) for name in ("/eve", "/mallory", "/robot")] == [
         10, 10, 1,
     ]  # fmt: skip
 
 
 def test_threads_may_warn_and_forget_at_once() -> None:
-    said: list[str] = []
-    reporter = Reporter(said.append)
+    written: list[str] = []
+    reporter = Reporter(written.append)
     going = threading.Event()
 
     def warn() -> None:
@@ -89,35 +89,35 @@ def test_threads_may_warn_and_forget_at_once() -> None:
         going.set()
         thread.join()
     reporter.close()
-    assert said
+    assert written
 
 
-def test_one_line_that_cannot_be_written_does_not_silence_the_others() -> None:
-    said: list[str] = []
+def test_a_line_that_cannot_be_written_does_not_suppress_others() -> None:
+    written: list[str] = []
 
     def write(line: str) -> None:
         if "bad" in line:
             raise ValueError(line)
-        said.append(line)
+        written.append(line)
 
     reporter = Reporter(write)
     for text in ("one", "bad", "two"):
         reporter.warn(text)
     reporter.close()
-    assert said == ["rossec: one", "rossec: two"]
+    assert written == ["rossec: one", "rossec: two"]
     reporter.close()
 
 
-def test_a_forked_process_speaks_for_itself() -> None:
-    said: list[str] = []
-    reporter = Reporter(said.append)
+def test_a_forked_process_has_its_own_thread() -> None:
+    written: list[str] = []
+    reporter = Reporter(written.append)
     reporter.warn("from the parent")
 
     def work() -> list[str]:
-        said.clear()
+        written.clear()
         reporter.warn("from the child")
         reporter.close()
-        return said
+        return written
 
     assert in_child(work) == "['rossec: from the child']"
     reporter.close()

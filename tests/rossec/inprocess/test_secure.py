@@ -1,4 +1,4 @@
-"""The entry, in processes of their own: a process is secured once, and for good."""
+"""`secure`, in processes of their own: a process is secured once."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -45,7 +45,7 @@ def attempt(what, *arguments, **options):
         sys.stderr.write(f"{what}: {type(error.__cause__).__name__}\\n")
 """
 
-SLIPS: dict[str, tuple[str, str, dict[str, str]]] = {
+INVALID: dict[str, tuple[str, str, dict[str, str]]] = {
     "no home": ("", "no node is enrolled in", {"ROSSEC_HOME": "/nonexistent/x"}),
     "no identity": ("'/nobody'", "/nobody has no ca.pem in", {}),
     "a bad option": ("allow_plain='/x'", "allow_plain is a list of names", {}),
@@ -53,9 +53,9 @@ SLIPS: dict[str, tuple[str, str, dict[str, str]]] = {
 }
 
 
-async def test_a_slip_stops_the_program_with_a_hint(site: Site, tmp_path: Path) -> None:
+async def test_an_invalid_setup_ends_the_program_with_a_hint(site: Site, tmp_path: Path) -> None:
     site.enroll("/robot")
-    for what, (arguments, words, more) in SLIPS.items():
+    for what, (arguments, words, more) in INVALID.items():
         source = f"import rossec\nrossec.secure({arguments})\nprint('RAN')"
         code, said = await said_by(env_of(site, tmp_path, **more), source)
         assert code == 1, what
@@ -65,7 +65,9 @@ async def test_a_slip_stops_the_program_with_a_hint(site: Site, tmp_path: Path) 
         assert "RAN" not in said
 
 
-async def test_too_late_twice_and_under_another_name(site: Site, tmp_path: Path) -> None:
+async def test_a_late_or_repeated_call_and_another_name_are_refused(
+    site: Site, tmp_path: Path
+) -> None:
     site.enroll("/robot")
     (site.root / "rossec.toml").write_text("[rospy]\nallow_plain = []\n")
     source = (
@@ -126,8 +128,8 @@ os._exit(0)
     assert "STOPPED /stranger has no ca.pem" in said
 
 
-async def test_whoever_catches_the_stop_starts_no_node(site: Site, tmp_path: Path) -> None:
-    """As a notebook does, or a thread; a later attempt that succeeds counts."""
+async def test_a_process_that_catches_the_exit_starts_no_node(site: Site, tmp_path: Path) -> None:
+    """As a notebook does, or a thread; a later attempt may succeed."""
     site.enroll("/robot")
     source = """
 import rossec, rospy, os
@@ -154,22 +156,22 @@ attempt(rospy.init_node, "stranger")
     assert "rossec: error: /stranger has no ca.pem" in said
 
 
-async def test_two_names_for_one_program(site: Site, tmp_path: Path) -> None:
+async def test_two_names_for_one_program_are_refused(site: Site, tmp_path: Path) -> None:
     site.enroll("/robot")
     source = "import rossec, rospy\nrossec.secure('/robot')\nrospy.init_node('other')"
     code, said = await said_by(env_of(site, tmp_path), source)
     assert code == 1
-    assert "this program is secured as /robot, and rospy.init_node calls it /other" in said
+    assert "this program is secured as /robot, but rospy.init_node names it /other" in said
 
 
-def test_what_needs_a_secured_program_says_so() -> None:
+def test_calls_that_need_a_secured_program_raise() -> None:
     with pytest.raises(ConfigurationError, match="not secured"):
         secured()
     with pytest.raises(ConfigurationError, match="not secured"):
         ask("subscribe", "/x", why="y")
 
 
-async def test_everything_a_program_does_works(tmp_path: Path) -> None:
+async def test_a_program_that_uses_all_of_rospy_works(tmp_path: Path) -> None:
     async with Site(tmp_path / "site").running() as site:
         lines = await play(site, tmp_path / "logs", VARIANTS["namespaced"])
     assert f"SEEN latched {SECRET} latched" in lines
@@ -192,7 +194,7 @@ rospy.spin()
 """
 
 
-async def test_a_program_asks_and_is_given(tmp_path: Path) -> None:
+async def test_a_program_requests_a_grant_and_gets_it(tmp_path: Path) -> None:
     """Under an anonymous name: the identity is that for all such nodes."""
     async with attacked(tmp_path) as victim:
         site = victim.site
@@ -226,7 +228,7 @@ while not rospy.is_shutdown():
 
 
 @pytest.mark.parametrize("topic", ["/robot/pose", "/robot/now"])
-async def test_each_receiver_sees_what_its_grant_allows(tmp_path: Path, topic: str) -> None:
+async def test_each_subscriber_receives_what_its_grant_allows(tmp_path: Path, topic: str) -> None:
     async with Site(tmp_path / "site").running() as site:
         entitle(site, "/robot", {Right.PUBLISH: (topic,)})
         site.subscribe("/near", topic)
@@ -263,8 +265,8 @@ print(f"KILLED {rosnode.kill_nodes(['/robot'])}", flush=True)
 """
 
 
-async def test_the_tools_of_ros_in_the_same_program(tmp_path: Path) -> None:
-    """They connect to nodes by themselves; what they ask has its own right."""
+async def test_the_ros_tools_work_in_a_secured_program(tmp_path: Path) -> None:
+    """They connect to nodes by themselves; their calls need rights of their own."""
     async with attacked(tmp_path) as victim:
         site = victim.site
         for right in (Right.GRAPH, Right.ADMIN):

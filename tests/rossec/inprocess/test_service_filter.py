@@ -33,13 +33,13 @@ def guard(*restrictions: Restriction) -> ServiceGuard:
 
 class Server(ServerFilter):
     def __init__(self, *restrictions: Restriction) -> None:
-        self.cut: str | None = None
-        self.heard: list[HintedError] = []
+        self.reason: str | None = None
+        self.refusals: list[HintedError] = []
         restricted = guard(*restrictions) if restrictions else None
-        super().__init__(lambda: self.cut, restricted, self.heard.append, lambda: NOW)
+        super().__init__(lambda: self.reason, restricted, self.refusals.append, lambda: NOW)
 
 
-def test_whole_requests_pass_and_nothing_less() -> None:
+def test_only_whole_requests_pass() -> None:
     server = Server()
     assert server.incoming(ON[:3]) == (b"", ())
     assert server.incoming(ON[3:]) == (ON, ())
@@ -53,26 +53,26 @@ def test_a_request_is_bounded_and_comes_alone() -> None:
         Server().incoming(ON + ON)
 
 
-def test_each_request_is_judged_anew() -> None:
+def test_each_request_is_authorized() -> None:
     server = Server()
     server.incoming(ON)
-    server.cut = "its grant has expired"
+    server.reason = "its grant has expired"
     with pytest.raises(ChannelClosed, match="its grant has expired"):
         server.incoming(ON)
 
 
-def test_what_a_caller_may_not_ask_it_is_told() -> None:
+def test_a_refused_request_is_answered_with_the_reason() -> None:
     server = Server(ONLY_OFF)
     allowed, reply = server.incoming(ON)
     assert allowed == b""
     assert b"does not allow this request" in b"".join(reply)
     assert reply[0] == b"\0"
-    [error] = server.heard
+    [error] = server.refusals
     assert isinstance(error, ServiceRefused)
     assert server.incoming(OFF) == (OFF, ())
 
 
-def test_what_a_caller_may_not_hear_it_does_not() -> None:
+def test_a_response_is_filtered_for_the_caller() -> None:
     server = Server(CLEARED)
     assert b"".join(server.outgoing(YES)) == YES_CLEARED
     assert b"secret" not in b"".join(server.outgoing(YES))
@@ -81,13 +81,13 @@ def test_what_a_caller_may_not_hear_it_does_not() -> None:
     assert server.outgoing(failed) == (failed,)
 
 
-def test_a_response_of_another_form_is_none() -> None:
+def test_a_malformed_response_is_refused() -> None:
     server = Server(CLEARED)
     assert server.outgoing(b"\1" + frame(b"\1"))[0] == b"\0"
-    assert isinstance(server.heard[0], MessageRefused)
+    assert isinstance(server.refusals[0], MessageRefused)
 
 
-def test_a_caller_holds_its_provider_to_its_grant() -> None:
+def test_a_caller_applies_the_grant_of_its_provider() -> None:
     client = ClientFilter(guard(CLEARED, ONLY_OFF), lambda: NOW)
     assert b"".join(client.outgoing(OFF)) == OFF
     with pytest.raises(ServiceRefused):

@@ -1,4 +1,4 @@
-"""What rospy takes for a socket, with both ends in this process."""
+"""The socket that rospy gets, with both ends in this process."""
 
 import contextlib
 import errno
@@ -26,39 +26,43 @@ from tests.support.site import Site
 
 
 class Owner:
-    """A process as far as a socket sees it."""
+    """What a socket uses of its process."""
 
-    def __init__(self, member: LocalIdentity, plain: PlainPeers, half_open: HalfOpen) -> None:
-        self.doors = Connector(member, half_open)
+    def __init__(
+        self, local_identity: LocalIdentity, plain: PlainPeers, half_open: HalfOpen
+    ) -> None:
+        self.connector = Connector(local_identity, half_open)
         self.plain = plain
-        self.over: list[RosSocket] = []
+        self.closed: list[RosSocket] = []
         self.ports: list[int] = []
 
     def listens(self, port: int) -> None:
         self.ports.append(port)
 
-    def gone(self, sock: RosSocket) -> None:
-        self.over.append(sock)
+    def connection_closed(self, sock: RosSocket) -> None:
+        self.closed.append(sock)
 
-    def failed(self, address: tuple[str, int], error: ChannelError) -> Exception:
+    def connect_error(self, address: tuple[str, int], error: ChannelError) -> Exception:
         return ConnectionError(f"{address[1] > 0} {error}")
 
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Site:
-    directory: Path = tmp_path_factory.mktemp("member")
+    directory: Path = tmp_path_factory.mktemp("identity")
     return Site(directory / "site")
 
 
 @pytest.fixture(scope="module")
-def member(site: Site) -> LocalIdentity:
+def local_identity(site: Site) -> LocalIdentity:
     return LocalIdentity(site.enroll("/robot"), "/robot")
 
 
 def owner(
-    member: LocalIdentity, plain: PlainPeers | None = None, half_open: HalfOpen | None = None
+    local_identity: LocalIdentity,
+    plain: PlainPeers | None = None,
+    half_open: HalfOpen | None = None,
 ) -> Owner:
-    return Owner(member, plain or PlainPeers(()), half_open or HalfOpen())
+    return Owner(local_identity, plain or PlainPeers(()), half_open or HalfOpen())
 
 
 @pytest.fixture
@@ -71,7 +75,7 @@ def listening(site: Site) -> Iterator[RosSocket]:
     sock.close()
 
 
-def connected(member: LocalIdentity, listening: RosSocket) -> tuple[RosSocket, RosSocket]:
+def connected(local_identity: LocalIdentity, listening: RosSocket) -> tuple[RosSocket, RosSocket]:
     accepted: list[RosSocket] = []
 
     def accept() -> None:
@@ -80,14 +84,16 @@ def connected(member: LocalIdentity, listening: RosSocket) -> tuple[RosSocket, R
         accepted.append(sock)
 
     thread = background(accept)
-    sock = RosSocket(owner(member), socket.socket())
+    sock = RosSocket(owner(local_identity), socket.socket())
     sock.connect(listening.getsockname())
     thread.join(30)
     return sock, accepted[0]
 
 
-def test_a_socket_of_rospys(member: LocalIdentity, listening: RosSocket) -> None:
-    left, right = connected(member, listening)
+def test_a_socket_connects_sends_and_receives(
+    local_identity: LocalIdentity, listening: RosSocket
+) -> None:
+    left, right = connected(local_identity, listening)
     assert (left.peer.name, right.peer.name, left.is_plain) == ("/viewer", "/robot", False)
     assert left.fileno() > 0
     left.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
@@ -98,7 +104,7 @@ def test_a_socket_of_rospys(member: LocalIdentity, listening: RosSocket) -> None
     assert right.recv_into(buffer) == 5
     right.sendall(bytes(buffer))
     assert left.recv(10) == b"hello"
-    assert not left.send_now(b"x") or left.send_now(b"y")
+    assert not left.try_send(b"x") or left.try_send(b"y")
     left.setblocking(False)
     assert left.gettimeout() == 0.0
     with pytest.raises(BlockingIOError):
@@ -114,55 +120,59 @@ def test_a_socket_of_rospys(member: LocalIdentity, listening: RosSocket) -> None
         sock.abort()
 
 
-def test_a_message_that_was_begun_must_get_on(
-    member: LocalIdentity, listening: RosSocket, monkeypatch: pytest.MonkeyPatch
+def test_a_message_that_has_begun_must_make_progress(
+    local_identity: LocalIdentity, listening: RosSocket, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(sockets, "PATIENCE", 0.05)
     monkeypatch.setattr("rossec.progress.WINDOW", 1)
-    left, right = connected(member, listening)
+    left, right = connected(local_identity, listening)
     framing = Framing(FrameReader())
     right.sendall(b"\x09\0\0\0half")
-    assert framing.feed(left.patiently(framing, lambda: left.recv(100)), 0) == []
+    assert framing.feed(left.receive_before_deadline(framing, lambda: left.recv(100)), 0) == []
     right.sendall(b", and")
-    assert framing.feed(left.patiently(framing, lambda: left.recv(100)), 0) == [b"half, and"]
+    assert framing.feed(left.receive_before_deadline(framing, lambda: left.recv(100)), 0) == [
+        b"half, and"
+    ]
     right.sendall(b"\x09\0\0\0half")
-    framing.feed(left.patiently(framing, lambda: left.recv(100)), 0)
+    framing.feed(left.receive_before_deadline(framing, lambda: left.recv(100)), 0)
     with pytest.raises(LimitExceeded):
-        left.patiently(framing, lambda: left.recv(100))
+        left.receive_before_deadline(framing, lambda: left.recv(100))
     assert left.gettimeout() is None
     left.settimeout(0.01)
-    with pytest.raises(TimeoutError):  # a caller that has a deadline of its own keeps it
-        left.patiently(framing, lambda: left.recv(100))
+    with pytest.raises(TimeoutError):  # a timeout that is set already is kept
+        left.receive_before_deadline(framing, lambda: left.recv(100))
     for sock in (left, right):
         sock.close()
 
 
-def test_nothing_goes_past_the_queue_while_the_peer_may_have_words(
-    member: LocalIdentity, listening: RosSocket
+def test_nothing_is_sent_directly_before_the_channel_was_read(
+    local_identity: LocalIdentity, listening: RosSocket
 ) -> None:
-    left, right = connected(member, listening)
-    assert not left.send_now(b"first"), "the peer's side was never looked at"
+    left, right = connected(local_identity, listening)
+    assert not left.try_send(b"first"), "nothing was read from the channel yet"
     left.sendall(b"first")
-    assert left.send_now(b"second")
+    assert left.try_send(b"second")
     assert right.recv(10) + right.recv(10) == b"firstsecond"
     for sock in (left, right):
         sock.close()
 
 
-def test_what_is_not_connected_says_so(member: LocalIdentity) -> None:
-    sock = RosSocket(owner(member), socket.socket())
+def test_a_socket_that_is_not_connected_raises(local_identity: LocalIdentity) -> None:
+    sock = RosSocket(owner(local_identity), socket.socket())
     with pytest.raises(ChannelClosed, match="not connected"):
         _ = sock.stream
     sock.settimeout(1.0)
     assert sock.gettimeout() == 1.0
     assert not sock.unsent
-    assert not sock.send_now(b"x")
+    assert not sock.try_send(b"x")
     sock.shutdown()
     sock.close()
 
 
-def test_a_caller_too_many_is_dropped(member: LocalIdentity) -> None:
-    sock = RosSocket(owner(member, half_open=HalfOpen(total=1, per_address=1)), socket.socket())
+def test_a_caller_over_the_limit_is_dropped(local_identity: LocalIdentity) -> None:
+    sock = RosSocket(
+        owner(local_identity, half_open=HalfOpen(total=1, per_address=1)), socket.socket()
+    )
     sock.bind(("127.0.0.1", 0))
     sock.listen()
     first = socket.create_connection(sock.getsockname())
@@ -184,10 +194,10 @@ def test_a_caller_too_many_is_dropped(member: LocalIdentity) -> None:
     assert len(later) == 1
 
 
-def test_a_host_without_descriptors_rests_and_goes_on(
-    member: LocalIdentity, monkeypatch: pytest.MonkeyPatch
+def test_a_host_without_descriptors_pauses_accepting(
+    local_identity: LocalIdentity, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(sockets, "_REST", 0.0)
+    monkeypatch.setattr(sockets, "_ACCEPT_PAUSE", 0.0)
     answers: list[Any] = [
         OSError(errno.EMFILE, "too many"), OSError(errno.EBADF, "closed"),
     ]  # fmt: skip
@@ -195,7 +205,7 @@ def test_a_host_without_descriptors_rests_and_goes_on(
     def accept() -> None:
         raise answers.pop(0)
 
-    sock = RosSocket(owner(member), SimpleNamespace(accept=accept))  # type: ignore[arg-type]
+    sock = RosSocket(owner(local_identity), SimpleNamespace(accept=accept))  # type: ignore[arg-type]
     with pytest.raises(OSError, match="closed"):
         sock.accept()
     assert answers == []
@@ -203,7 +213,7 @@ def test_a_host_without_descriptors_rests_and_goes_on(
 
 @pytest.fixture
 def stock() -> Iterator[tuple[str, int]]:
-    """A plain ROS node, as far as its callers see it, until the test ends."""
+    """A plain ROS node, as its callers see it."""
     server = socket.create_server(("127.0.0.1", 0))
 
     def serve() -> None:
@@ -226,22 +236,22 @@ def stock() -> Iterator[tuple[str, int]]:
     thread.join(30)
 
 
-def test_a_peer_that_is_plain_is_refused_or_named(
-    member: LocalIdentity, stock: tuple[str, int]
-) -> None:
-    sock = RosSocket(owner(member), socket.socket())
+def test_a_plain_peer_is_refused(local_identity: LocalIdentity, stock: tuple[str, int]) -> None:
+    sock = RosSocket(owner(local_identity), socket.socket())
     with pytest.raises(ConnectionError, match="plain"):
         sock.connect(stock)
     sock.close()
 
 
-def test_a_plain_peer_that_may_stay_so(member: LocalIdentity, stock: tuple[str, int]) -> None:
-    sock = RosSocket(owner(member, PlainPeers(["/x"])), socket.socket())
+def test_a_plain_peer_that_is_allowed(
+    local_identity: LocalIdentity, stock: tuple[str, int]
+) -> None:
+    sock = RosSocket(owner(local_identity, PlainPeers(["/x"])), socket.socket())
     sock.connect(stock)
     assert sock.is_plain
-    with pytest.raises(ChannelClosed, match="proves nothing"):
+    with pytest.raises(ChannelClosed, match="not authenticated"):
         sock.handshake()
-    assert not sock.send_now(b"s")
+    assert not sock.try_send(b"s")
     assert not sock.unsent
     sock.sendall(b"s")
     assert sock.recv(10) == b"plain"
@@ -251,7 +261,7 @@ def test_a_plain_peer_that_may_stay_so(member: LocalIdentity, stock: tuple[str, 
     sock.close()
 
 
-def test_a_plain_caller_is_looked_at_and_left(member: LocalIdentity) -> None:
+def test_the_first_bytes_of_a_plain_caller_are_not_consumed(local_identity: LocalIdentity) -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         for sent, seen in (
             (b"POST / HTTP/1.1\r\n", b"POST"),
@@ -270,38 +280,38 @@ def test_a_plain_caller_is_looked_at_and_left(member: LocalIdentity) -> None:
     assert plain_stream.plain_fields(b"\x01\0\0\0a") == {}
 
 
-def test_a_stand_is_the_module_but_for_some_names() -> None:
-    stand = ModuleProxy(socket, socket=dict)
-    assert stand.socket is dict
-    assert stand.AF_INET == socket.AF_INET
+def test_a_module_proxy_replaces_some_names() -> None:
+    proxy = ModuleProxy(socket, socket=dict)
+    assert proxy.socket is dict
+    assert proxy.AF_INET == socket.AF_INET
 
 
-def test_a_caller_that_is_gone_gives_its_place_back(member: LocalIdentity) -> None:
-    """Else a stranger who breaks off often enough keeps everybody out for ever."""
-    doors = Connector(member, HalfOpen(total=1, per_address=1))
+def test_a_caller_that_is_gone_is_not_counted(local_identity: LocalIdentity) -> None:
+    """Else a peer that disconnects often enough locks all others out."""
+    connector = Connector(local_identity, HalfOpen(total=1, per_address=1))
     for _ in range(3):
         gone = socket.socket()
-        assert doors.admit(gone, "127.0.0.1")
+        assert connector.admit(gone, "127.0.0.1")
         gone.close()
         with pytest.raises(OSError, match="descriptor"):
-            doors.answer(gone, WireProtocol.TCPROS)
+            connector.respond(gone, WireProtocol.TCPROS)
 
 
-def test_a_caller_that_is_gone_does_not_end_the_accepting(
-    member: LocalIdentity, monkeypatch: pytest.MonkeyPatch
+def test_a_caller_that_is_gone_does_not_end_accept(
+    local_identity: LocalIdentity, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    sock = RosSocket(owner(member), socket.socket())
+    sock = RosSocket(owner(local_identity), socket.socket())
     sock.bind(("127.0.0.1", 0))
     sock.listen()
-    answer, first = Connector.answer, [OSError("gone")]
+    respond, first = Connector.respond, [OSError("gone")]
 
-    def fail_once(doors: Connector, caller: socket.socket, *more: Any) -> Any:
+    def fail_once(connector: Connector, caller: socket.socket, *more: Any) -> Any:
         if first:
             caller.close()
             raise first.pop()
-        return answer(doors, caller, *more)
+        return respond(connector, caller, *more)
 
-    monkeypatch.setattr(Connector, "answer", fail_once)
+    monkeypatch.setattr(Connector, "respond", fail_once)
     callers = [socket.create_connection(sock.getsockname()) for _ in range(2)]
     accepted, where = sock.accept()
     assert where == callers[1].getsockname()
@@ -311,7 +321,7 @@ def test_a_caller_that_is_gone_does_not_end_the_accepting(
         ours.close()
 
 
-def test_a_silent_caller_is_not_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_peek_does_not_wait_for_a_silent_caller(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(plain_stream, "_DEADLINE", 0.05)
     with socket.create_server(("127.0.0.1", 0)) as server:
         for sent in (b"", b"PO", b"\x06\0\0\0\x02\0"):
@@ -323,12 +333,14 @@ def test_a_silent_caller_is_not_waited_for(monkeypatch: pytest.MonkeyPatch) -> N
                 sock.close()
 
 
-def test_what_was_cut_is_ended(member: LocalIdentity, listening: RosSocket) -> None:
-    left, right = connected(member, listening)
+def test_an_aborted_socket_receives_nothing_more(
+    local_identity: LocalIdentity, listening: RosSocket
+) -> None:
+    left, right = connected(local_identity, listening)
     right.sendall(b"before")
     left.abort()
-    assert left.ended
+    assert left.aborted
     assert left.recv(10) == b""
-    left.tend()
+    left.run_timers()
     for sock in (left, right):
         sock.close()

@@ -29,14 +29,14 @@ class FakeAccess:
                 return True
         return False
 
-    def covers_below(self, right: Right, space: str) -> bool:
-        return self.covers(right, f"{space.removesuffix('/')}/below")
+    def covers_below(self, right: Right, namespace: str) -> bool:
+        return self.covers(right, f"{namespace.removesuffix('/')}/below")
 
-    def touches(self, right: Right, space: str) -> bool:
-        below = f"{space.removesuffix('/')}/"
+    def touches(self, right: Right, namespace: str) -> bool:
+        below = f"{namespace.removesuffix('/')}/"
         names = (pattern.removesuffix("**") for pattern in self.rights)
         return any(self.covers(right, name) for name in names if name.startswith(below)) or (
-            self.covers(right, space) or self.covers_below(right, space)
+            self.covers(right, namespace) or self.covers_below(right, namespace)
         )
 
     def patterns(self, right: Right) -> int:
@@ -95,7 +95,7 @@ class FakeStatements:
             raise GrantError("not signed by the old key")
         return b"bundle of " + request
 
-    def delegated(self, data: bytes) -> bool:
+    def update_delegation(self, data: bytes) -> bool:
         if data == b"forged":
             raise GrantError("the signature is not the authority's")
         return data == b"newer"
@@ -109,10 +109,10 @@ class FakeStatements:
     def proofs(self, entries: Sequence[bytes]) -> list[bytes]:
         return [b"proof of " + entry for entry in entries]
 
-    def held_by(self, peer: Peer, held: bytes) -> None:
+    def record_held_list(self, peer: Peer, held: bytes) -> None:
         self.held[peer.name] = held
 
-    def news_for(self, peer: Peer, now: int) -> tuple[bytes, bytes]:
+    def revocations_for(self, peer: Peer, now: int) -> tuple[bytes, bytes]:
         data, stamp = self.current(now)
         return (b"" if self.held.get(peer.name) == data else data), stamp
 

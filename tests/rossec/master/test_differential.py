@@ -20,7 +20,7 @@ pytestmark = pytest.mark.ros
 A, B, A2 = "http://h:1/", "http://h:2/", "http://h:3/"
 S1, S2 = "rosrpc://h:11", "rosrpc://h:12"
 T, U = "std_msgs/String", "std_msgs/Bool"
-CANNOT, ASKED = "XML-RPC cannot carry", "to those who ask for it"
+CANNOT, ASKED = "XML-RPC cannot carry", "in an answer"
 Call = tuple[Any, ...]
 
 TABLES: dict[str, list[Call]] = {
@@ -190,7 +190,7 @@ BY_NAME: dict[str, list[tuple[Call, list[Any]]]] = {
             -1, f"Error: invalid arguments: {CANNOT} the number 2147483648 {ASKED}", 0,
         ]),
         (("setParam", "/a", "/nil", [None]), [
-            -1, f"Error: invalid arguments: {CANNOT} no value {ASKED}", 0,
+            -1, f"Error: invalid arguments: {CANNOT} nil {ASKED}", 0,
         ]),
     ],
     # Stock keeps the type of a topic that nobody publishes or subscribes to any more.

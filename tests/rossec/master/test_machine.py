@@ -18,7 +18,7 @@ from grants.document import grant_id, peek
 from grants.model import Right
 from grants.token import unpack
 from rossec.master.api.dispatch import MasterApi
-from rossec.master.rights.access_rules import SEES_TOPICS
+from rossec.master.rights.access_rules import VISIBILITY_RIGHTS
 from rossec.master.rights.delegation import Delegate
 from rossec.master.rights.enforce import enforce, steps
 from rossec.master.rights.statements import TrustState
@@ -29,7 +29,7 @@ from tests.support.authority import Member, Site
 NODES: Final = ("/a", "/b", "/watcher")
 TOPICS: Final = ("/t", "/ns/u")
 PARAMETERS: Final = ("/p", "/p/q", "/ns/r")
-PATTERNS: Final = ("/**", "/t", "/ns/**", "/p")
+MAX_PATTERN_MATCHES: Final = ("/**", "/t", "/ns/**", "/p")
 RIGHTS: Final = (
     Right.PUBLISH, Right.SUBSCRIBE | Right.PROVIDE, Right.PARAM_GET | Right.PARAM_SET,
     Right.CALL | Right.GRAPH, Right(127), Right(255),
@@ -54,7 +54,7 @@ class Master(RuleBasedStateMachine):
         super().__init__()
         self.site = Site(now=1_800_000_000)
         self.now = self.site.now
-        self.members: dict[str, Member] = {name: self.site.enroll(name) for name in NODES}
+        self.registered_nodes: dict[str, Member] = {name: self.site.enroll(name) for name in NODES}
         self.master = self.site.enroll("/master")
         signer = self.master.credentials.signer
         delegate = Delegate(self.site.anchor, signer)
@@ -77,7 +77,7 @@ class Master(RuleBasedStateMachine):
     def call(self, name: str, method: str, *params: object) -> Any:
         """Answer of the master, or None for a revoked caller, whose connection is cut."""
         try:
-            caller = self.trust.caller(self.members[name].identity, self.now)
+            caller = self.trust.caller(self.registered_nodes[name].identity, self.now)
         except HintedError:
             assert name in self.dead
             return None
@@ -119,14 +119,16 @@ class Master(RuleBasedStateMachine):
         self.register("/b", "/t", "registerSubscriber")
         self.register("/b", "/ns/u", "registerService")
 
-    @rule(name=names, pattern=st.sampled_from(PATTERNS), rights=st.sampled_from(RIGHTS),
+    @rule(name=names, pattern=st.sampled_from(MAX_PATTERN_MATCHES), rights=st.sampled_from(RIGHTS),
           lifetime=st.sampled_from([HOUR // 2, 10 * HOUR]))  # fmt: skip
     def sign(self, name: str, pattern: str, rights: Right, lifetime: int) -> None:
         self.site.now = self.now
         rights_of = {pattern: rights}
         if name == "/watcher":
             rights_of["/master"] = Right.GRAPH
-        token = self.site.grant(self.members[name], rights_of, lifetime=lifetime, cap=20 * HOUR)
+        token = self.site.grant(
+            self.registered_nodes[name], rights_of, lifetime=lifetime, cap=20 * HOUR
+        )
         self.signed.append((name, token))
         self.present(len(self.signed) - 1, None)
 
@@ -164,7 +166,7 @@ class Master(RuleBasedStateMachine):
 
     @rule(name=names, victim=names, topic=topics)
     def impersonate(self, name: str, victim: str, topic: str) -> None:
-        caller = self.trust.caller_of(self.members[name].identity, self.now)
+        caller = self.trust.caller_of(self.registered_nodes[name].identity, self.now)
         if name == victim or caller is None:
             return
         uri = self.uri(victim)
@@ -202,7 +204,7 @@ class Master(RuleBasedStateMachine):
             {"methodName": "shutdown", "params": [name, "why"]},
         ]
         try:
-            caller = self.trust.caller(self.members[name].identity, self.now)
+            caller = self.trust.caller(self.registered_nodes[name].identity, self.now)
         except HintedError:
             return
         answers: Any = self.api.call("system.multicall", [calls], caller, self.now).answer
@@ -228,7 +230,7 @@ class Master(RuleBasedStateMachine):
     @precondition(lambda self: len(self.dead) < 2)
     @rule(name=names)
     def revoke_identity(self, name: str) -> None:
-        self.revoked.append(self.members[name])
+        self.revoked.append(self.registered_nodes[name])
         self.dead.add(name)
         self.load()
 
@@ -238,7 +240,7 @@ class Master(RuleBasedStateMachine):
         """A new key under an old name begins with nothing."""
         name = min(self.dead)
         self.site.now = self.now
-        self.members[name] = self.site.enroll(name)
+        self.registered_nodes[name] = self.site.enroll(name)
         self.dead.discard(name)
         self.presented[name] = {}
         self.signed = [item for item in self.signed if item[0] != name]
@@ -246,7 +248,7 @@ class Master(RuleBasedStateMachine):
     @rule()
     def an_older_list(self) -> None:
         """Nobody undoes a revocation by bringing a list that somebody else signed."""
-        caller = self.trust.caller_of(self.members["/a"].identity, self.now)
+        caller = self.trust.caller_of(self.registered_nodes["/a"].identity, self.now)
         if caller is not None:
             stranger = Site(now=self.now).revoke()
             answer: Any = self.api.call(
@@ -272,7 +274,7 @@ class Master(RuleBasedStateMachine):
                 for name in nodes:
                     assert self.may(name, right, key), (method, name, key)
         for node in self.registry.nodes():
-            assert node.thumbprint == self.members[node.name].thumbprint
+            assert node.thumbprint == self.registered_nodes[node.name].thumbprint
 
     @invariant()
     def nobody_sees_what_it_may_not(self) -> None:
@@ -282,7 +284,7 @@ class Master(RuleBasedStateMachine):
                 continue
             for key, nodes in (entry for kind in state[2] for entry in kind):
                 assert not set(nodes) & self.dead
-                seen = any(self.may(name, right, key) for right in SEES_TOPICS)
+                seen = any(self.may(name, right, key) for right in VISIBILITY_RIGHTS)
                 assert seen or nodes == [name]
             shown = self.call(name, "getParamNames")[2]
             assert all(self.may(name, Right.PARAM_GET, key) for key in shown)
@@ -299,14 +301,14 @@ class Master(RuleBasedStateMachine):
 
     @invariant()
     def the_watcher_sees_the_same(self) -> None:
-        answer = self.call("/watcher", "rossec.watchGraph", *self.view.question)
+        answer = self.call("/watcher", "rossec.watchGraph", *self.view.next_params)
         if answer is None or answer[0] != 1:
             return
         assert self.may("/watcher", Right.GRAPH, "/master")
         self.view.take(answer[2])
         state = self.call("/watcher", "getSystemState")[2]
-        told = {fact for fact in self.view.facts if fact[0] in {"publisher", "subscriber"}}
-        assert told == {
+        received = {fact for fact in self.view.facts if fact[0] in {"publisher", "subscriber"}}
+        assert received == {
             (kind, key, node)
             for kind, entries in zip(("publisher", "subscriber"), state[:2], strict=True)
             for key, nodes in entries

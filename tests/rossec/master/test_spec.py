@@ -39,9 +39,9 @@ def test_every_method_is_listed_with_its_right() -> None:
 @pytest.mark.parametrize("name", ["master.md", "revocation.md"])
 def test_every_method_of_ours_that_is_named_exists(name: str) -> None:
     api = MasterApi(Registry(), FakeStatements(), name="/master", uri="http://m:1/", pid=7)
-    named = set(re.findall(r"rossec\.[a-z]+[A-Z]?\w+(?=[(`])", (SPEC / name).read_text()))
-    assert len(named) > 4
-    assert named - {"rossec.revocationUpdate"} <= api.methods.keys()
+    parameter_names = set(re.findall(r"rossec\.[a-z]+[A-Z]?\w+(?=[(`])", (SPEC / name).read_text()))
+    assert len(parameter_names) > 4
+    assert parameter_names - {"rossec.revocationUpdate"} <= api.methods.keys()
 
 
 def test_every_method_with_a_rule_exists_and_the_other_way_round() -> None:

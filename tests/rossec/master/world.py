@@ -28,7 +28,7 @@ class SlaveNode:
     def __init__(self, world: "World", member: Member) -> None:
         self.world = world
         self.member = member
-        self.told: list[tuple[Any, ...]] = []
+        self.received: list[tuple[Any, ...]] = []
         self.answer: list[Any] = [1, "", 0]
 
     async def start(self, rights: dict[str, Right]) -> None:
@@ -45,14 +45,14 @@ class SlaveNode:
         await serve_calls(stream, self.dispatch)
 
     async def dispatch(self, method: str, params: tuple[object, ...], peer: Identity) -> object:
-        self.told.append((peer.name, method, *params[1:]))
+        self.received.append((peer.name, method, *params[1:]))
         return self.answer
 
     async def ask(self, method: str, *params: object) -> Any:
         return await self.client.ask(method, self.member.name, *params)
 
-    def heard(self, method: str) -> list[tuple[Any, ...]]:
-        return [call[2:] for call in self.told if call[1] == method]
+    def received_calls(self, method: str) -> list[tuple[Any, ...]]:
+        return [call[2:] for call in self.received if call[1] == method]
 
 
 class World:

@@ -1,4 +1,4 @@
-"""On revocation both ends cut: services as topics, and nothing more of parameters arrives."""
+"""A parameter subscription receives no updates after its grant is revoked."""
 
 from collections.abc import AsyncIterator
 from pathlib import Path
@@ -7,8 +7,9 @@ import pytest
 
 from grants.model import Right
 from rossec.master.state.registry import Kind
-from tests.rossec.node.test_node import tell_master, until
+from tests.support.poses import tell_master
 from tests.support.site import Site
+from tests.support.witness import until
 
 
 @pytest.fixture
@@ -24,7 +25,7 @@ async def test_a_parameter_subscription_ends_with_its_grant(site: Site) -> None:
     registry = site.master._registry
     async with site.node("/reader") as reader, site.node("/writer") as writer:
         await reader._session.call("subscribeParam", reader.uri, "/speed")
-        assert registry.members(Kind.PARAMETER, "/speed/") != ()
+        assert registry.registered_nodes(Kind.PARAMETER, "/speed/") != ()
         await tell_master(site, writer, site.revoke(right))
-        await until(lambda: registry.members(Kind.PARAMETER, "/speed/") == (), within=20)
+        await until(lambda: registry.registered_nodes(Kind.PARAMETER, "/speed/") == (), within=20)
         await writer._session.call("setParam", "/speed", 3)

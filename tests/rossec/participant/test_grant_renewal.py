@@ -1,4 +1,4 @@
-"""When grants are renewed, and that only good tokens are held."""
+"""When grants are renewed, and that only valid tokens are held."""
 
 import time
 from itertools import pairwise
@@ -23,7 +23,14 @@ from grants.renewal import MIN_TICKET, Delegation, sign_delegation
 from rossec.errors import AnswerMalformed
 from rossec.master.rights.delegation import Delegate
 from rossec.participant.access import Access
-from rossec.participant.grant_renewal import AT_ONCE, RETRY, Renewals, due_at, renew, renew_blocking
+from rossec.participant.grant_renewal import (
+    MAX_PER_CALL,
+    RETRY,
+    MasterCall,
+    Renewals,
+    due_at,
+    renew,
+)
 from tests.support.authority import DAY, Member, Site
 
 HOUR = 3600
@@ -53,11 +60,11 @@ class World:
         self.list = data or self.list
         self.later = later
         now = self.now + later
-        seq = 1 if self.revocations.held is None else self.revocations.held.seq + bool(data)
+        seq = 1 if self.revocations.current is None else self.revocations.current.seq + bool(data)
         signer = master.credentials.signer
         assert isinstance(signer, KeySigner)
         stamp = sign_timestamp(signer, Timestamp(seq, digest(self.list), now, 30))
-        self.access.take_news(data, stamp, master.identity, now, lambda _: None)
+        self.access.update_revocations(data, stamp, master.identity, now, lambda _: None)
         return now
 
     def hold(self, lifetime: int = HOUR, cap: int = DAY, holder: Member | None = None) -> bytes:
@@ -65,12 +72,13 @@ class World:
         self.access.hold(data)
         return data
 
-    def answer(self, method: str, originals: Any) -> list[bytes]:
+    async def answer(self, method: str, *params: Any) -> list[bytes]:
+        [originals] = params
         self.calls.append((method, originals))
         return [self.renewed(data) for data in originals]
 
     def renewed(self, data: bytes) -> bytes:
-        held = self.revocations.held
+        held = self.revocations.current
         assert held is not None
         now = self.now + self.later
         _, token = self.delegate.renew(
@@ -79,14 +87,21 @@ class World:
         return token
 
 
+def answering(value: object) -> MasterCall:
+    async def call(method: str, *params: object) -> object:
+        return value
+
+    return call
+
+
 @pytest.fixture
 def world() -> World:
     return World()
 
 
-def test_due_at_about_two_thirds_of_a_life(world: World) -> None:
+def test_a_grant_is_due_at_about_two_thirds_of_its_lifetime(world: World) -> None:
     world.hold()
-    [held] = world.access.holdings()
+    [held] = world.access.held_grants()
     assert 0.55 * HOUR <= due_at(held) - world.now <= 0.77 * HOUR
     assert world.renewals.due(due_at(held) - 1) == []
     assert world.renewals.due(due_at(held)) == [held]
@@ -94,21 +109,21 @@ def test_due_at_about_two_thirds_of_a_life(world: World) -> None:
     assert world.renewals.due(due_at(held) + RETRY) == [held]
 
 
-def test_what_was_refused_is_asked_for_again_in_time(world: World) -> None:
-    """Of a ticket of a minute some 20 s are left then: a pause of a minute would be its end."""
+def test_a_refused_grant_is_requested_again_before_it_expires(world: World) -> None:
+    """A ticket of a minute has some 20 s left: after a pause of a minute it would have expired."""
     world.hold(lifetime=60)
-    [held] = world.access.holdings()
+    [held] = world.access.held_grants()
     asked = [second for second in range(60) if world.renewals.due(world.now + second)]
     assert asked[0] == due_at(held) - world.now
     assert len(asked) >= 4
     assert max(late - early for early, late in pairwise(asked)) <= 7
-    assert world.renewals.due(world.now + 60) == [held]  # and now that it has expired: no hurry
+    assert world.renewals.due(world.now + 60) == [held]  # expired: the longest pause
     assert world.renewals.due(world.now + 60 + RETRY - 1) == []
     assert world.renewals.due(world.now + 60 + RETRY) == [held]
 
 
-def test_with_tickets_of_a_minute_there_is_always_one_that_holds(world: World) -> None:
-    """What was renewed a moment ago is not held back as if it had been refused."""
+async def test_with_tickets_of_a_minute_a_node_always_holds_a_valid_one(world: World) -> None:
+    """The pause after a refusal does not apply to a renewed grant."""
     delegation = Delegation(
         "home", world.master.thumbprint, world.now - 1, world.now + DAY, MIN_TICKET, bytes(16)
     )
@@ -118,14 +133,14 @@ def test_with_tickets_of_a_minute_there_is_always_one_that_holds(world: World) -
     least = 60
     for second in range(600):
         now = world.at(second)
-        renew_blocking(world.answer, world.renewals, now)
-        [held] = world.access.holdings()
+        await renew(world.answer, world.renewals, now)
+        [held] = world.access.held_grants()
         least = min(least, held.grant.expires - now)
-    assert least >= 12  # seconds: some tries more, had the master been out of reach
+    assert least >= 12  # seconds: enough for more tries if the master is out of reach
     assert 13 <= len(world.calls) <= 22
 
 
-def test_never_beyond_the_cap_and_never_when_revoked(world: World) -> None:
+def test_a_grant_is_not_due_beyond_its_cap_or_when_revoked(world: World) -> None:
     data = world.hold()
     assert world.renewals.due(world.now + DAY) == []
     world.at(0, world.site.revoke(data))
@@ -134,38 +149,40 @@ def test_never_beyond_the_cap_and_never_when_revoked(world: World) -> None:
     assert world.renewals.due(world.now + 2 * HOUR) == []
 
 
-def test_a_new_epoch_makes_all_that_was_renewed_due(world: World) -> None:
+async def test_a_new_epoch_makes_all_renewed_grants_due(world: World) -> None:
     world.hold()
-    assert renew_blocking(world.answer, world.renewals, world.at(HOUR)) == 1
+    assert await renew(world.answer, world.renewals, world.at(HOUR)) == 1
     assert world.renewals.due(world.now + HOUR + 1) == []
     listed = RevocationList(2, 1, world.now + HOUR, world.now + DAY, frozenset())
     data = sign_list(world.site.signer, listed)
     stamp = Timestamp(1, digest(data), world.now + HOUR, 30)
     world.revocations.update(data, world.now + HOUR)
     world.revocations.confirm(stamp, world.now + HOUR)
-    assert renew_blocking(world.answer, world.renewals, world.now + HOUR + 2) == 1
+    assert await renew(world.answer, world.renewals, world.now + HOUR + 2) == 1
     assert world.renewals.due(world.now + HOUR + 3 * RETRY) == []
 
 
-def test_so_many_at_once_the_most_urgent_first(world: World) -> None:
-    for n in range(AT_ONCE + 1):
+def test_a_call_renews_a_limited_number_of_grants_the_first_to_expire_first(world: World) -> None:
+    for n in range(MAX_PER_CALL + 1):
         world.hold(lifetime=HOUR + n)
     due = world.renewals.due(world.now + 2 * HOUR)
-    assert [held.grant.expires - world.now for held in due] == [HOUR + n for n in range(AT_ONCE)]
+    assert [held.grant.expires - world.now for held in due] == [
+        HOUR + n for n in range(MAX_PER_CALL)
+    ]
     assert len(world.renewals.due(world.now + 2 * HOUR)) == 1
 
 
-def test_a_grant_that_has_expired_lives_again(world: World) -> None:
+async def test_an_expired_grant_is_renewed(world: World) -> None:
     data = world.hold()
     now = world.at(2 * HOUR)
     assert world.access.current(now) == []
-    assert renew_blocking(world.answer, world.renewals, now) == 1
+    assert await renew(world.answer, world.renewals, now) == 1
     assert world.calls == [("rossec.renewGrants", [data])]
     [token] = world.access.current(now)
     assert token != data
-    [held] = world.access.holdings()
+    [held] = world.access.held_grants()
     assert (held.original, held.since) == (data, now)
-    assert renew_blocking(world.answer, world.renewals, now + RETRY) == 0
+    assert await renew(world.answer, world.renewals, now + RETRY) == 0
     decision = world.access.authorize(
         world.node.identity,
         world.access.present(Right.PUBLISH, "/t", now),
@@ -176,40 +193,37 @@ def test_a_grant_that_has_expired_lives_again(world: World) -> None:
     assert decision.expires == held.grant.expires
 
 
-async def test_the_same_without_blocking(world: World) -> None:
-    async def call(method: str, *params: object) -> object:
-        return world.answer(method, *params)
-
+async def test_nothing_is_requested_before_it_is_due(world: World) -> None:
     world.hold()
-    assert await renew(call, world.renewals, world.now) == 0
-    assert await renew(call, world.renewals, world.at(HOUR)) == 1
+    assert await renew(world.answer, world.renewals, world.now) == 0
+    assert world.calls == []
 
 
 @pytest.mark.parametrize("answer", [5, [], [b"", b""]])
-def test_an_answer_that_is_none(world: World, answer: object) -> None:
+async def test_a_malformed_answer_is_refused(world: World, answer: object) -> None:
     world.hold()
     with pytest.raises(AnswerMalformed):
-        renew_blocking(lambda *_: answer, world.renewals, world.at(HOUR))
+        await renew(answering(answer), world.renewals, world.at(HOUR))
 
 
 @pytest.mark.parametrize("token", [b"", 5, b"garbage"])
-def test_what_is_not_renewed_is_not_held(
+async def test_an_invalid_token_is_not_held(
     world: World, token: object, caplog: pytest.LogCaptureFixture
 ) -> None:
     world.hold()
     now = world.at(HOUR)
-    assert renew_blocking(lambda *_: [token], world.renewals, now) == 0
+    assert await renew(answering([token]), world.renewals, now) == 0
     assert world.access.current(now) == []
-    assert ("in vain" in caplog.text) == (token == b"garbage")
+    assert ("is invalid" in caplog.text) == (token == b"garbage")
 
 
-def test_only_grants_of_this_node_come_back(world: World) -> None:
-    stray = world.site.grant(world.node, P, lifetime=60, cap=DAY)
-    with pytest.raises(GrantMissing, match="never held here"):
-        world.access.hold_renewed(world.renewed(stray), world.now)
+def test_a_renewed_grant_of_another_node_is_refused(world: World) -> None:
+    unknown = world.site.grant(world.node, P, lifetime=60, cap=DAY)
+    with pytest.raises(GrantMissing, match="is not held by this node"):
+        world.access.hold_renewed(world.renewed(unknown), world.now)
 
 
-def test_tokens_of_a_revoked_delegation_or_master_are_nothing(world: World) -> None:
+def test_tokens_of_a_revoked_delegation_are_refused(world: World) -> None:
     data = world.hold(lifetime=60)
     token = world.renewed(data)
     assert world.delegate.id is not None
@@ -217,25 +231,27 @@ def test_tokens_of_a_revoked_delegation_or_master_are_nothing(world: World) -> N
     with pytest.raises(GrantError, match="delegation"):
         world.access.hold_renewed(token, world.now)
     with pytest.raises(RevocationRefused):
-        world.access.take_news(b"", b"no stamp", world.master.identity, world.now, lambda _: None)
+        world.access.update_revocations(
+            b"", b"no stamp", world.master.identity, world.now, lambda _: None
+        )
 
 
-def test_a_revoked_master_confirms_nothing(world: World) -> None:
-    """Whoever stole its key could otherwise keep the list fresh that a new one would replace."""
+def test_a_timestamp_of_a_revoked_master_is_refused(world: World) -> None:
+    """A stolen key could otherwise confirm a list that a newer one replaces."""
     fresh = world.revocations.fresh_until
     with pytest.raises(Revoked):
         world.at(20, world.site.revoke(world.master.identity.thumbprint))
     with pytest.raises(Revoked):
         world.at(25)
     assert world.revocations.fresh_until <= fresh
-    assert world.revocations.held is not None
+    assert world.revocations.current is not None
     with pytest.raises(RevocationsStale):
         world.revocations.check_fresh(world.now + 25)
 
 
-def test_a_peer_that_does_not_know_the_master_takes_no_renewed_grant(tmp_path: Path) -> None:
+def test_a_peer_that_does_not_know_the_master_refuses_a_renewed_grant(tmp_path: Path) -> None:
     world = World()
     token = world.renewed(world.site.grant(world.node, P, lifetime=60, cap=DAY))
-    stranger = Access(world.site.anchor, world.revocations)
-    with pytest.raises(GrantError, match="the master is not known"):
-        stranger.hold_renewed(token, int(time.time()))
+    other = Access(world.site.anchor, world.revocations)
+    with pytest.raises(GrantError, match="the master's key is not known"):
+        other.hold_renewed(token, int(time.time()))

@@ -1,4 +1,4 @@
-"""The session with the master: what a node does with a master that knows less than it does."""
+"""The session with a master whose revocation list is older than the node's."""
 
 from pathlib import Path
 
@@ -12,7 +12,7 @@ from tests.support.site import DAY, Site
 from tests.support.witness import until
 
 
-async def test_a_master_that_lost_its_list_gets_it_back(
+async def test_a_master_that_lost_its_list_receives_it_from_a_node(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     site = Site(tmp_path / "site")
@@ -25,10 +25,10 @@ async def test_a_master_that_lost_its_list_gets_it_back(
         monkeypatch.setattr(site.authority.store, "newest_list", lambda: None)
         await site.start_master(port)
         await until(lambda: home.load_revocations() == robot.revocations.data)
-        await until(lambda: "handed it over: was its home restored from a backup?" in caplog.text)
+        await until(lambda: "the newer one: was its home restored from a backup?" in caplog.text)
 
 
-async def test_what_cannot_be_handed_over_is_not(
+async def test_a_list_that_is_missing_a_tree_or_not_newer_is_not_sent(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     async with Site(tmp_path / "site").running() as site, site.node("/robot") as robot:
@@ -36,15 +36,15 @@ async def test_what_cannot_be_handed_over_is_not(
         tree = sign_tree(site.authority.signer, RevocationTree(9, 9, now, now + DAY, 1, bytes(32)))
         for held in (None, lambda: b"", lambda: tree, lambda: robot.revocations.data):
             monkeypatch.setattr(session, "_held", held)
-            assert not await session._hand_over()
+            assert not await session._send_held_list()
         assert "the master refuses" not in caplog.text
         monkeypatch.setattr(session, "_held", lambda: b"forged")
-        assert not await session._hand_over()
-        assert "/robot: the master refuses the list held here" in caplog.text
+        assert not await session._send_held_list()
+        assert "/robot: the master refuses this node's revocation list" in caplog.text
 
         def refuse(*_: object) -> None:
             raise RevocationRefused("something else is wrong with it")
 
         monkeypatch.setattr(session, "_refresh", refuse)
         with pytest.raises(RevocationRefused, match="something else"):
-            await session._beat()
+            await session._heartbeat()

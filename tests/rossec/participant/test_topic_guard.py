@@ -1,4 +1,4 @@
-"""A restricted right on a topic, and what it means for the messages of one type."""
+"""The guard of a restricted right on a topic."""
 
 from pathlib import Path
 from typing import Any
@@ -9,9 +9,9 @@ from grants.errors import RestrictionMismatch
 from grants.model import Restriction, Right, filter_rules
 from rossec.errors import ConnectionHeaderRefused
 from rossec.participant.definitions import Definition
-from rossec.participant.limit_memory import recall
+from rossec.participant.limit_memory import memory_scope
 from rossec.participant.topic_guard import guard_for
-from tests.rossec.sidecar.playbook import Stage
+from tests.rossec.sidecar.agent_setup import AgentSetup
 from tests.support.site import Site
 
 WORD = Definition("std_msgs/String", "992ce8a1687cec8c8bd883ec73ca41d1", "string data\n")
@@ -19,49 +19,52 @@ NOTHING = Definition("*", "*", "")
 
 
 @pytest.fixture
-def stage(tmp_path: Path) -> Stage:
-    return Stage(Site(tmp_path / "site"))
+def setup(tmp_path: Path) -> AgentSetup:
+    return AgentSetup(Site(tmp_path / "site"))
 
 
-def decision(stage: Stage, restriction: Restriction | None) -> Any:
-    stage.site.grant("/robot", Right.PUBLISH, "/word", restriction=restriction)
-    access, now = stage.access("/robot"), stage.site.now()
+def decision(setup: AgentSetup, restriction: Restriction | None) -> Any:
+    setup.site.grant("/robot", Right.PUBLISH, "/word", restriction=restriction)
+    access, now = setup.access("/robot"), setup.site.now()
     shown = access.present(Right.PUBLISH, "/word", now)
-    return access.authorize(stage.identity("/robot"), shown, Right.PUBLISH, "/word", now)
+    return access.authorize(setup.identity("/robot"), shown, Right.PUBLISH, "/word", now)
 
 
 def keyed(name: str) -> bytes:
     return name.encode().ljust(32, b".")
 
 
-def test_without_restrictions_there_is_nothing_to_apply(stage: Stage) -> None:
-    assert guard_for(NOTHING, decision(stage, None), keyed, recall("/viewer")) is None
+def test_a_right_without_restrictions_needs_no_guard(setup: AgentSetup) -> None:
+    assert guard_for(NOTHING, decision(setup, None), keyed, memory_scope("/viewer")) is None
 
 
-def test_conditions_and_filters(stage: Stage) -> None:
+def test_a_guard_applies_conditions_and_filters(setup: AgentSetup) -> None:
     rules = filter_rules({"data": {"hash": {"key": "names", "length": 8}}})
     restriction = Restriction("std_msgs/String", ('msg.data != "no"',), rules)
-    guard = guard_for(WORD, decision(stage, restriction), keyed, recall("/viewer"))
+    guard = guard_for(WORD, decision(setup, restriction), keyed, memory_scope("/viewer"))
     assert guard is not None
-    assert guard(b"\x02\0\0\0no", stage.site.now()) is None
-    treated = guard(b"\x04\0\0\0anna", stage.site.now())
-    assert treated is not None
-    assert len(b"".join(treated)) == 12
+    assert guard(b"\x02\0\0\0no", setup.site.now()) is None
+    filtered = guard(b"\x04\0\0\0anna", setup.site.now())
+    assert filtered is not None
+    assert len(b"".join(filtered)) == 12
 
 
-def test_what_only_counts_or_looks_at_the_clock_needs_no_definition(stage: Stage) -> None:
-    restricted = decision(stage, Restriction(None, ("now.getHours() >= 0",), rate=1.0))
-    guard = guard_for(NOTHING, restricted, keyed, recall("/viewer"))
+def test_a_restriction_by_rate_or_time_needs_no_definition(setup: AgentSetup) -> None:
+    restricted = decision(setup, Restriction(None, ("now.getHours() >= 0",), rate=1.0))
+    guard = guard_for(NOTHING, restricted, keyed, memory_scope("/viewer"))
     assert guard is not None
-    assert guard(b"anything", stage.site.now()) == [b"anything"]
+    assert guard(b"anything", setup.site.now()) == [b"anything"]
 
 
-def test_what_cannot_be_told_is_refused(stage: Stage) -> None:
-    restricted = decision(stage, Restriction("std_msgs/String", ("true",)))
+def test_a_definition_of_another_type_or_md5sum_is_refused(setup: AgentSetup) -> None:
+    restricted = decision(setup, Restriction("std_msgs/String", ("true",)))
     with pytest.raises(ConnectionHeaderRefused, match="does not have the md5sum"):
         guard_for(
-            Definition(WORD.name, WORD.md5sum, "int32 data"), restricted, keyed, recall("/viewer")
+            Definition(WORD.name, WORD.md5sum, "int32 data"),
+            restricted,
+            keyed,
+            memory_scope("/viewer"),
         )
     text = Definition("std_msgs/Text", WORD.md5sum, WORD.definition)
     with pytest.raises(RestrictionMismatch, match="these are std_msgs/Text"):
-        guard_for(text, restricted, keyed, recall("/viewer"))
+        guard_for(text, restricted, keyed, memory_scope("/viewer"))

@@ -38,7 +38,7 @@ class Pair:
         held.confirm(Timestamp(1, digest(data), NOW, 30), NOW)
         return Access(site.anchor, held, site.enroll(name).grants())
 
-    def question(self) -> Fields:
+    def request(self) -> Fields:
         return topic_handshake.subscriber_header("/viewer", ENDPOINT, self.viewer_access, NOW)
 
     def answer(self) -> Fields:
@@ -61,14 +61,14 @@ def pair(tmp_path: Path) -> Pair:
 
 
 def test_the_two_headers_admit_each_other(pair: Pair) -> None:
-    pair.admit_viewer(pair.question())
+    pair.admit_viewer(pair.request())
     pair.admit_robot(pair.answer())
-    topic_handshake.check_type(pair.question(), ENDPOINT.expected)
-    assert topic_handshake.requested_topic(pair.question()) == ENDPOINT.topic
+    topic_handshake.check_type(pair.request(), ENDPOINT.expected)
+    assert topic_handshake.requested_topic(pair.request()) == ENDPOINT.topic
 
 
 def test_headers_hold_what_ros_expects(pair: Pair) -> None:
-    assert pair.question() | {"rossec_grants": b""} == {
+    assert pair.request() | {"rossec_grants": b""} == {
         "callerid": b"/viewer",
         "topic": b"/robot/pose",
         "type": b"geometry_msgs/PoseStamped",
@@ -84,9 +84,9 @@ def test_headers_hold_what_ros_expects(pair: Pair) -> None:
     assert latched["latching"] == b"1"
 
 
-def test_a_name_is_what_the_certificate_says(pair: Pair) -> None:
+def test_a_callerid_must_match_the_certificate_of_the_peer(pair: Pair) -> None:
     with pytest.raises(CallerMismatch, match="certified as /robot calls itself /viewer"):
-        pair.admit_viewer(pair.question(), pair.robot)
+        pair.admit_viewer(pair.request(), pair.robot)
     with pytest.raises(CallerMismatch):
         pair.admit_robot(pair.answer() | {"callerid": b"/viewer"})
 
@@ -96,10 +96,10 @@ def test_a_name_is_what_the_certificate_says(pair: Pair) -> None:
     ("value", "said"),
     [(None, "has no"), (b"\xff\xfe", "is not text"), (b"/a\n/b", "control characters")],
 )
-def test_a_header_that_is_not_in_order(
+def test_a_malformed_header_is_refused(
     pair: Pair, key: str, value: bytes | None, said: str
 ) -> None:
-    fields = pair.question()
+    fields = pair.request()
     del fields[key]
     if value is not None:
         fields[key] = value
@@ -107,19 +107,19 @@ def test_a_header_that_is_not_in_order(
         pair.admit_viewer(fields)
 
 
-def test_a_grant_for_another_topic_does_not_help(pair: Pair) -> None:
+def test_a_subscriber_with_a_grant_for_another_topic_is_refused(pair: Pair) -> None:
     with pytest.raises(GrantMissing):
-        pair.admit_viewer(pair.question() | {"topic": b"/robot/camera"})
+        pair.admit_viewer(pair.request() | {"topic": b"/robot/camera"})
 
 
-def test_a_publisher_must_prove_its_right_too(pair: Pair) -> None:
+def test_a_publisher_without_a_grant_is_refused(pair: Pair) -> None:
     fields = pair.answer()
     del fields["rossec_grants"]
     with pytest.raises(GrantMissing):
         pair.admit_robot(fields)
 
 
-def test_a_publisher_must_answer_what_was_asked(pair: Pair) -> None:
+def test_an_answer_for_another_topic_is_refused(pair: Pair) -> None:
     with pytest.raises(ConnectionHeaderRefused, match="another topic"):
         pair.admit_robot(pair.answer() | {"topic": b"/robot/camera"})
 
@@ -142,7 +142,7 @@ def test_an_error_of_the_publisher_is_quoted_on_one_line(pair: Pair) -> None:
     ],
 )
 def test_types_are_compared_as_in_ros(pair: Pair, change: Fields, fits: bool) -> None:
-    fields = pair.question() | change
+    fields = pair.request() | change
     if fits:
         topic_handshake.check_type(fields, ENDPOINT.expected)
         return
@@ -151,11 +151,11 @@ def test_types_are_compared_as_in_ros(pair: Pair, change: Fields, fits: bool) ->
     assert "same version" in caught.value.hint
 
 
-def test_an_anonymous_node_goes_by_a_name_its_certificate_covers(pair: Pair) -> None:
+def test_an_anonymous_node_may_use_a_name_its_certificate_covers(pair: Pair) -> None:
     rviz = replace(pair.viewer, wildcard=True)
-    pair.admit_viewer(pair.question() | {"callerid": b"/viewer_17"}, rviz)
+    pair.admit_viewer(pair.request() | {"callerid": b"/viewer_17"}, rviz)
     for name in (b"/robot", b"/master", b"/viewer_", b"/viewer_1/a"):
         with pytest.raises(CallerMismatch, match="certified as /viewer calls itself"):
-            pair.admit_viewer(pair.question() | {"callerid": name}, rviz)
+            pair.admit_viewer(pair.request() | {"callerid": name}, rviz)
     with pytest.raises(CallerMismatch):
-        pair.admit_viewer(pair.question() | {"callerid": b"/viewer_17"})
+        pair.admit_viewer(pair.request() | {"callerid": b"/viewer_17"})

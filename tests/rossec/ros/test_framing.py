@@ -10,17 +10,17 @@ from rossec.ros.header import FrameReader, frame
 NOW = 1_000_000
 
 
-def waits(framing: Framing) -> bool:
-    return framing.waits
+def incomplete(framing: Framing) -> bool:
+    return framing.incomplete
 
 
 def test_messages_are_cut_as_the_reader_cuts_them() -> None:
     framing = Framing(FrameReader())
-    assert waits(framing) is False
+    assert incomplete(framing) is False
     assert framing.feed(frame(b"one") + frame(b"two")[:5], NOW) == [b"one"]
-    assert waits(framing) is True
+    assert incomplete(framing) is True
     assert framing.feed(frame(b"two")[5:], NOW) == [b"two"]
-    assert waits(framing) is False
+    assert incomplete(framing) is False
     with pytest.raises(FrameRefused):
         Framing(FrameReader(10)).feed(frame(bytes(11)), NOW)
 
@@ -30,7 +30,7 @@ def test_messages_that_follow_each_other_may_go_on_for_ever() -> None:
     framing, data = Framing(FrameReader()), frame(b"x" * 10) * 1000
     for second, start in enumerate(range(0, len(data), 14)):
         framing.feed(data[start : start + 14], NOW + second)
-        framing.look(NOW + second)
+        framing.check_progress(NOW + second)
     calls, half = Framing(FrameReader()), frame(b"x" * 10)
     for second in range(0, 20 * WINDOW, STEP):
         assert calls.feed_one(half[:5], NOW + second) is None
@@ -43,7 +43,7 @@ def test_a_message_that_stands_still_ends(feed: str) -> None:
     getattr(framing, feed)(frame(bytes(100))[:50], NOW)
     with pytest.raises(LimitExceeded):  # noqa: PT012 - at last
         for second in range(0, 2 * WINDOW, STEP):
-            framing.look(NOW + second)
+            framing.check_progress(NOW + second)
     framing = Framing(FrameReader())
     with pytest.raises(LimitExceeded):  # noqa: PT012 - at last
         for second in range(2 * WINDOW):  # drop by drop

@@ -4,21 +4,21 @@ from pathlib import Path
 import pytest
 
 from grants.model import Right
-from tests.rossec.sidecar.conversation import Pair
-from tests.rossec.sidecar.playbook import Stage
+from tests.rossec.sidecar.agent_setup import AgentSetup
 from tests.rossec.sidecar.program import Program, sidecar
+from tests.rossec.sidecar.sidecar_pair import SidecarPair
 from tests.support.site import Site
 
 
 @pytest.fixture
-def stage(tmp_path: Path) -> Stage:
+def setup(tmp_path: Path) -> AgentSetup:
     site = Site(tmp_path / "site")
     site.enroll("/viewer")
-    return Stage(site)
+    return AgentSetup(site)
 
 
 @pytest.fixture
-async def pair(tmp_path: Path) -> AsyncIterator[Pair]:
+async def pair(tmp_path: Path) -> AsyncIterator[SidecarPair]:
     site = Site(tmp_path / "site")
     site.publish("/talker", "/word")
     site.grant("/talker", Right.PROVIDE, "/say")
@@ -31,4 +31,4 @@ async def pair(tmp_path: Path) -> AsyncIterator[Pair]:
         Program("/talker", near) as talker,
         Program("/listener", far) as listener,
     ):
-        yield Pair(site, near, far, talker, listener)
+        yield SidecarPair(site, near, far, talker, listener)

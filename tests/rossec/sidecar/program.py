@@ -14,7 +14,7 @@ from rossec.participant.header_fields import Fields
 from rossec.ros import header
 from rossec.ros.settings import parse_uri, read
 from rossec.sidecar.callers import Callers
-from rossec.sidecar.core.endpoints import Endpoint, endpoint
+from rossec.sidecar.core.endpoints import Endpoint, parse_endpoint
 from rossec.sidecar.loopback_port import LoopbackPort
 from rossec.sidecar.plain_stream import PlainStream
 from rossec.sidecar.pump import split_header
@@ -22,10 +22,10 @@ from rossec.sidecar.server import Sidecar
 from tests.support.site import Site
 
 STRING = {"type": b"std_msgs/String", "md5sum": b"992ce8a1687cec8c8bd883ec73ca41d1"}
-ANYBODY = Callers({os.getuid()})
+ANY_CALLER = Callers({os.getuid()})
 
 
-def word(text: str) -> bytes:
+def string_message(text: str) -> bytes:
     """A std_msgs/String with its length in front, as on the wire."""
     data = struct.pack("<I", len(text)) + text.encode()
     return struct.pack("<I", len(data)) + data
@@ -52,8 +52,8 @@ class Program:
         self.connections: list[PlainStream] = []
         self.headers: list[Fields] = []
         self.connected = asyncio.Event()
-        self.topics = LoopbackPort(ANYBODY, self._serve_topic)
-        self.slave = LoopbackPort(ANYBODY, self._serve_slave)
+        self.topics = LoopbackPort(ANY_CALLER, self._serve_topic)
+        self.slave = LoopbackPort(ANY_CALLER, self._serve_slave)
         self.topics.open()
         self.slave.open()
 
@@ -76,9 +76,9 @@ class Program:
         assert answer[0] == 1, answer
         return answer[2]
 
-    async def meet(self, place: Endpoint, fields: Fields) -> tuple[PlainStream, Fields]:
+    async def connect(self, endpoint: Endpoint, fields: Fields) -> tuple[PlainStream, Fields]:
         """Connect for TCPROS; the stream and the header answered with."""
-        stream = PlainStream(await dial(place.host, place.port, 10))
+        stream = PlainStream(await dial(endpoint.host, endpoint.port, 10))
         await stream.send(header.encode(fields | {"callerid": self.name.encode()}))
         answer, _ = await split_header(stream)
         return stream, answer
@@ -89,14 +89,14 @@ class Program:
         assert isinstance(answer, list)
         assert answer[0] == 1, answer
         _, host, port = answer[2]
-        place = Endpoint(WireProtocol.TCPROS, host, port)
-        return await self.meet(place, {"topic": topic.encode(), "type": b"*", "md5sum": b"*"})
+        endpoint = Endpoint(WireProtocol.TCPROS, host, port)
+        return await self.connect(endpoint, {"topic": topic.encode(), "type": b"*", "md5sum": b"*"})
 
     async def call(self, uri: object, service: str) -> tuple[PlainStream, Fields]:
         """Connect to a service."""
-        place = endpoint(uri, WireProtocol.TCPROS)
-        assert place is not None
-        return await self.meet(place, {"service": service.encode(), "md5sum": b"*"})
+        endpoint = parse_endpoint(uri, WireProtocol.TCPROS)
+        assert endpoint is not None
+        return await self.connect(endpoint, {"service": service.encode(), "md5sum": b"*"})
 
     async def close(self) -> None:
         await self.topics.close()
@@ -139,8 +139,8 @@ async def sidecar(
     site: Site, *, each: bool = True, identity: str | None = None
 ) -> AsyncIterator[Sidecar]:
     """A sidecar of `site` in this process."""
-    outside = read((), site.environ, default_name="/sidecar")
-    running = Sidecar(site.root, outside, ANYBODY, each=each, identity=identity)
+    settings = read((), site.environ, default_name="/sidecar")
+    running = Sidecar(site.root, settings, ANY_CALLER, each=each, identity=identity)
     running.start()
     try:
         yield running

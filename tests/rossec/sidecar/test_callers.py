@@ -11,7 +11,7 @@ import pytest
 from rossec.errors import PeerUserRefused
 from rossec.net.host import peeruid
 from rossec.sidecar.callers import Callers
-from tests.rossec.sidecar.manyprograms import programs
+from tests.rossec.sidecar.child_programs import programs
 
 CONNECT = "import socket,sys; s=socket.create_connection(('127.0.0.1',int(sys.argv[1]))); s.recv(1)"
 
@@ -72,7 +72,7 @@ async def test_a_listener_beside_the_program_is_nobodys_business() -> None:
         server.close()
         with (
             socket.create_server(("127.0.0.1", port)),
-            pytest.raises(ConnectionRefusedError, match="changed hands"),
+            pytest.raises(ConnectionRefusedError, match="another program listens"),
         ):
             callers.check_unchanged(port, [holder])
 

@@ -13,7 +13,7 @@ import pytest
 
 from rossec.errors import ConfigurationError
 from rossec.sidecar import child
-from rossec.sidecar.child import OUTSIDE, NoSuchProgram, inside, outside
+from rossec.sidecar.child import OUTSIDE, NoSuchProgram, outer_environment, program_environment
 from rossec.sidecar.core.endpoints import Loopback
 
 HERE = {"ROS_MASTER_URI": "http://far:11311", "ROS_HOSTNAME": "near", "HOME": "/home/me"}
@@ -21,16 +21,16 @@ LOOPBACK_URI = "http://127.0.0.1:4000/"
 
 
 def test_the_program_sees_loopback_alone() -> None:
-    env = inside(HERE, HERE, LOOPBACK_URI)
+    env = program_environment(HERE, HERE, LOOPBACK_URI)
     assert env.pop(OUTSIDE)
     assert env == {"ROS_MASTER_URI": LOOPBACK_URI, "ROS_IP": "127.0.0.1", "HOME": "/home/me"}
 
 
 def test_a_nested_run_finds_what_the_outer_one_replaced() -> None:
-    once = inside(HERE, HERE, LOOPBACK_URI)
-    assert {key: outside(once).get(key) for key in HERE} == HERE
-    assert "ROS_IP" not in outside(once)
-    twice = inside(once, outside(once), "http://127.0.0.1:5000/")
+    once = program_environment(HERE, HERE, LOOPBACK_URI)
+    assert {key: outer_environment(once).get(key) for key in HERE} == HERE
+    assert "ROS_IP" not in outer_environment(once)
+    twice = program_environment(once, outer_environment(once), "http://127.0.0.1:5000/")
     assert json.loads(twice[OUTSIDE]) == {
         key: HERE[key] for key in ("ROS_MASTER_URI", "ROS_HOSTNAME")
     }
@@ -38,14 +38,14 @@ def test_a_nested_run_finds_what_the_outer_one_replaced() -> None:
 
 def test_a_nested_run_finds_the_master_that_was_settled_on() -> None:
     settled = HERE | {"ROS_MASTER_URI": "http://found:11311"}
-    once = inside(HERE | {"ROS_MASTER_URI": "discover:"}, settled, LOOPBACK_URI)
-    assert outside(once)["ROS_MASTER_URI"] == "http://found:11311"
+    once = program_environment(HERE | {"ROS_MASTER_URI": "discover:"}, settled, LOOPBACK_URI)
+    assert outer_environment(once)["ROS_MASTER_URI"] == "http://found:11311"
 
 
 @pytest.mark.parametrize("damaged", ["", "7", "{", "[]x"])
 def test_a_damaged_variable_is_named(damaged: str) -> None:
     with pytest.raises(ConfigurationError, match="damaged"):
-        outside({OUTSIDE: damaged})
+        outer_environment({OUTSIDE: damaged})
 
 
 @pytest.mark.parametrize(
@@ -157,7 +157,7 @@ def test_a_program_ends_with_its_sidecar(tmp_path: Path) -> None:
 
 def test_without_ipv4_programs_are_told_a_name() -> None:
     uri = "http://localhost:4000/"
-    env = inside(HERE, HERE, uri, Loopback("::1", "localhost"))
+    env = program_environment(HERE, HERE, uri, Loopback("::1", "localhost"))
     del env[OUTSIDE]
     own = {"ROS_HOSTNAME": "localhost", "ROS_IPV6": "on"}
     assert env == {"ROS_MASTER_URI": uri, "HOME": "/home/me", **own}

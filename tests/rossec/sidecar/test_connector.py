@@ -41,7 +41,7 @@ async def test_whoever_answers_is_judged_before_it_is_spoken_to(site: Site) -> N
         robot, viewer = near._agent_for("/robot"), near._agent_for("/viewer")
         await begun(near, "/robot")
         await begun(near, "/viewer")
-        server = robot._network.listen(nothing, "127.0.0.1", WireProtocol.HTTP)
+        server = robot._connector.listen(nothing, "127.0.0.1", WireProtocol.HTTP)
         place = Endpoint(WireProtocol.HTTP, "127.0.0.1", server.port)
         stream = await viewer.dial(place)
         assert stream.peer.name == "/robot"
@@ -63,7 +63,7 @@ async def test_a_port_that_is_taken_meanwhile(site: Site, monkeypatch: pytest.Mo
             loopback_port, "free_port", lambda: ports.pop() if ports else free_port()
         )
         async with sidecar(site) as near:
-            robot = near._agent_for("/robot")._network
+            robot = near._agent_for("/robot")._connector
             server = robot.listen(nothing, "127.0.0.1", WireProtocol.HTTP)
             assert server.port != taken.getsockname()[1]
             await server.close()

@@ -1,11 +1,11 @@
 """Doors on loopback: what programs hear of peers, and what they do not."""
 
 from grants.model import Restriction, Right, filter_rules
-from tests.rossec.sidecar.conversation import Pair, connect, heard
-from tests.rossec.sidecar.program import word
+from tests.rossec.sidecar.program import string_message
+from tests.rossec.sidecar.sidecar_pair import SidecarPair, connect, receive_bytes
 
 
-async def test_a_restricted_publisher_is_believed_no_further(pair: Pair) -> None:
+async def test_a_restricted_publisher_is_believed_no_further(pair: SidecarPair) -> None:
     """Its own sidecar sends what the program says; the subscriber's applies the restriction."""
     for file in pair.site.enroll("/talker").path.glob("grants/*"):
         file.unlink()
@@ -13,6 +13,6 @@ async def test_a_restricted_publisher_is_believed_no_further(pair: Pair) -> None
     restriction = Restriction("std_msgs/String", ('msg.data != "stop"',), rules)
     pair.site.grant("/talker", Right.PUBLISH, "/word", restriction=restriction)
     stream, source = await connect(pair)
-    await source.send(word("hello") + word("stop") + word("world"))
-    expected = word("he") + word("wo")
-    assert await heard(stream, len(expected)) == expected
+    await source.send(string_message("hello") + string_message("stop") + string_message("world"))
+    expected = string_message("he") + string_message("wo")
+    assert await receive_bytes(stream, len(expected)) == expected

@@ -15,42 +15,42 @@ from rossec.ros.settings import parse_uri
 from rossec.sidecar.agent import Agent
 from rossec.sidecar.core.endpoints import Endpoint
 from rossec.sidecar.pump import split_header
-from tests.rossec.sidecar.conversation import Pair, connect, ends, heard
-from tests.rossec.sidecar.program import word
+from tests.rossec.sidecar.program import string_message
+from tests.rossec.sidecar.sidecar_pair import SidecarPair, connect, receive_bytes, wait_closed
 
 
-async def test_messages_pass_unchanged_and_large_ones_in_pieces(pair: Pair) -> None:
+async def test_messages_pass_unchanged_and_large_ones_in_pieces(pair: SidecarPair) -> None:
     stream, source = await connect(pair)
-    message = word("hello") + word("x" * 3_000_000)
+    message = string_message("hello") + string_message("x" * 3_000_000)
     sending = asyncio.ensure_future(source.send(message))
-    assert await heard(stream, len(message)) == message
+    assert await receive_bytes(stream, len(message)) == message
     await sending
     assert b"rossec_grants" not in str(pair.talker.headers).encode()
 
 
-async def test_both_ends_go_together(pair: Pair) -> None:
+async def test_both_ends_go_together(pair: SidecarPair) -> None:
     stream, source = await connect(pair)
     await source.close()
-    await ends(stream)
+    await wait_closed(stream)
     stream, source = await connect(pair)
     stream.abort()
-    await ends(source)
+    await wait_closed(source)
 
 
-async def test_a_restricted_subscriber_sees_what_it_may(pair: Pair) -> None:
+async def test_a_restricted_subscriber_sees_what_it_may(pair: SidecarPair) -> None:
     rules = filter_rules({"data": {"truncate": {"length": 2}}})
     for file in pair.site.enroll("/listener").path.glob("grants/*"):
         file.unlink()
     restriction = Restriction("std_msgs/String", ('msg.data != "secret"',), rules)
     pair.site.subscribe("/listener", "/word", restriction)
     stream, source = await connect(pair)
-    await source.send(word("hello") + word("secret") + word("world"))
-    expected = word("he") + word("wo")
-    assert await heard(stream, len(expected)) == expected
+    await source.send(string_message("hello") + string_message("secret") + string_message("world"))
+    expected = string_message("he") + string_message("wo")
+    assert await receive_bytes(stream, len(expected)) == expected
 
 
 async def test_a_guard_that_crashes_lets_nothing_through(
-    pair: Pair, monkeypatch: pytest.MonkeyPatch
+    pair: SidecarPair, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for file in pair.site.enroll("/listener").path.glob("grants/*"):
         file.unlink()
@@ -61,14 +61,14 @@ async def test_a_guard_that_crashes_lets_nothing_through(
     def crash(*_: object) -> None:
         raise ArithmeticError
 
-    monkeypatch.setattr("grants.guard.Guard.treat", crash)
-    await source.send(word("hello"))
+    monkeypatch.setattr("grants.guard.Guard.apply", crash)
+    await source.send(string_message("hello"))
     with pytest.raises(RossecError):
-        await heard(stream, 1)
-    await ends(source)
+        await receive_bytes(stream, 1)
+    await wait_closed(source)
 
 
-async def test_services_pass_both_ways(pair: Pair) -> None:
+async def test_services_pass_both_ways(pair: SidecarPair) -> None:
     uri = f"rosrpc://127.0.0.1:{pair.talker.topics.port}"
     await pair.talker.register("registerService", "/say", uri)
     answer = await pair.listener.ask(pair.listener.master_uri, "lookupService", "/say")
@@ -76,11 +76,11 @@ async def test_services_pass_both_ways(pair: Pair) -> None:
     stream, fields = await pair.listener.call(answer[2], "/say")
     assert "error" not in fields
     for text in ("echo", "a longer one than a header" * 100_000):
-        await stream.send(word(text))
-        assert await heard(stream, len(word(text))) == word(text)
+        await stream.send(string_message(text))
+        assert await receive_bytes(stream, len(string_message(text))) == string_message(text)
 
 
-async def test_a_program_that_died_is_refused_as_a_dead_node_is(pair: Pair) -> None:
+async def test_a_program_that_died_is_refused_as_a_dead_node_is(pair: SidecarPair) -> None:
     site = pair.site
     site.grant("/listener", Right.GRAPH, "/talker")
     await pair.talker.register("registerPublisher", "/word", "std_msgs/String")
@@ -96,16 +96,18 @@ async def test_a_program_that_died_is_refused_as_a_dead_node_is(pair: Pair) -> N
         await dial(*parse_uri(again[2]), 10)
 
 
-async def door(pair: Pair, flavour: WireProtocol) -> tuple[Agent, Endpoint]:
+async def ingress_endpoint(pair: SidecarPair, protocol: WireProtocol) -> tuple[Agent, Endpoint]:
     """The listener's identity, and where peers meet the talker."""
     await connect(pair)
-    exports = pair.near._agent_for("/talker")._exports.doorways
-    (port,) = (server.port for place, server in exports._doors.items() if place.flavour is flavour)
-    return pair.far._agent_for("/listener"), Endpoint(flavour, "127.0.0.1", port)
+    exports = pair.talker_sidecar._agent_for("/talker")._ingress.ports
+    (port,) = (
+        server.port for place, server in exports._ports.items() if place.protocol is protocol
+    )
+    return pair.listener_sidecar._agent_for("/listener"), Endpoint(protocol, "127.0.0.1", port)
 
 
-async def test_a_subscriber_that_says_more_than_its_header_is_cut(pair: Pair) -> None:
-    agent, place = await door(pair, WireProtocol.TCPROS)
+async def test_a_subscriber_that_says_more_than_its_header_is_cut(pair: SidecarPair) -> None:
+    agent, place = await ingress_endpoint(pair, WireProtocol.TCPROS)
     asked = {"callerid": b"/listener", "topic": b"/word", "type": b"*", "md5sum": b"*"}
     proof = {FIELD: agent.proof(Right.SUBSCRIBE, "/word")}
     for fields, more in ((asked | proof, b"more"), (asked, b"")):
@@ -117,8 +119,8 @@ async def test_a_subscriber_that_says_more_than_its_header_is_cut(pair: Pair) ->
             await stream.receive()
 
 
-async def test_what_is_for_the_master_alone(pair: Pair) -> None:
-    agent, place = await door(pair, WireProtocol.HTTP)
+async def test_what_is_for_the_master_alone(pair: SidecarPair) -> None:
+    agent, place = await ingress_endpoint(pair, WireProtocol.HTTP)
     client = RpcClient(await agent.dial(place))
     params = ("/master", b"list", b"timestamp")
     answer = await client.call("rossec.revocationUpdate", *params)

@@ -11,10 +11,10 @@ from rossec.net.aio.dial import dial
 from rossec.sidecar import loopback_port
 from rossec.sidecar.callers import Callers
 from rossec.sidecar.core.endpoints import LOOPBACK, Loopback
-from rossec.sidecar.loopback_port import LoopbackPort, reserve
+from rossec.sidecar.loopback_port import LoopbackPort, bind_loopback
 from rossec.sidecar.plain_stream import PlainStream
 
-ANYBODY = Callers({os.getuid()})
+ANY_CALLER = Callers({os.getuid()})
 
 
 async def echo(stream: PlainStream) -> None:
@@ -32,54 +32,54 @@ async def greeted(port: int) -> bytes:
 
 
 async def test_a_port_at_rest_refuses_and_keeps_its_number() -> None:
-    door = LoopbackPort(ANYBODY, echo)
-    kept: list[PlainStream] = []
+    listener = LoopbackPort(ANY_CALLER, echo)
+    connections: list[PlainStream] = []
     try:
         for _ in range(2):
             with pytest.raises(ConnectionRefusedError):
-                await dial("127.0.0.1", door.port, 10)
+                await dial("127.0.0.1", listener.port, 10)
             with pytest.raises(OSError, match="in use"):
-                reserve(door.port)
-            door.open()
-            door.open()
-            assert await greeted(door.port) == b"hello"
-            kept.append(PlainStream(await dial("127.0.0.1", door.port, 10)))
-            await kept[-1].send(b"x")
-            assert await kept[-1].receive() == b"x"
-            door.rest()
+                bind_loopback(listener.port)
+            listener.open()
+            listener.open()
+            assert await greeted(listener.port) == b"hello"
+            connections.append(PlainStream(await dial("127.0.0.1", listener.port, 10)))
+            await connections[-1].send(b"x")
+            assert await connections[-1].receive() == b"x"
+            listener.suspend()
             with socket.socket() as thief:
                 thief.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
                 with pytest.raises(OSError, match="in use"):
-                    thief.bind(("127.0.0.1", door.port))
+                    thief.bind(("127.0.0.1", listener.port))
     finally:
-        await door.close()
-        for stream in kept:
+        await listener.close()
+        for stream in connections:
             await stream.close()
-    reserve(door.port).close()
+    bind_loopback(listener.port).close()
 
 
 async def test_programs_of_others_are_dropped_before_a_byte_is_read() -> None:
-    door = LoopbackPort(Callers({os.getuid() + 1}), echo)
-    door.open()
+    listener = LoopbackPort(Callers({os.getuid() + 1}), echo)
+    listener.open()
     try:
         with pytest.raises((ChannelClosed, ConnectionError)):
-            await greeted(door.port)
+            await greeted(listener.port)
     finally:
-        await door.close()
+        await listener.close()
 
 
 async def test_the_connections_of_a_port_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(loopback_port, "_CONNECTIONS", 1)
-    door = LoopbackPort(ANYBODY, echo)
-    door.open()
-    first = PlainStream(await dial("127.0.0.1", door.port, 10))
+    listener = LoopbackPort(ANY_CALLER, echo)
+    listener.open()
+    first = PlainStream(await dial("127.0.0.1", listener.port, 10))
     await first.send(b"x")
     assert await first.receive() == b"x"
-    assert door.connections == 1
+    assert listener.connections == 1
     with pytest.raises((ChannelClosed, ConnectionError)):
-        await greeted(door.port)
+        await greeted(listener.port)
     first.abort()
-    await door.close()
+    await listener.close()
 
 
 class Exhausted(socket.socket):
@@ -98,18 +98,20 @@ async def test_without_descriptors_it_rests(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     """Whoever waits is told of again at once: to try again at once would take all the time."""
-    monkeypatch.setattr(loopback_port, "reserve", lambda *_: Exhausted(fileno=reserve().detach()))
-    monkeypatch.setattr(loopback_port, "_REST", 0.05)
-    door = LoopbackPort(ANYBODY, echo)
-    door.open()
-    assert await greeted(door.port) == b"hello"
+    monkeypatch.setattr(
+        loopback_port, "bind_loopback", lambda *_: Exhausted(fileno=bind_loopback().detach())
+    )
+    monkeypatch.setattr(loopback_port, "_PAUSE", 0.05)
+    listener = LoopbackPort(ANY_CALLER, echo)
+    listener.open()
+    assert await greeted(listener.port) == b"hello"
     assert Exhausted.asked == 4
     assert "too many open files" in caplog.text
-    door.rest()
-    door._watch()  # it rests
+    listener.suspend()
+    listener._start_accepting()  # it rests
     with pytest.raises(ConnectionRefusedError):
-        await dial("127.0.0.1", door.port, 10)
-    await door.close()
+        await dial("127.0.0.1", listener.port, 10)
+    await listener.close()
 
 
 async def test_a_slow_program_slows_the_sender() -> None:
@@ -123,16 +125,16 @@ async def test_a_slow_program_slows_the_sender() -> None:
         while True:
             received += len(await stream.receive())
 
-    door = LoopbackPort(ANYBODY, lazy)
-    door.open()
-    stream = PlainStream(await dial("127.0.0.1", door.port, 10))
+    listener = LoopbackPort(ANY_CALLER, lazy)
+    listener.open()
+    stream = PlainStream(await dial("127.0.0.1", listener.port, 10))
     sending = asyncio.ensure_future(stream.send(b"x" * 32_000_000))
     done, _ = await asyncio.wait({sending}, timeout=0.3)
     assert not done
     taken.set()
     await sending
     await stream.close()
-    await door.close()
+    await listener.close()
     assert received == 32_000_000
 
 
@@ -140,28 +142,28 @@ async def test_too_many_at_once_are_let_go(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setattr(loopback_port, "_CONNECTIONS", 1)
-    door = LoopbackPort(ANYBODY, echo)
-    door.open()
-    stream = PlainStream(await dial("127.0.0.1", door.port, 10))
+    listener = LoopbackPort(ANY_CALLER, echo)
+    listener.open()
+    stream = PlainStream(await dial("127.0.0.1", listener.port, 10))
     await stream.send(b"hello")
     assert await stream.receive() == b"hello"
     with pytest.raises(ChannelClosed):
-        await greeted(door.port)
-    assert f"too many connections at loopback port {door.port}" in caplog.text
+        await greeted(listener.port)
+    assert f"too many connections at loopback port {listener.port}" in caplog.text
     await stream.close()
-    await door.close()
+    await listener.close()
 
 
 async def test_a_mistake_of_ours_lets_nobody_in(monkeypatch: pytest.MonkeyPatch) -> None:
     async def crash(_: socket.socket) -> None:
         raise ArithmeticError
 
-    monkeypatch.setattr(ANYBODY, "check", crash)
-    door = LoopbackPort(ANYBODY, echo)
-    door.open()
+    monkeypatch.setattr(ANY_CALLER, "check", crash)
+    listener = LoopbackPort(ANY_CALLER, echo)
+    listener.open()
     with pytest.raises(ChannelClosed):
-        await greeted(door.port)
-    await door.close()
+        await greeted(listener.port)
+    await listener.close()
 
 
 async def test_another_free_port_where_one_is_taken_meanwhile(
@@ -171,7 +173,7 @@ async def test_another_free_port_where_one_is_taken_meanwhile(
         port = taken.getsockname()[1]
         monkeypatch.setattr(loopback_port, "free_port", lambda: port)
         with pytest.raises(OSError, match="in use"):
-            reserve()
+            bind_loopback()
 
 
 def resolving(monkeypatch: pytest.MonkeyPatch, here: set[str], names: dict[str, set[str]]) -> None:
@@ -180,9 +182,9 @@ def resolving(monkeypatch: pytest.MonkeyPatch, here: set[str], names: dict[str, 
 
 
 def test_loopback_is_ipv4_wherever_it_can_be(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert loopback_port.find() == LOOPBACK
+    assert loopback_port.find_loopback() == LOOPBACK
     resolving(monkeypatch, {"127.0.0.1", "::1"}, {"localhost": {"::1"}})
-    assert loopback_port.find() == LOOPBACK
+    assert loopback_port.find_loopback() == LOOPBACK
 
 
 @pytest.mark.parametrize(
@@ -199,18 +201,18 @@ def test_without_ipv4_it_is_a_name_that_leads_to_ipv6_alone(
     name: str,
 ) -> None:
     resolving(monkeypatch, {"::1"}, names)
-    assert loopback_port.find() == ("::1", name)
+    assert loopback_port.find_loopback() == ("::1", name)
     assert f"no 127.0.0.1: programs are told {name}, and ROS_IPV6=on" in caplog.text
 
 
 def test_a_host_without_loopback_is_told_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
     resolving(monkeypatch, set(), {"localhost": {"::1"}})
     with pytest.raises(ConfigurationError, match="this host has no loopback address") as caught:
-        loopback_port.find()
+        loopback_port.find_loopback()
     assert caught.value.hint == "ip link set lo up"
     resolving(monkeypatch, {"::1"}, {"localhost": {"::ffff:127.0.0.1"}})
     with pytest.raises(ConfigurationError, match="no name for ::1") as caught:
-        loopback_port.find()
+        loopback_port.find_loopback()
     assert caught.value.hint == "write in /etc/hosts: ::1 localhost ip6-localhost"
 
 
@@ -233,12 +235,12 @@ async def test_a_port_of_ipv6_is_for_programs_that_may(caplog: pytest.LogCapture
     """The kernel says who is at the other end there as well."""
     six = Loopback("::1", "localhost")
     for users, answer in ((os.getuid(), b"hello"), (os.getuid() + 1, b"")):
-        door = LoopbackPort(Callers({users}, None, six), echo)
-        door.open()
-        reader, writer = await asyncio.open_connection("::1", door.port)
+        listener = LoopbackPort(Callers({users}, None, six), echo)
+        listener.open()
+        reader, writer = await asyncio.open_connection("::1", listener.port)
         writer.write(b"hello")
         with contextlib.suppress(ConnectionError):
             assert await reader.read(5) == answer
         writer.close()
-        await door.close()
+        await listener.close()
     assert "may not use this sidecar" in caplog.text

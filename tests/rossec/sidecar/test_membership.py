@@ -8,20 +8,20 @@ import pytest
 from grants.model import Right
 from rossec.channel.opening import WireProtocol
 from rossec.errors import HangUp, RossecError
-from rossec.sidecar.core.endpoints import Endpoint, inside
-from tests.rossec.sidecar.conversation import Pair, connect, ends, heard
-from tests.rossec.sidecar.program import Program, sidecar, word
+from rossec.sidecar.core.endpoints import Endpoint, local_endpoint
+from tests.rossec.sidecar.program import Program, sidecar, string_message
+from tests.rossec.sidecar.sidecar_pair import SidecarPair, connect, receive_bytes, wait_closed
 from tests.support.absent import Absent
 from tests.support.site import Site
 from tests.support.witness import until
 
 
-async def test_a_program_returns_to_a_topic_that_it_lost(pair: Pair) -> None:
+async def test_a_program_returns_to_a_topic_that_it_lost(pair: SidecarPair) -> None:
     """Stock rospy waits until the publisher is named again."""
     stream, source = await connect(pair)
     before = len(pair.listener.calls)
     source.abort()
-    await ends(stream)
+    await wait_closed(stream)
 
     def named() -> list[object]:
         calls = pair.listener.calls[before:]
@@ -30,17 +30,17 @@ async def test_a_program_returns_to_a_topic_that_it_lost(pair: Pair) -> None:
     await until(lambda: named() == ["/word"], within=20)
 
 
-async def test_a_restarted_master_hears_of_the_programs_again(pair: Pair) -> None:
+async def test_a_restarted_master_hears_of_the_programs_again(pair: SidecarPair) -> None:
     stream, source = await connect(pair)
     await pair.site.restart_master()
     update = "publisherUpdate"
     await until(lambda: any(method == update for method, _ in pair.listener.calls), within=30)
-    await source.send(word("still"))
-    assert await heard(stream, len(word("still"))) == word("still")
+    await source.send(string_message("still"))
+    assert await receive_bytes(stream, len(string_message("still"))) == string_message("still")
 
 
 async def test_a_publisher_that_is_not_back_yet_is_named_for_a_while(
-    pair: Pair, monkeypatch: pytest.MonkeyPatch
+    pair: SidecarPair, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """roscpp hangs up on whom the master does not name."""
     absent = Absent(monkeypatch)
@@ -53,10 +53,10 @@ async def test_a_publisher_that_is_not_back_yet_is_named_for_a_while(
 
     await until(told, within=30)
     assert [len(uris) for _, _, uris in told() if isinstance(uris, list)][-1] == 1
-    await source.send(word("still"))
-    assert await heard(stream, len(word("still"))) == word("still")
+    await source.send(string_message("still"))
+    assert await receive_bytes(stream, len(string_message("still"))) == string_message("still")
     monkeypatch.setattr("rossec.participant.publisher_grace.GRACE", 0.0)
-    named = pair.far._agent_for("/listener").tenant.named
+    named = pair.listener_sidecar._agent_for("/listener").state.publisher_grace
     monkeypatch.setattr(named, "_until", 0.0)
     await until(lambda: told()[-1][2] == [], within=30)
 
@@ -72,11 +72,11 @@ async def test_a_master_that_is_away_is_no_answer(tmp_path: Path) -> None:
                 await talker.ask(talker.master_uri, "getPid")
 
 
-async def test_a_master_that_is_revoked_is_not_asked(pair: Pair) -> None:
+async def test_a_master_that_is_revoked_is_not_asked(pair: SidecarPair) -> None:
     """Nothing is said to it, not even while nobody knows what else is revoked."""
     await connect(pair)
     data = pair.site.revoke(pair.site.identity("/master").thumbprint)
-    agent = pair.near._agent_for("/talker")
+    agent = pair.talker_sidecar._agent_for("/talker")
     membership = agent._membership
     membership._revocations.update(data, pair.site.now())
     with pytest.raises(HangUp, match="revoked"):
@@ -84,10 +84,10 @@ async def test_a_master_that_is_revoked_is_not_asked(pair: Pair) -> None:
 
 
 async def test_who_begins_in_vain_keeps_no_connection(
-    pair: Pair, monkeypatch: pytest.MonkeyPatch
+    pair: SidecarPair, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A master that does not hold must not be asked later by whoever finds the connection."""
-    agent = pair.near._agent_for("/talker")
+    agent = pair.talker_sidecar._agent_for("/talker")
     session = agent._membership._session
 
     def refused(*_: object) -> None:
@@ -98,20 +98,20 @@ async def test_who_begins_in_vain_keeps_no_connection(
         with pytest.raises(RossecError):
             await pair.talker.ask(pair.talker.master_uri, "getPid")
         with pytest.raises(RossecError, match="out of reach"):
-            await session.answer("getPid", "/talker")
+            await session.forward("getPid", "/talker")
 
 
 @pytest.mark.parametrize("restart", [False, True])
 async def test_a_dead_program_does_not_come_back_in_the_place_of_its_successor(
-    pair: Pair, restart: bool, caplog: pytest.LogCaptureFixture
+    pair: SidecarPair, restart: bool, caplog: pytest.LogCaptureFixture
 ) -> None:
     """The master would end the living one: a node of the same name at another address."""
     caplog.set_level(logging.INFO)
     await pair.talker.register("registerPublisher", "/word", "std_msgs/String")
     await pair.talker.close()
-    async with Program("/talker", pair.near) as successor:
+    async with Program("/talker", pair.talker_sidecar) as successor:
         await successor.register("registerPublisher", "/word", "std_msgs/String")
-        agent = pair.near._agent_for("/talker")
+        agent = pair.talker_sidecar._agent_for("/talker")
         if restart:
             await pair.site.restart_master()
         else:
@@ -122,9 +122,9 @@ async def test_a_dead_program_does_not_come_back_in_the_place_of_its_successor(
         place = Endpoint(
             WireProtocol.HTTP,
             "127.0.0.1",
-            agent.export(inside(WireProtocol.HTTP, successor.slave.port)),
+            agent.open_ingress(local_endpoint(WireProtocol.HTTP, successor.slave.port)),
         )
-        assert await agent.ask_master("lookupNode", ("/talker", "/talker")) == [
+        assert await agent.call_master("lookupNode", ("/talker", "/talker")) == [
             1,
             "node api",
             place.uri,
@@ -134,7 +134,7 @@ async def test_a_dead_program_does_not_come_back_in_the_place_of_its_successor(
 
 
 async def test_a_grant_that_arrives_counts_while_the_program_runs(
-    pair: Pair, caplog: pytest.LogCaptureFixture
+    pair: SidecarPair, caplog: pytest.LogCaptureFixture
 ) -> None:
     """What the master refuses is told in the log: a program may not show it."""
     talker = pair.talker
@@ -144,7 +144,7 @@ async def test_a_grant_that_arrives_counts_while_the_program_runs(
     assert refused[0] == -1
     assert "the master refuses registerPublisher: /talker needs the right publish" in caplog.text
     pair.site.publish("/talker", "/late")
-    agent = pair.near._agent_for("/talker")
-    access = agent.tenant.access
+    agent = pair.talker_sidecar._agent_for("/talker")
+    access = agent.state.access
     await until(lambda: access.holds(Right.PUBLISH, "/late", pair.site.now()), within=20)
     assert await talker.register(*wanted[:3]) == []

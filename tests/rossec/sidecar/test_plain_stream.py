@@ -19,7 +19,7 @@ class Sink:
         self.free = asyncio.Event()
         self.arrived = asyncio.Event()
 
-    def push(self, data: memoryview) -> bool:
+    def write_nowait(self, data: memoryview) -> bool:
         self.got += data
         self.arrived.set()
         return not self.lags
@@ -44,10 +44,10 @@ DATA = bytes(range(256)) * 8000
 
 
 @pytest.mark.parametrize("lags", [False, True])
-async def test_everything_is_poured_in_order(lags: bool) -> None:
+async def test_everything_is_forwarded_in_order(lags: bool) -> None:
     near, far = pair()
     sink = Sink(lags=lags)
-    pouring = asyncio.ensure_future(far.pour(sink.push, sink.drain))
+    forwarding = asyncio.ensure_future(far.forward(sink.write_nowait, sink.drain))
     sending = asyncio.ensure_future(near.send(DATA))
     await sink.arrived.wait()
     if lags:
@@ -57,32 +57,32 @@ async def test_everything_is_poured_in_order(lags: bool) -> None:
     await sending
     closing = asyncio.ensure_future(near.close())
     with pytest.raises(ChannelClosed):
-        await pouring
+        await forwarding
     assert sink.got == DATA
     far.abort()
     await closing
 
 
-async def test_what_fails_while_pouring_fails_the_pourer() -> None:
+async def test_an_error_while_forwarding_fails_the_caller() -> None:
     near, far = pair()
 
     def fail(_: memoryview) -> bool:
         raise ArithmeticError
 
-    pouring = asyncio.ensure_future(far.pour(fail, Sink().drain))
+    forwarding = asyncio.ensure_future(far.forward(fail, Sink().drain))
     await asyncio.sleep(0)
     await near.send(b"x")
     with pytest.raises(ArithmeticError):
-        await pouring
+        await forwarding
     for end in (near, far):
         end.abort()
 
 
-async def test_nothing_is_pushed_to_a_program_that_is_gone() -> None:
+async def test_nothing_is_written_to_a_program_that_is_gone() -> None:
     near, far = pair()
     near.abort()
     with pytest.raises(ChannelClosed):
-        near.push(b"x")
+        near.write_nowait(b"x")
     far.abort()
 
 
@@ -98,15 +98,15 @@ async def test_units_without_waiting() -> None:
     await heard.wait()
     there = stream.has_unit, stream.next_unit(), stream.has_unit
     assert there == (True, b"ping", False)
-    assert stream.send_at_once(b"pong")
+    assert stream.try_send(b"pong")
     assert far.recv(4) == b"pong"
-    assert stream.send_at_once(b"x" * 50_000_000)
-    assert not stream.send_at_once(b"more")  # the program lags
+    assert stream.try_send(b"x" * 50_000_000)
+    assert not stream.try_send(b"more")  # the program lags
     far.close()
     stream.abort()
     await until(lambda: _ended(stream))
     with pytest.raises(ChannelClosed):
-        stream.send_at_once(b"late")
+        stream.try_send(b"late")
 
 
 def _ended(stream: PlainStream) -> bool:

@@ -34,15 +34,15 @@ def test_descent_ends_with_the_process() -> None:
 def made_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Processes of the test's own making, 9 below 5 below 3, with a name that is hard to read."""
     monkeypatch.setattr(processes, "_PROC", tmp_path)
-    for number, parent, started in ((3, 2, 100), (5, 3, 200), (9, 5, 300)):
-        (tmp_path / str(number)).mkdir()
-        write(tmp_path, number, parent, started)
+    for pid, parent, started in ((3, 2, 100), (5, 3, 200), (9, 5, 300)):
+        (tmp_path / str(pid)).mkdir()
+        write(tmp_path, pid, parent, started)
     return tmp_path
 
 
-def write(proc: Path, number: int, parent: int, started: int) -> None:
+def write(proc: Path, pid: int, parent: int, started: int) -> None:
     rest = f"S {parent}" + " 0" * 17 + f" {started} 0 0\n"
-    (proc / str(number) / "stat").write_text(f"{number} (a ) b 7 (c) {rest}")
+    (proc / str(pid) / "stat").write_text(f"{pid} (a ) b 7 (c) {rest}")
 
 
 def test_descent_of_grandchildren(made_up: Path) -> None:

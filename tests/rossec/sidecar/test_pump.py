@@ -14,9 +14,9 @@ from grants.memory import Memory
 from grants.model import Restriction, Right
 from rossec.errors import ChannelClosed, HeaderRefused
 from rossec.ros import header
-from rossec.sidecar.core.copies import Copies
+from rossec.sidecar.core.copies import CopyTracker
 from rossec.sidecar.plain_stream import PlainStream
-from rossec.sidecar.pump import guarded, outgoing, split_header
+from rossec.sidecar.pump import outgoing, send_filtered, split_header
 from tests.rossec.sidecar.test_plain_stream import pair
 from tests.support.witness import until
 
@@ -46,7 +46,7 @@ async def test_a_header_is_bounded_before_it_is_kept() -> None:
         end.abort()
 
 
-class Judge:
+class FakeGuard:
     """A guard that refuses what begins with an x, until it has expired."""
 
     def __init__(self, expired: bool = False) -> None:
@@ -56,7 +56,7 @@ class Judge:
         if self.expired:
             raise GrantExpired("the grant has expired")
 
-    def treat(self, message: bytes, now: int) -> list[bytes] | None:
+    def apply(self, message: bytes, now: int) -> list[bytes] | None:
         if message.startswith(b"x"):
             raise RestrictionMismatch("it cannot be judged")
         return None if message.startswith(b"-") else [message[:1], message[1:]]
@@ -73,36 +73,36 @@ class Peer:
         self.heard += b"".join(pieces)
 
 
-async def guard(judge: Judge, *messages: bytes) -> bytes:
+async def received_by_peer(guard: FakeGuard, *messages: bytes) -> bytes:
     """What a peer hears of the messages of a program that then ends."""
     near, far = pair()
     peer = Peer()
     await near.send(b"".join(map(header.frame, messages[1:])))
     closing = asyncio.ensure_future(near.close())
-    guarding: Any = guarded
+    sending: Any = send_filtered
     try:
-        await guarding(far, peer, judge, header.frame(messages[0]))
+        await sending(far, peer, guard, header.frame(messages[0]))
     except ChannelClosed:
         return peer.heard
     finally:
         far.abort()
         await closing
-        assert not judge.expired or peer.heard == b""
+        assert not guard.expired or peer.heard == b""
     raise AssertionError
 
 
 async def test_what_cannot_be_judged_is_withheld(caplog: pytest.LogCaptureFixture) -> None:
-    heard = await guard(Judge(), b"one", *[b"x-rated"] * 9, b"-silent", b"two")
+    heard = await received_by_peer(FakeGuard(), b"one", *[b"x-rated"] * 9, b"-silent", b"two")
     assert heard == header.frame(b"one") + header.frame(b"two")
     assert caplog.text.count("/viewer: withheld a message: it cannot be judged") == 1
 
 
 async def test_nothing_passes_after_the_end_of_the_grant() -> None:
     with pytest.raises(GrantExpired):
-        await guard(Judge(expired=True), b"one")
+        await received_by_peer(FakeGuard(expired=True), b"one")
 
 
-class Laggard:
+class LaggingPeer:
     """A peer that takes one message, and then no more until it is told to."""
 
     def __init__(self) -> None:
@@ -110,7 +110,7 @@ class Laggard:
         self.heard: list[bytes] = []
         self.lags = False
 
-    def push(self, data: bytes) -> bool:
+    def write_nowait(self, data: bytes) -> bool:
         self.heard.append(data)
         self.lags = True
         return False
@@ -121,10 +121,10 @@ async def test_who_lags_misses_what_is_remembered() -> None:
     many = Restriction(rate=2.0)
     decision = Decision(Right.SUBSCRIBE, "/a", (), 1 << 40, (many,))
     near, far = pair()
-    peer: Any = Laggard()
+    peer: Any = LaggingPeer()
     guard = Guard(None, decision, None, lambda _: Memory())
-    with Copies().shared(guard, 0, latching=False) as (judge, _):
-        passing = asyncio.ensure_future(outgoing(far, peer, judge, header.frame(b"one")))
+    with CopyTracker().share(guard, 0, latching=False) as (shared, _):
+        passing = asyncio.ensure_future(outgoing(far, peer, shared, header.frame(b"one")))
         await until(lambda: bool(peer.heard))
         await near.send(header.frame(b"missed") * 20)
         for _ in range(100):  # turns of the loop

@@ -21,14 +21,14 @@ from rossec.sidecar.callers import Callers
 from rossec.sidecar.core.endpoints import Loopback
 from rossec.sidecar.plain_stream import PlainStream
 from rossec.sidecar.server import Sidecar
-from tests.rossec.sidecar.conversation import Pair
 from tests.rossec.sidecar.program import Program, sidecar
+from tests.rossec.sidecar.sidecar_pair import SidecarPair
 from tests.support.site import Site
 
 
-async def test_a_program_that_may_not_is_told_why(pair: Pair) -> None:
+async def test_a_program_that_may_not_is_told_why(pair: SidecarPair) -> None:
     site = pair.site
-    async with Program("/stranger", pair.far) as stranger:
+    async with Program("/stranger", pair.listener_sidecar) as stranger:
         answer = await stranger.ask(stranger.master_uri, "getPid")
         assert isinstance(answer, list)
         assert "has no identity here (enroll it: rossec node request /stranger" in answer[1]
@@ -37,24 +37,24 @@ async def test_a_program_that_may_not_is_told_why(pair: Pair) -> None:
         known = await pair.listener.register("registerSubscriber", "/word", "std_msgs/String")
         assert isinstance(known, list)
         # It knows where the talker is, and asks there without the master (attack N5).
-        agent = pair.far._agent_for("/stranger")
-        remote = pair.far._agent_for("/listener").tenant.doors
-        place = next(iter(remote._imported.values()))
+        agent = pair.listener_sidecar._agent_for("/stranger")
+        remote = pair.listener_sidecar._agent_for("/listener").state.endpoints
+        place = next(iter(remote._egress.values()))
         answer = await stranger.ask(stranger.master_uri, "getPid")
-        door = f"http://127.0.0.1:{agent.bring(place)}/"
-        _, fields = await stranger.subscribe(door, "/word")
+        ingress_endpoint = f"http://127.0.0.1:{agent.open_egress(place)}/"
+        _, fields = await stranger.subscribe(ingress_endpoint, "/word")
         assert b"no grant" in fields["error"]
     assert not pair.talker.connections
 
 
-async def test_an_anonymous_program_is_told_how_to_enroll(pair: Pair) -> None:
-    async with Program("/rosparam-4711", pair.far) as tool:
+async def test_an_anonymous_program_is_told_how_to_enroll(pair: SidecarPair) -> None:
+    async with Program("/rosparam-4711", pair.listener_sidecar) as tool:
         answer = await tool.ask(tool.master_uri, "getPid")
         assert "rossec node request /rosparam --anonymous, or use --as" in str(answer)
 
 
 async def test_files_that_cannot_be_read_are_named(
-    pair: Pair, monkeypatch: pytest.MonkeyPatch
+    pair: SidecarPair, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pair.site.enroll("/odd")
 
@@ -62,16 +62,16 @@ async def test_files_that_cannot_be_read_are_named(
         raise PermissionError(13, "Permission denied", str(home.path))
 
     monkeypatch.setattr(NodeHome, "anchor", unreadable)
-    async with Program("/odd", pair.far) as odd:
+    async with Program("/odd", pair.listener_sidecar) as odd:
         answer = await odd.ask(odd.master_uri, "getPid")
         assert isinstance(answer, list)
         assert answer[0] == -1
         assert "Permission denied" in answer[1]
 
 
-async def test_a_web_page_speaks_for_nobody(pair: Pair) -> None:
+async def test_a_web_page_speaks_for_nobody(pair: SidecarPair) -> None:
     """A browser is a program of the user; what it sends to a port of loopback is the page's."""
-    reader, writer = await asyncio.open_connection(*parse_uri(pair.near.uri))
+    reader, writer = await asyncio.open_connection(*parse_uri(pair.talker_sidecar.uri))
     call = xmlrpc.dump_call("setParam", ("/talker", "/x", 1))
     head = b"POST / HTTP/1.1\r\nHost: localhost\r\nOrigin: https://evil.example\r\n"
     writer.write(
@@ -84,14 +84,14 @@ async def test_a_web_page_speaks_for_nobody(pair: Pair) -> None:
 
 @pytest.mark.parametrize(("each", "expected"), [(True, "/talker"), (False, "/listener")])
 async def test_whose_identity_an_enrolled_program_uses(
-    pair: Pair, each: bool, expected: str
+    pair: SidecarPair, each: bool, expected: str
 ) -> None:
     async with sidecar(pair.site, each=each, identity="/listener") as one:
         assert one._agent_for("/talker").name == expected
         assert one._agent_for("/unknown").name == "/listener"
 
 
-async def test_one_identity_for_all_and_empty_multicalls(pair: Pair) -> None:
+async def test_one_identity_for_all_and_empty_multicalls(pair: SidecarPair) -> None:
     async with sidecar(pair.site, each=False, identity="/listener") as one:
         program = Program("/anything", one)
         assert await program.ask(one.uri, "getUri") == [1, "", one.uri]
@@ -108,7 +108,9 @@ async def test_one_identity_for_all_and_empty_multicalls(pair: Pair) -> None:
 
 @pytest.mark.parametrize("asker", ["", "x", "/a b", "/ü", "//", "/rosparam-17", "/" + "x" * 300])
 @pytest.mark.parametrize("each", [True, False])
-async def test_one_identity_serves_whatever_name_asks(pair: Pair, asker: str, each: bool) -> None:
+async def test_one_identity_serves_whatever_name_asks(
+    pair: SidecarPair, asker: str, each: bool
+) -> None:
     async with sidecar(pair.site, each=each, identity="/listener") as one:
         program = Program(asker, one)
         assert await program.ask(one.uri, "getUri") == [1, "", one.uri]
@@ -129,7 +131,7 @@ async def bare(one: Sidecar) -> RpcClient:
 
 @pytest.mark.parametrize("identity", [None, "/listener"])
 async def test_a_call_without_arguments_is_answered_as_stock_does(
-    pair: Pair, identity: str | None
+    pair: SidecarPair, identity: str | None
 ) -> None:
     """Also where no identity could be meant."""
     async with sidecar(pair.site, identity=identity) as one:
@@ -146,7 +148,7 @@ async def test_a_call_without_arguments_is_answered_as_stock_does(
         await client.close()
 
 
-async def test_a_search_finds_what_is_nearest_to_the_asker(pair: Pair) -> None:
+async def test_a_search_finds_what_is_nearest_to_the_asker(pair: SidecarPair) -> None:
     """It found the key of another namespace, without a word."""
     pair.site.grant("/listener", Right.PARAM_GET | Right.PARAM_SET, "/**")
     async with sidecar(pair.site, identity="/listener") as one:
@@ -160,20 +162,20 @@ async def test_a_search_finds_what_is_nearest_to_the_asker(pair: Pair) -> None:
 
 async def test_where_it_cannot_listen_it_says_what_is_missing(tmp_path: Path) -> None:
     site = Site(tmp_path / "site")
-    outside = read((), site.environ, default_name="/sidecar")
+    settings = read((), site.environ, default_name="/sidecar")
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         with pytest.raises(ConfigurationError, match=r"cannot listen at 127\.0\.0\.1") as caught:
-            Sidecar(site.root, outside, Callers({os.getuid()}), each=True, port=port)
+            Sidecar(site.root, settings, Callers({os.getuid()}), each=True, port=port)
     assert "choose another port" in caught.value.hint
 
 
 async def test_on_a_host_without_ipv4_it_goes_by_name(tmp_path: Path) -> None:
     site = Site(tmp_path / "site")
-    outside = read((), {**site.environ, "ROS_MASTER_URI": "http://[2001:db8::1]:11311"},
+    settings = read((), {**site.environ, "ROS_MASTER_URI": "http://[2001:db8::1]:11311"},
                    default_name="/sidecar")  # fmt: skip
     callers = Callers({os.getuid()}, None, Loopback("::1", "localhost"))
-    one = Sidecar(site.root, outside, callers, each=True)
+    one = Sidecar(site.root, settings, callers, each=True)
     one.start()
     try:
         found = re.fullmatch(r"http://localhost:(\d+)/", one.uri)
@@ -185,7 +187,9 @@ async def test_on_a_host_without_ipv4_it_goes_by_name(tmp_path: Path) -> None:
         await one.close()
 
 
-async def test_identities_in_use_are_bounded(pair: Pair, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_identities_in_use_are_bounded(
+    pair: SidecarPair, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(server, "_LIMIT", 0)
     async with sidecar(pair.site) as one:
         program = Program("/talker", one)

@@ -10,7 +10,7 @@ from rossec.net.host import peeruid
 from rossec.sidecar import processes, socket_owners
 from rossec.sidecar.processes import Process
 from rossec.sidecar.socket_owners import SocketOwners
-from tests.rossec.sidecar.manyprograms import programs
+from tests.rossec.sidecar.child_programs import programs
 
 
 @pytest.fixture
@@ -35,13 +35,15 @@ def searches(monkeypatch: pytest.MonkeyPatch) -> list[None]:
 async def test_those_who_wait_share_a_search(
     ours: SocketOwners, searches: list[None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(socket_owners, "_TURN", 0.0)  # a fast search would end before the next asks
+    monkeypatch.setattr(
+        socket_owners, "_TIME_SLICE", 0.0
+    )  # a fast search would end before the next asks
     with programs(4) as several:
         ends = [several.connection(which) for which in range(4) for _ in range(5)]
         inodes = [peeruid.holder_of(end).inode for end in ends]
-        assert all(await asyncio.gather(*map(ours.have, inodes)))
+        assert all(await asyncio.gather(*map(ours.holds, inodes)))
         assert len(searches) == 2  # one that all but the first came too late for
-        assert all([await ours.have(inode) for inode in inodes])
+        assert all([await ours.holds(inode) for inode in inodes])
         assert len(searches) == 2
         for end in ends:
             end.close()
@@ -52,10 +54,10 @@ async def test_the_socket_of_another_program_is_searched_for_and_not_found(
 ) -> None:
     with programs() as one, one.connection(0) as end:
         inode = peeruid.holder_of(end).inode
-        assert not await SocketOwners(one.running[0].pid).have(inode)  # it is not its own child
-        assert await ours.have(inode)
-        assert not await ours.have(os.fstat(end.fileno()).st_ino)
-        assert not await ours.have(0)
+        assert not await SocketOwners(one.running[0].pid).holds(inode)  # it is not its own child
+        assert await ours.holds(inode)
+        assert not await ours.holds(os.fstat(end.fileno()).st_ino)
+        assert not await ours.holds(0)
 
 
 async def test_what_is_remembered_is_read_again(ours: SocketOwners, searches: list[None]) -> None:
@@ -63,11 +65,11 @@ async def test_what_is_remembered_is_read_again(ours: SocketOwners, searches: li
     with programs() as one:
         with one.connection(0) as end:
             first = peeruid.holder_of(end).inode
-            assert await ours.have(first)
-        one.tell(0, "close")
+            assert await ours.holds(first)
+        one.send_line(0, "close")
         with one.connection(0) as end:
-            assert not await ours.have(first)
-            assert await ours.have(peeruid.holder_of(end).inode)
+            assert not await ours.holds(first)
+            assert await ours.holds(peeruid.holder_of(end).inode)
     assert len(searches) == 3
 
 
@@ -76,11 +78,11 @@ async def test_a_number_that_is_given_again_proves_nothing(
 ) -> None:
     with programs() as one, one.connection(0) as end:
         inode = peeruid.holder_of(end).inode
-        assert await ours.have(inode)
+        assert await ours.holds(inode)
         started = [1, 2, 1]  # found by a search, then gone when it is to be proved
-        monkeypatch.setattr(socket_owners, "process", lambda number: Process(number, started.pop()))
+        monkeypatch.setattr(socket_owners, "process", lambda pid: Process(pid, started.pop()))
         monkeypatch.setattr(socket_owners, "parents", lambda: [(one.running[0].pid, os.getpid())])
-        assert not await ours.have(inode)
+        assert not await ours.holds(inode)
         assert started == []
 
 
@@ -96,21 +98,21 @@ async def test_a_number_given_again_while_it_is_read_proves_nothing(
 
         def changing(_: int) -> Process:
             asked.append(None)
-            return found if len(asked) < 3 else Process(found.number, found.started + 1)
+            return found if len(asked) < 3 else Process(found.pid, found.started + 1)
 
         monkeypatch.setattr(socket_owners, "process", changing)
-        monkeypatch.setattr(socket_owners, "parents", lambda: [(found.number, os.getpid())])
-        assert not await ours.have(inode)
+        monkeypatch.setattr(socket_owners, "parents", lambda: [(found.pid, os.getpid())])
+        assert not await ours.holds(inode)
         assert len(asked) == 3
 
 
 async def test_who_gives_up_takes_nobody_along(
     ours: SocketOwners, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(socket_owners, "_TURN", 0.0)  # it gives way after each descriptor
+    monkeypatch.setattr(socket_owners, "_TIME_SLICE", 0.0)  # it gives way after each descriptor
     with programs(2, files=20) as two, two.connection(0) as one, two.connection(1) as other:
         inodes = [peeruid.holder_of(end).inode for end in (one, other)]
-        first, second = (asyncio.ensure_future(ours.have(inode)) for inode in inodes)
+        first, second = (asyncio.ensure_future(ours.holds(inode)) for inode in inodes)
         await asyncio.sleep(0)
         await asyncio.sleep(0)
         first.cancel()
@@ -124,5 +126,5 @@ async def test_what_is_remembered_is_bounded(
     monkeypatch.setattr(socket_owners, "_REMEMBERED", 1)
     with programs() as one, one.connection(0) as end, one.connection(0) as other:
         for each in (end, other, end):
-            assert await ours.have(peeruid.holder_of(each).inode)
+            assert await ours.holds(peeruid.holder_of(each).inode)
     assert len(searches) == 3

@@ -54,7 +54,7 @@ class TraceCredential:
         return self._key.sign(message)
 
 
-def trace_party(own: str, secret: str) -> EdhocConfig[TraceIdentity]:
+def trace_config(own: str, secret: str) -> EdhocConfig[TraceIdentity]:
     credentials = [TraceCredential("I"), TraceCredential("R")]
     return EdhocConfig(
         TraceCredential(own),
@@ -70,8 +70,8 @@ def trace_party(own: str, secret: str) -> EdhocConfig[TraceIdentity]:
 
 
 def test_trace_1_byte_for_byte() -> None:
-    initiator = Initiator(trace_party("I", "Initiator's ephemeral private key"))
-    responder = Responder(trace_party("R", "Responder's ephemeral private key"))
+    initiator = Initiator(trace_config("I", "Initiator's ephemeral private key"))
+    responder = Responder(trace_config("R", "Responder's ephemeral private key"))
     assert initiator.message_1() == value("message_1 (CBOR Sequence)")
     message_2 = responder.message_1(initiator.message_1())
     assert message_2 == value("message_2 (CBOR Sequence)")

@@ -39,11 +39,11 @@ def test_the_memory_is_bounded() -> None:
     for certificate in (b"a", b"b", b"c"):
         memory.remember((certificate,))
         memory.introduce(certificate)
-        memory.visit(("host", certificate[0]))
+        memory.note_address(("host", certificate[0]))
     assert len(memory) == 2
     with pytest.raises(PeerCredentialUnknown):
         memory.find(reference(b"a"))
     assert [memory.is_introduced(c) for c in (b"a", b"b", b"c")] == [False, True, True]
-    assert [memory.was_at(("host", c)) for c in b"abc"] == [False, True, True]
+    assert [memory.knows_address(("host", c)) for c in b"abc"] == [False, True, True]
     memory.forget_introductions()
     assert not memory.is_introduced(b"c")

@@ -66,7 +66,7 @@ def test_nobody_else_will_do_at_the_own_address() -> None:
     dials = OwnDials()
     w = wire(alice(own_dials=dials), bob(own_dials=dials)).pump()
     assert isinstance(w.left.error, IdentityRefused)
-    assert str(w.left.error) == "another one answers at this node's own address"
+    assert str(w.left.error) == "another node answers at this node's own address"
     assert "ROS_IP" in w.left.error.hint
 
 
@@ -76,8 +76,8 @@ def test_message_1_repeated_leads_nowhere_else() -> None:
     caller = alice(own_dials=dials)
     flight = bytes(caller.data_to_send())
     first, second = bob(credentials=ALICE, own_dials=dials), bob(credentials=ALICE, own_dials=dials)
-    second._negotiation._side._party = dataclasses.replace(
-        second._negotiation._side._party, random=lambda size: b"\5" * size
+    second._negotiation._edhoc._config = dataclasses.replace(
+        second._negotiation._edhoc._config, random=lambda size: b"\5" * size
     )
     first.receive_data(flight, 0)
     second.receive_data(flight, 0)
@@ -100,8 +100,8 @@ def test_a_retry_for_another_suite_and_a_reference_reach_it_as_well() -> None:
     caller = alice(own_dials=dials, suites=(-24, 6))
     w = wire(caller, bob(credentials=ALICE, own_dials=dials)).pump()
     assert (w.left.error, w.right.error) == (None, None)
-    for brief in (False, True):
-        caller = alice(own_dials=dials, known=known, brief=brief)
+    for request_x5t in (False, True):
+        caller = alice(own_dials=dials, known=known, request_x5t=request_x5t)
         w = wire(caller, bob(credentials=ALICE, own_dials=dials, known=known)).pump()
         assert (w.left.error, w.right.error) == (None, None)
 

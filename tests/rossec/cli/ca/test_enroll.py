@@ -39,7 +39,7 @@ def test_a_node_is_enrolled_by_its_code(shell: Shell, host: str) -> None:
     assert lines[2:5] == [
         f"  from a screen code at {robot.where}",
         "  /robot1/camera is new here",
-        "  there is no policy: it gets nothing by itself",
+        "  there is no policy: it is granted nothing",
     ]
     assert lines[5] == f"digits {trusted.digits[:3]} {trusted.digits[3:]}"
     assert lines[-1] == "enrolled /robot1/camera"
@@ -189,7 +189,7 @@ def test_a_person_is_asked_for_the_code(shell: Shell, monkeypatch: pytest.Monkey
 
 def test_a_code_that_has_ended(shell: Shell) -> None:
     text = qr.screen_code(Robot().csr, bytes(16), 1000, "127.0.0.1:9")
-    refused(shell("ca", "enroll", text), "the code ended", "show a new one")
+    refused(shell("ca", "enroll", text), "the code expired", "show a new one")
 
 
 def test_nobody_waits_there(shell: Shell) -> None:

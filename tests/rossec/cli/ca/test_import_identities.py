@@ -66,7 +66,7 @@ def test_what_is_refused_does_not_fail_the_rest(shell: Shell, host: Shell) -> No
     assert said.code == 3  # signed and kept; there is no master
     assert "imported /other\nthe replaced key is revoked\n" in said.out
     key = NodeHome.of(host.root, "/other").identity(int(time.time())).thumbprint
-    assert AuthorityHome.at(shell.root).store().live_keys("/other", int(time.time())) == {key}
+    assert AuthorityHome.at(shell.root).store().unrevoked_keys("/other", int(time.time())) == {key}
 
 
 def test_a_revoked_or_unknown_intermediate_vouches_for_nobody(

@@ -68,7 +68,7 @@ async def test_a_node_in_order_and_its_faults(
         (tmp_path / "odd.toml").write_bytes(b"\xff")
         code, said = await doctor("/robot", ROSSEC_CONFIG=str(tmp_path / "odd.toml"))
         assert code == 1
-        assert "the options' file is no TOML" in said
+        assert "the options' file is not TOML" in said
 
 
 async def test_an_identity_that_ends_soon_is_said(
@@ -129,7 +129,7 @@ def test_a_signed_list_on_this_machine_says_it_too(
     place.path.mkdir(exist_ok=True)
     place.save_revocations(authority.revocation_list())
     if tree:
-        place.save_entries(authority.entries())
+        place.save_entries(authority.tree_entries())
     (shell.root / "ca").rename(shell.root / "elsewhere")
     assert f"not ok  the key of /robot is revoked, says the list in {place.path}" in doctor(shell)
 

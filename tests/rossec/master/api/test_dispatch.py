@@ -6,7 +6,7 @@ import pytest
 
 from rossec.master.api.dispatch import MasterApi
 from rossec.master.rights.access_rules import Caller
-from rossec.master.state.registry import KEYS_LIMIT, Registry
+from rossec.master.state.registry import REGISTRATIONS_LIMIT, Registry
 from tests.rossec.master.fakes import FakeStatements, caller, everything
 
 
@@ -28,7 +28,7 @@ def element(method: str, *params: object) -> dict[str, object]:
     return {"methodName": method, "params": list(params)}
 
 
-def test_who_the_master_is(api: MasterApi) -> None:
+def test_uri_and_pid_of_the_master(api: MasterApi) -> None:
     assert ask(api, caller("/a"), "getUri", "/a") == [1, "", "http://m:1/"]
     assert ask(api, caller("/a"), "getPid", "/a") == [1, "", 7]
 
@@ -55,9 +55,9 @@ def test_all_parameters_together_are_bounded() -> None:
 def test_one_node_cannot_fill_the_registry(
     api: MasterApi, method: str, params: tuple[str, ...], kind: str
 ) -> None:
-    for n in range(KEYS_LIMIT):
+    for n in range(REGISTRATIONS_LIMIT):
         filled = [text.format(n) for text in params]
         assert ask(api, everything("/a"), method, "/a", *filled)[0] == 1
     refused = ask(api, everything("/a"), method, "/a", *[text.format("x") for text in params])
     assert refused[0] == -1
-    assert refused[1] == f"rossec: /a has 1024 registrations as {kind}, the most of a node"
+    assert refused[1] == f"rossec: /a has 1024 registrations as {kind}, the limit of a node"

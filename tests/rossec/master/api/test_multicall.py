@@ -17,7 +17,7 @@ from rossec.master.api.multicall import (
     Multicall,
 )
 from rossec.master.api.watch_calls import WATCH
-from rossec.master.rights.access_rules import LOOKS_AT_ONCE, Caller
+from rossec.master.rights.access_rules import NAMES_PER_YIELD, Caller
 from rossec.master.state.registry import Registry
 from rossec.ros.xmlrpc import dump_call, dump_response
 from tests.rossec.master.fakes import FakeStatements, caller, everything
@@ -73,7 +73,7 @@ def test_multicall_events_are_all_delivered(api: MasterApi) -> None:
         ("rossec.updateRevocations", (b"list",)),
     ],
 )
-def test_what_is_costly_comes_once_in_a_multicall(
+def test_expensive_methods_are_allowed_once_in_a_multicall(
     api: MasterApi, method: str, params: tuple[object, ...]
 ) -> None:
     again = element(method, "/a", *params)
@@ -94,7 +94,7 @@ def test_a_multicall_in_a_multicall_is_refused(api: MasterApi) -> None:
 @pytest.mark.parametrize(
     "broken", [5, {}, {"methodName": 1, "params": []}, {"methodName": "getPid"}, ["getPid"]]
 )
-def test_a_broken_element_spoils_only_itself(api: MasterApi, broken: object) -> None:
+def test_a_malformed_element_affects_no_other(api: MasterApi, broken: object) -> None:
     bad, good = ask(api, caller("/a"), "system.multicall", [broken, element("getPid", "/a")])
     assert "needs methodName and params" in bad["faultString"]
     assert good == [[1, "", 7]]
@@ -115,7 +115,7 @@ def test_a_multicall_is_bounded(api: MasterApi, params: list[object]) -> None:
         api.call("system.multicall", params, caller("/a"), 0)
 
 
-def test_refusals_are_told_one_by_one_also_within_a_multicall(api: MasterApi) -> None:
+def test_each_refused_element_is_a_denial(api: MasterApi) -> None:
     who = caller("/a", {})
     calls = [
         element("setParam", "/a", "/x", 1), element("getUri", "/victim"), element("getUri", "/a"),
@@ -129,39 +129,39 @@ def test_refusals_are_told_one_by_one_also_within_a_multicall(api: MasterApi) ->
     assert Denied("/a", Right.PARAM_SET, "/x") in events
 
 
-def test_some_are_made_at_a_time_with_the_rights_of_that_time(api: MasterApi) -> None:
+def test_each_turn_uses_the_rights_of_that_time(api: MasterApi) -> None:
     calls = [element("setParam", "/a", f"/p{number}", 1) for number in range(7)]
-    multicall, made = Multicall([calls]), []
+    multicall, outcome = Multicall([calls]), []
     # Between the first and the last look its grant was revoked.
     for who, done in ((everything, False), (caller, False), (everything, True), (everything, True)):
-        made.append(len(api.make(multicall, who("/a"), 0, over=after(3))))
+        outcome.append(len(api.run_multicall(multicall, who("/a"), 0, expired=after(3))))
         assert multicall.done == done
     answers: Any = multicall.answer
     assert [answer[0][0] for answer in answers] == [1] * 3 + [-1] * 3 + [1]
-    assert made == [3, 6, 1, 0]  # a refusal is two events
+    assert outcome == [3, 6, 1, 0]  # a refusal is two events
 
 
 def test_a_query_in_a_multicall_takes_as_many_turns_as_it_needs(api: MasterApi) -> None:
-    for number in range(5 * LOOKS_AT_ONCE):
+    for number in range(5 * NAMES_PER_YIELD):
         ask(api, everything("/a"), "registerPublisher", "/a", f"/t{number}", "*", "http://a:1/")
     calls = [element("getPid", "/a"), element("getTopicTypes", "/a"), element("getPid", "/a")]
     multicall, turns = Multicall([calls]), 0
     while not multicall.done:
-        api.make(multicall, everything("/a"), 0, over=lambda: True)
+        api.run_multicall(multicall, everything("/a"), 0, expired=lambda: True)
         turns += 1
     answers: Any = multicall.answer
-    assert [len(answers), len(answers[1][0][2])] == [3, 5 * LOOKS_AT_ONCE]
+    assert [len(answers), len(answers[1][0][2])] == [3, 5 * NAMES_PER_YIELD]
     assert turns == 1 + 6 + 1
 
 
-def test_what_a_query_found_with_rights_it_has_lost_does_not_count(api: MasterApi) -> None:
+def test_a_query_restarts_when_rights_change(api: MasterApi) -> None:
     """Also for one that may come once only, and begins a second time."""
-    for number in range(2 * LOOKS_AT_ONCE):
+    for number in range(2 * NAMES_PER_YIELD):
         ask(api, everything("/a"), "registerPublisher", "/a", f"/t{number}", "*", "http://a:1/")
     multicall = Multicall([[element(WATCH, "/b", "", 0), element("getPublishedTopics", "/b", "")]])
-    api.make(multicall, everything("/b"), 0, over=lambda: True)
-    multicall.begin_again()
-    api.make(multicall, caller("/b", {"/master": Right.GRAPH}), 0)
+    api.run_multicall(multicall, everything("/b"), 0, expired=lambda: True)
+    multicall.restart_element()
+    api.run_multicall(multicall, caller("/b", {"/master": Right.GRAPH}), 0)
     answers: Any = multicall.answer
     assert answers[0][0][:1] == [1]
     assert answers[0][0][2]["added"] == []
@@ -178,25 +178,25 @@ def after(times: int) -> Callable[[], bool]:
     "changes",
     [element("rossec.updateRevocations", "/a", b"list"), element("rossec.presentGrants", "/a", [])],
 )
-def test_what_changes_rights_is_the_last_of_a_step(api: MasterApi, changes: Any) -> None:
+def test_an_element_that_changes_rights_ends_the_step(api: MasterApi, changes: Any) -> None:
     multicall = Multicall([[element("getPid", "/a"), changes, element("getPid", "/a")]])
-    api.make(multicall, caller("/a"), 0)
-    made: Any = multicall.answer
-    assert (len(made), multicall.done) == (2, False)
-    api.make(multicall, caller("/a"), 0)
+    api.run_multicall(multicall, caller("/a"), 0)
+    outcome: Any = multicall.answer
+    assert (len(outcome), multicall.done) == (2, False)
+    api.run_multicall(multicall, caller("/a"), 0)
     assert multicall.done
 
 
-def test_an_empty_one_is_done(api: MasterApi) -> None:
+def test_an_empty_multicall_is_done(api: MasterApi) -> None:
     assert Multicall([[]]).done
     assert ask(api, caller("/a"), "system.multicall", []) == []
 
 
-def test_what_is_costly_is_there(api: MasterApi) -> None:
+def test_expensive_methods_exist(api: MasterApi) -> None:
     assert set(api.methods) >= MULTICALL_ONCE > {WATCH}
 
 
-def test_as_many_as_may_be_asked_are_answered(api: MasterApi) -> None:
+def test_a_multicall_at_the_limit_is_answered(api: MasterApi) -> None:
     """What fits into a call of setParam fits into its answer."""
     calls = [
         element("setParam", "/a", f"/a/robot/with/a/name/parameter{number}", 1)

@@ -7,8 +7,8 @@ import pytest
 from grants.model import Right
 from rossec.master.api import parameter_calls
 from rossec.master.api.dispatch import MasterApi
-from rossec.master.api.methods import MasterEvent, ParameterChanged, ParameterKept
-from rossec.master.rights.access_rules import LOOKS_AT_ONCE, Caller
+from rossec.master.api.methods import MasterEvent, ParameterChanged, PersistParameter
+from rossec.master.rights.access_rules import NAMES_PER_YIELD, Caller
 from rossec.master.state.parameter_journal import ParameterChange
 from rossec.master.state.registry import NodeRef, Registry
 from rossec.ros.xmlrpc import BODY_LIMIT, Fault
@@ -34,31 +34,31 @@ def ask(api: MasterApi, who: Caller, method: str, *params: object) -> tuple[Mast
     outcome = api.call(method, (who.name, *params), who, 0)
     assert isinstance(outcome.answer, list)
     assert outcome.answer[0] == 1, outcome.answer
-    return tuple(event for event in outcome.events if not isinstance(event, ParameterKept))
+    return tuple(event for event in outcome.events if not isinstance(event, PersistParameter))
 
 
-def test_every_change_is_to_be_kept_and_nothing_else(api: MasterApi) -> None:
+def test_changes_and_only_changes_are_persisted(api: MasterApi) -> None:
     def kept(method: str, *params: object) -> list[MasterEvent]:
         outcome = api.call(method, ("/a", *params), everything("/a"), 0)
-        return [event for event in outcome.events if isinstance(event, ParameterKept)]
+        return [event for event in outcome.events if isinstance(event, PersistParameter)]
 
-    assert kept("setParam", "k", 1) == [ParameterKept(ParameterChange("/k", 1))]
-    assert kept("deleteParam", "k") == [ParameterKept(ParameterChange("/k", deleted=True))]
+    assert kept("setParam", "k", 1) == [PersistParameter(ParameterChange("/k", 1))]
+    assert kept("deleteParam", "k") == [PersistParameter(ParameterChange("/k", deleted=True))]
     assert kept("deleteParam", "k") == kept("setParam", "/", 1) == kept("getParam", "k") == []
 
 
-def test_everybody_but_the_setter_hears_of_a_change(api: MasterApi) -> None:
+def test_all_subscribers_but_the_setter_are_notified_of_a_change(api: MasterApi) -> None:
     assert ask(api, everything("/a"), "setParam", "/ns/k", 1) == (ParameterChanged(B, "/ns/k/", 1),)
     assert ask(api, everything("/a"), "setParam", "/other", 1) == ()
 
 
-def test_everybody_hears_of_a_deletion(api: MasterApi) -> None:
+def test_all_subscribers_are_notified_of_a_deletion(api: MasterApi) -> None:
     ask(api, everything("/a"), "setParam", "/ns/k", 1)
     events = ask(api, everything("/a"), "deleteParam", "/ns/k")
     assert events == (ParameterChanged(A, "/ns/k/", {}), ParameterChanged(B, "/ns/k/", {}))
 
 
-def test_a_lost_right_ends_the_news(api: MasterApi, statements: FakeStatements) -> None:
+def test_updates_end_with_the_right(api: MasterApi, statements: FakeStatements) -> None:
     statements.callers["/b"] = caller("/b", {"/ns/open": Right.PARAM_GET})
     tree = {"open": 1, "secret": 2}
     assert ask(api, everything("/a"), "setParam", "/ns", tree) == ()
@@ -73,7 +73,7 @@ def test_unsubscribing(api: MasterApi) -> None:
     assert ask(api, everything("/a"), "setParam", "/ns/k", 1) == ()
 
 
-def test_a_new_slave_api_takes_the_subscription_along(api: MasterApi) -> None:
+def test_a_new_slave_api_replaces_the_subscription(api: MasterApi) -> None:
     moved = NodeRef("/b", "http://b:2/", b"/b")
     ask(api, everything("/b"), "subscribeParam", moved.uri, "/ns")
     [event] = ask(api, everything("/a"), "setParam", "/ns/k", 1)
@@ -92,7 +92,7 @@ def test_an_illegal_name_in_a_tree_is_named_whatever_the_rights(
 
 
 @pytest.mark.parametrize("method", ["getParam", "subscribeParam"])
-def test_what_is_much_too_long_is_not_written_out(api: MasterApi, method: str) -> None:
+def test_a_value_much_too_long_is_not_encoded(api: MasterApi, method: str) -> None:
     for number in range(3):
         ask(api, everything("/a"), "setParam", f"/long/p{number}", "x" * (BODY_LIMIT - 100))
     params = ("/long",) if method == "getParam" else (A.uri, "/long")
@@ -104,10 +104,10 @@ def test_what_is_much_too_long_is_not_written_out(api: MasterApi, method: str) -
     )
 
 
-def test_names_that_no_answer_can_carry_are_not_collected(
+def test_a_list_of_names_too_long_for_an_answer_is_refused_early(
     api: MasterApi, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(parameter_calls, "_TOO_LONG", 5000)
+    monkeypatch.setattr(parameter_calls, "_MAX_ENCODED", 5000)
     ask(api, everything("/a"), "setParam", "/many", {f"p{number}": 1 for number in range(99)})
     assert len(api.call("getParamNames", ("/a",), everything("/a"), 0).answer[2]) == 99  # type: ignore[index]
     ask(api, everything("/a"), "setParam", "/more", {f"p{number}": 1 for number in range(99)})
@@ -115,8 +115,8 @@ def test_names_that_no_answer_can_carry_are_not_collected(
         api.call("getParamNames", ("/a",), everything("/a"), 0)
 
 
-def test_a_search_looks_for_something_that_may_be_read(api: MasterApi) -> None:
-    tree = {f"p{number}": 1 for number in range(3 * LOOKS_AT_ONCE)}
+def test_a_search_finds_only_readable_parameters(api: MasterApi) -> None:
+    tree = {f"p{number}": 1 for number in range(3 * NAMES_PER_YIELD)}
     for key in ("/x", "/ns/x"):
         ask(api, everything("/a"), "setParam", key, tree)
 
@@ -125,14 +125,14 @@ def test_a_search_looks_for_something_that_may_be_read(api: MasterApi) -> None:
         answer: list[object] = api.call("searchParam", (node, key), who, 0).answer  # type: ignore[assignment]
         return answer[2]
 
-    last = f"p{3 * LOOKS_AT_ONCE - 1}"
+    last = f"p{3 * NAMES_PER_YIELD - 1}"
     assert search("/ns/n", "x", "/x/p1", f"/ns/x/{last}") == "/ns/x"
     assert search("/ns/n", "x/y", "/x/p1") == "/x/y"
     assert search("/ns/n", "/x", "/ns/x/p1") == search("/ns/n", "x") == ""
     assert search("/ns/n", "/x", "/x/p1") == "/x"
 
 
-def test_one_key_cannot_fill_the_room_that_is_for_all() -> None:
+def test_one_key_cannot_use_up_the_limit_of_all_parameters() -> None:
     api = MasterApi(
         Registry(), FakeStatements(), name="/m", uri="http://m:1/", pid=1, parameter_bytes=10_000
     )
@@ -157,7 +157,7 @@ def test_one_key_cannot_fill_the_room_that_is_for_all() -> None:
     assert put("/a", "/a/more", 4000) == "parameter /a/more set", "all of it is gone"
 
 
-def test_a_key_that_is_many_nodes_is_judged_once_for_a_change(
+def test_a_key_with_many_nodes_is_authorized_once_for_a_change(
     api: MasterApi, statements: FakeStatements, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Else one call judges a large tree as often as its caller has nodes."""
@@ -167,11 +167,11 @@ def test_a_key_that_is_many_nodes_is_judged_once_for_a_change(
         ask(api, statements.callers[node.name], "subscribeParam", node.uri, "/ns")
     judged: list[bytes] = []
 
-    def may_all(who: Caller, *_: object) -> bool:
+    def has_right_on_all(who: Caller, *_: object) -> bool:
         judged.append(who.thumbprint)
         return True
 
-    monkeypatch.setattr(parameter_calls, "may_all", may_all)
-    told = ask(api, everything("/b"), "setParam", "/ns", {"k": 1})
-    assert {event.node for event in told if isinstance(event, ParameterChanged)} == {A, *shared}
+    monkeypatch.setattr(parameter_calls, "has_right_on_all", has_right_on_all)
+    received = ask(api, everything("/b"), "setParam", "/ns", {"k": 1})
+    assert {event.node for event in received if isinstance(event, ParameterChanged)} == {A, *shared}
     assert judged.count(b"rviz") == 1

@@ -2,7 +2,15 @@
 
 import pytest
 
-from rossec.master.api.turns import TURN, CallOutcome, Turns, Work, advance, finished, never
+from rossec.master.api.turns import (
+    TURN,
+    CallOutcome,
+    Turns,
+    Work,
+    advance,
+    never_expires,
+    run_to_end,
+)
 
 
 def work(steps: int) -> Work:
@@ -14,21 +22,21 @@ def work(steps: int) -> Work:
 def test_a_turn_ends_by_the_clock() -> None:
     now = [100.0]
     turns = Turns(lambda: now[0])
-    over = turns.begin()
-    assert not over()
+    expired = turns.begin()
+    assert not expired()
     now[0] += TURN
-    assert over()
+    assert expired()
     assert not turns.begin()()
 
 
-def test_work_goes_on_where_it_was_left() -> None:
+def test_work_resumes_where_it_was_suspended() -> None:
     left = work(3)
     assert [advance(left, lambda: True) for _ in range(4)] == [None, None, None, CallOutcome(3)]
-    assert advance(work(3), never) == CallOutcome(3)
-    assert finished(work(0)) == finished(work(0)) == CallOutcome(0)
+    assert advance(work(3), never_expires) == CallOutcome(3)
+    assert run_to_end(work(0)) == run_to_end(work(0)) == CallOutcome(0)
 
 
-def test_what_work_raises_is_raised() -> None:
+def test_an_exception_in_the_work_is_raised() -> None:
     def broken() -> Work:
         yield
         raise ValueError("no")
@@ -36,4 +44,4 @@ def test_what_work_raises_is_raised() -> None:
     left = broken()
     assert advance(left, lambda: True) is None
     with pytest.raises(ValueError, match="no"):
-        advance(left, never)
+        advance(left, never_expires)

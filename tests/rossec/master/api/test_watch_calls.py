@@ -7,7 +7,7 @@ import pytest
 from grants.model import Right
 from rossec.master.api import watch_calls
 from rossec.master.api.dispatch import MasterApi
-from rossec.master.api.watch_calls import VIEWS, WATCH, no_news
+from rossec.master.api.watch_calls import MAX_VIEWS, WATCH, is_unchanged
 from rossec.master.rights.access_rules import Caller
 from rossec.master.state.registry import Registry
 from rossec.participant.graph_view import GraphView
@@ -37,7 +37,7 @@ class Watcher:
 
     def look(self) -> tuple[list[str], list[str], bool]:
         """What was added, removed, and whether it was told as a whole."""
-        params = [self.who.name, *self.view.question]
+        params = [self.who.name, *self.view.next_params]
         self.answer = self.api.call(WATCH, params, self.who, 0).answer
         assert self.answer[0] == 1, self.answer
         change = self.view.take(self.answer[2])
@@ -53,7 +53,7 @@ def do(api: MasterApi, name: str, method: str, *params: object) -> None:
     assert ask(api, everything(name), method, *params)[0] == 1
 
 
-def test_everything_at_first_then_what_changed(api: MasterApi) -> None:
+def test_the_whole_state_is_sent_first_then_changes(api: MasterApi) -> None:
     watcher = Watcher(api)
     assert watcher.look() == ([], [], True)
     do(api, "/laser", "registerPublisher", "/scan", T, "http://l:1/")
@@ -69,9 +69,9 @@ def test_everything_at_first_then_what_changed(api: MasterApi) -> None:
         [],
         False,
     )  # fmt: skip
-    assert not no_news(watcher.answer)
+    assert not is_unchanged(watcher.answer)
     assert watcher.look() == ([], [], False)
-    assert no_news(watcher.answer)
+    assert is_unchanged(watcher.answer)
     do(api, "/laser", "unregisterService", "/reset", "rosrpc://l:2")
     do(api, "/map", "unregisterSubscriber", "/scan", "http://n:1/")
     assert watcher.look() == (
@@ -81,7 +81,7 @@ def test_everything_at_first_then_what_changed(api: MasterApi) -> None:
     assert watcher.view.version == 8  # each change of the state counts, types and URIs too
 
 
-def test_what_came_and_went_between_two_looks_is_not_told(api: MasterApi) -> None:
+def test_a_change_undone_between_two_calls_is_not_sent(api: MasterApi) -> None:
     watcher = Watcher(api)
     watcher.look()
     do(api, "/laser", "registerPublisher", "/scan", T, "http://l:1/")
@@ -96,7 +96,7 @@ def test_the_right_is_graph_on_the_master(api: MasterApi) -> None:
     assert status.startswith("rossec: /watcher needs the right graph on /master")
 
 
-def test_only_what_may_be_seen_is_told(api: MasterApi) -> None:
+def test_only_visible_facts_are_sent(api: MasterApi) -> None:
     rights = {"/master": Right.GRAPH, "/scan": Right.SUBSCRIBE}
     watcher = Watcher(api, caller("/watcher", rights))
     do(api, "/laser", "registerPublisher", "/scan", T, "http://l:1/")
@@ -141,25 +141,25 @@ def test_an_answer_is_bounded_and_the_rest_follows(
 
 
 def test_watchers_of_one_identity_do_not_disturb_each_other(api: MasterApi) -> None:
-    watchers = [Watcher(api) for _ in range(VIEWS)]
-    assert [watcher.look()[2] for watcher in watchers] == [True] * VIEWS
-    assert [watcher.look()[2] for watcher in watchers] == [False] * VIEWS
+    watchers = [Watcher(api) for _ in range(MAX_VIEWS)]
+    assert [watcher.look()[2] for watcher in watchers] == [True] * MAX_VIEWS
+    assert [watcher.look()[2] for watcher in watchers] == [False] * MAX_VIEWS
     Watcher(api).look()
     assert watchers[-1].look() == ([], [], False)
     assert watchers[0].look()[2]  # it was the first to be forgotten
-    assert sum(map(len, api.watching._views.values())) <= VIEWS
+    assert sum(map(len, api.watch_calls._views.values())) <= MAX_VIEWS
 
 
-def test_who_is_gone_is_forgotten(api: MasterApi) -> None:
+def test_views_of_disconnected_keys_are_discarded(api: MasterApi) -> None:
     watcher = Watcher(api)
     watcher.look()
-    api.watching.keep_only(frozenset({watcher.who.thumbprint}))
+    api.watch_calls.keep_only(frozenset({watcher.who.thumbprint}))
     assert not watcher.look()[2]
-    api.watching.keep_only(frozenset())
+    api.watch_calls.keep_only(frozenset())
     assert watcher.look()[2]
 
 
 @pytest.mark.parametrize("params", [("", "1"), (1, 1), ("", -1), ("", True), ("",), ("", 0, 0)])
-def test_a_question_that_is_none(api: MasterApi, params: tuple[object, ...]) -> None:
+def test_a_malformed_call_is_refused(api: MasterApi, params: tuple[object, ...]) -> None:
     answer: Any = api.call(WATCH, ["/watcher", *params], everything("/watcher"), 0).answer
     assert (answer[0], answer[2]) == (-1, {})

@@ -27,11 +27,11 @@ def test_what_is_written_can_be_learnt_from(tmp_path: Path) -> None:
     assert stat.S_IMODE(path.stat().st_mode) == 0o600
 
 
-def test_a_restart_appends_and_a_flood_ends(
+def test_a_restart_appends_and_the_lines_are_limited(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(denial_log, "MAX_LINES", 1)
-    monkeypatch.setattr(denial_log, "SHARE", 2)
+    monkeypatch.setattr(denial_log, "LINES_PER_NODE", 2)
     for _ in range(2):
         log = DenialLog(tmp_path / "complaints")
         for number in range(10):
@@ -40,9 +40,11 @@ def test_a_restart_appends_and_a_flood_ends(
     assert len((tmp_path / "complaints").read_text().splitlines()) == 6
 
 
-def test_no_node_uses_up_what_is_anothers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_node_uses_up_the_quota_of_another(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(denial_log, "MAX_LINES", 5)
-    monkeypatch.setattr(denial_log, "SHARE", 3)
+    monkeypatch.setattr(denial_log, "LINES_PER_NODE", 3)
     log = DenialLog(tmp_path / "complaints")
     for node, lines in (("/eve", 99), ("/mallory", 99), ("/robot", 3)):
         for number in range(lines):
@@ -53,10 +55,10 @@ def test_no_node_uses_up_what_is_anothers(tmp_path: Path, monkeypatch: pytest.Mo
     assert [nodes.count(node) for node in ("/eve", "/mallory", "/robot")] == [8, 3, 3]
 
 
-async def test_the_master_tells_of_what_it_refuses(tmp_path: Path) -> None:
-    heard: list[tuple[str, Right, str]] = []
+async def test_the_master_logs_denials(tmp_path: Path) -> None:
+    received_calls: list[tuple[str, Right, str]] = []
     site = Site(tmp_path / "site")
-    site.complain = lambda _, node, right, name: heard.append((node, right, name))
+    site.on_denial = lambda _, node, right, name: received_calls.append((node, right, name))
     async with site.running(), site.node("/viewer") as viewer:
         with pytest.raises(RossecError):
             await viewer.subscriber("/robot/pose", "geometry_msgs/PoseStamped")
@@ -64,7 +66,7 @@ async def test_the_master_tells_of_what_it_refuses(tmp_path: Path) -> None:
             await viewer._session.call("getParam", "/robot/name")
         with pytest.raises(RossecError):
             await viewer._session.call("registerPublisher", "not a name", "*", viewer.uri)
-    assert heard == [
+    assert received_calls == [
         ("/viewer", Right.SUBSCRIBE, "/robot/pose"),
         ("/viewer", Right.PARAM_GET, "/robot/name"),
     ]

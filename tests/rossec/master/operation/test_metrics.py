@@ -11,13 +11,13 @@ import pytest
 
 from rossec.errors import ConfigurationError
 from rossec.master.operation import metrics
-from rossec.master.operation.metrics import MetricsExporter, of_loop
+from rossec.master.operation.metrics import MetricsExporter, on_loop
 
 STATUS = {"calls": 5, "denials": 2, "nodes": 3, "registrations": 9, "connections": 4,
           "revocation_number": 7}  # fmt: skip
 
 
-def test_they_are_served_on_loopback() -> None:
+def test_metrics_are_served_on_loopback() -> None:
     exporter = MetricsExporter(lambda: STATUS, 0)
     try:
         with urllib.request.urlopen(
@@ -31,15 +31,15 @@ def test_they_are_served_on_loopback() -> None:
         assert f"rossec_master_{name}{suffix} {value}.0" in text
 
 
-def test_callers_that_say_nothing_are_few(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_silent_connections_are_limited(monkeypatch: pytest.MonkeyPatch) -> None:
     """Anybody on the host can connect: each one was a thread and a descriptor for ever."""
     monkeypatch.setattr(metrics._Handler, "timeout", 1.0)
     exporter = MetricsExporter(lambda: STATUS, 0)
     silent: list[socket.socket] = []
-    place = "127.0.0.1", exporter.port
+    slot = "127.0.0.1", exporter.port
     try:
         before = threading.active_count()
-        silent.extend(socket.create_connection(place, 10) for _ in range(100))
+        silent.extend(socket.create_connection(slot, 10) for _ in range(100))
         assert threading.active_count() - before <= 16
         while True:  # those that have a place give it back
             with contextlib.suppress(OSError):
@@ -53,24 +53,24 @@ def test_callers_that_say_nothing_are_few(monkeypatch: pytest.MonkeyPatch) -> No
         exporter.close()
 
 
-def test_without_the_package_the_operator_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_package_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "prometheus_client", None)
     with pytest.raises(ConfigurationError, match="prometheus-client") as caught:
         MetricsExporter(lambda: STATUS, 0)
     assert "pip install" in caught.value.hint
 
 
-def test_a_taken_port_is_said() -> None:
+def test_a_port_in_use_is_reported() -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         with pytest.raises(ConfigurationError, match=f"on port {port}: address already in use"):
             MetricsExporter(lambda: STATUS, port)
 
 
-async def test_the_loop_is_asked_so_that_nothing_changes_meanwhile() -> None:
+async def test_the_status_is_read_in_the_loop() -> None:
     def status() -> dict[str, int]:
         assert threading.current_thread() is threading.main_thread()
         return STATUS
 
-    asked = of_loop(status)
-    assert await asyncio.to_thread(asked) == STATUS
+    requested = on_loop(status)
+    assert await asyncio.to_thread(requested) == STATUS

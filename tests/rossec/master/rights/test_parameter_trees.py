@@ -11,10 +11,10 @@ from grants.reach import Reach
 from rossec.master.rights import parameter_trees
 from rossec.master.rights.access_rules import Caller, Refused
 from rossec.master.rights.parameter_trees import (
-    looked,
-    looked_in_turns,
-    may_all,
-    named,
+    decisions,
+    decisions_across_turns,
+    has_right_on_all,
+    parameter_names,
     require_tree,
 )
 from rossec.master.rights.presented_grants import GrantAccess
@@ -42,27 +42,33 @@ def leaves(key: str, value: object) -> Iterator[str]:
 
 
 @given(st.lists(patterns, max_size=3), st.sampled_from(["/", "/a", "/a/b"]), values)
-def test_the_judgement_is_that_on_every_leaf(held: list[str], key: str, value: object) -> None:
+def test_the_result_equals_that_of_checking_every_leaf(
+    held: list[str], key: str, value: object
+) -> None:
     who = holder(*held)
-    assert may_all(who, GET, [(key, value)]) == all(who.may(GET, at) for at in leaves(key, value))
+    assert has_right_on_all(who, GET, [(key, value)]) == all(
+        who.may(GET, at) for at in leaves(key, value)
+    )
 
 
 @given(st.lists(patterns, max_size=3), values)
-def test_what_is_shown_is_what_is_covered(held: list[str], value: object) -> None:
+def test_covered_names_are_shown(held: list[str], value: object) -> None:
     who = holder(*held)
-    looks = looked_in_turns(who, GET, ("/", value))
-    shown = [name for look in looks if look.covered for name in named(look.place)]
+    decided = decisions_across_turns(who, GET, ("/", value))
+    shown = [
+        name for decision in decided if decision.covered for name in parameter_names(decision.item)
+    ]
     expected = [at for at in leaves("/", value) if who.may(GET, at)]
-    assert [name for name in expected if name in set(named(("/", value)))] == shown
+    assert [name for name in expected if name in set(parameter_names(("/", value)))] == shown
 
 
-def test_nothing_means_no() -> None:
+def test_no_items_are_not_covered() -> None:
     with pytest.raises(Refused, match="no grant covers it and all below it"):
         require_tree(everything("/a"), GET, "/k")
     require_tree(everything("/a"), GET, "/k", ("/k", 1), ("/k", {"x": 1}))
     with pytest.raises(Refused) as refused:
         require_tree(caller("/a", {"/k/x": GET}), GET, "/k", ("/k/x", 1), ("/k/y", 1))
-    assert refused.value.wanted == (GET, "/k")
+    assert refused.value.missing == (GET, "/k")
 
 
 class Counted(FakeAccess):
@@ -73,27 +79,27 @@ class Counted(FakeAccess):
         return super().covers(right, name)
 
 
-def test_it_ends_at_the_first_that_is_not_covered() -> None:
+def test_the_check_ends_at_the_first_uncovered_name() -> None:
     many = {f"p{number}": 1 for number in range(1000)}
     for held in ({}, {"/p1": GET}, {"/far/away": GET}):
         Counted.asked = 0
-        assert not may_all(Caller("/a", b"a", Counted(held)), GET, [("/", many)])
+        assert not has_right_on_all(Caller("/a", b"a", Counted(held)), GET, [("/", many)])
         assert Counted.asked < 10
-    opened, *one = [look.covered for look in looked(holder("/p7"), GET, ("/", many))]
+    opened, *one = [decision.covered for decision in decisions(holder("/p7"), GET, ("/", many))]
     assert (opened, len(one), one.count(True), one.count(False)) == (None, 1000, 1, 999)
-    assert [*looked(holder("/**"), GET, ("/", many))] == [(("/", many), True)]
-    assert [*looked(holder("/else"), GET, ("/ns", many))] == [(("/ns", many), False)]
+    assert [*decisions(holder("/**"), GET, ("/", many))] == [(("/", many), True)]
+    assert [*decisions(holder("/else"), GET, ("/ns", many))] == [(("/ns", many), False)]
 
 
-def test_too_many_to_be_looked_at_are_not_covered(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(parameter_trees, "LOOKS", 1 + 2 * 10)  # each with its namespace
+def test_a_tree_of_too_many_names_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(parameter_trees, "MAX_NAMES_CHECKED", 1 + 2 * 10)  # each with its namespace
     each, whole = holder("/*/x"), holder("/**")
     fits = {f"n{number}": {"x": 1} for number in range(10)}
     more = fits | {"n10": {"x": 1}}
-    assert may_all(each, GET, [("/", fits)])
-    assert not may_all(each, GET, [("/", more)])
-    assert not may_all(each, GET, [("/", fits), ("/n0/x", 1)])
-    assert may_all(whole, GET, [("/", more), ("/n0/x", 1)])
+    assert has_right_on_all(each, GET, [("/", fits)])
+    assert not has_right_on_all(each, GET, [("/", more)])
+    assert not has_right_on_all(each, GET, [("/", fits), ("/n0/x", 1)])
+    assert has_right_on_all(whole, GET, [("/", more), ("/n0/x", 1)])
 
 
 def test_namespaces_and_patterns_count_too() -> None:
@@ -103,29 +109,31 @@ def test_namespaces_and_patterns_count_too() -> None:
         deep = {"a": deep}
     fits = {f"n{number}": deep for number in range(200)}
     more = {f"n{number}": deep for number in range(2000)}
-    assert may_all(holder("/**/x"), GET, [("/", fits)])
-    assert not may_all(holder("/**/x"), GET, [("/", more)])
+    assert has_right_on_all(holder("/**/x"), GET, [("/", fits)])
+    assert not has_right_on_all(holder("/**/x"), GET, [("/", more)])
     many = holder("/*/x", *(f"/*/x{number}" for number in range(99)))
     assert many.patterns(GET) == 100
-    assert may_all(many, GET, [("/", {f"n{number}": {"x": 1} for number in range(80)})])
-    assert not may_all(many, GET, [("/", {f"n{number}": {"x": 1} for number in range(200)})])
+    assert has_right_on_all(many, GET, [("/", {f"n{number}": {"x": 1} for number in range(80)})])
+    assert not has_right_on_all(
+        many, GET, [("/", {f"n{number}": {"x": 1} for number in range(200)})]
+    )
     assert holder("/a/**", "/b").patterns(GET) == 0
 
 
-def test_who_costs_more_looks_less_at_once() -> None:
-    assert holder("/a/**", "/b").looks_at_once == 64
-    assert 1 < holder("/*/x", *(f"/*/x{number}" for number in range(99))).looks_at_once < 8
-    assert holder(*(f"/*/x{number}" for number in range(4096))).looks_at_once == 1
+def test_a_caller_with_many_patterns_checks_fewer_names_a_turn() -> None:
+    assert holder("/a/**", "/b").names_per_yield == 64
+    assert 1 < holder("/*/x", *(f"/*/x{number}" for number in range(99))).names_per_yield < 8
+    assert holder(*(f"/*/x{number}" for number in range(4096))).names_per_yield == 1
 
 
 def test_the_tree_may_change_while_it_is_shown() -> None:
     tree: dict[str, object] = {"a": {"x": 1}, "b": 2}
-    looks = looked_in_turns(holder("/*/x"), GET, ("/", tree))
-    assert [next(looks).covered, next(looks).covered] == [None, None]
+    decided = decisions_across_turns(holder("/*/x"), GET, ("/", tree))
+    assert [next(decided).covered, next(decided).covered] == [None, None]
     del tree["b"]
     tree["c"] = 3
-    assert [look.covered for look in looks] == [True, False]
-    names = named(("/", tree))
+    assert [decision.covered for decision in decided] == [True, False]
+    names = parameter_names(("/", tree))
     assert next(names) == "/a/x"
     tree["d"] = 4
     assert [*names] == ["/c"]

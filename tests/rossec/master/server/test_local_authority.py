@@ -4,7 +4,7 @@ import pytest
 
 from ca.errors import RevocationRefused
 from rossec.errors import ConfigurationError
-from rossec.master.server.local_authority import LocalAuthority, nothing
+from rossec.master.server.local_authority import LocalAuthority, no_authority
 from tests.rossec.master.fakes import FakeStatements
 
 
@@ -13,7 +13,7 @@ class Found:
         self.there: tuple[bytes, bytes] | Exception | None = None
         self.statements = FakeStatements()
         self.changes = 0
-        self.nearby = LocalAuthority(self.find, self.statements, self.changed)
+        self.local_authority = LocalAuthority(self.find, self.statements, self.changed)
 
     def find(self) -> tuple[bytes, bytes] | None:
         if isinstance(self.there, Exception):
@@ -24,30 +24,30 @@ class Found:
         self.changes += 1
 
 
-def test_what_is_newer_is_taken() -> None:
+def test_a_newer_list_is_accepted() -> None:
     found = Found()
     for there, changes in (
         (None, 0), ((b"list 1", b""), 1), ((b"list 1", b""), 1), ((b"list 2", b""), 2),
     ):  # fmt: skip
         found.there = there
-        found.nearby.look(7)
+        found.local_authority.check(7)
         assert found.changes == changes
     assert found.statements.lists == [b"list 1", b"list 2"]
 
 
-def test_without_an_authority_nothing_is_ever_taken() -> None:
+def test_without_an_authority_nothing_is_accepted() -> None:
     found = Found()
-    LocalAuthority(nothing, found.statements, found.changed).look(7)
+    LocalAuthority(no_authority, found.statements, found.changed).check(7)
     assert (found.changes, found.statements.lists) == (0, [])
 
 
-def test_a_tree_is_taken_with_its_entries(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_tree_is_accepted_with_its_entries(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
         "rossec.master.server.local_authority.is_tree", lambda data: data == b"tree"
     )
     found = Found()
     found.there = b"tree", b" and entries"
-    found.nearby.look(7)
+    found.local_authority.check(7)
     assert found.statements.lists == [b"tree and entries"]
 
 
@@ -55,25 +55,25 @@ def test_a_tree_is_taken_with_its_entries(monkeypatch: pytest.MonkeyPatch) -> No
     "wrong",
     [(b"forged", b""), RevocationRefused("no"), ConfigurationError("none signed", "x"), OSError()],
 )
-def test_what_is_wrong_is_said(
+def test_a_failure_is_logged(
     wrong: tuple[bytes, bytes] | Exception, caplog: pytest.LogCaptureFixture
 ) -> None:
     found = Found()
     found.there = wrong
-    found.nearby.look(7)
+    found.local_authority.check(7)
     assert (found.changes, found.statements.lists) == (0, [])
-    assert "the list of the authority on this host is not taken" in caplog.text
+    assert "the list of the authority on this host is not accepted" in caplog.text
 
 
-def test_each_reason_is_said_once(caplog: pytest.LogCaptureFixture) -> None:
+def test_each_reason_is_logged_once(caplog: pytest.LogCaptureFixture) -> None:
     found = Found()
     for there in (ConfigurationError("one", ""), ConfigurationError("another", "")):
         found.there = there
         for _ in range(3):
-            found.nearby.look(7)
-    assert caplog.text.count("is not taken") == 2
+            found.local_authority.check(7)
+    assert caplog.text.count("is not accepted") == 2
     found.there = None
-    found.nearby.look(7)
+    found.local_authority.check(7)
     found.there = ConfigurationError("another", "")
-    found.nearby.look(7)
-    assert caplog.text.count("is not taken: another") == 2
+    found.local_authority.check(7)
+    assert caplog.text.count("is not accepted: another") == 2

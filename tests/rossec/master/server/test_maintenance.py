@@ -13,7 +13,7 @@ from rossec.errors import AnswerRefused
 from tests.rossec.master.world import T, World, ends, until
 
 
-async def test_a_revoked_node_is_told_nothing_more(world: World) -> None:
+async def test_a_revoked_node_receives_no_more_updates(world: World) -> None:
     loop = asyncio.get_running_loop()
     with socket.create_server(("127.0.0.1", 0)) as silent:
         silent.setblocking(False)
@@ -37,41 +37,41 @@ async def test_an_older_key_of_a_name_cannot_disturb_the_node(world: World) -> N
     thief = await world.call_as(older)
     assert isinstance(await thief.ask("getPid", "/viewer"), int)
     assert await thief.ask("unregisterSubscriber", "/viewer", "/image", viewer.uri) == 0
-    await world.server._upkeep._enforce()
+    await world.server._maintenance._enforce()
     assert await camera.ask("registerPublisher", "/image", T, camera.uri) == [viewer.uri]
-    await until(lambda: viewer.heard("publisherUpdate") == [("/image", [camera.uri])])
+    await until(lambda: viewer.received_calls("publisherUpdate") == [("/image", [camera.uri])])
 
 
-async def test_a_revoked_grant_takes_the_registration_with_it(world: World) -> None:
+async def test_a_revoked_grant_removes_the_registration(world: World) -> None:
     camera, viewer = await world.node("/camera"), await world.node("/viewer")
     await viewer.ask("registerSubscriber", "/image", T, viewer.uri)
     await camera.ask("registerPublisher", "/image", T, camera.uri)
     revocations = world.site.revoke(camera.grant)
     assert await viewer.ask("rossec.updateRevocations", revocations) == 1
-    await until(lambda: viewer.heard("publisherUpdate")[-1:] == [("/image", [])])
+    await until(lambda: viewer.received_calls("publisherUpdate")[-1:] == [("/image", [])])
     with pytest.raises(AnswerRefused, match="is revoked"):
         await camera.ask("registerPublisher", "/image", T, camera.uri)
-    await until(lambda: len(viewer.heard("rossec.revocationUpdate")) > 0)
-    data, stamp = viewer.heard("rossec.revocationUpdate")[-1]
+    await until(lambda: len(viewer.received_calls("rossec.revocationUpdate")) > 0)
+    data, stamp = viewer.received_calls("rossec.revocationUpdate")[-1]
     assert data == revocations
     opened = open_timestamp(stamp, world.master.identity.public_key)
     assert opened.digest == digest(revocations)
 
 
-async def test_a_revoked_identity_is_cut_off_and_stays_out(world: World) -> None:
+async def test_a_revoked_identity_is_disconnected_and_stays_out(world: World) -> None:
     camera, viewer = await world.node("/camera"), await world.node("/viewer")
     await viewer.ask("registerSubscriber", "/image", T, viewer.uri)
     await camera.ask("registerPublisher", "/image", T, camera.uri)
     await viewer.ask("rossec.updateRevocations", world.site.revoke(camera.member))
     await ends(camera.ask("getPid"))
-    await until(lambda: viewer.heard("publisherUpdate")[-1:] == [("/image", [])])
+    await until(lambda: viewer.received_calls("publisherUpdate")[-1:] == [("/image", [])])
     again = await world.call_as(camera.member)
     await ends(again.ask("getPid", "/camera"))
     state = await viewer.ask("getSystemState")
     assert state == [[], [["/image", ["/viewer"]]], []]
 
 
-async def test_a_watcher_hears_that_a_node_was_revoked(world: World) -> None:
+async def test_a_watcher_is_notified_of_a_revoked_node(world: World) -> None:
     watcher, camera = await world.node("/watcher"), await world.node("/camera")
     await camera.ask("registerPublisher", "/image", T, camera.uri)
     whole = await watcher.ask("rossec.watchGraph", "", 0)
@@ -82,33 +82,33 @@ async def test_a_watcher_hears_that_a_node_was_revoked(world: World) -> None:
     gone: list[list[str]] = []
     async with asyncio.timeout(20):
         while ["publisher", "/image", "/camera"] not in gone:
-            news = await waiting
-            gone += news["removed"]
-            question = news["instance"], news["cursor"]
+            graph_changes = await waiting
+            gone += graph_changes["removed"]
+            question = graph_changes["instance"], graph_changes["cursor"]
             waiting = asyncio.ensure_future(watcher.ask("rossec.watchGraph", *question))
     waiting.cancel()
 
 
-async def test_a_fault_of_ours_does_not_end_freshness(
+async def test_an_exception_does_not_end_freshness(
     world: World, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Timestamps go on, and rights are enforced, whatever one round of it met."""
     node = await world.node("/node")
     await node.ask("registerSubscriber", "/t", T, node.uri)
-    told = world.trust.news_for
+    received = world.trust.revocations_for
 
     def crash(*_: object) -> Any:
-        monkeypatch.setattr(world.trust, "news_for", told)
+        monkeypatch.setattr(world.trust, "revocations_for", received)
         raise RuntimeError("a fault of ours")
 
-    monkeypatch.setattr(world.trust, "news_for", crash)
-    world.server._upkeep._changed.set()
+    monkeypatch.setattr(world.trust, "revocations_for", crash)
+    world.server._maintenance._changed.set()
     await until(lambda: "a fault of ours" in caplog.text)
-    world.server._upkeep._changed.set()
-    await until(lambda: node.heard("rossec.revocationUpdate") != [])
+    world.server._maintenance._changed.set()
+    await until(lambda: node.received_calls("rossec.revocationUpdate") != [])
 
 
-async def test_a_revoked_node_is_in_no_answer_from_the_moment_its_list_is_there(
+async def test_a_revoked_node_is_in_no_answer_once_the_list_is_delivered(
     world: World,
 ) -> None:
     """Also within one multicall: before the list it is there, then it is not."""
@@ -127,14 +127,14 @@ async def test_a_revoked_node_is_in_no_answer_from_the_moment_its_list_is_there(
     assert (after[2], node[0], service[0]) == ([[], [], []], -1, -1)
 
 
-async def test_a_master_whose_clock_went_back_goes_on_and_says_so(
+async def test_a_clock_set_back_is_logged_and_ends_nothing(
     world: World, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     shows = time.time()
     monkeypatch.setattr("rossec.clock.HOST", Clock(lambda: shows, lambda: 0.0))
     camera = await world.node("/camera")
     shows -= 3600
-    await world.server._upkeep._look_around()
+    await world.server._maintenance._run_once()
     _, stamp = await camera.ask("rossec.revocations")
     issued = open_timestamp(stamp, world.master.identity.public_key).issued
     assert issued == int(shows) + 3600

@@ -26,10 +26,10 @@ class World:
         self.own = OwnIdentity(self.home, NOW)
         self.before = self.own.credentials.certificate
 
-    def look(self, now: int) -> bool:
+    def check(self, now: int) -> bool:
         """Whether another certificate is shown since the last look."""
         self.now = now
-        self.own.look(now)
+        self.own.check(now)
         shown, self.before = self.own.credentials.certificate != self.before, self.shown
         return shown
 
@@ -43,41 +43,41 @@ def world(tmp_path: Path) -> World:
     return World(tmp_path)
 
 
-def test_another_certificate_is_taken_up_without_a_restart(
+def test_another_certificate_is_reloaded_without_a_restart(
     world: World, caplog: pytest.LogCaptureFixture
 ) -> None:
-    assert not world.look(NOW + 25 * DAY)
-    assert "the master's own identity: it ends " in caplog.text
+    assert not world.check(NOW + 25 * DAY)
+    assert "the master's own identity: it expires " in caplog.text
     assert (
         "(rossec ca renew /master, then rossec node install FILE here; no restart)" in caplog.text
     )
     world.site.renew(MASTER, LIFE)
     caplog.clear()
-    assert world.look(NOW + 25 * DAY + 10)
+    assert world.check(NOW + 25 * DAY + 10)
     assert world.shown == world.home.credentials().certificate
-    assert not world.look(NOW + 40 * DAY)
+    assert not world.check(NOW + 40 * DAY)
     assert caplog.text == ""
 
 
-def test_it_complains_every_hour_and_not_at_every_beat(
+def test_a_warning_is_logged_every_hour_and_not_every_round(
     world: World, caplog: pytest.LogCaptureFixture
 ) -> None:
     for second in range(0, 2 * HOUR, 600):
-        world.look(NOW + 25 * DAY + second)
+        world.check(NOW + 25 * DAY + second)
     assert len(caplog.messages) == 2
-    world.look(NOW + 31 * DAY)
-    assert "it ended " in caplog.messages[-1]
+    world.check(NOW + 31 * DAY)
+    assert "it expired " in caplog.messages[-1]
 
 
-def test_it_is_renewed_where_the_host_can(world: World) -> None:
+def test_the_identity_is_renewed_with_an_intermediate(world: World) -> None:
     world.own.renew = partial(renew, world.site.authority)
-    assert not world.look(NOW + 19 * DAY)
-    assert world.look(NOW + 21 * DAY)
+    assert not world.check(NOW + 19 * DAY)
+    assert world.check(NOW + 21 * DAY)
     assert world.home.identity(world.now).not_after > NOW + 50 * DAY
-    assert not world.look(NOW + 21 * DAY + 10)
+    assert not world.check(NOW + 21 * DAY + 10)
 
 
-def test_what_fails_is_tried_again(world: World, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_failed_renewal_is_tried_again(world: World, caplog: pytest.LogCaptureFixture) -> None:
     asked = []
 
     def fails(request: bytes, now: int) -> bytes:
@@ -86,11 +86,11 @@ def test_what_fails_is_tried_again(world: World, caplog: pytest.LogCaptureFixtur
 
     world.own.renew = fails
     for second in (0, 10, 599, 600):
-        world.look(NOW + 25 * DAY + second)
+        world.check(NOW + 25 * DAY + second)
     assert asked == [NOW + 25 * DAY, NOW + 25 * DAY + 600]
     assert "not today (ask tomorrow)" in caplog.text
     world.own.renew = lambda *_: b"garbage"
-    world.look(NOW + 26 * DAY)
+    world.check(NOW + 26 * DAY)
     assert world.shown == world.home.credentials().certificate
 
 
@@ -101,26 +101,26 @@ def test_another_key_needs_a_restart(world: World, caplog: pytest.LogCaptureFixt
     world.home.install(
         world.site.authority.issue(world.home.request(), NOW, LIFE, replace_key=MASTER), NOW
     )
-    assert not world.look(NOW + 10)
+    assert not world.check(NOW + 10)
     assert caplog.messages == [
-        "the master's own identity: it is for another key now (restart the master)"
+        "the master's own identity: the installed identity has another key (restart the master)"
     ]
-    assert not world.look(NOW + 20)
+    assert not world.check(NOW + 20)
     assert len(caplog.messages) == 1
 
 
-def test_what_is_missing_or_broken_changes_nothing(
+def test_a_missing_or_damaged_file_changes_nothing(
     world: World, caplog: pytest.LogCaptureFixture
 ) -> None:
     file = world.home.path / "node.pem"
     data = file.read_bytes()
     file.unlink()
-    assert not world.look(NOW + 10)
+    assert not world.check(NOW + 10)
     assert "No such file" in caplog.text
     file.write_bytes(b"garbage")
-    assert not world.look(NOW + 20)
+    assert not world.check(NOW + 20)
     file.write_bytes(data)
-    assert not world.look(NOW + 30)
+    assert not world.check(NOW + 30)
 
 
 def test_without_a_valid_identity_there_is_no_master(world: World) -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from ca.certificates import to_pem
 from ca.errors import CertificateExpired, RenewalRefused, RollbackRefused
-from grants.decision import Check
+from grants.decision import RevocationCheck
 from rossec.home import NodeHome
 from rossec.master.server.server import MasterServer
 from rossec.master.server.start import master_of
@@ -26,22 +26,22 @@ def home_of_master(root: Path, site: Site) -> NodeHome:
     return home
 
 
-async def test_a_restarted_master_remembers_the_revocations(tmp_path: Path) -> None:
+async def test_a_restarted_master_loads_the_revocations(tmp_path: Path) -> None:
     site = Site()
     home = home_of_master(tmp_path, site)
     eve, old = site.enroll("/eve"), site.revoke()
     newest = site.revoke(eve)
     for expected in (b"", newest):
         server = make(home, "127.0.0.1", site.now)
-        assert server._standing.current(site.now)[0] == expected
-        server._standing.update(newest, site.now)
+        assert server._trust.current(site.now)[0] == expected
+        server._trust.update(newest, site.now)
         with pytest.raises(RollbackRefused):
-            server._standing.update(old, site.now)
+            server._trust.update(old, site.now)
     assert home.load_revocations() == newest
 
 
 @pytest.mark.parametrize(
-    ("host", "listens", "told"),
+    ("host", "listens", "advertised"),
     [
         (None, None, socket.gethostname()),
         ("localhost", "localhost", "localhost"),
@@ -50,44 +50,44 @@ async def test_a_restarted_master_remembers_the_revocations(tmp_path: Path) -> N
         ("robot", None, "robot"),
     ],
 )
-async def test_what_is_told_is_not_always_what_is_bound(
-    tmp_path: Path, host: str | None, listens: str | None, told: str
+async def test_the_advertised_host_may_differ_from_the_bound_one(
+    tmp_path: Path, host: str | None, listens: str | None, advertised: str
 ) -> None:
     site = Site()
     server = make(home_of_master(tmp_path, site), host, site.now)
-    assert server.uri == f"http://{told}:11311/"
-    assert server._listen == (listens, 11311)
+    assert server.uri == f"http://{advertised}:11311/"
+    assert server._address == (listens, 11311)
 
 
-async def test_a_newer_list_beside_it_is_taken_and_saved(tmp_path: Path) -> None:
+async def test_a_newer_list_of_a_local_authority_is_accepted_and_saved(tmp_path: Path) -> None:
     site = Site()
     home = home_of_master(tmp_path, site)
     old, newest = site.revoke(), site.revoke()
     home.save_revocations(old)
     server = make(home, None, site.now, newest)
-    assert server._standing.current(site.now)[0] == newest
+    assert server._trust.current(site.now)[0] == newest
     assert home.load_revocations() == newest
 
 
-async def test_it_renews_itself_with_the_intermediate_it_renews_others_with(tmp_path: Path) -> None:
+async def test_the_master_renews_itself_with_the_intermediate(tmp_path: Path) -> None:
     site = Site()
     home = home_of_master(tmp_path, site)
     asked: list[tuple[bytes, int]] = []
 
-    def renewer(request: bytes, now: int, check: Check) -> bytes:
+    def renewer(request: bytes, now: int, check: RevocationCheck) -> bytes:
         asked.append((request, now))
         check(home.identity(site.now).thumbprint, site.now)
         raise RenewalRefused("seen")
 
     server = master_of(home, host=None, port=0, newest=site.revoke(), now=site.now, renewer=renewer)
-    server._upkeep._looks[0](site.now)
+    server._maintenance._checks[0](site.now)
     assert asked == []
-    server._upkeep._looks[0](site.now + 29 * 86400)
+    server._maintenance._checks[0](site.now + 29 * 86400)
     [(_, now)] = asked
     assert now == site.now + 29 * 86400
 
 
-async def test_an_expired_identity_is_no_masters(tmp_path: Path) -> None:
+async def test_an_expired_identity_is_refused(tmp_path: Path) -> None:
     site = Site()
     home = home_of_master(tmp_path, site)
     with pytest.raises(CertificateExpired):

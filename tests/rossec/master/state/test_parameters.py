@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rossec.master.state.parameter_values import DEPTH_LIMIT, weight
+from rossec.master.state.parameter_values import DEPTH_LIMIT, encoded_size
 from rossec.master.state.parameters import (
     ParameterMissing,
     Parameters,
     check_names,
-    places_to_search,
+    search_candidates,
     subscription_key,
     updates,
 )
@@ -24,17 +24,17 @@ def tree() -> Parameters:
     return parameters
 
 
-def test_a_place_is_what_a_call_reaches() -> None:
-    assert tree().place("/") == ("/", {"a": {"b": 1, "c": {"d": 2}}, "e": {}})
-    assert tree().place("/a/c") == ("/a/c", {"d": 2})
-    assert tree().place("/a/b") == ("/a/b", 1)
-    assert tree().place("/none") == ("/none", None)
+def test_the_item_of_a_key() -> None:
+    assert tree().item("/") == ("/", {"a": {"b": 1, "c": {"d": 2}}, "e": {}})
+    assert tree().item("/a/c") == ("/a/c", {"d": 2})
+    assert tree().item("/a/b") == ("/a/b", 1)
+    assert tree().item("/none") == ("/none", None)
 
 
-def test_reach_includes_a_value_that_would_become_a_tree() -> None:
-    assert tree().reach("/a/b/new/deep") == [("/a/b", 1), ("/a/b/new/deep", None)]
-    assert tree().reach("/a") == [("/a", {"b": 1, "c": {"d": 2}})]
-    assert tree().reach("/none/b") == [("/none/b", None)]
+def test_items_affected_include_a_value_that_would_become_a_tree() -> None:
+    assert tree().items_affected("/a/b/new/deep") == [("/a/b", 1), ("/a/b/new/deep", None)]
+    assert tree().items_affected("/a") == [("/a", {"b": 1, "c": {"d": 2}})]
+    assert tree().items_affected("/none/b") == [("/none/b", None)]
 
 
 @pytest.mark.parametrize(
@@ -69,7 +69,7 @@ def test_get_set_delete() -> None:
     assert parameters.get("/") == {"e": {}}
 
 
-def test_refuses_what_cannot_be_found_or_sent_again() -> None:
+def test_values_that_cannot_be_read_again_are_refused() -> None:
     parameters = Parameters()
     with pytest.raises(TypeError, match="cannot set root"):
         parameters.set("/", 1)
@@ -83,7 +83,7 @@ def test_refuses_what_cannot_be_found_or_sent_again() -> None:
     assert parameters.get("/") == {}
 
 
-def test_all_together_are_bounded_and_can_be_made_fewer() -> None:
+def test_the_size_of_all_parameters_is_limited_and_can_shrink() -> None:
     parameters = tree()
     limit = parameters.size + 2000
     parameters.set("/big", "x" * 1000, limit)
@@ -109,7 +109,7 @@ def test_all_together_are_bounded_and_can_be_made_fewer() -> None:
         max_size=12,
     )
 )
-def test_the_size_is_that_of_what_is_held(changes: list[tuple[str, object]]) -> None:
+def test_the_size_is_that_of_all_parameters(changes: list[tuple[str, object]]) -> None:
     parameters = Parameters()
     for key, value in changes:
         with contextlib.suppress(ParameterMissing, TypeError):
@@ -117,34 +117,38 @@ def test_the_size_is_that_of_what_is_held(changes: list[tuple[str, object]]) -> 
                 parameters.delete(key)
             else:
                 parameters.set(key, deepcopy(value))
-    assert parameters.size == weight({"": parameters.get("/")})
+    assert parameters.size == encoded_size({"": parameters.get("/")})
 
 
 def test_a_search_climbs_and_looks_for_the_first_segment() -> None:
-    assert places_to_search("/ns/node", "x/y") == [
+    assert search_candidates("/ns/node", "x/y") == [
         ("/ns/node/x", "/ns/node/x/y"), ("/ns/x", "/ns/x/y"), ("/x", "/x/y"),
     ]  # fmt: skip
-    assert places_to_search("/ns/node", "/x/y") == [("/x/y", "/x/y")]
+    assert search_candidates("/ns/node", "/x/y") == [("/x/y", "/x/y")]
     for key in ("", "~x"):
         with pytest.raises(ValueError, match="invalid key"):
-            places_to_search("/ns/node", key)
+            search_candidates("/ns/node", key)
 
 
 SUBSCRIPTIONS = [subscription_key(key) for key in ("/a", "/a/b", "/z", "/")]
 
 
-def heard(key: str, value: object) -> list[tuple[str, str, object]]:
+def received_calls(key: str, value: object) -> list[tuple[str, str, object]]:
     return [(u.subscription, u.key, u.value) for u in updates(SUBSCRIPTIONS, key, value)]
 
 
-def test_a_change_is_heard_above_at_and_below() -> None:
-    assert heard("/a/b", 1) == [("/", "/a/b/", 1), ("/a/", "/a/b/", 1), ("/a/b/", "/a/b/", 1)]
-    assert heard("/a", {"b": 5}) == [
+def test_subscribers_above_at_and_below_are_notified() -> None:
+    assert received_calls("/a/b", 1) == [
+        ("/", "/a/b/", 1),
+        ("/a/", "/a/b/", 1),
+        ("/a/b/", "/a/b/", 1),
+    ]
+    assert received_calls("/a", {"b": 5}) == [
         ("/", "/a/", {"b": 5}),
         ("/a/", "/a/", {"b": 5}),
         ("/a/b/", "/a/b/", 5),
     ]
-    assert heard("/a", {"c": 5})[2] == ("/a/b/", "/a/b/", {})
+    assert received_calls("/a", {"c": 5})[2] == ("/a/b/", "/a/b/", {})
 
 
 def test_an_update_is_a_copy() -> None:

@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
 from rossec.master.state.registry import (
-    KEYS_LIMIT,
+    REGISTRATIONS_LIMIT,
     Kind,
     NodeRef,
     PublishersChanged,
@@ -102,7 +102,7 @@ def test_another_key_that_registers_replaces_the_node() -> None:
     assert registry.owner(A.uri) == "/a"
 
 
-def test_the_last_provider_has_the_service() -> None:
+def test_the_last_provider_replaces_the_others() -> None:
     registry = Registry()
     registry.register_service("/s", "rosrpc://h:1", A)
     registry.register_service("/s", "rosrpc://h:2", B)
@@ -112,7 +112,7 @@ def test_the_last_provider_has_the_service() -> None:
     assert registry.unregister_service("/s", "/b", "rosrpc://h:2", b"/b").removed == 1
 
 
-def test_types_a_real_one_wins_over_any() -> None:
+def test_a_type_replaces_the_wildcard_type() -> None:
     registry = Registry()
     registry.register_subscriber("/t", "*", A)
     assert list(registry.topic_types()) == []
@@ -123,7 +123,7 @@ def test_types_a_real_one_wins_over_any() -> None:
     assert registry.topic_type("/t") == TYPE
 
 
-def test_types_go_with_the_last_registration() -> None:
+def test_a_type_is_removed_with_the_last_registration() -> None:
     registry = Registry()
     registry.register_publisher("/t", TYPE, A)
     registry.register_subscriber("/t", TYPE, B)
@@ -134,40 +134,40 @@ def test_types_go_with_the_last_registration() -> None:
     assert list(registry.topic_types()) == []
 
 
-def test_a_node_has_so_many_registrations_of_a_kind() -> None:
+def test_the_registrations_of_a_node_are_limited() -> None:
     registry = Registry()
-    for n in range(KEYS_LIMIT):
-        assert registry.has_room(Kind.PUBLISHER, f"/t{n}", A)
+    for n in range(REGISTRATIONS_LIMIT):
+        assert registry.has_capacity(Kind.PUBLISHER, f"/t{n}", A)
         registry.register_publisher(f"/t{n}", TYPE, A)
-    assert registry.has_room(Kind.PUBLISHER, "/t0", A)
-    assert not registry.has_room(Kind.PUBLISHER, "/more", A)
-    assert registry.has_room(Kind.SUBSCRIBER, "/more", A)
-    assert registry.has_room(Kind.PUBLISHER, "/more", B)
-    assert registry.has_room(Kind.PUBLISHER, "/more", A._replace(uri="http://h:9/"))
+    assert registry.has_capacity(Kind.PUBLISHER, "/t0", A)
+    assert not registry.has_capacity(Kind.PUBLISHER, "/more", A)
+    assert registry.has_capacity(Kind.SUBSCRIBER, "/more", A)
+    assert registry.has_capacity(Kind.PUBLISHER, "/more", B)
+    assert registry.has_capacity(Kind.PUBLISHER, "/more", A._replace(uri="http://h:9/"))
 
 
-def test_a_key_is_so_many_nodes() -> None:
+def test_the_nodes_of_a_key_are_limited() -> None:
     registry = Registry(2)
     one, two, three = (A._replace(name=f"/a_{n}", uri=f"http://h:{n + 9}/") for n in range(3))
     registry.register_publisher("/t", TYPE, one)
     registry.register_parameter("/t", two)
-    assert registry.has_room(Kind.SUBSCRIBER, "/t", two)
-    assert not registry.has_room(Kind.PUBLISHER, "/t", three)
-    assert not registry.has_room(Kind.PUBLISHER, "/t", B._replace(thumbprint=A.thumbprint))
+    assert registry.has_capacity(Kind.SUBSCRIBER, "/t", two)
+    assert not registry.has_capacity(Kind.PUBLISHER, "/t", three)
+    assert not registry.has_capacity(Kind.PUBLISHER, "/t", B._replace(thumbprint=A.thumbprint))
     moved = two._replace(uri="http://h:99/")
-    assert registry.has_room(Kind.PUBLISHER, "/t", moved)
+    assert registry.has_capacity(Kind.PUBLISHER, "/t", moved)
     registry.register_publisher("/t", TYPE, moved)  # it is still one of two
-    assert not registry.has_room(Kind.PUBLISHER, "/t", three)
-    assert registry.has_room(Kind.PUBLISHER, "/t", three._replace(thumbprint=b"another key"))
+    assert not registry.has_capacity(Kind.PUBLISHER, "/t", three)
+    assert registry.has_capacity(Kind.PUBLISHER, "/t", three._replace(thumbprint=b"another key"))
     registry.remove_node(one.name)
-    assert registry.has_room(Kind.PUBLISHER, "/t", three)
+    assert registry.has_capacity(Kind.PUBLISHER, "/t", three)
     newer = moved._replace(thumbprint=b"a newer key")
     registry.register_publisher("/t", TYPE, newer)
     registry.register_publisher("/t", TYPE, one)
-    assert registry.has_room(Kind.PUBLISHER, "/t", three)
+    assert registry.has_capacity(Kind.PUBLISHER, "/t", three)
 
 
-def test_an_address_is_known_however_it_is_spelt() -> None:
+def test_an_address_is_found_in_any_spelling() -> None:
     registry = Registry()
     registry.register_publisher("/t", TYPE, A._replace(uri="http://[::1]:80/"))
     assert registry.owner("http://[0::1]:080") == "/a"
@@ -175,14 +175,14 @@ def test_an_address_is_known_however_it_is_spelt() -> None:
     assert registry.owner("http://[::1]:80/") is None
 
 
-def test_removing_a_node_tells_its_subscribers() -> None:
+def test_removing_a_node_notifies_its_subscribers() -> None:
     registry = Registry()
     registry.register_publisher("/t", TYPE, A)
     registry.register_parameter("/p/", A)
     registry.register_subscriber("/t", TYPE, B)
     assert registry.remove_node("/a") == [PublishersChanged("/t", (B,), ())]
     assert registry.remove_node("/a") == []
-    assert registry.members(Kind.PARAMETER, "/p/") == ()
+    assert registry.registered_nodes(Kind.PARAMETER, "/p/") == ()
 
 
 def test_removing_one_registration() -> None:

@@ -10,11 +10,11 @@ from rossec.net.aio import driver as driver_module
 from rossec.net.aio import serve
 from rossec.net.aio.driver import Driver
 from rossec.net.aio.server import SecureServer
-from rossec.progress import LEAST, STEP, WINDOW
+from rossec.progress import MIN_BYTES, STEP, WINDOW
 from tests.rossec.net.test_aio import Stream, call, echo, live
 from tests.support.wire import BOB, FakeIdentity
 
-WHOLE = bytes(4 * LEAST)
+WHOLE = bytes(4 * MIN_BYTES)
 
 
 async def begin(stream: Stream, server: SecureServer[FakeIdentity]) -> Driver[FakeIdentity]:
@@ -42,7 +42,7 @@ async def test_a_peer_that_stands_still_in_a_unit_is_given_up(
         monkeypatch.setattr(driver_module, "wall_clock", lambda: next(clock))
         for _ in range(2 * WINDOW // STEP):
             if driver.error is None:
-                driver._tick()
+                driver._run_timers()
         assert isinstance(driver.error, LimitExceeded)
         stream.abort("done")
 
@@ -55,6 +55,6 @@ async def test_a_peer_that_is_not_read_is_not_blamed(monkeypatch: pytest.MonkeyP
         clock = itertools.count(driver_module.wall_clock(), STEP)
         monkeypatch.setattr(driver_module, "wall_clock", lambda: next(clock))
         for _ in range(10 * WINDOW // STEP):
-            driver._tick()
+            driver._run_timers()
         assert driver.error is None
         stream.abort("done")

@@ -7,12 +7,12 @@ from grants.filters.codegen import Buffer
 from grants.guard import Guard
 from grants.memory import Memory
 from grants.model import Restriction, Right
-from rossec.sidecar.core.copies import Copies, Judge
+from rossec.sidecar.core.copies import CopyTracker, MessageGuard
 
 NOW = 1_800_000_000
 
 
-def guard(memory: Memory | None, *conditions: str) -> Guard:
+def make_guard(memory: Memory | None, *conditions: str) -> Guard:
     limits = () if memory is None else (Restriction(None, conditions, rate=0.1),)
     decision = Decision(Right.SUBSCRIBE, "/a", (), NOW + 100, limits)
     return Guard(None, decision, None, lambda _: memory or Memory())
@@ -23,22 +23,22 @@ class Connections:
 
     def __init__(self, stack: ExitStack, *, latching: bool = False) -> None:
         self.stack = stack
-        self.copies = Copies()
+        self.copies = CopyTracker()
         self.memory = Memory()
         self.latching = latching
 
-    def open(self, now: int = NOW) -> tuple[Judge, list[Buffer]]:
-        shared = self.copies.shared(guard(self.memory), now, latching=self.latching)
-        judge, shown = self.stack.enter_context(shared)
-        assert judge is not None
-        return judge, shown
+    def open(self, now: int = NOW) -> tuple[MessageGuard, list[Buffer]]:
+        shared = self.copies.share(make_guard(self.memory), now, latching=self.latching)
+        guard, initial = self.stack.enter_context(shared)
+        assert guard is not None
+        return guard, initial
 
 
 def test_where_nothing_is_remembered_there_is_nothing_to_share() -> None:
-    with Copies().shared(None, NOW, latching=False) as found:
+    with CopyTracker().share(None, NOW, latching=False) as found:
         assert found == (None, [])
-    alone = guard(None)
-    with Copies().shared(alone, NOW, latching=True) as found:
+    alone = make_guard(None)
+    with CopyTracker().share(alone, NOW, latching=True) as found:
         assert found == (alone, [])
 
 
@@ -46,38 +46,38 @@ def test_a_copy_passes_once_on_each_connection_that_was_open() -> None:
     with ExitStack() as stack:
         connections = Connections(stack)
         one, two, three = (connections.open()[0] for _ in range(3))
-        for judge in (one, two, three):
-            judge.check(NOW)
-        assert one.treat(b"a", NOW) == [b"a"]
-        assert one.treat(b"a", NOW) is None
-        assert two.treat(b"b", NOW) is None
-        assert two.treat(b"a", NOW + 1) == [b"a"]
-        assert two.treat(b"a", NOW + 1) is None
-        late, shown = connections.open()
-        assert shown == []
-        assert late.treat(b"a", NOW) is None
-        assert three.treat(b"a", NOW + 2) is None, "it may be another one by now"
+        for guard in (one, two, three):
+            guard.check(NOW)
+        assert one.apply(b"a", NOW) == [b"a"]
+        assert one.apply(b"a", NOW) is None
+        assert two.apply(b"b", NOW) is None
+        assert two.apply(b"a", NOW + 1) == [b"a"]
+        assert two.apply(b"a", NOW + 1) is None
+        late, initial = connections.open()
+        assert initial == []
+        assert late.apply(b"a", NOW) is None
+        assert three.apply(b"a", NOW + 2) is None, "it may be another one by now"
 
 
 def test_a_latching_programs_newcomer() -> None:
     with ExitStack() as stack:
         connections = Connections(stack, latching=True)
-        first, shown = connections.open()
-        assert shown == []
-        assert first.treat(b"a", NOW) == [b"a"]
-        second, shown = connections.open(NOW + 5)
-        assert shown == [b"a"]
-        assert second.treat(b"b", NOW + 5) is None
-        third, shown = connections.open(NOW + 10)
-        assert shown == []
-        assert third.treat(b"b", NOW + 10) == [b"b"]
+        first, initial = connections.open()
+        assert initial == []
+        assert first.apply(b"a", NOW) == [b"a"]
+        second, initial = connections.open(NOW + 5)
+        assert initial == [b"a"]
+        assert second.apply(b"b", NOW + 5) is None
+        third, initial = connections.open(NOW + 10)
+        assert initial == []
+        assert third.apply(b"b", NOW + 10) == [b"b"]
 
 
 def test_what_nobody_will_be_shown_is_not_kept() -> None:
     for latching, kept in ((True, [b"a"]), (False, [])):
         with ExitStack() as stack:
             connections = Connections(stack, latching=latching)
-            assert connections.open()[0].treat(b"a", NOW) == [b"a"]
+            assert connections.open()[0].apply(b"a", NOW) == [b"a"]
         with ExitStack() as stack:
             connections.stack = stack
             connections.latching = True

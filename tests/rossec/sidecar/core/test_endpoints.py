@@ -1,14 +1,14 @@
 import pytest
 
 from rossec.channel.opening import WireProtocol
-from rossec.sidecar.core.endpoints import Endpoint, EndpointMap, endpoint, inside
+from rossec.sidecar.core.endpoints import Endpoint, EndpointMap, local_endpoint, parse_endpoint
 
-SLAVE = inside(WireProtocol.HTTP, 5000)
+SLAVE = local_endpoint(WireProtocol.HTTP, 5000)
 PEER = Endpoint(WireProtocol.TCPROS, "10.0.0.7", 6000)
 
 
 @pytest.mark.parametrize(
-    ("uri", "flavour", "found"),
+    ("uri", "protocol", "found"),
     [
         ("http://10.0.0.7:6000/", WireProtocol.HTTP, Endpoint(WireProtocol.HTTP, "10.0.0.7", 6000)),
         (
@@ -23,8 +23,8 @@ PEER = Endpoint(WireProtocol.TCPROS, "10.0.0.7", 6000)
         (7, WireProtocol.HTTP, None),
     ],
 )
-def test_uris(uri: object, flavour: WireProtocol, found: Endpoint | None) -> None:
-    assert endpoint(uri, flavour) == found
+def test_uris(uri: object, protocol: WireProtocol, found: Endpoint | None) -> None:
+    assert parse_endpoint(uri, protocol) == found
 
 
 def test_endpoints_are_written_as_in_ros() -> None:
@@ -33,31 +33,31 @@ def test_endpoints_are_written_as_in_ros() -> None:
 
 
 def test_doors_lead_both_ways() -> None:
-    doors = EndpointMap("robot.local")
-    outside = doors.opened_outside(SLAVE, 7000)
+    endpoints = EndpointMap("robot.local")
+    outside = endpoints.add_ingress(SLAVE, 7000)
     assert outside.uri == "http://robot.local:7000/"
-    assert doors.program_behind(outside) == SLAVE
-    assert doors.program_behind(PEER) is None
-    door = doors.opened_inside(PEER, 8000)
-    assert door == inside(WireProtocol.TCPROS, 8000)
-    assert doors.peer_behind(door) == PEER
-    assert doors.peer_behind(inside(WireProtocol.HTTP, 8000)) is None
-    assert doors.peer_behind(SLAVE) is None
-    doors.closed_outside(SLAVE, 7000)
-    doors.closed_inside(8000)
-    assert doors.program_behind(outside) is None
-    assert doors.peer_behind(door) is None
+    assert endpoints.program_at(outside) == SLAVE
+    assert endpoints.program_at(PEER) is None
+    egress = endpoints.add_egress(PEER, 8000)
+    assert egress == local_endpoint(WireProtocol.TCPROS, 8000)
+    assert endpoints.peer_at(egress) == PEER
+    assert endpoints.peer_at(local_endpoint(WireProtocol.HTTP, 8000)) is None
+    assert endpoints.peer_at(SLAVE) is None
+    endpoints.remove_ingress(SLAVE, 7000)
+    endpoints.remove_egress(8000)
+    assert endpoints.program_at(outside) is None
+    assert endpoints.peer_at(egress) is None
 
 
 def test_a_program_gets_its_uri_back_as_it_wrote_it() -> None:
-    doors = EndpointMap("robot.local")
-    assert doors.spelling(SLAVE) == SLAVE.uri
-    doors.spell(SLAVE, "http://localhost:5000")
-    assert doors.spelling(SLAVE) == "http://localhost:5000"
+    endpoints = EndpointMap("robot.local")
+    assert endpoints.own_uri(SLAVE) == SLAVE.uri
+    endpoints.set_own_uri(SLAVE, "http://localhost:5000")
+    assert endpoints.own_uri(SLAVE) == "http://localhost:5000"
 
 
 def test_programs_are_told_loopback_by_the_name_they_reach_it_by() -> None:
-    doors = EndpointMap("fd99::1", "localhost")
-    assert doors.opened_inside(PEER, 8000).uri == "rosrpc://localhost:8000"
-    assert doors.peer_behind(inside(WireProtocol.TCPROS, 8000)) == PEER
-    assert doors.spelling(SLAVE) == "http://localhost:5000/"
+    endpoints = EndpointMap("fd99::1", "localhost")
+    assert endpoints.add_egress(PEER, 8000).uri == "rosrpc://localhost:8000"
+    assert endpoints.peer_at(local_endpoint(WireProtocol.TCPROS, 8000)) == PEER
+    assert endpoints.own_uri(SLAVE) == "http://localhost:5000/"

@@ -12,280 +12,294 @@ from rossec.master.state.registry import Registry
 from rossec.participant.publisher_grace import GRACE
 from rossec.ros.xmlrpc import Fault
 from rossec.sidecar.core.commands import (
-    AskLocal,
-    AskMaster,
+    CallMaster,
+    CallProgram,
     OpenEgress,
     OpenIngress,
     Probe,
     Suspend,
 )
-from rossec.sidecar.core.endpoints import Endpoint, inside
-from rossec.sidecar.core.events import Answered, CommandDone, NoAnswer, Opened, Passed
+from rossec.sidecar.core.endpoints import Endpoint, local_endpoint
+from rossec.sidecar.core.events import Answered, CommandDone, NoAnswer, Opened, RawResponse
 from rossec.sidecar.core.layers import UnexpectedEvent
 from rossec.sidecar.core.master_calls import (
     MULTICALL_LIMIT,
     RULES,
-    call,
-    let_go,
+    drop_overdue_publishers,
+    handle_call,
     restore,
     resubscribe,
 )
 from tests.rossec.master.fakes import FakeStatements
-from tests.rossec.sidecar.playbook import HOST, MASTER_URI, Stage, play
+from tests.rossec.sidecar.agent_setup import HOST, MASTER_URI, AgentSetup, run_layer
 from tests.support.site import Site
 
 OWN = "http://localhost:5000"  # as a program may spell it
-SLAVE = inside(WireProtocol.HTTP, 5000)
+SLAVE = local_endpoint(WireProtocol.HTTP, 5000)
 OUTSIDE = f"http://{HOST}:7000/"
-SERVICE = inside(WireProtocol.TCPROS, 5001)
+SERVICE = local_endpoint(WireProtocol.TCPROS, 5001)
 PEER = Endpoint(WireProtocol.HTTP, "10.0.0.7", 6000)
 OK = Answered([1, "done", 0])
 ALIVE = (Probe(SLAVE), CommandDone())
 
 
-def register(stage: Stage, *uris: str) -> object:
-    imports = [(OpenEgress(PEER), Opened(8000)) for uri in uris if uri == PEER.uri]
+def register(setup: AgentSetup, *uris: str) -> object:
+    egress = [(OpenEgress(PEER), Opened(8000)) for uri in uris if uri == PEER.uri]
     params = ("/robot", "/scan", "pkg/Type", OUTSIDE)
-    return play(
-        call(stage.tenant, "registerSubscriber", ("/robot", "/scan", "pkg/Type", OWN)),
+    return run_layer(
+        handle_call(setup.agent, "registerSubscriber", ("/robot", "/scan", "pkg/Type", OWN)),
         (OpenIngress(SLAVE), Opened(7000)),
-        (AskMaster("registerSubscriber", params), Answered([1, "ok", list(uris)])),
-        *imports,
+        (CallMaster("registerSubscriber", params), Answered([1, "ok", list(uris)])),
+        *egress,
     )
 
 
-def test_a_program_registers_with_its_door_and_gets_doors(stage: Stage) -> None:
-    assert register(stage, PEER.uri) == [1, "ok", ["http://127.0.0.1:8000/"]]
+def test_a_program_registers_with_its_door_and_gets_doors(setup: AgentSetup) -> None:
+    assert register(setup, PEER.uri) == [1, "ok", ["http://127.0.0.1:8000/"]]
 
 
-def test_its_own_uri_comes_back_byte_for_byte(stage: Stage) -> None:
-    assert register(stage, OUTSIDE, "no uri") == [1, "ok", [OWN]]
+def test_its_own_uri_comes_back_byte_for_byte(setup: AgentSetup) -> None:
+    assert register(setup, OUTSIDE, "no uri") == [1, "ok", [OWN]]
 
 
-def test_another_program_of_the_same_identity_is_met_through_the_channel(stage: Stage) -> None:
+def test_another_program_of_the_same_identity_is_met_through_the_channel(setup: AgentSetup) -> None:
     """Its messages must pass the guard like everybody's."""
-    stage.tenant.doors.opened_outside(inside(WireProtocol.HTTP, 5555), 7777)
+    setup.agent.endpoints.add_ingress(local_endpoint(WireProtocol.HTTP, 5555), 7777)
     other = Endpoint(WireProtocol.HTTP, HOST, 7777)
     params = ("/robot", "/scan", "pkg/Type", OUTSIDE)
-    answer = play(
-        call(stage.tenant, "registerSubscriber", ("/robot", "/scan", "pkg/Type", OWN)),
+    answer = run_layer(
+        handle_call(setup.agent, "registerSubscriber", ("/robot", "/scan", "pkg/Type", OWN)),
         (OpenIngress(SLAVE), Opened(7000)),
-        (AskMaster("registerSubscriber", params), Answered([1, "ok", [other.uri]])),
+        (CallMaster("registerSubscriber", params), Answered([1, "ok", [other.uri]])),
         (OpenEgress(other), Opened(8000)),
     )
     assert answer == [1, "ok", ["http://127.0.0.1:8000/"]]
 
 
-def test_a_service_is_exported_with_the_slave_api(stage: Stage) -> None:
-    answer = play(
-        call(stage.tenant, "registerService", ("/robot", "/say", "rosrpc://127.0.0.1:5001", OWN)),
+def test_a_service_is_exported_with_the_slave_api(setup: AgentSetup) -> None:
+    answer = run_layer(
+        handle_call(
+            setup.agent, "registerService", ("/robot", "/say", "rosrpc://127.0.0.1:5001", OWN)
+        ),
         (OpenIngress(SLAVE), Opened(7000)),
         (OpenIngress(SERVICE), Opened(7001)),
-        (AskMaster("registerService", ("/robot", "/say", f"rosrpc://{HOST}:7001", OUTSIDE)), OK),
+        (CallMaster("registerService", ("/robot", "/say", f"rosrpc://{HOST}:7001", OUTSIDE)), OK),
     )
     assert answer == [1, "done", 0]
 
 
-def test_what_was_registered_is_unregistered_and_forgotten(stage: Stage) -> None:
-    register(stage)
-    play(
-        call(stage.tenant, "unregisterSubscriber", ("/robot", "/scan", OWN)),
+def test_what_was_registered_is_unregistered_and_forgotten(setup: AgentSetup) -> None:
+    register(setup)
+    run_layer(
+        handle_call(setup.agent, "unregisterSubscriber", ("/robot", "/scan", OWN)),
         (OpenIngress(SLAVE), Opened(7000)),
-        (AskMaster("unregisterSubscriber", ("/robot", "/scan", OUTSIDE)), OK),
+        (CallMaster("unregisterSubscriber", ("/robot", "/scan", OUTSIDE)), OK),
     )
-    assert play(restore(stage.tenant), ALIVE) is None
+    assert run_layer(restore(setup.agent), ALIVE) is None
 
 
-def test_a_successor_keeps_its_registration(stage: Stage) -> None:
+def test_a_successor_keeps_its_registration(setup: AgentSetup) -> None:
     """The old instance that the master ends says goodbye after the new one has registered."""
-    register(stage)
-    elsewhere = inside(WireProtocol.HTTP, 5999)
-    play(
-        call(stage.tenant, "unregisterSubscriber", ("/robot", "/scan", elsewhere.uri)),
+    register(setup)
+    elsewhere = local_endpoint(WireProtocol.HTTP, 5999)
+    run_layer(
+        handle_call(setup.agent, "unregisterSubscriber", ("/robot", "/scan", elsewhere.uri)),
         (OpenIngress(elsewhere), Opened(7999)),
-        (AskMaster("unregisterSubscriber", ("/robot", "/scan", f"http://{HOST}:7999/")), OK),
+        (CallMaster("unregisterSubscriber", ("/robot", "/scan", f"http://{HOST}:7999/")), OK),
     )
     params = ("/robot", "/scan", "pkg/Type", OUTSIDE)
-    ask = AskMaster("registerSubscriber", params)
-    assert play(restore(stage.tenant), ALIVE, (ask, Answered([-1, "", []]))) is None
+    request = CallMaster("registerSubscriber", params)
+    assert run_layer(restore(setup.agent), ALIVE, (request, Answered([-1, "", []]))) is None
 
 
-def test_a_service_is_forgotten_by_its_own_address(stage: Stage) -> None:
+def test_a_service_is_forgotten_by_its_own_address(setup: AgentSetup) -> None:
     outside = f"rosrpc://{HOST}:7001"
     params = ("/robot", "/say", outside, OUTSIDE)
-    play(
-        call(stage.tenant, "registerService", ("/robot", "/say", SERVICE.uri, OWN)),
+    run_layer(
+        handle_call(setup.agent, "registerService", ("/robot", "/say", SERVICE.uri, OWN)),
         (OpenIngress(SLAVE), Opened(7000)),
         (OpenIngress(SERVICE), Opened(7001)),
-        (AskMaster("registerService", params), OK),
+        (CallMaster("registerService", params), OK),
     )
-    other = inside(WireProtocol.TCPROS, 5002)
-    play(
-        call(stage.tenant, "unregisterService", ("/robot", "/say", other.uri)),
+    other = local_endpoint(WireProtocol.TCPROS, 5002)
+    run_layer(
+        handle_call(setup.agent, "unregisterService", ("/robot", "/say", other.uri)),
         (OpenIngress(other), Opened(7002)),
-        (AskMaster("unregisterService", ("/robot", "/say", f"rosrpc://{HOST}:7002")), OK),
+        (CallMaster("unregisterService", ("/robot", "/say", f"rosrpc://{HOST}:7002")), OK),
     )
-    play(restore(stage.tenant), ALIVE, (AskMaster("registerService", params), OK))
-    play(
-        call(stage.tenant, "unregisterService", ("/robot", "/say", SERVICE.uri)),
+    run_layer(restore(setup.agent), ALIVE, (CallMaster("registerService", params), OK))
+    run_layer(
+        handle_call(setup.agent, "unregisterService", ("/robot", "/say", SERVICE.uri)),
         (OpenIngress(SERVICE), Opened(7001)),
-        (AskMaster("unregisterService", params[:3]), OK),
+        (CallMaster("unregisterService", params[:3]), OK),
     )
-    assert play(restore(stage.tenant), ALIVE) is None
+    assert run_layer(restore(setup.agent), ALIVE) is None
 
 
 def test_who_takes_a_dead_programs_port_has_none_of_its_registrations(tmp_path: Path) -> None:
-    stage = Stage(Site(tmp_path / "site"), wildcard=True)
-    register(stage)
+    setup = AgentSetup(Site(tmp_path / "site"), wildcard=True)
+    register(setup)
     params = ("/robot_2", "/word", "pkg/Type", OUTSIDE)
-    play(
-        call(stage.tenant, "registerPublisher", ("/robot_2", "/word", "pkg/Type", OWN)),
+    run_layer(
+        handle_call(setup.agent, "registerPublisher", ("/robot_2", "/word", "pkg/Type", OWN)),
         (OpenIngress(SLAVE), Opened(7000)),
-        (AskMaster("registerPublisher", params), OK),
+        (CallMaster("registerPublisher", params), OK),
     )
-    play(restore(stage.tenant), ALIVE, (AskMaster("registerPublisher", params), OK))
+    run_layer(restore(setup.agent), ALIVE, (CallMaster("registerPublisher", params), OK))
 
 
-def test_a_restarted_master_hears_of_everything_again(stage: Stage) -> None:
-    register(stage)
+def test_a_restarted_master_hears_of_everything_again(setup: AgentSetup) -> None:
+    register(setup)
     params = ("/robot", "/scan", "pkg/Type", OUTSIDE)
     update = ("/master", "/scan", ["http://127.0.0.1:8000/"])
-    play(
-        restore(stage.tenant),
+    run_layer(
+        restore(setup.agent),
         ALIVE,
-        (AskMaster("registerSubscriber", params), Answered([1, "ok", [PEER.uri]])),
+        (CallMaster("registerSubscriber", params), Answered([1, "ok", [PEER.uri]])),
         (OpenEgress(PEER), Opened(8000)),
-        (AskLocal(SLAVE, "publisherUpdate", update), NoAnswer("gone", dead=True)),
+        (CallProgram(SLAVE, "publisherUpdate", update), NoAnswer("gone", dead=True)),
         (Suspend(SLAVE), CommandDone()),
     )
-    assert play(restore(stage.tenant)) is None
+    assert run_layer(restore(setup.agent)) is None
 
 
-def test_a_dead_program_is_left_out(stage: Stage) -> None:
-    register(stage)
+def test_a_dead_program_is_left_out(setup: AgentSetup) -> None:
+    register(setup)
     gone = (Probe(SLAVE), NoAnswer("refused", dead=True)), (Suspend(SLAVE), CommandDone())
-    assert play(restore(stage.tenant), *gone) is None
-    assert play(restore(stage.tenant)) is None
+    assert run_layer(restore(setup.agent), *gone) is None
+    assert run_layer(restore(setup.agent)) is None
 
 
-def test_restoring_ends_with_the_connection_and_bears_refusals(stage: Stage) -> None:
-    register(stage)
-    ask = AskMaster("registerSubscriber", ("/robot", "/scan", "pkg/Type", OUTSIDE))
-    play(restore(stage.tenant), ALIVE, (ask, Answered([-1, "no right", []])))
+def test_restoring_ends_with_the_connection_and_bears_refusals(setup: AgentSetup) -> None:
+    register(setup)
+    request = CallMaster("registerSubscriber", ("/robot", "/scan", "pkg/Type", OUTSIDE))
+    run_layer(restore(setup.agent), ALIVE, (request, Answered([-1, "no right", []])))
     with pytest.raises(HangUp):
-        play(restore(stage.tenant), ALIVE, (ask, NoAnswer("cut")))
+        run_layer(restore(setup.agent), ALIVE, (request, NoAnswer("cut")))
 
 
-def test_a_lost_topic_has_its_publishers_named_again(stage: Stage) -> None:
-    register(stage)
-    play(
-        resubscribe(stage.tenant, "/scan"),
+def test_a_lost_topic_has_its_publishers_named_again(setup: AgentSetup) -> None:
+    register(setup)
+    run_layer(
+        resubscribe(setup.agent, "/scan"),
         (
-            AskMaster("registerSubscriber", ("/robot", "/scan", "pkg/Type", OUTSIDE)),
+            CallMaster("registerSubscriber", ("/robot", "/scan", "pkg/Type", OUTSIDE)),
             Answered([1, "ok", [PEER.uri]]),
         ),
         (OpenEgress(PEER), Opened(8000)),
         (
-            AskLocal(SLAVE, "publisherUpdate", ("/master", "/scan", ["http://127.0.0.1:8000/"])),
+            CallProgram(SLAVE, "publisherUpdate", ("/master", "/scan", ["http://127.0.0.1:8000/"])),
             Answered([1, "", 0]),
         ),
     )
-    assert play(resubscribe(stage.tenant, "/unknown")) is None
+    assert run_layer(resubscribe(setup.agent, "/unknown")) is None
 
 
-def named(*uris: str) -> tuple[AskLocal, Answered]:
-    return AskLocal(SLAVE, "publisherUpdate", ("/master", "/scan", [*uris])), Answered([1, "", 0])
+def named(*uris: str) -> tuple[CallProgram, Answered]:
+    return CallProgram(SLAVE, "publisherUpdate", ("/master", "/scan", [*uris])), Answered(
+        [1, "", 0]
+    )
 
 
-def test_a_publisher_that_a_new_master_does_not_name_yet_is_named_for_a_while(stage: Stage) -> None:
-    register(stage, PEER.uri)
+def test_a_publisher_that_a_new_master_does_not_name_yet_is_named_for_a_while(
+    setup: AgentSetup,
+) -> None:
+    register(setup, PEER.uri)
     inside_uri = "http://127.0.0.1:8000/"
-    again = AskMaster("registerSubscriber", ("/robot", "/scan", "pkg/Type", OUTSIDE))
-    stage.tenant.named.session_opened()
-    play(
-        restore(stage.tenant),
+    again = CallMaster("registerSubscriber", ("/robot", "/scan", "pkg/Type", OUTSIDE))
+    setup.agent.publisher_grace.session_opened()
+    run_layer(
+        restore(setup.agent),
         ALIVE,
         (again, Answered([1, "ok", []])),
         (OpenEgress(PEER), Opened(8000)),
         named(inside_uri),
     )
-    assert play(let_go(stage.tenant)) is None
-    stage.time += GRACE
-    play(let_go(stage.tenant), named())
-    assert play(let_go(stage.tenant)) is None
+    assert run_layer(drop_overdue_publishers(setup.agent)) is None
+    setup.time += GRACE
+    run_layer(drop_overdue_publishers(setup.agent), named())
+    assert run_layer(drop_overdue_publishers(setup.agent)) is None
 
 
-def test_a_program_may_not_register_under_another_name(stage: Stage) -> None:
-    answer = play(call(stage.tenant, "registerPublisher", ("/victim", "/cmd_vel", "pkg/Type", OWN)))
+def test_a_program_may_not_register_under_another_name(setup: AgentSetup) -> None:
+    answer = run_layer(
+        handle_call(setup.agent, "registerPublisher", ("/victim", "/cmd_vel", "pkg/Type", OWN))
+    )
     assert isinstance(answer, list)
     assert answer[0] == -1
     assert "calls itself /victim: start it with __name:=robot" in answer[1]
 
 
-def test_a_door_cannot_be_registered_as_ones_own(stage: Stage) -> None:
+def test_a_door_cannot_be_registered_as_ones_own(setup: AgentSetup) -> None:
     """Or the sidecar would carry a peer's calls to another peer (L7)."""
-    stage.tenant.doors.opened_inside(PEER, 8000)
+    setup.agent.endpoints.add_egress(PEER, 8000)
     uri = "http://127.0.0.1:8000/"
-    answer = play(call(stage.tenant, "registerPublisher", ("/robot", "/x", "pkg/Type", uri)))
+    answer = run_layer(
+        handle_call(setup.agent, "registerPublisher", ("/robot", "/x", "pkg/Type", uri))
+    )
     assert answer == [-1, "rossec: this address is not the program's own", 0]
 
 
-def test_cleanup_gives_back_what_lookups_answered(stage: Stage) -> None:
+def test_cleanup_gives_back_what_lookups_answered(setup: AgentSetup) -> None:
     """`rosnode cleanup` speaks for the dead node; the master decides whether it may."""
-    stage.tenant.doors.opened_inside(PEER, 8000)
-    play(
-        call(stage.tenant, "unregisterPublisher", ("/dead", "/x", "http://127.0.0.1:8000/")),
-        (AskMaster("unregisterPublisher", ("/dead", "/x", PEER.uri)), OK),
+    setup.agent.endpoints.add_egress(PEER, 8000)
+    run_layer(
+        handle_call(setup.agent, "unregisterPublisher", ("/dead", "/x", "http://127.0.0.1:8000/")),
+        (CallMaster("unregisterPublisher", ("/dead", "/x", PEER.uri)), OK),
     )
 
 
-def test_tools_speak_under_a_certified_name_with_names_resolved(stage: Stage) -> None:
-    play(
-        call(stage.tenant, "setParam", ("/there/tool", "speed", 7)),
-        (AskMaster("setParam", ("/robot", "/there/speed", 7)), OK),
+def test_tools_speak_under_a_certified_name_with_names_resolved(setup: AgentSetup) -> None:
+    run_layer(
+        handle_call(setup.agent, "setParam", ("/there/tool", "speed", 7)),
+        (CallMaster("setParam", ("/robot", "/there/speed", 7)), OK),
     )
-    play(
-        call(stage.tenant, "setParam", ("/there/tool", 3, 7)),
-        (AskMaster("setParam", ("/robot", 3, 7)), OK),
+    run_layer(
+        handle_call(setup.agent, "setParam", ("/there/tool", 3, 7)),
+        (CallMaster("setParam", ("/robot", 3, 7)), OK),
     )
 
 
-def test_lookups(stage: Stage) -> None:
-    tenant = stage.tenant
-    answer = play(
-        call(tenant, "lookupNode", ("/robot", "/viewer")),
-        (AskMaster("lookupNode", ("/robot", "/viewer")), Answered([1, "node api", PEER.uri])),
+def test_lookups(setup: AgentSetup) -> None:
+    agent = setup.agent
+    answer = run_layer(
+        handle_call(agent, "lookupNode", ("/robot", "/viewer")),
+        (CallMaster("lookupNode", ("/robot", "/viewer")), Answered([1, "node api", PEER.uri])),
         (OpenEgress(PEER, probe=True), Opened(8000)),
     )
     assert answer == [1, "node api", "http://127.0.0.1:8000/"]
     remote = Endpoint(WireProtocol.TCPROS, "10.0.0.7", 6001)
-    answer = play(
-        call(tenant, "lookupService", ("/robot", "/say")),
-        (AskMaster("lookupService", ("/robot", "/say")), Answered([1, "x", remote.uri])),
+    answer = run_layer(
+        handle_call(agent, "lookupService", ("/robot", "/say")),
+        (CallMaster("lookupService", ("/robot", "/say")), Answered([1, "x", remote.uri])),
         (OpenEgress(remote), Opened(8001)),
     )
     assert answer == [1, "rosrpc URI: [rosrpc://127.0.0.1:8001]", "rosrpc://127.0.0.1:8001"]
     for method in ("lookupNode", "lookupService"):
-        ask = AskMaster(method, ("/robot", "/x"))
-        assert play(call(tenant, method, ("/robot", "/x")), (ask, Answered([1, "", "nonsense"])))
+        request = CallMaster(method, ("/robot", "/x"))
+        assert run_layer(
+            handle_call(agent, method, ("/robot", "/x")), (request, Answered([1, "", "nonsense"]))
+        )
 
 
-def test_a_node_of_the_same_identity_is_met_directly(stage: Stage) -> None:
-    register(stage)
-    answer = play(
-        call(stage.tenant, "lookupNode", ("/robot", "/robot")),
-        (AskMaster("lookupNode", ("/robot", "/robot")), Answered([1, "node api", OUTSIDE])),
+def test_a_node_of_the_same_identity_is_met_directly(setup: AgentSetup) -> None:
+    register(setup)
+    answer = run_layer(
+        handle_call(setup.agent, "lookupNode", ("/robot", "/robot")),
+        (CallMaster("lookupNode", ("/robot", "/robot")), Answered([1, "node api", OUTSIDE])),
     )
     assert answer == [1, "node api", OWN]
 
 
-def test_the_masters_own_address_is_the_loopback_one(stage: Stage) -> None:
-    ask = AskMaster("getUri", ("/robot",))
-    answer = play(call(stage.tenant, "getUri", ("/robot",)), (ask, Answered([1, "", "http://m/"])))
+def test_the_masters_own_address_is_the_loopback_one(setup: AgentSetup) -> None:
+    request = CallMaster("getUri", ("/robot",))
+    answer = run_layer(
+        handle_call(setup.agent, "getUri", ("/robot",)), (request, Answered([1, "", "http://m/"]))
+    )
     assert answer == [1, "", MASTER_URI]
 
 
-def test_elements_of_a_multicall_are_calls_of_their_own(stage: Stage) -> None:
+def test_elements_of_a_multicall_are_calls_of_their_own(setup: AgentSetup) -> None:
     elements: list[object] = [
         {"methodName": "setParam", "params": ["/robot", "/a", 1]},
         {"methodName": "rossec.updateRevocations", "params": ["/robot", b""]},
@@ -293,10 +307,10 @@ def test_elements_of_a_multicall_are_calls_of_their_own(stage: Stage) -> None:
         {"methodName": "getParam", "params": ["/robot", "/b"]},
         "nonsense",
     ]
-    answers = play(
-        call(stage.tenant, "system.multicall", (elements,)),
-        (AskMaster("setParam", ("/robot", "/a", 1)), OK),
-        (AskMaster("getParam", ("/robot", "/b")), Fault(1, "broken")),
+    answers = run_layer(
+        handle_call(setup.agent, "system.multicall", (elements,)),
+        (CallMaster("setParam", ("/robot", "/a", 1)), OK),
+        (CallMaster("getParam", ("/robot", "/b")), Fault(1, "broken")),
     )
     assert isinstance(answers, list)
     assert answers[0] == [[1, "done", 0]]
@@ -304,27 +318,35 @@ def test_elements_of_a_multicall_are_calls_of_their_own(stage: Stage) -> None:
 
 
 @pytest.mark.parametrize("params", [(), (7,), ([{}] * (MULTICALL_LIMIT + 1),)])
-def test_a_multicall_is_one_bounded_list(stage: Stage, params: tuple[object, ...]) -> None:
+def test_a_multicall_is_one_bounded_list(setup: AgentSetup, params: tuple[object, ...]) -> None:
     with pytest.raises(Fault):
-        play(call(stage.tenant, "system.multicall", params))
+        run_layer(handle_call(setup.agent, "system.multicall", params))
 
 
 @pytest.mark.parametrize("method", ["rossec.presentGrants", "launch", "__init__", ""])
-def test_what_is_no_call_of_a_program_is_not_passed_on(stage: Stage, method: str) -> None:
+def test_what_is_no_call_of_a_program_is_not_passed_on(setup: AgentSetup, method: str) -> None:
     assert method not in RULES
     with pytest.raises(Fault, match="is not supported"):
-        play(call(stage.tenant, method, ("/robot",)))
+        run_layer(handle_call(setup.agent, method, ("/robot",)))
 
 
-def test_odd_parameters_are_left_to_the_master(stage: Stage) -> None:
-    tenant = stage.tenant
-    assert play(call(tenant, "getPid", ())) == [-1, "missing required caller_id parameter", -1]
-    assert play(call(tenant, "getUri", (7,))) == [-1, "caller_id must be a string", ""]
+def test_odd_parameters_are_left_to_the_master(setup: AgentSetup) -> None:
+    agent = setup.agent
+    assert run_layer(handle_call(agent, "getPid", ())) == [
+        -1,
+        "missing required caller_id parameter",
+        -1,
+    ]
+    assert run_layer(handle_call(agent, "getUri", (7,))) == [-1, "caller_id must be a string", ""]
     odd = ("/robot", "/x", "pkg/Type", 7)
-    ask = AskMaster("registerPublisher", odd)
-    assert play(call(tenant, "registerPublisher", odd), (ask, Answered([-1, "no URI", []])))
-    short = AskMaster("registerPublisher", ("/robot",))
-    assert play(call(tenant, "registerPublisher", ("/robot",)), (short, Answered([-1, "", 0])))
+    request = CallMaster("registerPublisher", odd)
+    assert run_layer(
+        handle_call(agent, "registerPublisher", odd), (request, Answered([-1, "no URI", []]))
+    )
+    short = CallMaster("registerPublisher", ("/robot",))
+    assert run_layer(
+        handle_call(agent, "registerPublisher", ("/robot",)), (short, Answered([-1, "", 0]))
+    )
 
 
 def test_refusals_have_the_masters_values() -> None:
@@ -339,54 +361,57 @@ FOUND = [1, "Found", "x"]
 NOT_FOUND = Answered([-1, "Cannot find parameter [x] in an upwards search", ""])
 
 
-def test_a_search_begins_where_the_asker_is(stage: Stage) -> None:
+def test_a_search_begins_where_the_asker_is(setup: AgentSetup) -> None:
     """Under the certified name the master would search from another namespace."""
 
-    def looks(place: str) -> AskMaster:
-        return AskMaster("searchParam", ("/robot", place))
+    def looks(place: str) -> CallMaster:
+        return CallMaster("searchParam", ("/robot", place))
 
     for key, rest in (("x", ""), ("x/y", "/y")):
-        layer = call(stage.tenant, "searchParam", ("/ns/rosparam-17", key))
-        answer = play(
+        layer = handle_call(setup.agent, "searchParam", ("/ns/rosparam-17", key))
+        answer = run_layer(
             layer,
             (looks("/ns/rosparam-17/x"), NOT_FOUND),
             (looks("/ns/x"), Answered([1, "Found [/ns/x]", "/ns/x"])),
         )
         assert answer == [1, f"Found [/ns/x{rest}]", f"/ns/x{rest}"]
-    layer = call(stage.tenant, "searchParam", ("/tool", "x"))
-    nowhere = play(layer, (looks("/tool/x"), NOT_FOUND), (looks("/x"), NOT_FOUND))
+    layer = handle_call(setup.agent, "searchParam", ("/tool", "x"))
+    nowhere = run_layer(layer, (looks("/tool/x"), NOT_FOUND), (looks("/x"), NOT_FOUND))
     assert nowhere == [-1, "Cannot find parameter [x] in an upwards search", ""]
-    layer = call(stage.tenant, "searchParam", ("/tool", "x"))
+    layer = handle_call(setup.agent, "searchParam", ("/tool", "x"))
     refused = [-1, "rossec: revoked", 0]
-    assert play(layer, (looks("/tool/x"), Answered(refused))) == refused
+    assert run_layer(layer, (looks("/tool/x"), Answered(refused))) == refused
 
 
-def test_a_search_under_ones_own_name_is_the_masters(stage: Stage) -> None:
+def test_a_search_under_ones_own_name_is_the_masters(setup: AgentSetup) -> None:
     for params in (("/robot", "x"), ("/tool", "/x"), ("/tool", "~x")):
-        asked = AskMaster("searchParam", ("/robot", params[1]))
-        assert play(call(stage.tenant, "searchParam", params), (asked, Answered(FOUND))) == FOUND
+        asked = CallMaster("searchParam", ("/robot", params[1]))
+        assert (
+            run_layer(handle_call(setup.agent, "searchParam", params), (asked, Answered(FOUND)))
+            == FOUND
+        )
 
 
-def test_a_master_out_of_reach_or_out_of_its_mind_ends_the_connection(stage: Stage) -> None:
-    ask = AskMaster("getPid", ("/robot",))
+def test_a_master_out_of_reach_or_out_of_its_mind_ends_the_connection(setup: AgentSetup) -> None:
+    request = CallMaster("getPid", ("/robot",))
     for event in (NoAnswer("no answer"), Answered(7), Answered([1, "short"])):
         with pytest.raises(HangUp):
-            play(call(stage.tenant, "getPid", ("/robot",)), (ask, event))
+            run_layer(handle_call(setup.agent, "getPid", ("/robot",)), (request, event))
     with pytest.raises(UnexpectedEvent):
-        play(call(stage.tenant, "getPid", ("/robot",)), (ask, Passed(b"")))
+        run_layer(handle_call(setup.agent, "getPid", ("/robot",)), (request, RawResponse(b"")))
     with pytest.raises(UnexpectedEvent):
-        play(
-            call(stage.tenant, "registerPublisher", ("/robot", "/x", "pkg/Type", OWN)),
+        run_layer(
+            handle_call(setup.agent, "registerPublisher", ("/robot", "/x", "pkg/Type", OWN)),
             (OpenIngress(SLAVE), CommandDone()),
         )
 
 
-def test_an_anonymous_program_uses_the_wildcard(stage: Stage) -> None:
-    anonymous = Stage(stage.site, "/rviz", wildcard=True)
+def test_an_anonymous_program_uses_the_wildcard(setup: AgentSetup) -> None:
+    anonymous = AgentSetup(setup.site, "/rviz", wildcard=True)
     params = ("/rviz_12_34", "/x", "pkg/Type", OWN)
-    play(
-        call(anonymous.tenant, "registerPublisher", params),
+    run_layer(
+        handle_call(anonymous.agent, "registerPublisher", params),
         (OpenIngress(SLAVE), Opened(7000)),
-        (AskMaster("registerPublisher", (*params[:3], OUTSIDE)), Answered([1, "", []])),
+        (CallMaster("registerPublisher", (*params[:3], OUTSIDE)), Answered([1, "", []])),
     )
-    assert replace(anonymous.tenant).name_for("/rvizx") == "/rviz"
+    assert replace(anonymous.agent).name_for("/rvizx") == "/rviz"

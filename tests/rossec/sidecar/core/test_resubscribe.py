@@ -1,4 +1,4 @@
-from rossec.sidecar.core.resubscribe import FIRST_PAUSE, LONGEST_PAUSE, ResubscribeQueue
+from rossec.sidecar.core.resubscribe import FIRST_DELAY, MAX_DELAY, ResubscribeQueue
 
 
 def always(_: str) -> bool:
@@ -6,26 +6,26 @@ def always(_: str) -> bool:
 
 
 def test_a_lost_topic_is_tried_again_once_after_a_pause() -> None:
-    lost = ResubscribeQueue()
-    lost.add("/a", 0, 100)
-    assert lost.take_due(100, always) == []
-    assert lost.take_due(100 + FIRST_PAUSE, always) == ["/a"]
-    assert lost.take_due(200, always) == []
+    queue = ResubscribeQueue()
+    queue.add("/a", 0, 100)
+    assert queue.take_due(100, always) == []
+    assert queue.take_due(100 + FIRST_DELAY, always) == ["/a"]
+    assert queue.take_due(200, always) == []
 
 
 def test_without_a_right_it_waits_for_one() -> None:
-    lost = ResubscribeQueue()
-    lost.add("/a", 0, 100)
-    assert lost.take_due(500, lambda topic: topic == "/b") == []
-    assert lost.take_due(501, always) == ["/a"]
+    queue = ResubscribeQueue()
+    queue.add("/a", 0, 100)
+    assert queue.take_due(500, lambda topic: topic == "/b") == []
+    assert queue.take_due(501, always) == ["/a"]
 
 
 def test_what_soon_ends_again_is_waited_for_longer() -> None:
-    lost = ResubscribeQueue()
-    pauses = []
+    queue = ResubscribeQueue()
+    delays = []
     for _ in range(8):
-        lost.add("/a", 0, 1)
-        pauses.append(next(at for at in range(100) if lost.take_due(1 + at, always)))
-    assert pauses == [1, 2, 4, 8, 16, LONGEST_PAUSE, LONGEST_PAUSE, LONGEST_PAUSE]
-    lost.add("/a", 0, LONGEST_PAUSE + 1)
-    assert lost.take_due(LONGEST_PAUSE + 1 + FIRST_PAUSE, always) == ["/a"]
+        queue.add("/a", 0, 1)
+        delays.append(next(at for at in range(100) if queue.take_due(1 + at, always)))
+    assert delays == [1, 2, 4, 8, 16, MAX_DELAY, MAX_DELAY, MAX_DELAY]
+    queue.add("/a", 0, MAX_DELAY + 1)
+    assert queue.take_due(MAX_DELAY + 1 + FIRST_DELAY, always) == ["/a"]

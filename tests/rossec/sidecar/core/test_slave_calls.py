@@ -12,41 +12,45 @@ from rossec.errors import CallRefused, HangUp
 from rossec.participant.slave_api import NO_TRANSPORT
 from rossec.ros.xmlrpc import Encoded, Fault
 from rossec.sidecar.core.commands import (
-    AskLocal,
-    AskRemote,
+    CallPeer,
+    CallProgram,
     OpenEgress,
     OpenIngress,
     Probe,
     Suspend,
 )
-from rossec.sidecar.core.endpoints import Endpoint, inside, topics_of
-from rossec.sidecar.core.events import Answered, CommandDone, Event, NoAnswer, Opened, Passed
+from rossec.sidecar.core.endpoints import Endpoint, local_endpoint, topic_endpoint
+from rossec.sidecar.core.events import Answered, CommandDone, Event, NoAnswer, Opened, RawResponse
 from rossec.sidecar.core.layers import Layer, UnexpectedEvent
-from rossec.sidecar.core.slave_calls import ask_peer, ask_program
-from tests.rossec.sidecar.playbook import HOST, MASTER_URI, Stage, play
+from rossec.sidecar.core.slave_calls import handle_peer_call, handle_program_call
+from tests.rossec.sidecar.agent_setup import HOST, MASTER_URI, AgentSetup, run_layer
 
-SLAVE = inside(WireProtocol.HTTP, 5000)
+SLAVE = local_endpoint(WireProtocol.HTTP, 5000)
 PEER = Endpoint(WireProtocol.HTTP, "10.0.0.7", 6000)
 DOOR = "http://127.0.0.1:8000/"
 UDP = ["UDPROS", b"header", "host", 1, 1500]
 
 
-def asked(
-    stage: Stage, method: str, *params: object, peer: str = "/viewer", shown: bytes | None = None
+def peer_call(
+    setup: AgentSetup,
+    method: str,
+    *params: object,
+    peer: str = "/viewer",
+    grants: bytes | None = None,
 ) -> Layer[object]:
     everything = (peer, *params)
-    return ask_program(
-        stage.tenant, SLAVE, stage.identity(peer), method, everything, shown, stage.site.now()
+    return handle_peer_call(
+        setup.agent, SLAVE, setup.identity(peer), method, everything, grants, setup.site.now()
     )
 
 
-def test_the_master_steers(stage: Stage) -> None:
+def test_the_master_steers(setup: AgentSetup) -> None:
     params = ("/master", "/scan", [PEER.uri, "nonsense"])
-    answer = play(
-        asked(stage, "publisherUpdate", *params[1:], peer="/master"),
+    answer = run_layer(
+        peer_call(setup, "publisherUpdate", *params[1:], peer="/master"),
         (OpenEgress(PEER), Opened(8000)),
         (
-            AskLocal(SLAVE, "publisherUpdate", ("/master", "/scan", ["http://127.0.0.1:8000/"])),
+            CallProgram(SLAVE, "publisherUpdate", ("/master", "/scan", ["http://127.0.0.1:8000/"])),
             Answered([1, "", 0]),
         ),
     )
@@ -54,82 +58,86 @@ def test_the_master_steers(stage: Stage) -> None:
 
 
 @pytest.mark.parametrize("method", ["publisherUpdate", "paramUpdate"])
-def test_nobody_else_steers(stage: Stage, method: str) -> None:
+def test_nobody_else_steers(setup: AgentSetup, method: str) -> None:
     """Attacks N2 and N3."""
     with pytest.raises(CallRefused, match="for the master alone"):
-        play(asked(stage, method, "/scan", []))
+        run_layer(peer_call(setup, method, "/scan", []))
 
 
 @pytest.mark.parametrize("method", ["launch", "system.multicall", "rossec.revocations", ""])
-def test_no_other_method_gets_through(stage: Stage, method: str) -> None:
+def test_no_other_method_gets_through(setup: AgentSetup, method: str) -> None:
     """L1: a roslaunch child would run what it is sent; not even the master may ask for that."""
     for peer in ("/viewer", "/master"):
         with pytest.raises(CallRefused, match="no such method"):
-            play(asked(stage, method, peer=peer))
+            run_layer(peer_call(setup, method, peer=peer))
 
 
-def test_questions_need_the_right_to_see_the_graph(stage: Stage) -> None:
+def test_questions_need_the_right_to_see_the_graph(setup: AgentSetup) -> None:
     """N4."""
     with pytest.raises(GrantMissing):
-        play(asked(stage, "getPid"))
-    stage.site.grant("/viewer", Right.GRAPH, "/robot")
-    shown = stage.access("/viewer").present(Right.GRAPH, "/robot", stage.site.now())
-    stats = AskLocal(SLAVE, "getBusStats", ("/viewer",), parse=False)
-    answer = play(asked(stage, "getBusStats", shown=shown), (stats, Passed(b"<malformed")))
+        run_layer(peer_call(setup, "getPid"))
+    setup.site.grant("/viewer", Right.GRAPH, "/robot")
+    grants = setup.access("/viewer").present(Right.GRAPH, "/robot", setup.site.now())
+    stats = CallProgram(SLAVE, "getBusStats", ("/viewer",), parse=False)
+    answer = run_layer(
+        peer_call(setup, "getBusStats", grants=grants), (stats, RawResponse(b"<malformed"))
+    )
     assert answer == Encoded(b"<malformed")
     with pytest.raises(GrantMissing):
-        play(asked(stage, "shutdown", "because", shown=shown))
+        run_layer(peer_call(setup, "shutdown", "because", grants=grants))
 
 
-def test_an_administrator_may_end_a_program(stage: Stage) -> None:
+def test_an_administrator_may_end_a_program(setup: AgentSetup) -> None:
     """N1."""
-    stage.site.grant("/viewer", Right.ADMIN, "/robot")
-    shown = stage.access("/viewer").present(Right.ADMIN, "/robot", stage.site.now())
-    ask = AskLocal(SLAVE, "shutdown", ("/viewer", "because"))
-    play(asked(stage, "shutdown", "because", shown=shown), (ask, Answered([1, "", 0])))
+    setup.site.grant("/viewer", Right.ADMIN, "/robot")
+    grants = setup.access("/viewer").present(Right.ADMIN, "/robot", setup.site.now())
+    request = CallProgram(SLAVE, "shutdown", ("/viewer", "because"))
+    run_layer(
+        peer_call(setup, "shutdown", "because", grants=grants), (request, Answered([1, "", 0]))
+    )
 
 
 @pytest.mark.parametrize("topic", ["/scan", "/nothing", "no name"])
-def test_the_same_door_is_offered_for_every_topic(stage: Stage, topic: object) -> None:
+def test_the_same_door_is_offered_for_every_topic(setup: AgentSetup, topic: object) -> None:
     """N5: the program is not asked, so nothing in the answer can depend on it."""
-    answer = play(
-        asked(stage, "requestTopic", topic, [UDP, ["TCPROS"]]),
+    answer = run_layer(
+        peer_call(setup, "requestTopic", topic, [UDP, ["TCPROS"]]),
         (Probe(SLAVE), CommandDone()),
-        (OpenIngress(topics_of(SLAVE)), Opened(7001)),
+        (OpenIngress(topic_endpoint(SLAVE)), Opened(7001)),
     )
     assert answer == [1, "ready", ["TCPROS", HOST, 7001]]
 
 
 @pytest.mark.parametrize("offers", [[UDP], [], 7, ["TCPROS"]])
-def test_udp_is_never_asked_for(stage: Stage, offers: object) -> None:
+def test_udp_is_never_asked_for(setup: AgentSetup, offers: object) -> None:
     """N10, both ways."""
     refused = [-1, NO_TRANSPORT, []]
-    assert play(asked(stage, "requestTopic", "/scan", offers)) == refused
-    mine = ask_peer(stage.tenant, PEER, "requestTopic", ("/robot", "/scan", offers))
-    assert play(mine) == refused
+    assert run_layer(peer_call(setup, "requestTopic", "/scan", offers)) == refused
+    mine = handle_program_call(setup.agent, PEER, "requestTopic", ("/robot", "/scan", offers))
+    assert run_layer(mine) == refused
 
 
 @pytest.mark.parametrize("offer", [UDP, [], ["TCPROS", "h", 0], ["TCPROS", "h", 1 << 16], 0])
-def test_udp_is_never_offered(stage: Stage, offer: object) -> None:
+def test_udp_is_never_offered(setup: AgentSetup, offer: object) -> None:
     params = ("/viewer", "/scan", [["TCPROS"]])
-    mine = AskRemote(PEER, "requestTopic", ("/robot", *params[1:]), None)
-    layer = ask_peer(stage.tenant, PEER, "requestTopic", ("/robot", *params[1:]))
-    assert play(layer, (mine, Answered([1, "", offer]))) == [-1, NO_TRANSPORT, []]
+    mine = CallPeer(PEER, "requestTopic", ("/robot", *params[1:]), None)
+    layer = handle_program_call(setup.agent, PEER, "requestTopic", ("/robot", *params[1:]))
+    assert run_layer(layer, (mine, Answered([1, "", offer]))) == [-1, NO_TRANSPORT, []]
 
 
-def test_no_peer_sends_a_program_to_its_own_door(stage: Stage) -> None:
+def test_no_peer_sends_a_program_to_its_own_door(setup: AgentSetup) -> None:
     """A program may reach itself, where it was told of itself: not as another's topic."""
-    stage.tenant.doors.opened_outside(inside(WireProtocol.TCPROS, 5000), 4001)
+    setup.agent.endpoints.add_ingress(local_endpoint(WireProtocol.TCPROS, 5000), 4001)
     params = ("/robot", "/scan", [["TCPROS"]])
-    ask = AskRemote(PEER, "requestTopic", params, None)
+    request = CallPeer(PEER, "requestTopic", params, None)
     for host in (HOST, HOST.upper()):
-        layer = ask_peer(stage.tenant, PEER, "requestTopic", params)
+        layer = handle_program_call(setup.agent, PEER, "requestTopic", params)
         answer = Answered([1, "ready", ["TCPROS", host, 4001]])
-        assert play(layer, (ask, answer)) == [-1, NO_TRANSPORT, []]
+        assert run_layer(layer, (request, answer)) == [-1, NO_TRANSPORT, []]
 
 
-def test_what_a_program_says_of_itself_names_doors(stage: Stage) -> None:
-    stage.tenant.doors.opened_inside(PEER, 8000)
+def test_what_a_program_says_of_itself_names_doors(setup: AgentSetup) -> None:
+    setup.agent.endpoints.add_egress(PEER, 8000)
     info = [
         [1, "http://127.0.0.1:8000/", "i", "TCPROS", "/scan", True],
         [2, "http://127.0.0.1:9999/", "i", "TCPROS", "/scan", True],
@@ -145,83 +153,86 @@ def test_what_a_program_says_of_itself_names_doors(stage: Stage) -> None:
         ("getUri", SLAVE.uri, door, own),
         ("getMasterUri", MASTER_URI, (), ""),
     ):
-        ask = AskLocal(SLAVE, method, ("/master",))
-        layer = asked(stage, method, peer="/master")
-        assert play(layer, (ask, Answered([1, "", value])), *script) == [1, "", expected]
-    ask = AskLocal(SLAVE, "getBusInfo", ("/master",))
-    layer = asked(stage, "getBusInfo", peer="/master")
-    assert play(layer, (ask, Answered([-1, "no", 0]))) == [-1, "no", 0]
-    layer = asked(stage, "getBusInfo", peer="/master")
-    assert play(layer, (ask, Answered([1, "", 7]))) == [1, "", 7]
+        request = CallProgram(SLAVE, method, ("/master",))
+        layer = peer_call(setup, method, peer="/master")
+        assert run_layer(layer, (request, Answered([1, "", value])), *script) == [1, "", expected]
+    request = CallProgram(SLAVE, "getBusInfo", ("/master",))
+    layer = peer_call(setup, "getBusInfo", peer="/master")
+    assert run_layer(layer, (request, Answered([-1, "no", 0]))) == [-1, "no", 0]
+    layer = peer_call(setup, "getBusInfo", peer="/master")
+    assert run_layer(layer, (request, Answered([1, "", 7]))) == [1, "", 7]
 
 
-def test_a_dead_program_answers_like_a_dead_node(stage: Stage) -> None:
-    knock = asked(stage, "rossec.presentGrants", b"")
-    assert play(knock, (Probe(SLAVE), CommandDone())) == [1, "", 0]
+def test_a_dead_program_answers_like_a_dead_node(setup: AgentSetup) -> None:
+    probe = peer_call(setup, "rossec.presentGrants", b"")
+    assert run_layer(probe, (Probe(SLAVE), CommandDone())) == [1, "", 0]
     with pytest.raises(HangUp):
-        play(
-            asked(stage, "rossec.presentGrants", b""),
+        run_layer(
+            peer_call(setup, "rossec.presentGrants", b""),
             (Probe(SLAVE), NoAnswer("refused", dead=True)),
             (Suspend(SLAVE), CommandDone()),
         )
-    ask = AskLocal(SLAVE, "getPid", ("/master",))
+    request = CallProgram(SLAVE, "getPid", ("/master",))
     with pytest.raises(HangUp):
-        play(asked(stage, "getPid", peer="/master"), (ask, NoAnswer("slow")))
+        run_layer(peer_call(setup, "getPid", peer="/master"), (request, NoAnswer("slow")))
     with pytest.raises(UnexpectedEvent):
-        play(asked(stage, "getPid", peer="/master"), (ask, CommandDone()))
+        run_layer(peer_call(setup, "getPid", peer="/master"), (request, CommandDone()))
 
 
-def test_a_revoked_peer_does_not_even_knock(stage: Stage) -> None:
+def test_a_revoked_peer_does_not_even_knock(setup: AgentSetup) -> None:
     """Nor one of which nobody knows: whether a program lives is told to those who hold."""
-    viewer, params = stage.identity("/viewer"), ("/viewer", b"")
+    viewer, params = setup.identity("/viewer"), ("/viewer", b"")
 
     def refused(now: int, error: type[CAError]) -> None:
         for method in ("rossec.presentGrants", "requestTopic"):
             with pytest.raises(error):
-                play(ask_program(stage.tenant, SLAVE, viewer, method, params, None, now))
+                run_layer(handle_peer_call(setup.agent, SLAVE, viewer, method, params, None, now))
 
-    refused(stage.site.now() + 60, RevocationsStale)
-    stage.site.revoke(viewer.thumbprint)
-    stage.tenant = replace(stage.tenant, access=stage.access("/robot"))
-    refused(stage.site.now(), Revoked)
+    refused(setup.site.now() + 60, RevocationsStale)
+    setup.site.revoke(viewer.thumbprint)
+    setup.agent = replace(setup.agent, access=setup.access("/robot"))
+    refused(setup.site.now(), Revoked)
 
 
-def test_a_call_needs_a_caller(stage: Stage) -> None:
-    master, now = stage.identity("/master"), stage.site.now()
+def test_a_call_needs_a_caller(setup: AgentSetup) -> None:
+    master, now = setup.identity("/master"), setup.site.now()
     missing, odd = "missing required caller_id parameter", "caller_id must be a string"
     for method, default in (("getPid", -1), ("getBusInfo", []), ("getName", "")):
         for params, said in (((), missing), ((7,), odd)):
             answer = [-1, said, default]
-            assert play(ask_peer(stage.tenant, PEER, method, params)) == answer
-            layer = ask_program(stage.tenant, SLAVE, master, method, params, None, now)
-            assert play(layer) == answer
+            assert run_layer(handle_program_call(setup.agent, PEER, method, params)) == answer
+            layer = handle_peer_call(setup.agent, SLAVE, master, method, params, None, now)
+            assert run_layer(layer) == answer
     short = [-1, "Error: bad call arity", []]
-    assert play(asked(stage, "requestTopic", "/scan")) == short
-    assert play(ask_peer(stage.tenant, PEER, "requestTopic", ("/robot", "/scan"))) == short
+    assert run_layer(peer_call(setup, "requestTopic", "/scan")) == short
+    assert (
+        run_layer(handle_program_call(setup.agent, PEER, "requestTopic", ("/robot", "/scan")))
+        == short
+    )
     for topic in ("", 7):
         nameless = [-1, "ERROR: parameter [topic] must be a non-empty string", []]
-        assert play(asked(stage, "requestTopic", topic, [["TCPROS"]])) == nameless
+        assert run_layer(peer_call(setup, "requestTopic", topic, [["TCPROS"]])) == nameless
 
 
-def test_a_program_asks_under_its_certified_name_and_with_its_grants(stage: Stage) -> None:
+def test_a_program_asks_under_its_certified_name_and_with_its_grants(setup: AgentSetup) -> None:
     for method, right in (("getPid", Right.GRAPH), ("shutdown", Right.ADMIN)):
-        ask = AskRemote(PEER, method, ("/robot",), right)
-        layer = ask_peer(stage.tenant, PEER, method, ("/rosnode",))
-        assert play(layer, (ask, Answered([1, "", 7]))) == [1, "", 7]
-    stats = AskRemote(PEER, "getBusStats", ("/robot",), Right.GRAPH, parse=False)
-    layer = ask_peer(stage.tenant, PEER, "getBusStats", ("/rosnode",))
-    assert play(layer, (stats, Passed(b"<malformed"))) == Encoded(b"<malformed")
+        request = CallPeer(PEER, method, ("/robot",), right)
+        layer = handle_program_call(setup.agent, PEER, method, ("/rosnode",))
+        assert run_layer(layer, (request, Answered([1, "", 7]))) == [1, "", 7]
+    stats = CallPeer(PEER, "getBusStats", ("/robot",), Right.GRAPH, parse=False)
+    layer = handle_program_call(setup.agent, PEER, "getBusStats", ("/rosnode",))
+    assert run_layer(layer, (stats, RawResponse(b"<malformed"))) == Encoded(b"<malformed")
     with pytest.raises(Fault, match="not supported"):
-        play(ask_peer(stage.tenant, PEER, "launch", ("/robot", "<launch/>")))
+        run_layer(handle_program_call(setup.agent, PEER, "launch", ("/robot", "<launch/>")))
 
 
-def test_a_peers_topics_are_met_at_a_door(stage: Stage) -> None:
+def test_a_peers_topics_are_met_at_a_door(setup: AgentSetup) -> None:
     params = ("/robot", "/scan", [["TCPROS"]])
     remote = Endpoint(WireProtocol.TCPROS, "10.0.0.7", 6001)
-    answer = play(
-        ask_peer(stage.tenant, PEER, "requestTopic", params),
+    answer = run_layer(
+        handle_program_call(setup.agent, PEER, "requestTopic", params),
         (
-            AskRemote(PEER, "requestTopic", params, None),
+            CallPeer(PEER, "requestTopic", params, None),
             Answered([1, "ready", ["TCPROS", remote.host, remote.port]]),
         ),
         (OpenEgress(remote), Opened(8001)),
@@ -245,45 +256,49 @@ def test_a_peers_topics_are_met_at_a_door(stage: Stage) -> None:
     ],
 )
 def test_what_a_peer_says_names_doors(
-    stage: Stage,
+    setup: AgentSetup,
     method: str,
     value: object,
     script: list[tuple[OpenEgress, Event]],
     expected: object,
 ) -> None:
-    ask = AskRemote(PEER, method, ("/robot",), Right.GRAPH)
-    layer = ask_peer(stage.tenant, PEER, method, ("/robot",))
-    assert play(layer, (ask, Answered([1, "", value])), *script) == [1, "", expected]
+    request = CallPeer(PEER, method, ("/robot",), Right.GRAPH)
+    layer = handle_program_call(setup.agent, PEER, method, ("/robot",))
+    assert run_layer(layer, (request, Answered([1, "", value])), *script) == [1, "", expected]
 
 
-def test_what_a_peer_hears_from_this_identity_is_named_as_lookup_names_it(stage: Stage) -> None:
-    outside = stage.tenant.doors.opened_outside(SLAVE, 7000)
-    layer = ask_peer(stage.tenant, PEER, "getBusInfo", ("/robot",))
-    ask = AskRemote(PEER, "getBusInfo", ("/robot",), Right.GRAPH)
-    answer = play(layer, (ask, Answered([1, "", [[1, outside.uri, "i"]]])))
+def test_what_a_peer_hears_from_this_identity_is_named_as_lookup_names_it(
+    setup: AgentSetup,
+) -> None:
+    outside = setup.agent.endpoints.add_ingress(SLAVE, 7000)
+    layer = handle_program_call(setup.agent, PEER, "getBusInfo", ("/robot",))
+    request = CallPeer(PEER, "getBusInfo", ("/robot",), Right.GRAPH)
+    answer = run_layer(layer, (request, Answered([1, "", [[1, outside.uri, "i"]]])))
     assert answer == [1, "", [[1, SLAVE.uri, "i"]]]
 
 
-def test_a_peer_cannot_have_any_number_of_doors_opened(stage: Stage) -> None:
+def test_a_peer_cannot_have_any_number_of_doors_opened(setup: AgentSetup) -> None:
     uris = [f"http://10.0.0.7:{port}/" for port in range(1, 100)]
-    layer = ask_peer(stage.tenant, PEER, "getBusInfo", ("/robot",))
-    ask = AskRemote(PEER, "getBusInfo", ("/robot",), Right.GRAPH)
+    layer = handle_program_call(setup.agent, PEER, "getBusInfo", ("/robot",))
+    request = CallPeer(PEER, "getBusInfo", ("/robot",), Right.GRAPH)
     doors = [
         (OpenEgress(Endpoint(WireProtocol.HTTP, "10.0.0.7", port)), Opened(8000 + port))
         for port in range(1, 65)
     ]
-    answer = play(layer, (ask, Answered([1, "", [[1, uri, "i"] for uri in uris]])), *doors)
+    answer = run_layer(layer, (request, Answered([1, "", [[1, uri, "i"] for uri in uris]])), *doors)
     assert isinstance(answer, list)
     assert [entry[1] for entry in answer[2]][63:65] == ["http://127.0.0.1:8064/", uris[64]]
 
 
-def test_a_peer_that_refuses_or_is_gone(stage: Stage) -> None:
-    ask = AskRemote(PEER, "getBusInfo", ("/robot",), Right.GRAPH)
-    layer = ask_peer(stage.tenant, PEER, "getBusInfo", ("/robot",))
-    assert play(layer, (ask, Answered([-1, "rossec: no", 0]))) == [-1, "rossec: no", 0]
+def test_a_peer_that_refuses_or_is_gone(setup: AgentSetup) -> None:
+    request = CallPeer(PEER, "getBusInfo", ("/robot",), Right.GRAPH)
+    layer = handle_program_call(setup.agent, PEER, "getBusInfo", ("/robot",))
+    assert run_layer(layer, (request, Answered([-1, "rossec: no", 0]))) == [-1, "rossec: no", 0]
     for event, error in ((NoAnswer("gone"), HangUp), (CommandDone(), UnexpectedEvent)):
         with pytest.raises(error):
-            play(ask_peer(stage.tenant, PEER, "getBusInfo", ("/robot",)), (ask, event))
+            run_layer(
+                handle_program_call(setup.agent, PEER, "getBusInfo", ("/robot",)), (request, event)
+            )
 
 
 ELSEWHERE = ["TCPROS", "203.0.113.5", 6666]
@@ -299,26 +314,26 @@ ODD = [
 
 
 @pytest.mark.parametrize(("answer", "expected"), ODD)
-def test_no_address_hides_in_an_answer(stage: Stage, answer: object, expected: object) -> None:
+def test_no_address_hides_in_an_answer(setup: AgentSetup, answer: object, expected: object) -> None:
     """The program would connect to it in clear."""
     params = ("/robot", "/scan", [["TCPROS"]])
-    ask = AskRemote(PEER, "requestTopic", params, None)
-    layer = ask_peer(stage.tenant, PEER, "requestTopic", params)
-    assert play(layer, (ask, Answered(answer))) == expected
-    mine = AskLocal(SLAVE, "getPid", ("/master",))
-    layer = asked(stage, "getPid", peer="/master")
-    assert play(layer, (mine, Answered(answer))) == expected
+    request = CallPeer(PEER, "requestTopic", params, None)
+    layer = handle_program_call(setup.agent, PEER, "requestTopic", params)
+    assert run_layer(layer, (request, Answered(answer))) == expected
+    mine = CallProgram(SLAVE, "getPid", ("/master",))
+    layer = peer_call(setup, "getPid", peer="/master")
+    assert run_layer(layer, (mine, Answered(answer))) == expected
 
 
 @pytest.mark.parametrize("method", ["requestTopic", "getPid"])
-def test_an_answer_that_nobody_parsed_goes_no_further(stage: Stage, method: str) -> None:
+def test_an_answer_that_nobody_parsed_goes_no_further(setup: AgentSetup, method: str) -> None:
     params = ("/robot", "/scan", [["TCPROS"]])
     for layer in (
-        ask_peer(stage.tenant, PEER, method, params),
-        asked(stage, "getPid", *params[1:], peer="/master"),
+        handle_program_call(setup.agent, PEER, method, params),
+        peer_call(setup, "getPid", *params[1:], peer="/master"),
     ):
         command = next(layer)
-        assert isinstance(command, AskRemote | AskLocal)
+        assert isinstance(command, CallPeer | CallProgram)
         assert command.parse
         with pytest.raises(UnexpectedEvent):
-            layer.send(Passed(b"anything"))
+            layer.send(RawResponse(b"anything"))

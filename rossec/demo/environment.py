@@ -1,0 +1,186 @@
+"""What the demo runs in: a printer of steps, commands as a user would type them, and processes.
+
+A process reports on stdout, which is stored; what it logs goes to a file. Every
+wait has a deadline, and everything that was started is stopped.
+"""
+
+import asyncio
+import contextlib
+import io
+import json
+import os
+import shlex
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+from rossec.errors import RossecError
+
+DEADLINE: Final = 15.0
+PATIENCE: Final = 3.0  # seconds a process has to end when asked
+Report = dict[str, Any]
+Run = Callable[[Sequence[str], Mapping[str, str]], int]
+
+
+class DemoFailed(RossecError):
+    """A step of the demo failed."""
+
+
+class StepPrinter:
+    """Prints numbered steps with their timings, readable on dark and light terminals."""
+
+    def __init__(self, write: Callable[[str], object]) -> None:
+        self._write = write
+        self._step = 0
+
+    @contextlib.contextmanager
+    def step(self, title: str) -> Iterator[None]:
+        """One step; its time is printed when it succeeded."""
+        self._step += 1
+        self._write(f"\n{self._step:2}. {title}\n")
+        begin = time.perf_counter()
+        yield
+        self._write(f"    done in {time.perf_counter() - begin:.2f} s\n")
+
+    def print(self, text: str) -> None:
+        """One or more indented lines."""
+        for line in text.splitlines():
+            self._write(f"    {line}\n")
+
+
+class DemoEnvironment:
+    """One ROSSEC_HOME, the commands run in it, and the processes that live in it.
+
+    Args:
+        run: runs one command line in an environment, returns its exit code (`rossec.cli.main.run`).
+    """
+
+    def __init__(
+        self, root: Path, printer: StepPrinter, variables: dict[str, str], run: Run
+    ) -> None:
+        self.root = root
+        self.printer = printer
+        self.run = run
+        self._environment = {**os.environ, **variables, "ROSSEC_HOME": str(root)}
+        self._processes: list[DemoProcess] = []
+
+    async def command(self, *arguments: str, quiet: bool = False) -> str:
+        """Run `rossec ARGUMENTS` here, print its output, and return it.
+
+        Raises:
+            DemoFailed: the command did not succeed.
+        """
+        self.printer.print(f"$ rossec {self._relative(shlex.join(arguments))}")
+        code, output = await asyncio.to_thread(self._run, arguments)
+        if code:
+            raise DemoFailed(f"rossec {' '.join(arguments[:2])} failed: {output}")
+        if not quiet:
+            self.printer.print(self._relative(output))
+        return output
+
+    def _run(self, arguments: tuple[str, ...]) -> tuple[int, str]:
+        out = io.StringIO()
+        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(out):
+            code = self.run(list(arguments), self._environment)
+        return code, out.getvalue()
+
+    def set(self, variable: str, value: str) -> None:
+        """Set an environment variable for what is run from now on."""
+        self._environment[variable] = value
+
+    async def start(self, module: str, *arguments: str, name: str) -> "DemoProcess":
+        """Start `python -I -m MODULE ARGUMENTS` as a process of its own."""
+        log = self.root / "logs" / f"{name}.log"
+        log.parent.mkdir(mode=0o700, exist_ok=True)
+        with log.open("ab") as errors:
+            process = await asyncio.create_subprocess_exec(
+                sys.executable, "-I", "-m", module, *arguments,
+                env=self._environment, stdin=asyncio.subprocess.DEVNULL,
+                stdout=asyncio.subprocess.PIPE, stderr=errors,
+            )  # fmt: skip
+        started = DemoProcess(name, process, log)
+        self._processes.append(started)
+        return started
+
+    async def stop_all(self) -> None:
+        """Stop every process, last first."""
+        for process in reversed(self._processes):
+            await process.stop()
+
+    def _relative(self, text: str) -> str:
+        return text.replace(str(self.root), "$ROSSEC_HOME")
+
+
+class DemoProcess:
+    """A running process and what it reported so far."""
+
+    def __init__(self, name: str, process: asyncio.subprocess.Process, log: Path) -> None:
+        self.name = name
+        self.reports: list[Report] = []
+        self._process = process
+        self._log = log
+        self._ended = False
+        self._changed = asyncio.Condition()
+        self._reader = asyncio.get_running_loop().create_task(self._read())
+
+    async def expect(
+        self,
+        what: str,
+        wanted: Callable[[Report], bool],
+        *,
+        after: int = 0,
+        within: float = DEADLINE,
+    ) -> Report:
+        """Return the first report past number `after` that is `wanted`.
+
+        Raises:
+            DemoFailed: none came in time, or the process ended first.
+        """
+        try:
+            async with asyncio.timeout(within), self._changed:
+                await self._changed.wait_for(lambda: self._find(wanted, after) or self._ended)
+        except TimeoutError:
+            pass
+        found = self._find(wanted, after)
+        if found is None:
+            raise DemoFailed(f"{self.name}: {what} did not happen; it logged: {self._last_lines()}")
+        return found
+
+    @property
+    def ended(self) -> bool:
+        """The process has ended."""
+        return self._ended
+
+    def about(self, topic: str) -> list[Report]:
+        """The reports on one topic."""
+        return [report for report in self.reports if report.get("topic") == topic]
+
+    async def stop(self) -> None:
+        """Terminate the process; kill it when it does not end."""
+        if self._process.returncode is None:
+            self._process.terminate()
+            try:
+                await asyncio.wait_for(self._process.wait(), PATIENCE)
+            except TimeoutError:
+                self._process.kill()
+                await self._process.wait()
+        await self._reader
+
+    async def _read(self) -> None:
+        stdout = self._process.stdout
+        while stdout is not None and (line := await stdout.readline()):
+            async with self._changed:
+                self.reports.append(json.loads(line))
+                self._changed.notify_all()
+        async with self._changed:
+            self._ended = True
+            self._changed.notify_all()
+
+    def _find(self, wanted: Callable[[Report], bool], after: int) -> Report | None:
+        return next((report for report in self.reports[after:] if wanted(report)), None)
+
+    def _last_lines(self) -> str:
+        lines = self._log.read_text(errors="replace").strip().splitlines()
+        return " / ".join(lines[-3:]) or "nothing"

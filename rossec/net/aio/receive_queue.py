@@ -1,0 +1,156 @@
+"""The receiving half of a connection on a loop: its units, until they are taken or forwarded.
+
+Reading pauses while the consumer lags. `Driver` adds the rest. It is a base class, since a second
+object would cost a call for each unit.
+"""
+
+import asyncio
+from collections import deque
+from collections.abc import Awaitable, Callable
+from copy import copy
+from typing import Final, NoReturn
+
+from rossec.errors import ChannelError
+from rossec.net.aio.transport import Transport
+
+_PAUSE_ABOVE: Final = 1024 * 1024  # bytes delivered and not taken
+
+
+class ReceiveQueue:
+    """Units received and not taken, and the waiters for a change of the connection."""
+
+    transport: Transport
+
+    def __init__(self) -> None:
+        self._loop = asyncio.get_running_loop()
+        self._units: deque[bytes] | None = None  # None: an empty one costs memory
+        self._unread = 0
+        self._write_nowait: Callable[[bytes], bool] | None = None
+        self._forward_error: BaseException | None = None
+        self._waiters: list[asyncio.Future[None]] = []
+        self.on_ready: Callable[[], None] | None = None
+        self.error: ChannelError | None = None
+
+    def check(self) -> None:
+        """Raise the error that ended the connection, if it has ended.
+
+        A copy: with its traceback the original would keep the frames alive it was raised in.
+        """
+        if self.error is not None:
+            raise copy(self.error)
+
+    def _deliver(self, unit: bytes) -> None:
+        """Pass the unit on at once while forwarding; queue it otherwise."""
+        write_nowait = self._write_nowait
+        if write_nowait is None:
+            if self._units is None:
+                self._units = deque()
+            self._units.append(unit)
+            self._unread += len(unit)
+            return
+        try:
+            lags = not write_nowait(unit)
+        except BaseException as error:  # noqa: BLE001 - raised in `forward`
+            self._forward_error, lags = error, True
+        if lags:
+            self._write_nowait = None
+            self.transport.pause_reading()
+            self._wake_waiters()
+
+    async def receive(self) -> bytes:
+        """Return the next unit.
+
+        Raises:
+            ChannelError: the connection has ended.
+        """
+        while (unit := self.take()) is None:
+            await self._changed()
+        return unit
+
+    @property
+    def has_unit(self) -> bool:
+        """Whether a unit is queued."""
+        return self._units is not None
+
+    def take(self) -> bytes | None:
+        """Return the next unit if it has arrived.
+
+        Raises:
+            ChannelError: the connection has ended.
+        """
+        if self._units is None:
+            self.check()
+            return None
+        unit = self._units.popleft()
+        if not self._units:
+            self._units = None
+        self._unread -= len(unit)
+        if self._unread <= _PAUSE_ABOVE // 2 and self.error is None:
+            self.transport.resume_reading()
+        return unit
+
+    def _notify(self) -> None:
+        """Units were queued or the connection ended; pause reading above the limit."""
+        if self.on_ready is not None:
+            self.on_ready()
+        if self._waiters:
+            self._wake_waiters()
+        if self._unread > _PAUSE_ABOVE and self.error is None:
+            self.transport.pause_reading()
+
+    async def forward(
+        self, write_nowait: Callable[[bytes], bool], drain: Callable[[], Awaitable[None]]
+    ) -> NoReturn:
+        """Pass each unit to `write_nowait` as it arrives, without another turn of the loop.
+
+        When it returns false, nothing more is read until `drain` returns.
+
+        Raises:
+            ChannelError: the connection has ended; or what `write_nowait` or `drain` raise.
+        """
+        try:
+            while True:
+                while self._units:
+                    write_nowait(await self.receive())
+                    await drain()
+                self.check()
+                self.transport.resume_reading()
+                self._write_nowait = write_nowait
+                while self._is_forwarding():
+                    await self._changed()
+                if self._forward_error is not None:
+                    raise self._forward_error
+                await drain()
+        finally:
+            self._write_nowait = None
+
+    def _is_forwarding(self) -> bool:
+        return self._write_nowait is not None and self.error is None
+
+    def _changed(self) -> asyncio.Future[None]:
+        """A future for the next change of any kind; the caller checks which."""
+        waiter = self._loop.create_future()
+        self._waiters.append(waiter)
+        return waiter
+
+    def _wake_waiters(self) -> None:
+        waiting, self._waiters = self._waiters, []
+        for waiter in waiting:
+            if not waiter.done():
+                waiter.set_result(None)
+
+    async def drain(self) -> None:
+        """Wait until the peer caught up.
+
+        Raises:
+            ChannelError: the connection ended meanwhile.
+        """
+        if not self.transport.writable:
+            while self.transport.backlog > 0 and self.error is None:
+                await self._changed()
+        self.check()
+
+    async def wait_ended(self) -> None:
+        """Return when the connection has ended."""
+        while self.error is None:
+            await self._changed()

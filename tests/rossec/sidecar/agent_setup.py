@@ -1,0 +1,73 @@
+"""A small language for layers: the commands expected, and the event each is answered with."""
+
+from collections.abc import Generator
+from dataclasses import dataclass
+from typing import TypeVar
+
+from ca.certificates import Identity
+from ca.revocation.state import Revocations, Timestamp, digest
+from rossec.participant.access import Access
+from rossec.participant.publisher_grace import PublisherGrace
+from rossec.sidecar.core.commands import Command
+from rossec.sidecar.core.endpoints import EndpointMap
+from rossec.sidecar.core.events import Event
+from rossec.sidecar.core.layers import AgentState
+from rossec.sidecar.host_types import known_type
+from tests.support.site import Site
+
+Outcome = TypeVar("Outcome")
+HOST = "robot.local"
+MASTER_URI = "http://127.0.0.1:4000/"
+
+
+def run_layer(
+    layer: Generator[Command, Event, Outcome], *script: tuple[Command, Event | Exception]
+) -> Outcome:
+    """Run `layer`; it must yield exactly these commands, in this order. Returns its outcome."""
+    left = list(script)
+    try:
+        command = next(layer)
+        while left:
+            expected, event = left.pop(0)
+            assert command == expected
+            command = layer.throw(event) if isinstance(event, Exception) else layer.send(event)
+    except StopIteration as done:
+        assert not left, "it ended before the script did"
+        outcome: Outcome = done.value
+        return outcome
+    raise AssertionError(f"one command more: {command}")
+
+
+@dataclass
+class AgentSetup:
+    """Two identities of one site, a tenant for the first, and fresh revocations."""
+
+    site: Site
+    name: str = "/robot"
+    wildcard: bool = False
+    time: float = 0.0  # by which publishers are missed
+
+    def __post_init__(self) -> None:
+        self.site.enroll(self.name, wildcard=self.wildcard)
+        self.agent = AgentState(
+            self.identity(self.name),
+            self.access(self.name),
+            EndpointMap(HOST),
+            MASTER_URI,
+            known_type,
+            PublisherGrace(lambda: self.time),
+        )
+
+    def identity(self, name: str) -> Identity:
+        return self.site.identity(name)
+
+    def access(self, name: str) -> Access:
+        """What `name` holds, with a list of revocations that was confirmed now."""
+        held = Revocations(self.site.anchor.public_key)
+        data = self.site.authority.store.newest_list()
+        assert data is not None
+        now = self.site.now()
+        held.update(data, now)
+        assert held.current is not None
+        held.confirm(Timestamp(held.current.seq, digest(data), now, 30), now)
+        return Access(self.site.anchor, held, self.site.enroll(name).grants())

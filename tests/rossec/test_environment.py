@@ -1,0 +1,32 @@
+from pathlib import Path
+
+import pytest
+
+from rossec.environment import rossec_home
+from rossec.errors import ConfigurationError
+
+
+def test_where_home_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HOME", "/home/user")
+    assert rossec_home({}) == Path("/home/user/.local/share/rossec")
+    assert rossec_home({"ROSSEC_HOME": "/srv/rossec"}) == Path("/srv/rossec")
+    assert rossec_home({"ROSSEC_HOME": "~/keys"}) == Path("/home/user/keys")
+
+
+@pytest.mark.parametrize("value", ["", ".", "keys"])
+def test_home_is_absolute(value: str) -> None:
+    with pytest.raises(ConfigurationError, match="ROSSEC_HOME is") as caught:
+        rossec_home({"ROSSEC_HOME": value})
+    assert "absolute path" in caught.value.hint
+
+
+def test_a_home_nobody_knows(monkeypatch: pytest.MonkeyPatch) -> None:
+    def unknown(text: Path) -> Path:
+        raise RuntimeError(text)
+
+    with pytest.raises(ConfigurationError, match=r"^~nobody-of-that-name is no home") as caught:
+        rossec_home({"ROSSEC_HOME": "~nobody-of-that-name/rossec"})
+    assert "absolute path" in caught.value.hint
+    monkeypatch.setattr(Path, "expanduser", unknown)  # a user without an entry, and no HOME
+    with pytest.raises(ConfigurationError, match=r"^~ is no home directory"):
+        rossec_home({})
