@@ -202,7 +202,7 @@ def test_without_ipv4_it_is_a_name_that_leads_to_ipv6_alone(
 ) -> None:
     resolving(monkeypatch, {"::1"}, names)
     assert loopback_port.find_loopback() == ("::1", name)
-    assert f"no 127.0.0.1: programs are told {name}, and ROS_IPV6=on" in caplog.text
+    assert f"no 127.0.0.1: programs get the host name {name} and ROS_IPV6=on" in caplog.text
 
 
 def test_a_host_without_loopback_is_told_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
