@@ -4,57 +4,34 @@ import dataclasses
 
 import pytest
 
-from grants.errors import GrantMissing, RestrictionMismatch
+from grants.errors import GrantMissing
 from grants.model import Restriction, Right, filter_rules
-from rossec.channel.opening import WireProtocol
 from rossec.errors import CallerMismatch, ConnectionHeaderRefused, HangUp
 from rossec.participant.access import FIELD
 from rossec.participant.header_fields import Fields
 from rossec.participant.limit_memory import memory_scope
 from rossec.participant.message_types import message_type
-from rossec.sidecar.core.commands import CallProgram, Command, ConnectPeer, ConnectProgram, Suspend
-from rossec.sidecar.core.endpoints import Endpoint, local_endpoint, topic_endpoint
-from rossec.sidecar.core.events import Answered, CommandDone, Event, HeaderArrived, NoAnswer
-from rossec.sidecar.core.layers import Layer, UnexpectedEvent
-from rossec.sidecar.core.tcpros import AdmittedConnection, admit_peer, connect_to_peer
+from rossec.sidecar.core.commands import ConnectPeer, ConnectProgram, Suspend
+from rossec.sidecar.core.events import Answered, CommandDone, NoAnswer
+from rossec.sidecar.core.layers import UnexpectedEvent
+from rossec.sidecar.core.tcpros import connect_to_peer
 from tests.rossec.sidecar.agent_setup import AgentSetup, run_layer
-
-SLAVE = local_endpoint(WireProtocol.HTTP, 5000)
-TOPICS_VIA_API = topic_endpoint(SLAVE)
-TOPIC_PORT = ["TCPROS", "localhost", 5001]
-TOPIC_ENDPOINT = local_endpoint(WireProtocol.TCPROS, 5001)
-PEER = Endpoint(WireProtocol.TCPROS, "10.0.0.7", 6001)
-STRING = {"type": b"std_msgs/String", "md5sum": b"992ce8a1687cec8c8bd883ec73ca41d1"}
-REQUEST = {"callerid": b"/viewer", "topic": b"/word", "tcp_nodelay": b"1", **STRING}
-ANSWER = {"callerid": b"/robot", "message_definition": b"string data\n", "latching": b"0", **STRING}
-SERVICE = {"callerid": b"/viewer", "service": b"/say", "md5sum": b"*"}
-
-
-def no_key(name: str) -> bytes:
-    raise AssertionError(name)
-
-
-def proof(setup: AgentSetup, name: str, right: Right, topic: str) -> Fields:
-    return {FIELD: setup.access(name).present(right, topic, setup.site.now())}
-
-
-def admit(
-    setup: AgentSetup, fields: Fields, endpoint: Endpoint = TOPICS_VIA_API
-) -> Layer[AdmittedConnection]:
-    peer = setup.identity("/viewer")
-    return admit_peer(
-        setup.agent, endpoint, fields, peer, no_key, memory_scope("/robot").child, setup.site.now()
-    )
-
-
-REQUEST_TOPIC = CallProgram(SLAVE, "requestTopic", ("/viewer", "/word", [["TCPROS"]]))
-REQUEST_ANSWERED: tuple[Command, Event] = (REQUEST_TOPIC, Answered([1, "ready", TOPIC_PORT]))
-"""The program is asked for its topic port, and its answer."""
-
-
-def arrived(setup: AgentSetup, fields: Fields, peer: str | None = None) -> HeaderArrived:
-    identity = None if peer is None else setup.identity(peer)
-    return HeaderArrived(fields, identity, setup.site.now())
+from tests.rossec.sidecar.core.handshake import (
+    ANSWER,
+    PEER,
+    REQUEST,
+    REQUEST_ANSWERED,
+    REQUEST_TOPIC,
+    SERVICE,
+    STRING,
+    TOPIC_ENDPOINT,
+    TOPIC_PORT,
+    TOPICS_VIA_API,
+    admit,
+    arrived,
+    no_key,
+    proof,
+)
 
 
 @pytest.fixture
@@ -231,43 +208,6 @@ def test_a_definition_is_not_checked_without_restrictions(
     assert admitted.answer["message_definition"] == answer["message_definition"]
 
 
-def test_services_are_admitted_in_both_directions(setup: AgentSetup) -> None:
-    setup.site.grant("/viewer", Right.CALL, "/say")
-    setup.site.grant("/robot", Right.PROVIDE, "/say")
-    setup.agent = dataclasses.replace(setup.agent, access=setup.access("/robot"))
-    authorized = SERVICE | proof(setup, "/viewer", Right.CALL, "/say")
-    answer = {"callerid": b"/robot", "md5sum": b"0" * 32}
-    admitted = run_layer(
-        admit(setup, authorized, TOPIC_ENDPOINT),
-        (ConnectProgram(TOPIC_ENDPOINT, SERVICE), arrived(setup, answer)),
-    )
-    assert admitted.service
-    provided = answer | proof(setup, "/robot", Right.PROVIDE, "/say")
-    assert admitted.answer == provided
-
-    viewer = AgentSetup(setup.site, "/viewer")
-    now = setup.site.now()
-    admitted_there = run_layer(
-        connect_to_peer(
-            viewer.agent,
-            PEER,
-            SERVICE | {"callerid": b"/rosservice"},
-            no_key,
-            memory_scope("/viewer").child,
-            now,
-        ),
-        (ConnectPeer(PEER, authorized), arrived(setup, provided, "/robot")),
-    )
-    assert admitted_there.answer == answer
-    with pytest.raises(GrantMissing):
-        run_layer(
-            connect_to_peer(
-                viewer.agent, PEER, SERVICE, no_key, memory_scope("/viewer").child, now
-            ),
-            (ConnectPeer(PEER, authorized), arrived(setup, answer, "/robot")),
-        )
-
-
 def test_a_program_subscribes_with_its_grants(setup: AgentSetup, authorized: Fields) -> None:
     viewer = AgentSetup(setup.site, "/viewer")
     now = setup.site.now()
@@ -293,46 +233,6 @@ def test_a_program_subscribes_with_its_grants(setup: AgentSetup, authorized: Fie
                 ),
                 (connect, event),
             )
-
-
-@pytest.mark.parametrize("both", [{"topic": b"/secret"}, {"topic": b""}])
-def test_a_header_for_both_topic_and_service_is_refused(setup: AgentSetup, both: Fields) -> None:
-    """The call right must not read a topic: stock programs check the topic first."""
-    setup.site.grant("/viewer", Right.CALL, "/say")
-    authorized = SERVICE | proof(setup, "/viewer", Right.CALL, "/say")
-    for fields in (authorized | both, {"callerid": b"/viewer"}):
-        with pytest.raises(ConnectionHeaderRefused, match="for a topic or for a service"):
-            run_layer(admit(setup, fields))
-        with pytest.raises(ConnectionHeaderRefused, match="for a topic or for a service"):
-            run_layer(
-                connect_to_peer(
-                    setup.agent,
-                    PEER,
-                    fields,
-                    no_key,
-                    memory_scope("/robot").child,
-                    setup.site.now(),
-                )
-            )
-
-
-def test_restrictions_on_services_are_refused(setup: AgentSetup) -> None:
-    """In both directions: service headers hold no definition to apply them with."""
-    limited = Restriction("std_srvs/SetBool", ("msg.data",))
-    setup.site.grant("/viewer", Right.CALL, "/say", restriction=limited)
-    authorized = SERVICE | proof(setup, "/viewer", Right.CALL, "/say")
-    with pytest.raises(RestrictionMismatch):
-        run_layer(admit(setup, authorized, TOPIC_ENDPOINT))
-    setup.site.grant("/viewer", Right.PROVIDE, "/do", restriction=limited)
-    asked = {"callerid": b"/robot", "service": b"/do", "md5sum": b"*"}
-    answer = {"callerid": b"/viewer", **proof(setup, "/viewer", Right.PROVIDE, "/do")}
-    layer = connect_to_peer(
-        setup.agent, PEER, asked, no_key, memory_scope("/robot").child, setup.site.now()
-    )
-    command = next(layer)
-    assert isinstance(command, ConnectPeer)
-    with pytest.raises(RestrictionMismatch):
-        layer.send(arrived(setup, answer, "/viewer"))
 
 
 def test_a_restricted_publisher_gets_a_guard(setup: AgentSetup, authorized: Fields) -> None:
